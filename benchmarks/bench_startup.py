@@ -1,0 +1,42 @@
+"""What a user waits for on the command line, against the imports that nothing can avoid."""
+
+import sys
+import sysconfig
+import tempfile
+from pathlib import Path
+
+from benchmarks.timing import Ratio, paired_process_ratio
+
+MULTIPOS = str(Path(sysconfig.get_path("scripts")) / "multipos")
+
+SIX_POSITIONS = """\
+ax,ay,az
+0.0070556,-1.002908508,-0.001607945
+-0.0093576,-0.0058170158,-1.000803973
+0.99647218,0.0064362412,0.001513362
+-0.0075797,1.003011,0.003215892
+-0.9964722,0.007318172,0.002705132
+0.00673747,-0.00598589,1.000799727
+"""
+FIT_OPTIONS = ["--scheme", "song-qin-6", "--model", "own-quadratic", "--convention", "gravity"]
+
+
+def run() -> list[Ratio]:
+    with tempfile.TemporaryDirectory() as folder:
+        readings = Path(folder) / "readings.csv"
+        readings.write_text(SIX_POSITIONS, encoding="utf-8")
+        return [
+            against_imports("multipos --help", ["--help"], "argparse, numpy", goal=1.2),
+            against_imports(
+                "multipos fit, six positions",
+                ["fit", str(readings), *FIT_OPTIONS],
+                "numpy, scipy.linalg",
+                goal=2,
+            ),
+        ]
+
+
+def against_imports(what: str, arguments: list[str], imports: str, *, goal: float) -> Ratio:
+    peer = f"import {imports}"
+    pairs = paired_process_ratio([MULTIPOS, *arguments], [sys.executable, "-c", peer])
+    return Ratio(what, f"python -c '{peer}'", pairs, goal)

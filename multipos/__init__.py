@@ -1,0 +1,83 @@
+"""multipos calibrates accelerometers from static positions in gravity.
+
+A scheme gives references, readings are averaged, a model is fitted, a calibration comes out
+with its uncertainty, and everything else reads that calibration.
+
+Conventions
+-----------
+Case axes x, y, z are right-handed; `u` is the unit vector pointing up, in case axes. Under the
+convention 'specific-force' the reference of a position is +u (the axis that points up reads
++1), under 'gravity' it is −u. References are in g, angles inside are radians; degrees carry
+``_deg`` in their names. Residual = reading − model.
+
+The names below are imported when they are first used, so that the command line starts quickly.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_PUBLIC = {
+    "Calibration": "calibration",
+    "ConvergenceError": "errors",
+    "Model": "model",
+    "MultiposError": "errors",
+    "RankError": "errors",
+    "Readings": "readings",
+    "Scheme": "scheme",
+    "UsageError": "errors",
+    "apply": "compensation",
+    "demo": "song_qin",
+    "fit": "fitting",
+    "load": "calibration",
+    "normal_gravity": "units",
+    "read_readings": "readings",
+    "read_scheme": "scheme",
+    "schemes": "designs",
+}
+
+__all__ = [
+    "Calibration",
+    "ConvergenceError",
+    "Model",
+    "MultiposError",
+    "RankError",
+    "Readings",
+    "Scheme",
+    "UsageError",
+    "__version__",
+    "apply",
+    "demo",
+    "fit",
+    "load",
+    "normal_gravity",
+    "read_readings",
+    "read_scheme",
+    "schemes",
+]
+
+if TYPE_CHECKING:
+    from multipos.calibration import Calibration, load
+    from multipos.compensation import apply
+    from multipos.designs import schemes
+    from multipos.errors import ConvergenceError, MultiposError, RankError, UsageError
+    from multipos.fitting import fit
+    from multipos.model import Model
+    from multipos.readings import Readings, read_readings
+    from multipos.scheme import Scheme, read_scheme
+    from multipos.song_qin import demo
+    from multipos.units import normal_gravity
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'multipos' has no attribute '{name}'")
+    from importlib import import_module
+
+    value = getattr(import_module(f"multipos.{_PUBLIC[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

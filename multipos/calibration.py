@@ -1,0 +1,446 @@
+"""Calibration: the one result that every estimator returns, and its file.
+
+A calibration carries the model, the parameters with their covariance and degrees of freedom,
+the readings and the reference they came from, and how they were found, so that everything said
+of it can be derived again. It is complete when it is made and never changes.
+
+An expanded uncertainty is ``U = k u`` with k from Student's t at the parameter's effective
+degrees of freedom (JCGM 100, 6.2 and annex G), at the coverage probability `confidence`.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos import derived, inverse
+from multipos.diagnostics import Diagnostics, linearity
+from multipos.errors import MultiposError
+from multipos.files import plain, read_json, to_json, write_text
+from multipos.formatting import number, table, uncertain
+from multipos.model import Model, build_model, paper_symbol, parameter_label
+from multipos.quantiles import coverage_factor
+from multipos.readings import Readings
+
+Array = NDArray[np.float64]
+
+SCHEMA = "multipos/calibration/1"
+
+
+class Parameter(NamedTuple):
+    """One parameter with its uncertainty; U = k u at the calibration's confidence."""
+
+    output: str
+    term: str
+    name: str
+    value: float
+    u: float
+    dof: float
+    k: float
+    U: float
+    unit: str
+    label: str
+    symbol: str | None
+
+
+class Gravity(NamedTuple):
+    """Local gravity and its standard uncertainty [m/s²]."""
+
+    value: float
+    u: float
+
+
+class Status(NamedTuple):
+    """How the estimator ended."""
+
+    converged: bool
+    iterations: int
+    message: str
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Fitted parameters of one accelerometer, with everything needed to derive them again.
+
+    Attributes
+    ----------
+    model : Model
+    parameters : (p,) array
+        In the order of `names`.
+    covariance : (p, p) array
+    parameter_dof : (p,) array
+        Effective degrees of freedom of each parameter; inf when its noise is known beforehand.
+    dof : (M,) array
+        Degrees of freedom of each output's residual variance; inf when the noise is known.
+    residuals : (n, M) array
+        Reading minus model, in reading units.
+    residual_sd : (M,) array
+        Standard deviation of a reading as the residuals show it; NaN without degrees of freedom.
+    reference : (n, 3) array [g]
+        As used: specific force or gravity, by the convention; estimated where it was unknown.
+    readings : Readings
+    convention : str
+        'specific-force' (the axis that points up reads +1) or 'gravity' (the one that points down).
+    gravity : Gravity or None
+        None: one g is the local gravity.
+    estimator, criterion : str
+    confidence : float
+    diagnostics : Diagnostics
+    cross_check : float or None
+        Largest difference of the closed form from least squares, relative to the largest reading.
+    status : Status
+    created, version : str
+        Time (ISO 8601, UTC) and the version of multipos.
+    """
+
+    model: Model
+    parameters: Array
+    covariance: Array
+    parameter_dof: Array
+    dof: Array
+    residuals: Array
+    residual_sd: Array
+    reference: Array
+    readings: Readings
+    convention: str
+    gravity: Gravity | None
+    estimator: str
+    criterion: str
+    confidence: float
+    diagnostics: Diagnostics
+    status: Status
+    created: str
+    version: str
+    cross_check: float | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for name in ("parameters", "covariance", "parameter_dof", "dof", "residuals",
+                     "residual_sd", "reference"):  # fmt: skip
+            getattr(self, name).setflags(write=False)
+        object.__setattr__(self, "extra", MappingProxyType(dict(self.extra)))
+
+    def __getitem__(self, key: tuple[str, str]) -> Parameter:
+        """Return a parameter by (output, term), as in ``cal["ax", "x^2"]``."""
+        return self._parameter(self.model.index(*key))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameter names, in the order of `parameters`."""
+        return self.model.names
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return self.model.outputs
+
+    @cached_property
+    def u(self) -> Array:
+        """Standard uncertainties (p,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @cached_property
+    def k(self) -> Array:
+        """Coverage factors (p,) at `confidence`."""
+        factors = {dof: coverage_factor(self.confidence, dof) for dof in set(self.parameter_dof)}
+        return np.array([factors[dof] for dof in self.parameter_dof])
+
+    @property
+    def U(self) -> Array:
+        """Expanded uncertainties (p,), U = k u."""
+        return self.k * self.u
+
+    @cached_property
+    def correlation(self) -> Array:
+        """Correlation matrix (p, p); NaN where an uncertainty is zero."""
+        scale = np.where(self.u > 0.0, self.u, np.nan)
+        return np.asarray(self.covariance / np.outer(scale, scale))
+
+    @cached_property
+    def rms(self) -> float:
+        """Root mean square of what is left after compensation [g].
+
+        Of |f| − |reference| for unknown orientation, of the components of f − reference otherwise.
+        """
+        force = self.compensate(self.readings.values, self.readings.environment)
+        if self.estimator == "unknown-orientation":
+            size = np.linalg.norm(self.reference, axis=1)
+            return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
+        left = force - self.reference[:, list(inverse.sensed_axes(self.model))]
+        return float(np.sqrt(np.mean(left**2)))
+
+    @cached_property
+    def linearity(self) -> dict[str, dict[str, float]]:
+        """Linearity of each output with and without the model, in percent of ±1 g."""
+        return linearity(self.model, self.reference, self.readings.values, self.residuals)
+
+    @cached_property
+    def intrinsic(self) -> dict[str, dict[str, derived.Value]] | None:
+        """Sensitivities, offsets [g], angles between input axes and mounting, of a triad."""
+        return derived.intrinsic(self.model, self.parameters, self.covariance, self._mean)
+
+    @cached_property
+    def installation_deg(self) -> dict[str, derived.Value]:
+        """How far output i leans to axis j, θ_ij = atan2(M_ij, M_ii), in degrees."""
+        return derived.installation_deg(self.model, self.parameters, self.covariance, self._mean)
+
+    def predict(self, reference: ArrayLike, environment: Mapping[str, ArrayLike] | None = None
+                ) -> Array:  # fmt: skip
+        """Return the readings (n, M) that the model expects at a reference (n, 3) [g]."""
+        force = np.array(reference, dtype=np.float64, ndmin=2)
+        return self.model.predict(self.parameters, force, environment or {})
+
+    def compensate(self, raw: ArrayLike, environment: Mapping[str, ArrayLike] | None = None
+                   ) -> Array:  # fmt: skip
+        """Return the force that explains raw readings.
+
+        Parameters
+        ----------
+        raw : (n, M) or (M,) array
+            In the unit of the readings.
+        environment : mapping of str to (n,) array, optional
+            Columns that the model uses beside the components, such as temperature.
+
+        Returns
+        -------
+        (n, K) array [g]
+            On the K axes that the sensor has, in the calibration's convention; NaN where no
+            force explains the reading.
+        """
+        values = np.array(raw, dtype=np.float64, ndmin=2)
+        if values.ndim != 2 or values.shape[1] != len(self.outputs):
+            raise MultiposError(
+                f"`raw` must have shape (n, {len(self.outputs)}), got {np.shape(raw)}; "
+                "give one row per reading."
+            )
+        columns = {
+            name: np.broadcast_to(np.asarray(column, dtype=np.float64), len(values))
+            for name, column in (environment or {}).items()
+            if name in self.model.environment
+        }
+        self.model.variables(np.zeros((0, 3)), columns)
+        return inverse.invert(self.model, self.parameters, values, columns)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as what JSON can carry, keys as in the formats reference."""
+        found = self.diagnostics
+        readings = self.readings
+        optional = {
+            "reading_u": readings.u,
+            "reading_covariance": readings.covariance,
+            "reading_sd": readings.sd,
+            "samples": readings.samples,
+            "orientation_sd_deg": None
+            if readings.orientation_sd is None
+            else np.degrees(readings.orientation_sd),
+            "group": readings.group,
+            "environment": dict(readings.environment) or None,
+            "attitude": readings.rotation,
+        }
+        content = {
+            "schema": SCHEMA,
+            "multipos_version": self.version,
+            "created": self.created,
+            "input": {"file": readings.source, "sha256": readings.sha256},
+            "convention": self.convention,
+            "gravity": None if self.gravity is None else self.gravity._asdict(),
+            "estimator": self.estimator,
+            "criterion": self.criterion,
+            "gauge": self.model.gauge,
+            "model": self.model.text,
+            "outputs": self.outputs,
+            "axes": self.model.axes,
+            "inputs": self.model.inputs,
+            "unit": self.model.unit,
+            "confidence": self.confidence,
+            "status": self.status._asdict(),
+            "positions": labels(readings),
+            "parameters": [self._parameter(i)._asdict() for i in range(len(self.parameters))],
+            "covariance": self.covariance,
+            "residuals": self.residuals,
+            "residual_sd": dict(zip(self.outputs, self.residual_sd, strict=True)),
+            "dof": dict(zip(self.outputs, self.dof, strict=True)),
+            "readings": readings.values,
+            "reference": self.reference,
+            **{name: value for name, value in optional.items() if value is not None},
+            "rms": self.rms,
+            "linearity": self.linearity,
+            "diagnostics": {
+                "rank": found.rank,
+                "parameters": found.parameters,
+                "condition": found.condition,
+                "lack_of_fit": found.lack_of_fit,
+                "outliers": found.outliers,
+                "unidentifiable": found.unidentifiable,
+                "warnings": found.warnings,
+                "leverage": found.leverage,
+            },
+            "cross_check": None
+            if self.cross_check is None
+            else {"closed_form_max_difference": self.cross_check},
+            "intrinsic": self.intrinsic,
+            "installation_deg": self.installation_deg,
+            **self.extra,
+        }
+        result: dict[str, Any] = plain(content)
+        return result
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the calibration as JSON, whole or not at all."""
+        write_text(path, to_json(self.to_dict()))
+
+    def __str__(self) -> str:
+        return table(*parameter_rows(self), left=3)
+
+    @cached_property
+    def _mean(self) -> dict[str, float]:
+        return {
+            name: float(np.mean(self.readings.environment[name])) for name in self.model.environment
+        }
+
+    def _parameter(self, index: int) -> Parameter:
+        output, term = self.model.keys[index]
+        axis = self.model.axes[self.outputs.index(output)]
+        value, u, k = float(self.parameters[index]), float(self.u[index]), float(self.k[index])
+        return Parameter(
+            output=output, term=str(term), name=self.names[index], value=value, u=u,
+            dof=float(self.parameter_dof[index]), k=k, U=k * u, unit=self.model.units[index],
+            label=parameter_label(output, axis, term), symbol=paper_symbol(self.model, index),
+        )  # fmt: skip
+
+
+def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of the table of parameters; the paper's symbols where it has them."""
+    symbols = paper_symbol(calibration.model, 0) is not None
+    header = ["parameter", *(["symbol"] if symbols else []), "unit", "value(u)", "U", "k", "dof"]
+    rows = []
+    for index in range(len(calibration.parameters)):
+        p = calibration._parameter(index)
+        rows.append(
+            [p.name, *([p.symbol or ""] if symbols else []), p.unit, uncertain(p.value, p.u),
+             number(p.U, 2), number(p.k), number(p.dof)]
+        )  # fmt: skip
+    return header, rows
+
+
+def labels(readings: Readings) -> tuple[str, ...]:
+    """Return the position labels, or 1, 2, … where the readings have none."""
+    if readings.positions is not None:
+        return readings.positions
+    return tuple(str(row + 1) for row in range(len(readings)))
+
+
+def load(path: str | os.PathLike[str]) -> Calibration:
+    """Read a calibration written by `Calibration.save`.
+
+    Raises
+    ------
+    MultiposError
+        The file is missing, truncated, of another schema, or lacks what a calibration needs.
+    """
+    content = read_json(path, SCHEMA)
+    try:
+        return from_dict(content)
+    except KeyError as error:
+        raise MultiposError(
+            f"{path}: the key {error} is missing; the file is damaged, fit again."
+        ) from None
+    except (ValueError, TypeError, IndexError, AttributeError) as error:
+        raise MultiposError(f"{path}: not a calibration: {error}; fit again.") from None
+
+
+def from_dict(content: Mapping[str, Any]) -> Calibration:
+    """Return the calibration that `Calibration.to_dict` described."""
+    outputs = tuple(content["outputs"])
+    environment = {
+        name: _numbers(column) for name, column in content.get("environment", {}).items()
+    }
+    model = build_model(
+        content["model"], outputs, tuple(content["axes"]), tuple(content["inputs"]),
+        content["unit"],
+    )  # fmt: skip
+    if content["gauge"] is not None:
+        model = model.with_gauge(content["gauge"])
+    convention = content["convention"]
+    reference = _numbers(content["reference"])
+    size = np.linalg.norm(reference, axis=1)
+    up = reference / size[:, None] * (-1.0 if convention == "gravity" else 1.0) + 0.0
+    sd_deg = content.get("orientation_sd_deg")
+    readings = Readings(
+        values=_numbers(content["readings"]),
+        outputs=outputs,
+        positions=tuple(content["positions"]),
+        up=up,
+        rotation=_numbers(content.get("attitude")),
+        u=_numbers(content.get("reading_u")),
+        covariance=_numbers(content.get("reading_covariance")),
+        sd=_numbers(content.get("reading_sd")),
+        samples=_numbers(content.get("samples")),
+        orientation_sd=None if sd_deg is None else np.radians(_numbers(sd_deg)),
+        group=content.get("group"),
+        environment=environment,
+        unit=content["unit"],
+        source=content["input"]["file"],
+        sha256=content["input"]["sha256"],
+    )
+    found, parameters = content["diagnostics"], content["parameters"]
+    keys = [(entry["output"], entry["term"]) for entry in parameters]
+    if keys != [(output, str(term)) for output, term in model.keys]:
+        raise ValueError("its parameters are not those of its model")
+    cross_check = content["cross_check"]
+    calibration = Calibration(
+        model=model,
+        parameters=_numbers([entry["value"] for entry in parameters]),
+        covariance=_numbers(content["covariance"]),
+        parameter_dof=_dof([entry["dof"] for entry in parameters], parameters),
+        dof=_dof([content["dof"][output] for output in outputs]),
+        residuals=_numbers(content["residuals"]),
+        residual_sd=_numbers([content["residual_sd"][output] for output in outputs]),
+        reference=reference,
+        readings=readings,
+        convention=convention,
+        gravity=None if content["gravity"] is None else Gravity(**content["gravity"]),
+        estimator=content["estimator"],
+        criterion=content["criterion"],
+        confidence=content["confidence"],
+        diagnostics=Diagnostics(
+            rank=found["rank"],
+            parameters=found["parameters"],
+            condition=found["condition"],
+            leverage=_numbers(found["leverage"]),
+            lack_of_fit=found["lack_of_fit"],
+            outliers=tuple(found["outliers"]),
+            unidentifiable=tuple(found["unidentifiable"]),
+            warnings=tuple(found["warnings"]),
+        ),
+        status=Status(**content["status"]),
+        created=content["created"],
+        version=content["multipos_version"],
+        cross_check=None if cross_check is None else cross_check["closed_form_max_difference"],
+    )
+    p, shape = len(calibration.parameters), readings.values.shape
+    if calibration.covariance.shape != (p, p) or calibration.residuals.shape != shape:
+        raise ValueError("its arrays do not fit together")
+    return calibration
+
+
+def _numbers(value: Any) -> Any:
+    """Return nested lists as an array, null as NaN; None stays None."""
+    return None if value is None else np.array(value, dtype=np.float64)
+
+
+def _dof(values: list[float | None], parameters: list[dict[str, Any]] | None = None) -> Array:
+    """Return degrees of freedom; null is infinite where there is a k, else unknown."""
+    dof = [np.inf if value is None else value for value in values]
+    if parameters is not None:
+        dof = [
+            0.0 if entry["k"] is None else value
+            for entry, value in zip(parameters, dof, strict=True)
+        ]
+    return np.array(dof, dtype=np.float64)

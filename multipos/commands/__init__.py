@@ -1,0 +1,1 @@
+"""The commands of ``multipos``, one module each: ``add_options(parser)`` and ``run(arguments)``."""

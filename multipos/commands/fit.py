@@ -1,0 +1,55 @@
+"""``multipos fit``."""
+
+import argparse
+
+from multipos.commands.options import add_model, add_output, names, numbers, warn
+from multipos.files import to_json
+from multipos.fitting import fit
+from multipos.reports import text_report
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add = parser.add_argument
+    add("readings", metavar="READINGS", help="CSV file of averaged readings")
+    add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
+    add_model(parser)
+    add(
+        "--convention",
+        default="specific-force",
+        metavar="C",
+        help="specific-force (up reads +1, default) or gravity (down reads +1)",
+    )
+    add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
+    add("--closed-form", action="store_true", help="the six-position inversion")
+    add("--pool", action="store_true", help="one residual variance for all outputs")
+    add(
+        "--reading-sd",
+        type=numbers,
+        metavar="SD[,SD,SD]",
+        help="standard uncertainty of an averaged reading",
+    )
+    add("--gravity", type=float, metavar="G", help="local gravity [m/s^2]")
+    add("--gravity-u", type=float, metavar="U", help="its standard uncertainty [m/s^2]")
+    add("--latitude", type=float, metavar="DEG", help="gravity by WGS 84 at this latitude")
+    add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
+    add("--unit", metavar="UNIT", help="unit of the readings")
+    add(
+        "--confidence",
+        type=float,
+        default=0.95,
+        metavar="P",
+        help="coverage probability of U (default 0.95)",
+    )
+    add_output(parser, "CAL.json", "write the calibration to CAL.json")
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Return what the command prints."""
+    options = {k: v for k, v in vars(arguments).items() if k not in ("readings", "json", "output")}
+    calibration = fit(arguments.readings, **options)
+    text = to_json(calibration.to_dict()) if arguments.json else text_report(calibration)
+    if arguments.output:
+        calibration.save(arguments.output)
+    warn(calibration.diagnostics.warnings)
+    return text

@@ -1,0 +1,133 @@
+"""Compensation: the model's inverse, from raw readings back to specific force.
+
+The measurement equation `y = h(f)` of `multipos.model` is solved for the components that the
+sensor has (the own axes of its outputs; the others are taken as zero). Where h is linear the
+answer is one matrix product; otherwise Newton's iteration starts from it,
+
+    f <- f + J(f)^+ (y - h(f)),    J = dh/df,                                              (1)
+
+row by row in one vectorised pass. With more outputs than axes `J^+` is the least-squares
+inverse. To first order the parameters' covariance C reaches the answer through
+
+    df/dp = -J^+ dh/dp,            cov(f) = (df/dp) C (df/dp)'.                             (2)
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.errors import MultiposError
+from multipos.model import COMPONENTS, Model, linear_term
+
+Array = NDArray[np.float64]
+
+_STEPS = 50  # quadratic convergence needs five; more means there is no solution
+_XTOL = 1e-13  # [g], where a step is only rounding
+
+
+def sensed_axes(model: Model) -> tuple[int, ...]:
+    """Return the components that the sensor has, as indices of x, y, z in order."""
+    return tuple(i for i, axis in enumerate(COMPONENTS) if axis in model.axes)
+
+
+def invert(
+    model: Model, parameters: Array, raw: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    """Return the force (n, K) [g] that explains raw readings (n, M); NaN where none does.
+
+    Raises
+    ------
+    MultiposError
+        The linear part cannot be inverted.
+    """
+    sensed = list(sensed_axes(model))
+    force = np.zeros((len(raw), 3))
+    bare = {linear_term(axis) for axis in COMPONENTS}
+    if all(not term.factors or term in bare for term in model.basis_terms):
+        return _solve_linear(model, parameters, raw)
+    active = np.arange(len(raw))
+    columns = {name: np.asarray(environment[name], dtype=np.float64) for name in model.environment}
+    theta = model.coefficients(parameters)
+    for _ in range(_STEPS):
+        here = {name: column[active] for name, column in columns.items()}
+        misfit = raw[active] - model.basis(force[active], here) @ theta.T
+        step = _apply_inverse(_jacobian(model, theta, force[active], here)[:, :, sensed], misfit)
+        force[active[:, None], sensed] += step
+        size = np.abs(step).max(axis=1)
+        # A row that runs away has no solution near the linear one; NaN ends it below.
+        moving = (size > _XTOL * np.maximum(1.0, np.abs(force[active]).max(axis=1))) & (size < 1e6)
+        stuck = ~np.isfinite(size) | (size >= 1e6)
+        force[active[stuck]] = np.nan
+        active = active[moving]
+        if not len(active):
+            break
+    force[active] = np.nan
+    return np.asarray(force[:, sensed])
+
+
+def inverse_covariance(
+    model: Model,
+    parameters: Array,
+    covariance: Array,
+    force: Array,
+    environment: Mapping[str, ArrayLike],
+) -> Array:
+    """Return the covariance (n, K, K) [g²] of compensated force (n, K), by eq. (2)."""
+    sensed = list(sensed_axes(model))
+    full = np.zeros((len(force), 3))
+    full[:, sensed] = force
+    theta = model.coefficients(parameters)
+    jacobian = _jacobian(model, theta, full, environment)[:, :, sensed]
+    by_parameter = parameter_jacobian(model, full, environment)
+    sensitivity = np.linalg.pinv(jacobian) @ by_parameter
+    result: Array = sensitivity @ covariance @ sensitivity.transpose(0, 2, 1)
+    return result
+
+
+def parameter_jacobian(model: Model, force: Array, environment: Mapping[str, ArrayLike]) -> Array:
+    """Return dh/dp (n, M, p) at force (n, 3) [g]."""
+    phi = model.basis(force, environment)
+    result = np.zeros((len(force), len(model.outputs), len(model.keys)))
+    for output, (part, columns) in enumerate(zip(model.slices, model.columns, strict=True)):
+        result[:, output, part] = phi[:, columns]
+    for target, column, source in model.mirrored:
+        result[:, target, source] += phi[:, column]
+    return result
+
+
+def _jacobian(
+    model: Model, theta: Array, force: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    gradient = model.basis_gradient(force, environment)
+    return np.asarray(np.einsum("nti,mt->nmi", gradient, theta))
+
+
+def _apply_inverse(jacobian: Array, misfit: Array) -> Array:
+    rows, columns = jacobian.shape[1:]
+    if rows < columns:
+        raise MultiposError(f"{rows} outputs cannot give {columns} components of force.")
+    if rows > columns:
+        transposed = jacobian.transpose(0, 2, 1)
+        misfit = np.einsum("nij,nj->ni", transposed, misfit)
+        jacobian = transposed @ jacobian
+    try:
+        return np.asarray(np.linalg.solve(jacobian, misfit[:, :, None])[:, :, 0])
+    except np.linalg.LinAlgError:
+        # One singular row must not cost the others their answer.
+        return np.asarray((np.linalg.pinv(jacobian) @ misfit[:, :, None])[:, :, 0])
+
+
+def _solve_linear(model: Model, parameters: Array, raw: Array) -> Array:
+    sensed = [1 + axis for axis in sensed_axes(model)]
+    linear = model.linear_map({}) @ parameters
+    matrix = linear[:, sensed]
+    scale = np.abs(matrix).max()
+    if not scale or np.linalg.matrix_rank(matrix / scale) < matrix.shape[1]:
+        raise MultiposError(
+            "the scale factors and cross terms form a singular matrix, so readings cannot be "
+            "compensated; check the calibration."
+        )
+    inverse = np.linalg.pinv(matrix) if len(matrix) > len(sensed) else np.linalg.inv(matrix)
+    force: Array = (raw - linear[:, 0]) @ inverse.T
+    return force

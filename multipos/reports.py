@@ -1,0 +1,121 @@
+"""Reports of a calibration, for people: plain text and Markdown.
+
+Both are the same sections: what was done, warnings first, the parameters as value(u) with U, k
+and degrees of freedom, the residuals of every position, and how the result was checked.
+"""
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from multipos.calibration import Calibration, labels, parameter_rows
+from multipos.errors import UsageError
+from multipos.files import write_text
+from multipos.formatting import markdown_table, number, table
+
+_Table = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
+
+
+def text_report(calibration: Calibration) -> str:
+    """Return the report as plain text."""
+    parts = []
+    for title, body in _sections(calibration, table):
+        parts.append(f"{title}\n{'-' * len(title)}\n{body}\n")
+    return "\n".join(parts)
+
+
+def markdown_report(calibration: Calibration) -> str:
+    """Return the report as Markdown."""
+    parts = ["# Calibration report\n"]
+    for title, body in _sections(calibration, markdown_table):
+        if "\n" in body and not body.startswith("|"):
+            body = body.replace("\n", "  \n")
+        parts.append(f"## {title}\n\n{body}\n")
+    return "\n".join(parts)
+
+
+def write_report(calibration: Calibration, path: str | os.PathLike[str]) -> None:
+    """Write the report in the form that the file's ending asks for: .txt or .md.
+
+    Raises
+    ------
+    UsageError
+        Another ending.
+    MultiposError
+        The file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in _FORMS:
+        raise UsageError(
+            f"the report's ending '{suffix}' is unknown; write it to a {' or '.join(_FORMS)} file."
+        )
+    write_text(path, _FORMS[suffix](calibration))
+
+
+_FORMS = {".txt": text_report, ".md": markdown_report}
+
+
+def _sections(calibration: Calibration, draw: _Table) -> list[tuple[str, str]]:
+    sections = [("Calibration", _summary(calibration))]
+    said = [*calibration.diagnostics.warnings, *calibration.diagnostics.outliers]
+    if said:
+        sections.append(("Warnings", "\n".join(f"- {line}" for line in said)))
+    header, rows = parameter_rows(calibration)
+    sections.append(("Parameters", draw(header, rows)))
+    sections.append(("Residuals", _residuals(calibration, draw)))
+    sections.append(("Checks", _checks(calibration)))
+    return sections
+
+
+def _summary(calibration: Calibration) -> str:
+    c = calibration
+    gravity = "local, one g" if c.gravity is None else (
+        f"{c.gravity.value:.10g} m/s^2, u = {c.gravity.u:.3g} m/s^2"
+    )  # fmt: skip
+    readings = c.readings
+    counted = f"{len(readings)} of {', '.join(c.outputs)} [{c.model.unit}]"
+    lines = [
+        f"readings    {readings.source or 'from memory'}: {counted}",
+        f"model       {c.model.text}, inputs {', '.join(c.model.inputs)}",
+        f"convention  {c.convention}",
+        f"gravity     {gravity}",
+        f"estimator   {c.estimator}: {c.criterion}",
+        f"created     {c.created}, multipos {c.version}",
+    ]
+    return "\n".join(lines)
+
+
+def _residuals(calibration: Calibration, draw: _Table) -> str:
+    c = calibration
+    header = ["position", "x", "y", "z", *(f"{output} [{c.model.unit}]" for output in c.outputs)]
+    rows = [
+        [label, *(f"{value:.4g}" for value in reference), *(f"{value:+.3e}" for value in residual)]
+        for label, reference, residual in zip(
+            labels(c.readings), c.reference.tolist(), c.residuals.tolist(), strict=True
+        )
+    ]
+    sd = ["s", "", "", "", *(number(value, 3) for value in c.residual_sd.tolist())]
+    dof = ["dof", "", "", "", *(number(value) for value in c.dof.tolist())]
+    return draw(header, [*rows, sd, dof])
+
+
+def _checks(calibration: Calibration) -> str:
+    c = calibration
+    lines = [f"rms of what is left after compensation: {c.rms:.3e} g"]
+    for output, found in c.linearity.items():
+        lines.append(
+            f"linearity of {output}: {number(found['without_model_percent'])} % without, "
+            f"{number(found['with_model_percent'])} % with the model"
+        )
+    if c.cross_check is not None:
+        lines.append(f"closed form against least squares: {c.cross_check:.1e} of a reading")
+    lines.append(
+        f"rank {c.diagnostics.rank} of {c.diagnostics.parameters}, "
+        f"condition {c.diagnostics.condition:.3g}"
+    )
+    for output, test in c.diagnostics.lack_of_fit.items():
+        p = test["p"]
+        if isinstance(p, float) and math.isfinite(p):
+            lines.append(f"lack of fit of {output} against repeats: p = {p:.3g}")
+    return "\n".join(lines)

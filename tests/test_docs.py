@@ -1,0 +1,283 @@
+"""Every code block of README.md and docs/ is run, and what it prints is compared.
+
+- ```` ```python ```` with `>>>` is a doctest; without, it is executed. One namespace a page.
+- ```` ```console ```` holds `$ command` lines (`> ` or a backslash continues one), each followed by
+  what it prints on stdout and stderr; `...` stands for anything. A command may fail only where the
+  page shows its line `multipos: error: …`.
+- Any block after `<!-- file: NAME -->` is written to that file first.
+- ```` ```sh ```` after `<!-- command: NAME -->` sets a machine up: `.ci/run` runs it, not this.
+
+All of a page happens in one temporary folder, from top to bottom.
+"""
+
+import difflib
+import doctest
+import importlib
+import io
+import os
+import pkgutil
+import re
+import subprocess
+import sysconfig
+import textwrap
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import multipos
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [
+    ROOT / "README.md",
+    *sorted(path for path in ROOT.glob("docs/**/*.md") if "_build" not in path.parts),
+]
+MODULES = sorted(
+    f"multipos.{module.name}"
+    for module in pkgutil.iter_modules(multipos.__path__)
+    if module.name != "__main__"
+)
+FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS | doctest.REPORT_UDIFF
+TIMEOUT = 300  # [s] for one command: a hang must end, a slow machine must not fail
+
+FENCE = re.compile(r"(?P<indent> *)(?P<ticks>`{3,})(?P<language>[^`\s]*)")
+NOTE = re.compile(r"\s*<!-- (?P<kind>command|file): (?P<name>.+?) -->\s*$")
+EQUATION = re.compile(r"^\$\$ \([\w-]*?(?P<number>\d+)\)\s*$", re.MULTILINE)
+CITATION = re.compile(r"eqs?\. (?P<numbers>\(\d+\)[^a-z]*?) of (?P<page>docs/[\w/-]+\.md)")
+
+
+@dataclass(frozen=True)
+class Block:
+    page: Path
+    line: int  # of the first line inside the fence, from 1
+    language: str
+    note: tuple[str, str] | None  # kind and name of the comment right above the block
+    text: str
+
+    def where(self, offset: int = 0) -> str:
+        page = self.page.relative_to(ROOT) if self.page.is_relative_to(ROOT) else self.page.name
+        return f"{page}:{self.line + offset}"
+
+
+def blocks(page: Path) -> list[Block]:
+    """Fenced code blocks of a page, in order."""
+    found = []
+    note = None
+    lines = iter(enumerate(page.read_text(encoding="utf-8").splitlines(), start=1))
+    for number, line in lines:
+        if fence := FENCE.match(line):
+            inside = []
+            for _, content in lines:
+                if content.strip() == fence["ticks"]:
+                    break
+                inside.append(content)
+            else:
+                pytest.fail(f"{page}:{number}: the block is never closed", pytrace=False)
+            text = textwrap.dedent("\n".join(inside)) + "\n"
+            found.append(Block(page, number + 1, fence["language"], note, text))
+            note = None
+        elif comment := NOTE.match(line):
+            note = comment["kind"], comment["name"]
+        elif line.strip():
+            note = None
+    return found
+
+
+def run_page(page: Path, folder: Path) -> list[str]:
+    """Run all blocks of a page in a folder; return what went wrong, a text each."""
+    namespace: dict[str, object] = {"__name__": "__main__"}
+    problems: list[str] = []
+    for block in blocks(page):
+        match block.note, block.language:
+            case ("file", name), _:
+                (folder / name).write_text(block.text, encoding="utf-8")
+            case ("command", _), "sh":
+                pass
+            case _, "python":
+                problems += run_python(block, namespace)
+            case _, "console":
+                problems += run_console(block, folder)
+            case _, "sh" | "bash" | "shell" | "pycon" | "py":
+                problems.append(
+                    f"{block.where()}: a {block.language} block is not run; "
+                    "write `console` or `python`, or put `<!-- command: NAME -->` above it"
+                )
+    return problems
+
+
+def run_python(block: Block, namespace: dict[str, object]) -> list[str]:
+    if ">>>" in block.text:
+        test = doctest.DocTestParser().get_doctest(
+            block.text, namespace, block.where(), str(block.page), block.line - 1
+        )
+        report = io.StringIO()
+        doctest.DocTestRunner(optionflags=FLAGS).run(test, out=report.write, clear_globs=False)
+        namespace.update(test.globs)
+        return [f"{block.where()}:\n{report.getvalue()}"] if report.getvalue() else []
+    # The newlines give tracebacks the line numbers of the page.
+    source = "\n" * (block.line - 1) + block.text
+    try:
+        exec(compile(source, block.page, "exec"), namespace)
+    except (Exception, SystemExit):
+        return [f"{block.where()}:\n{traceback.format_exc()}"]
+    return []
+
+
+def run_console(block: Block, folder: Path) -> list[str]:
+    problems = []
+    for offset, command, expected in commands(block):
+        done = subprocess.run(
+            ["sh", "-c", command],
+            cwd=folder,
+            env=environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            encoding="utf-8",
+            timeout=TIMEOUT,
+            check=False,
+        )
+        want, got = tidy(expected), tidy(done.stdout)
+        where = f"{block.where(offset)}: $ {command}"
+        if not doctest.OutputChecker().check_output(want, got, doctest.ELLIPSIS):
+            difference = difflib.unified_diff(
+                want.splitlines(), got.splitlines(), "the page", "the command", lineterm=""
+            )
+            problems.append("\n".join([where, *difference, f"(exit status {done.returncode})"]))
+        elif done.returncode != 0 and not re.search("^multipos: error: ", want, re.MULTILINE):
+            problems.append(f"{where}\nexit status {done.returncode}, and the page shows no error")
+    return problems
+
+
+def commands(block: Block) -> list[tuple[int, str, str]]:
+    """Offset, command and expected output of each command of a console block."""
+    found: list[tuple[int, list[str], list[str]]] = []
+    for offset, line in enumerate(block.text.splitlines()):
+        if line.startswith("$ "):
+            found.append((offset, [line[2:]], []))
+        elif not found:
+            pytest.fail(f"{block.where(offset)}: output without a `$ command`", pytrace=False)
+        else:
+            _, command, output = found[-1]
+            if not output and (command[-1].endswith("\\") or line.startswith("> ")):
+                command.append(line.removeprefix("> "))
+            else:
+                output.append(line)
+    return [(offset, "\n".join(command), "\n".join(output)) for offset, command, output in found]
+
+
+def tidy(output: str) -> str:
+    return "\n".join(line.rstrip() for line in output.splitlines()).strip("\n") + "\n"
+
+
+def environment() -> dict[str, str]:
+    """Environment in which commands print the same everywhere."""
+    variables = {name: value for name, value in os.environ.items() if "COLOR" not in name}
+    return variables | {
+        "PATH": os.pathsep.join([sysconfig.get_path("scripts"), os.environ["PATH"]]),
+        "COLUMNS": "100",
+        "NO_COLOR": "1",
+        "TERM": "dumb",
+        "LC_ALL": "C.UTF-8",
+        "PYTHONUTF8": "1",
+        "PYTHONUNBUFFERED": "1",  # stdout and stderr in the order they were written
+    }
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_page_prints_what_it_says(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    problems = run_page(page, tmp_path)
+    if problems:
+        pytest.fail("\n\n".join(problems), pytrace=False)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_docstring_examples_print_what_they_say(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    report = io.StringIO()
+    runner = doctest.DocTestRunner(optionflags=FLAGS)
+    for test in doctest.DocTestFinder(exclude_empty=True).find(importlib.import_module(name)):
+        runner.run(test, out=report.write)
+    if report.getvalue():
+        pytest.fail(report.getvalue(), pytrace=False)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_equation_labels_are_the_printed_numbers(page):
+    """Code cites equations by number, so the label must be the number Sphinx prints."""
+    numbers = [int(match["number"]) for match in EQUATION.finditer(page.read_text("utf-8"))]
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_cited_equations_exist():
+    wrong = []
+    for path in ROOT.glob("multipos/**/*.py"):
+        for citation in CITATION.finditer(path.read_text("utf-8")):
+            page = ROOT / citation["page"]
+            last = len(EQUATION.findall(page.read_text("utf-8"))) if page.exists() else 0
+            cited = [int(number) for number in re.findall(r"\d+", citation["numbers"])]
+            if max(cited) > last:
+                wrong.append(f"{path.name}: {citation[0]}, which has {last} equations")
+    assert not wrong
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("```python\n>>> 1 + 1\n3\n```", 'page.md", line 2'),
+        ("```python\nx = 1\nassert x == 2\n```", 'page.md", line 3'),
+        ("\n```console\n$ echo two\nthree\n```", "page.md:3: $ echo two\n--- the page"),
+        ("```console\n$ false\n```", "exit status 1"),
+        ("```sh\nmake\n```", "is not run"),
+    ],
+)
+def test_a_wrong_page_is_reported(text, message, tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(text + "\n", encoding="utf-8")
+    (problem,) = run_page(page, tmp_path)
+    assert message in problem
+
+
+def test_a_right_page_passes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = tmp_path / "page.md"
+    page.write_text(
+        textwrap.dedent(
+            """
+            <!-- command: test -->
+            ```sh
+            exit 1
+            ```
+
+            <!-- file: data.csv -->
+            ```csv
+            ax,ay
+            1,2
+            ```
+
+            - In a list, and with names shared between blocks:
+
+              ```python
+              x = 2
+              ```
+
+            ```python
+            >>> from pathlib import Path
+            >>> Path("data.csv").read_text()[:2] * x
+            'axax'
+            ```
+
+            ```console
+            $ cat \\
+            >   data.csv
+            ax,...
+            $ echo 'multipos: error: no' >&2; exit 1
+            multipos: error: no
+            ```
+            """
+        ),
+        encoding="utf-8",
+    )
+    assert run_page(page, tmp_path) == []

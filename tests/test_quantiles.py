@@ -1,0 +1,171 @@
+"""Quantiles and tails against closed forms, printed tables and each other."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from multipos.quantiles import (
+    chi2_quantile,
+    chi2_tail,
+    coverage_factor,
+    f_quantile,
+    f_tail,
+    normal_quantile,
+    t_quantile,
+    t_tail,
+)
+
+PROBABILITY = st.floats(0.001, 0.999)
+DOF = st.floats(0.5, 1e6)
+
+
+# --- closed forms; 1e-13 is some hundred roundings, the tails being conditioned like 1/p
+
+P = [0.001, 0.05, 0.3, 0.5, 0.6, 0.9, 0.975, 0.999]
+
+
+@pytest.mark.parametrize("p", P)
+def test_t_with_one_degree_of_freedom_is_cauchy(p):
+    assert t_quantile(p, 1) == pytest.approx(math.tan(math.pi * (p - 0.5)), rel=1e-13, abs=1e-15)
+
+
+@pytest.mark.parametrize("p", P)
+def test_t_with_two_degrees_of_freedom(p):
+    a = 2 * p - 1
+    assert t_quantile(p, 2) == pytest.approx(a * math.sqrt(2 / (1 - a * a)), rel=1e-13, abs=1e-15)
+
+
+@pytest.mark.parametrize("t", [-30.0, -1.0, 0.0, 0.3, 2.0, 12.7])
+def test_t_tails_with_one_and_two_degrees_of_freedom(t):
+    cauchy = 2 / math.pi * math.atan2(1, abs(t))
+    assert t_tail(t, 1) == pytest.approx(cauchy, rel=1e-13)
+    assert t_tail(t, 2) == pytest.approx(1 - abs(t) / math.sqrt(2 + t * t), rel=1e-10)
+
+
+@pytest.mark.parametrize("x", [0.0, 0.01, 1.0, 10.0, 100.0])
+def test_chi2_tails_with_one_and_two_degrees_of_freedom(x):
+    assert chi2_tail(x, 1) == pytest.approx(math.erfc(math.sqrt(x / 2)), rel=1e-13)
+    assert chi2_tail(x, 2) == pytest.approx(math.exp(-x / 2), rel=1e-13)
+
+
+@pytest.mark.parametrize("p", [1e-12, *P])
+def test_chi2_quantile_with_two_degrees_of_freedom(p):
+    assert chi2_quantile(p, 2) == pytest.approx(-2 * math.log1p(-p), rel=1e-13)
+
+
+@pytest.mark.parametrize("dof", [0.7, 1, 2, 13, 1000.5])
+@pytest.mark.parametrize("p", P)
+def test_f_with_two_degrees_of_freedom_above(p, dof):
+    f = dof / 2 * ((1 - p) ** (-2 / dof) - 1)
+    assert f_quantile(p, 2, dof) == pytest.approx(f, rel=1e-12)
+    assert f_tail(f, 2, dof) == pytest.approx(1 - p, rel=1e-12)
+
+
+# --- printed tables: JCGM 100 table G.2 for t, Abramowitz and Stegun tables 26.8, 26.9 and
+# 26.10 (and any textbook) for the rest, to the digits printed
+
+
+@pytest.mark.parametrize(
+    ("dof", "confidence", "k"),
+    [
+        (1, 0.95, 12.71),
+        (1, 0.9973, 235.80),
+        (2, 0.95, 4.30),
+        (5, 0.95, 2.57),
+        (5, 0.9545, 2.65),
+        (10, 0.6827, 1.05),
+        (20, 0.99, 2.85),
+        (100, 0.95, 1.984),
+        (math.inf, 0.90, 1.645),
+        (math.inf, 0.95, 1.960),
+        (math.inf, 0.99, 2.576),
+    ],
+)
+def test_coverage_factor_meets_the_guide(dof, confidence, k):
+    digits = len(str(k).split(".")[1])
+    assert coverage_factor(confidence, dof) == pytest.approx(k, abs=0.51 * 10**-digits)
+
+
+def test_published_values():
+    assert t_quantile(0.975, 1) == pytest.approx(12.7062, abs=5e-5)
+    assert t_quantile(0.975, 30) == pytest.approx(2.0423, abs=5e-5)
+    assert normal_quantile(0.975) == pytest.approx(1.959963984540054, rel=1e-15)
+    assert f_quantile(0.90, 7, 13) == pytest.approx(2.2341, abs=5e-5)
+    assert f_quantile(0.95, 3, 10) == pytest.approx(3.7083, abs=5e-5)
+    assert chi2_quantile(0.95, 1) == pytest.approx(3.8415, abs=5e-5)
+    assert chi2_quantile(0.95, 5) == pytest.approx(11.0705, abs=5e-5)
+    assert chi2_quantile(0.999, 10) == pytest.approx(29.588, abs=5e-4)
+
+
+# --- one against another
+
+
+@given(p=PROBABILITY, dof=DOF)
+def test_t_quantile_and_tail_are_inverse(p, dof):
+    assert t_tail(t_quantile(p, dof), dof) == pytest.approx(2 * min(p, 1 - p), rel=1e-9)
+
+
+@given(p=PROBABILITY, k=DOF, dof=DOF)
+def test_f_quantile_and_tail_are_inverse(p, k, dof):
+    assert f_tail(f_quantile(p, k, dof), k, dof) == pytest.approx(1 - p, rel=1e-7)
+
+
+@given(p=PROBABILITY, dof=DOF)
+def test_chi2_quantile_and_tail_are_inverse(p, dof):
+    assert chi2_tail(chi2_quantile(p, dof), dof) == pytest.approx(1 - p, rel=1e-9)
+
+
+@given(confidence=st.floats(0.5, 0.999), dof=DOF)
+def test_t_squared_is_f(confidence, dof):
+    k = coverage_factor(confidence, dof)
+    assert k * k == pytest.approx(f_quantile(confidence, 1, dof), rel=1e-7)
+
+
+@given(confidence=st.floats(0.5, 0.999), dof=st.floats(1, 1e5))
+def test_fewer_degrees_of_freedom_widen_the_interval(confidence, dof):
+    assert coverage_factor(confidence, dof) > coverage_factor(confidence, 1.1 * dof)
+    assert coverage_factor(confidence, dof) > coverage_factor(confidence, math.inf)
+
+
+# --- limits
+
+
+@pytest.mark.parametrize("p", P)
+def test_infinite_degrees_of_freedom_are_the_limit(p):
+    # the next term of t in 1/dof is (z³ + z)/4 dof: below 1e-11 relative at 1e12
+    assert t_quantile(p, math.inf) == normal_quantile(p)
+    assert t_quantile(p, 1e12) == pytest.approx(normal_quantile(p), rel=1e-11, abs=1e-15)
+    assert f_quantile(p, 3, math.inf) == pytest.approx(chi2_quantile(p, 3) / 3, rel=1e-15)
+    assert f_quantile(p, 3, 1e10) == pytest.approx(f_quantile(p, 3, math.inf), rel=1e-8)
+
+
+def test_tails_at_infinite_degrees_of_freedom():
+    assert t_tail(1.959963984540054, math.inf) == pytest.approx(0.05, rel=1e-14)
+    assert f_tail(2.0, 3, math.inf) == chi2_tail(6.0, 3)
+
+
+def test_far_tails_keep_their_digits():
+    assert t_tail(1e10, 1) == pytest.approx(2e-10 / math.pi, rel=1e-12)
+    assert coverage_factor(1 - 2**-40, 1) == pytest.approx(2**41 / math.pi, rel=1e-12)
+
+
+@pytest.mark.parametrize("dof", [0.0, -1.0, math.nan])
+def test_without_degrees_of_freedom_there_is_no_answer(dof):
+    values = [
+        coverage_factor(0.95, dof),
+        t_tail(1.0, dof),
+        f_quantile(0.9, 2, dof),
+        f_quantile(0.9, dof, 2),
+        f_tail(1.0, 2, dof),
+        f_tail(1.0, dof, 2),
+        chi2_quantile(0.9, dof),
+        chi2_tail(1.0, dof),
+    ]
+    assert all(math.isnan(value) for value in values)
+
+
+def test_floats_are_returned():
+    assert type(coverage_factor(0.95, 5)) is float
+    assert type(f_tail(2.0, 3, 4)) is float
