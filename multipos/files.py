@@ -38,6 +38,7 @@ class Table:
     lines: Sequence[int] | None = None  # line of the file each row ends on
     sha256: str | None = None
     delimiter: str = ","
+    first: int = 0  # rows of the source that came before these, where it is read piece by piece
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -77,7 +78,7 @@ class Table:
     def where(self, row: int, name: str) -> str:
         """Return the place of a cell in words."""
         line = "" if self.lines is None else f" (line {self.lines[row]})"
-        return f"{self.source}: row {row + 1}{line}, column '{name}'"
+        return f"{self.source}: row {self.first + row + 1}{line}, column '{name}'"
 
     def _parse(self, cells: Column) -> NDArray[np.float64]:
         if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiub":
