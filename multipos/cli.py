@@ -23,6 +23,7 @@ COMMANDS = {
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
     "schemes": "list schemes and what they can tell about a model",
+    "average": "average the rests of a raw log into readings",
 }
 
 

@@ -320,9 +320,7 @@ def _names(
         return tuple(str(i + 1) for i in range(width))
     for i, name in enumerate(header):
         if not name:
-            raise MultiposError(
-                f"{source}: column {i + 1} has no name; name it or give --columns."
-            )
+            raise MultiposError(f"{source}: column {i + 1} has no name; name it or give --columns.")
         if name in header[:i]:
             raise MultiposError(
                 f"{source}: column '{name}' appears twice; rename one or give --columns."

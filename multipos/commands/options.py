@@ -2,7 +2,11 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+_LARGE = 1 << 24  # bytes; a smaller file is read before a bar could be seen
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -44,3 +48,18 @@ def warn(warnings: Sequence[str]) -> None:
     """Print warnings to stderr, a line each."""
     for warning in warnings:
         print(f"multipos: warning: {warning}", file=sys.stderr)
+
+
+@contextmanager
+def progress_bar(path: str, what: str) -> Iterator[Callable[[float], None] | None]:
+    """Show on a terminal how much of a large file is done; yield who is to be told, or None."""
+    large = Path(path).is_file() and Path(path).stat().st_size > _LARGE
+    if not (large and sys.stderr.isatty()):
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda done: bar.update(task, completed=done)
