@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "Averages": "averages",
     "Calibration": "calibration",
     "ConvergenceError": "errors",
     "Model": "model",
@@ -27,6 +28,7 @@ _PUBLIC = {
     "Scheme": "scheme",
     "UsageError": "errors",
     "apply": "compensation",
+    "average": "averaging",
     "demo": "song_qin",
     "fit": "fitting",
     "load": "calibration",
@@ -37,6 +39,7 @@ _PUBLIC = {
 }
 
 __all__ = [
+    "Averages",
     "Calibration",
     "ConvergenceError",
     "Model",
@@ -47,6 +50,7 @@ __all__ = [
     "UsageError",
     "__version__",
     "apply",
+    "average",
     "demo",
     "fit",
     "load",
@@ -57,6 +61,8 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from multipos.averages import Averages
+    from multipos.averaging import average
     from multipos.calibration import Calibration, load
     from multipos.compensation import apply
     from multipos.designs import schemes

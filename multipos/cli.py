@@ -1,16 +1,16 @@
 """The command line: find the command, parse, call, print.
 
 Every command lives in `multipos.commands` as a module with ``add_options(parser)`` and
-``run(arguments) -> str``, a thin layer over the function of the same name; only the one that is
-asked for is imported. Results go to stdout once everything has succeeded, messages to stderr;
-exit status 1 means the data or the fit is at fault, 2 the command line, and then stderr ends in
-one line that begins ``multipos: error:``.
+``run(arguments)``, which returns the text or its pieces, a thin layer over the function of the
+same name; only the one that is asked for is imported. Results go to stdout once everything has
+succeeded, messages to stderr; exit status 1 means the data or the fit is at fault, 2 the command
+line, and then stderr ends in one line that begins ``multipos: error:``.
 """
 
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from typing import NoReturn
 
@@ -22,6 +22,8 @@ COMMANDS = {
     "fit": "calibrate from readings at static positions",
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
+    "export": "write a calibration as a C function or for another program",
+    "verify-export": "show what the consumer of an exported file will see",
     "schemes": "list schemes and what they can tell about a model",
     "average": "average the rests of a raw log into readings",
 }
@@ -40,14 +42,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _complain("interrupted.", 1)
     try:
-        sys.stdout.write(text)
+        sys.stdout.writelines([text] if isinstance(text, str) else text)
         sys.stdout.flush()
     except BrokenPipeError:  # the reader, `head` say, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
-def _run(argv: list[str]) -> str:
+def _run(argv: list[str]) -> str | Iterable[str]:
     if not argv or argv[0] not in COMMANDS:
         _top_parser().parse_args(argv)
     name, *rest = argv
@@ -55,7 +57,7 @@ def _run(argv: list[str]) -> str:
     parser = _Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
     command.add_options(parser)
-    text: str = command.run(parser.parse_args(rest))
+    text: str | Iterable[str] = command.run(parser.parse_args(rest))
     return text
 
 

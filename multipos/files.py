@@ -253,8 +253,10 @@ def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
         ) from None
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
+def write_text(path: str | os.PathLike[str], text: str | Iterable[str]) -> None:
     """Write a file whole or not at all: into a temporary neighbour that then takes its name.
+
+    The text may come in pieces; where making one fails, nothing is written.
 
     Raises
     ------
@@ -266,13 +268,14 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
         if target.exists() and not target.is_file():  # a device or a pipe has no neighbour
             if target.is_dir():
                 raise IsADirectoryError(None, "it is a folder")
-            target.write_text(text, encoding="utf-8")
+            with target.open("w", encoding="utf-8") as stream:
+                stream.writelines([text] if isinstance(text, str) else text)
             return
         mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         try:
             with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-                stream.write(text)
+                stream.writelines([text] if isinstance(text, str) else text)
             Path(temporary).chmod(mode)
             Path(temporary).replace(target)
         except BaseException:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files import Source, Table, read_table
+from multipos.files import Column, Source, Table, read_table
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,8 @@ class Log:
         Columns whose first rows hold numbers.
     delimiter : str
         What stands between the cells of the text; '' is white space; ',' where it is no text.
+    text : bool
+        Whether pieces have rows of text.
     read : callable
         ``read(names, optional)`` yields pieces with those columns. A cell of `names` that is no
         finite number is an error, in `optional` it is NaN.
@@ -59,6 +61,7 @@ class Log:
     columns: tuple[str, ...]
     numeric: tuple[str, ...]
     delimiter: str
+    text: bool
     read: Callable[[Sequence[str], Sequence[str]], Iterator[Piece]]
 
 
@@ -103,6 +106,24 @@ def open_log(source: "Source | Log", *, columns: Sequence[str] | None = None) ->
         if head.startswith(reader.magic) or (by_suffix and b"\0" in head):
             return _from_columns(str(path), reader.columns(path), columns)
     return _open_text(path, head, columns)
+
+
+def read_log(log: Log) -> dict[str, Column]:
+    """Return all columns of a log at once: numbers, NaN where a cell is none, and texts."""
+    columns: dict[str, list[Any]] = {name: [] for name in log.columns}
+    texts = [name for name in log.columns if name not in log.numeric]
+    for piece in log.read((), log.numeric):
+        for name in log.numeric:
+            columns[name].append(piece.table.columns[name])
+        rows = _split(piece.lines, log.delimiter) if piece.lines and texts else []
+        for name in texts:
+            place = log.columns.index(name)
+            columns[name] += [row[place] for row in rows]
+    return {
+        name: np.concatenate(column) if name in log.numeric else column
+        for name, column in columns.items()
+        if column
+    }
 
 
 def _read_head(path: Path) -> bytes:
@@ -160,7 +181,7 @@ def _open_text(path: Path, head: bytes, columns: Sequence[str] | None) -> Log:
         and all(_is_number(row[i], delimiter) or not row[i] for row in rows)
     )
     text = _Text(path, names, numeric, delimiter, 0 if headless else line_number)
-    return Log(str(path), names, numeric, delimiter, partial(_read_text, text))
+    return Log(str(path), names, numeric, delimiter, True, partial(_read_text, text))
 
 
 def _read_text(text: _Text, names: Sequence[str], optional: Sequence[str]) -> Iterator[Piece]:
@@ -342,7 +363,7 @@ def _from_columns(source: str, found: Mapping[str, Any], names: Sequence[str] | 
     columns = dict(zip(given, columns.values(), strict=True))
     numeric = tuple(name for name, column in columns.items() if column.dtype.kind in "fiub")
     read = partial(_read_arrays, source, columns, rows)
-    return Log(source, given, numeric, ",", read)
+    return Log(source, given, numeric, ",", False, read)
 
 
 def _read_arrays(

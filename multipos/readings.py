@@ -191,6 +191,10 @@ def read_readings(
                 f"the columns are {_listed(table.columns)}."
             )
         notes += [f"column '{name}' holds text and is not used" for name in text]
+        beside = _averaged_along(names, table)
+        names = tuple(name for name in names if name not in beside)
+        if beside:
+            notes.append(f"no sd_… beside column {_listed(beside)}, as outputs have; not used")
     else:
         _require(names, table.columns, table.source)
         notes += [
@@ -314,6 +318,14 @@ def _may_be_output(name: str, table: Table) -> bool:
         return False
     stem = name.partition("_")[2]
     return not (name.startswith(("u_", "sd_")) and stem in table.columns)
+
+
+def _averaged_along(names: tuple[str, ...], table: Table) -> list[str]:
+    """Return columns that an average of a log carries beside its outputs."""
+    # Only an average has n and, for every output, sd_….
+    if "n" not in table or not any(f"sd_{name}" in table for name in names):
+        return []
+    return [name for name in names if f"sd_{name}" not in table and f"u_{name}" not in table]
 
 
 def is_environment(name: str) -> bool:

@@ -118,10 +118,11 @@ def find_faults(
             notes.append("motion at its edges; give fewer rows")
         if gap:
             notes.append(f"{gap} gaps in the time" if gap > 1 else "a gap in the time")
-        for j, output in enumerate(outputs):
+        for j, output in enumerate(outputs if not moved else ()):
             notes += _output_faults(output, j, each, usual[j], float(resolution[j]))
         faults.append(notes)
-    return faults, _twins(found, labels)
+    still = [i for i, moved in enumerate(moving) if not moved]
+    return faults, _twins([found[i] for i in still], [labels[i] for i in still])
 
 
 def _output_faults(
@@ -155,7 +156,8 @@ def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[str]:
     if not pairs:
         return []
     listed = ", ".join(pairs[:6]) + (f" and {len(pairs) - 6} more pairs" if len(pairs) > 6 else "")
-    return [
+    note = (
         f"nearly the same position, within about {_TWIN_DEG:g} degrees: {listed}; they say little "
         "more than one, unless repeats are meant"
-    ]
+    )
+    return [note]

@@ -19,11 +19,13 @@ References
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Counts = NDArray[np.signedinteger[Any]]
 
 _BATCHES = 512
 _EDGE = 10  # an edge is a tenth of a rest
@@ -60,9 +62,9 @@ class RestMean:
     edge: Array
     low: Array
     high: Array
-    at_low: Array
-    at_high: Array
-    longest: Array
+    at_low: Counts
+    at_high: Counts
+    longest: Counts
 
     @property
     def effective(self) -> Array:
@@ -123,7 +125,8 @@ class RestSum:
             n=n,
             mean=self._origin + mean,
             sd=np.sqrt(variance),
-            u=np.where(variance > 0.0, np.sqrt(density / count), 0.0),
+            # Less than white noise would say is luck, or a hum that fits into the rest.
+            u=np.sqrt(np.maximum(np.where(variance > 0.0, density / count, 0.0), variance / n)),
             drift=np.array([rise for rise, _ in lines]),
             drift_u=np.sqrt(12.0 * around / count),
             edge=_edge(batches, around),

@@ -306,7 +306,7 @@ class Sections:
     def inside(self, rows: int) -> dict[str, Rest]:
         """Return the rests of a log of so many rows, or say which lies outside."""
         for label, rest in self.rests.items():
-            if not (0 <= rest.start and rest.end <= rows):
+            if rest.start < 0 or rest.end > rows:
                 raise MultiposError(
                     f"{self.source}: section '{label}' is rows {rest.start} to {rest.end}, but the "
                     f"log has {rows} rows, counted from 0."

@@ -1,11 +1,17 @@
 """``multipos apply``."""
 
 import argparse
+import tempfile
+from collections.abc import Iterable, Iterator
 
 from multipos.calibration import load
-from multipos.commands.options import add_output, warn
-from multipos.compensation import apply
-from multipos.files import format_csv, read_table, to_json, write_text
+from multipos.commands.options import add_output, names, progress_bar, warn
+from multipos.compensation import apply, apply_log
+from multipos.files import to_json, write_text
+from multipos.logs import open_log, read_log
+
+_IN_MEMORY = 1 << 24  # bytes of the table; more go to a temporary file
+_PIECE = 1 << 20
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -13,6 +19,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("calibration", metavar="CAL.json", help="calibration to apply")
     add("data", metavar="DATA.csv", help="raw readings; every column is kept")
+    add("--columns", type=names, metavar="a,b,c,…", help="names of all columns, where it has none")
     add("--uncertainty", action="store_true", help="add the standard uncertainty u_f_x, …")
     add(
         "--outside",
@@ -23,19 +30,30 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_output(parser, "OUT.csv", "file to write (default: the table goes to stdout)")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> str | Iterator[str]:
+    """Return what the command prints: the table in pieces, once all of it is there."""
     calibration = load(arguments.calibration)
-    table = read_table(arguments.data, what="data")
-    columns = apply(
-        calibration, table, uncertainty=arguments.uncertainty, outside=arguments.outside
-    )
-    text = format_csv(columns, table.delimiter)
-    if arguments.output:
-        write_text(arguments.output, text)
-    outside = sum(columns["outside"])
-    if outside:
-        warn([f"{outside} of {table.rows} rows are outside what was calibrated"])
-    if arguments.json:
-        return to_json({"rows": table.rows, "columns": columns})
-    return "" if arguments.output else text
+    options = {"uncertainty": arguments.uncertainty, "outside": arguments.outside}
+    log = open_log(arguments.data, columns=arguments.columns)
+    with progress_bar(arguments.data, "applying") as progress:
+        applied = apply_log(calibration, log, progress=progress, **options)
+        text: str | Iterator[str] = ""
+        if arguments.output:
+            write_text(arguments.output, applied)
+        elif not arguments.json:
+            text = _keep(applied)
+        if arguments.json:
+            columns = apply(calibration, read_log(log), **options)
+            text = to_json({"rows": len(columns["outside"]), "columns": columns})
+            applied.rows, applied.beyond = len(columns["outside"]), int(sum(columns["outside"]))
+    if applied.beyond:
+        warn([f"{applied.beyond} of {applied.rows} rows are outside what was calibrated"])
+    return text
+
+
+def _keep(pieces: Iterable[str]) -> Iterator[str]:
+    """Keep pieces of text in a temporary file until the last is there, then return them."""
+    kept = tempfile.SpooledTemporaryFile(_IN_MEMORY, "w+", encoding="utf-8", newline="")  # noqa: SIM115
+    kept.writelines(pieces)
+    kept.seek(0)
+    return iter(lambda: kept.read(_PIECE), "")
