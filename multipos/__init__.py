@@ -30,12 +30,16 @@ _PUBLIC = {
     "apply": "compensation",
     "average": "averaging",
     "demo": "song_qin",
+    "export": "exporters",
     "fit": "fitting",
     "load": "calibration",
     "normal_gravity": "units",
     "read_readings": "readings",
     "read_scheme": "scheme",
     "schemes": "designs",
+    "simulate": "simulation",
+    "simulate_log": "simulation",
+    "verify_export": "exporters",
 }
 
 __all__ = [
@@ -52,12 +56,16 @@ __all__ = [
     "apply",
     "average",
     "demo",
+    "export",
     "fit",
     "load",
     "normal_gravity",
     "read_readings",
     "read_scheme",
     "schemes",
+    "simulate",
+    "simulate_log",
+    "verify_export",
 ]
 
 if TYPE_CHECKING:
@@ -67,10 +75,12 @@ if TYPE_CHECKING:
     from multipos.compensation import apply
     from multipos.designs import schemes
     from multipos.errors import ConvergenceError, MultiposError, RankError, UsageError
+    from multipos.exporters import export, verify_export
     from multipos.fitting import fit
     from multipos.model import Model
     from multipos.readings import Readings, read_readings
     from multipos.scheme import Scheme, read_scheme
+    from multipos.simulation import simulate, simulate_log
     from multipos.song_qin import demo
     from multipos.units import normal_gravity
 

@@ -19,9 +19,10 @@ from multipos.matching import FARTHEST_DEG, Match, match_directions
 from multipos.readings import is_environment
 from multipos.rest_faults import check_units, find_faults, refuse_saturated
 from multipos.rest_means import RestMean, RestSum
-from multipos.rests import Finder, Grid, Rest, Survey, Windows, read_sections
+from multipos.rests import Finder, Grid, Rest, Survey, Windows
 from multipos.samples import Progress, Samples, small_pieces
 from multipos.scheme import Scheme, read_scheme
+from multipos.sections import read_sections
 
 Array = NDArray[np.float64]
 

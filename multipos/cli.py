@@ -24,6 +24,7 @@ COMMANDS = {
     "apply": "compensate raw readings with a calibration",
     "export": "write a calibration as a C function or for another program",
     "verify-export": "show what the consumer of an exported file will see",
+    "simulate": "make readings or a raw log of a calibrated sensor",
     "schemes": "list schemes and what they can tell about a model",
     "average": "average the rests of a raw log into readings",
 }

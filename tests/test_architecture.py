@@ -23,6 +23,7 @@ ORDER = (
     "readings",
     "logs",
     "rests",
+    "sections",
     "samples",
     "rest_means",
     "rest_faults",

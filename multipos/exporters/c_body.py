@@ -85,7 +85,8 @@ class _Writer:
 
     @property
     def is_linear(self) -> bool:
-        bare = {CONSTANT, *(linear_term(axis) for axis in COMPONENTS)}
+        """Whether one matrix product does it."""
+        bare: set[Term] = {CONSTANT, *(linear_term(axis) for axis in COMPONENTS)}
         return all(term in bare for term in self._model.basis_terms)
 
     def linear(self) -> tuple[str, str]:
@@ -122,7 +123,7 @@ class _Writer:
 
     @property
     def _is_redundant(self) -> bool:
-        return self._slope.shape[0] > self._slope.shape[1]
+        return len(self._slope) > len(self._sensed)
 
     def _square(self, coefficients: list[_Coefficient]) -> list[str]:
         lines = []
