@@ -18,6 +18,7 @@ _SATURATED_SAMPLES = 5
 _NOISY = 1.5  # steps of resolution: with less noise many samples share one value anyway
 _STUCK = 20  # equal samples in a row
 _UNITS = 3.0  # times the scale factor of another output: no pair of one unit differs so much
+_SPREAD = 50.0  # condition of the ellipsoid: worse where the positions do not span the sphere
 _SIGNIFICANT = 5.0  # times its standard uncertainty
 _UNSTEADY = 3.0  # times the usual standard deviation of a rest
 _TWIN_DEG = 2.0
@@ -50,17 +51,17 @@ def _semi_axes(means: Array) -> Array | None:
     """Return the semi-axes of the ellipsoid along the axes that the means (n, 3) lie on."""
     if means.shape[1] != 3 or len(means) < 6:
         return None
-    size = np.abs(means).max(axis=0)
-    if not size.all():
+    half = np.ptp(means, axis=0) / 2.0
+    if not half.all():
         return None
-    y = means / size
+    y = (means - means.min(axis=0)) / half - 1.0
     rows = np.column_stack([y**2, y])
-    if np.linalg.cond(rows) > 1e4:
+    if np.linalg.cond(rows) > _SPREAD:
         return None
     a, b = np.split(np.linalg.lstsq(rows, np.ones(len(rows)), rcond=None)[0], 2)
     if not (a > 0.0).all():
         return None
-    return np.asarray(size / np.sqrt(a / (1.0 + float((b**2 / (4.0 * a)).sum()))))
+    return np.asarray(half / np.sqrt(a / (1.0 + float((b**2 / (4.0 * a)).sum()))))
 
 
 def refuse_saturated(

@@ -19,7 +19,7 @@ Single precision subtracts a bias in two parts, the second being what the first 
 """
 
 import itertools
-from collections.abc import Mapping
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,8 @@ class _Writer:
         self._sensed = [COMPONENTS[i] for i in sensed_axes(self._model)]
         self._theta = self._model.coefficients(calibration.parameters)
         self._middle = {
-            name: float(np.mean(environment_range(calibration, name)))
+            # A number that single precision holds, so that both are about the same middle.
+            name: float(np.float32(np.mean(environment_range(calibration, name))))
             for name in self._model.environment
         }
         linear = self._model.linear_map(self._middle) @ calibration.parameters
@@ -180,8 +181,10 @@ class _Writer:
                     text = f"{text} {sign} {self._number(abs(part))}"
                     text = f"({text})" if part is parts[0] and len(parts) > 1 and parts[1] else text
             lines.append(f"    const {self._kind} d{i} = {text};")
-        names = self._model.environment
-        return lines + [f"    const {self._kind} e{j} = env[{j}];" for j in range(len(names))]
+        for j, middle in enumerate(self._middle.values()):
+            shift = f"{'-' if middle > 0.0 else '+'} {self._number(abs(middle))}"
+            lines.append(f"    const {self._kind} t{j} = env[{j}] {shift};")
+        return lines
 
     def _coefficients(self) -> tuple[list[str], list[_Coefficient]]:
         """Return n of eq. (1): per output and product of force, a number or a named constant."""
@@ -198,28 +201,54 @@ class _Writer:
             for force, parts in grouped.items():
                 varying = [(value, rest) for value, rest in parts if rest.factors]
                 fixed = sum(value for value, rest in parts if not rest.factors)
-                if force in bare:  # its value in the middle of the environment is in o and K0
-                    fixed = -sum(v * float(rest.evaluate(self._middle)) for v, rest in varying)
                 if varying:
                     name = f"c{len(constants)}"
-                    products = [(v, self._environment(rest)) for v, rest in varying]
-                    constants.append(f"{name} = {self._sum([*products, (fixed, '')])}")
+                    shifted = [part for v, rest in varying for part in self._about_middle(v, rest)]
+                    if force in bare:  # its value in the middle is in o and K0
+                        shifted = [part for part in shifted if part[1]]
+                    else:
+                        shifted.append((fixed, ""))
+                    constants.append(f"{name} = {self._sum(_collected(shifted))}")
                     coefficients.append((i, force, (1.0, name)))
                 elif force not in bare:
                     coefficients.append((i, force, (fixed, "")))
         return constants, coefficients
 
-    def _environment(self, term: Term) -> str:
-        return self._product("", term, {n: f"e{j}" for j, n in enumerate(self._model.environment)})
+    def _about_middle(self, value: float, term: Term) -> list[tuple[float, str]]:
+        """Expand a product of other columns about the middle: numbers times products of t.
 
-    def _product(self, name: str, term: Term, names: Mapping[str, str] | None = None) -> str:
+        The rest of the model is then small where the columns are near the middle, and little is
+        lost in single precision. A modulus has no such expansion: its value there is taken off.
+        """
+        index = {name: j for j, name in enumerate(self._middle)}
+        if any(factor.modulus for factor in term.factors):
+            factors = []
+            for factor in term.factors:
+                e = f"env[{index[factor.variable]}]"
+                factors += [e] * factor.power
+                if factor.modulus:
+                    factors.append(f"({e} < {self._number(0.0)} ? -{e} : {e})")
+            there = value * float(term.evaluate(self._middle))
+            product = " * ".join(factors)
+            return [(value, product), (-there, "1"), (there, "")]
+        parts = [(value, "")]
+        for factor in term.factors:
+            middle, t = self._middle[factor.variable], f"t{index[factor.variable]}"
+            parts = [
+                (
+                    weight * math.comb(factor.power, q) * middle ** (factor.power - q),
+                    " * ".join([*([product] if product else []), *[t] * q]),
+                )
+                for weight, product in parts
+                for q in range(factor.power + 1)
+            ]
+        return parts
+
+    def _product(self, name: str, term: Term) -> str:
         factors = [name] if name else []
         for factor in term.factors:
-            variable = names[factor.variable] if names else factor.variable
-            factors += [variable] * factor.power
-            if factor.modulus:
-                modulus = f"({variable} < {self._number(0.0)} ? -{variable} : {variable})"
-                factors.append(modulus if names else f"a{variable}")
+            factors += [factor.variable] * factor.power
+            factors += [f"a{factor.variable}"] * factor.modulus
         return " * ".join(factors)
 
     def _sum(self, parts: list[tuple[float, str]]) -> str:
@@ -270,6 +299,15 @@ class _Writer:
         else:
             moved = self._inverse @ jacobian
         return float(np.linalg.norm(np.eye(len(sensed)) - moved, ord=2, axis=(1, 2)).max())
+
+
+def _collected(parts: list[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Add up the numbers that stand before the same product."""
+    total: dict[str, float] = {}
+    for value, product in parts:
+        key = "" if product == "1" else product
+        total[key] = total.get(key, 0.0) + value
+    return [(value, product) for product, value in total.items()]
 
 
 def _derivative(term: Term, axis: str) -> tuple[float, Term, bool]:

@@ -84,7 +84,7 @@ def read_npz(path: Path) -> Mapping[str, Any]:
     """Return the arrays of an archive."""
 
     def load() -> dict[str, Any]:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             return dict(archive)
 
     found: dict[str, Any] = _loaded(path, load)

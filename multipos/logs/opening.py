@@ -50,10 +50,10 @@ def open_log(source: "Source | Log", *, columns: Sequence[str] | None = None) ->
         return log_of_columns(table.source, table.columns, columns)
     path = Path(source)
     head = _read_head(path)
-    for reader in READERS:
-        by_suffix = path.suffix.lower() in reader.suffixes
-        if head.startswith(reader.magic) or (by_suffix and b"\0" in head):
-            return log_of_columns(str(path), reader.columns(path), columns)
+    by_content = [reader for reader in READERS if head.startswith(reader.magic)]
+    by_suffix = [reader for reader in READERS if path.suffix.lower() in reader.suffixes]
+    for reader in by_content or (by_suffix if b"\0" in head else ()):
+        return log_of_columns(str(path), reader.columns(path), columns)
     return open_text(path, head, columns)
 
 

@@ -51,11 +51,10 @@ def open_text(path: Path, head: bytes, columns: Sequence[str] | None) -> Log:
         raise MultiposError(f"{path}: only a header, no rows; a log needs samples.")
     names = name_columns(str(path), None if headless else cells, len(cells), columns)
     rows = [row for row in split_rows(samples, delimiter) if len(row) == len(names)]
+    # The first cell that is not empty tells; a bad one further down is then an error, if used.
+    first_cells = [next((row[i] for row in rows if row[i]), "") for i in range(len(names))]
     numeric = tuple(
-        name
-        for i, name in enumerate(names)
-        if any(_is_number(row[i], delimiter) for row in rows)
-        and all(_is_number(row[i], delimiter) or not row[i] for row in rows)
+        name for name, cell in zip(names, first_cells, strict=True) if _is_number(cell, delimiter)
     )
     text = _Text(path, names, numeric, delimiter, 0 if headless else line_number)
     return Log(str(path), names, numeric, delimiter, True, partial(_read_text, text))
