@@ -14,7 +14,7 @@ from multipos.rests import PIECE, Grid, Rest, Survey, Windows, choose_grid
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]  # is told how much of the log has been read, 0 to 1
 
-_IN_MEMORY = 1 << 24  # bytes
+_IN_MEMORY = 1 << 22  # bytes
 
 
 class Samples:

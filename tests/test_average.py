@@ -5,7 +5,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from logs import ar1, sensor, shared, write_csv
+from logs import sensor, shared, write_csv
 
 import multipos as mp
 from multipos.averaging import average
@@ -158,8 +158,8 @@ def test_sections_of_the_real_session():
     order = ["x_p", "x_a", "y_p", "y_a", "z_p", "z_a"]
     labels = dict(zip(order, "123456", strict=True))
     for rest in known.rests[:6]:
-        same = [other for other in found.rests
-                if other.rows.start < rest.rows.end and rest.rows.start < other.rows.end]  # fmt: skip
+        start, end = rest.rows
+        same = [other for other in found.rests if other.rows.start < end > start < other.rows.end]
         assert [other.position for other in same] == [labels[rest.position]]
         u = np.hypot(rest.found.u, same[0].found.u)
         # 18 differences at 3.5 sd: a false alarm in 120; common samples only make it safer.
@@ -411,14 +411,14 @@ def test_two_outputs_show_no_direction(log, tmp_path, capsys):
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_log(tmp_path):
     rng = np.random.default_rng(0)
-    one = np.column_stack([np.repeat(mp.read_scheme("faces-6").up, 20_000, axis=0)])
+    one = np.repeat(mp.read_scheme("faces-6").up, 20_000, axis=0)
     peaks = []
     for times in (4, 8):
         path = tmp_path / f"{times}.csv"
         with path.open("w") as stream:
             stream.write("ax,ay,az\n")
             for _ in range(times):
-                samples = one + 1e-3 * ar1(rng, one.shape, 0.0)
+                samples = one + 1e-3 * rng.normal(size=one.shape)
                 np.savetxt(stream, samples, fmt="%.6f", delimiter=",")
         tracemalloc.start()
         assert len(average(path, rate=1000.0).rests) == 6 * times

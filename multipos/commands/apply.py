@@ -54,6 +54,16 @@ def run(arguments: argparse.Namespace) -> str | Iterator[str]:
 def _keep(pieces: Iterable[str]) -> Iterator[str]:
     """Keep pieces of text in a temporary file until the last is there, then return them."""
     kept = tempfile.SpooledTemporaryFile(_IN_MEMORY, "w+", encoding="utf-8", newline="")  # noqa: SIM115
-    kept.writelines(pieces)
-    kept.seek(0)
-    return iter(lambda: kept.read(_PIECE), "")
+    try:
+        kept.writelines(pieces)
+    except BaseException:
+        kept.close()
+        raise
+    return _read_again(kept)
+
+
+def _read_again(kept: "tempfile.SpooledTemporaryFile[str]") -> Iterator[str]:
+    with kept:
+        kept.seek(0)
+        while piece := kept.read(_PIECE):
+            yield piece

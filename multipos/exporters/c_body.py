@@ -20,6 +20,7 @@ Single precision subtracts a bias in two parts, the second being what the first 
 
 import itertools
 import math
+import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +112,7 @@ class _Writer:
         lines = [
             "{",
             *self._offsets(),
-            *(f"    const {self._kind} {line};" for line in constants),
+            *(f"    const {self._kind} {line};" for line in self._shifts(constants) + constants),
             f"    {self._kind} {unknowns};",
             f"    for (int step = 0; step < {steps}; ++step) {{",
             *(f"        {line}" for line in inner),
@@ -181,9 +182,15 @@ class _Writer:
                     text = f"{text} {sign} {self._number(abs(part))}"
                     text = f"({text})" if part is parts[0] and len(parts) > 1 and parts[1] else text
             lines.append(f"    const {self._kind} d{i} = {text};")
+        return lines
+
+    def _shifts(self, constants: list[str]) -> list[str]:
+        """Write the other columns about their middle, those that the constants use."""
+        lines = []
         for j, middle in enumerate(self._middle.values()):
-            shift = f"{'-' if middle > 0.0 else '+'} {self._number(abs(middle))}"
-            lines.append(f"    const {self._kind} t{j} = env[{j}] {shift};")
+            if any(re.search(rf"\bt{j}\b", line) for line in constants):
+                shift = f"{'-' if middle > 0.0 else '+'} {self._number(abs(middle))}"
+                lines.append(f"t{j} = env[{j}] {shift}")
         return lines
 
     def _coefficients(self) -> tuple[list[str], list[_Coefficient]]:

@@ -45,17 +45,8 @@ def reduce_to(calibration: Calibration, formula: str, target: str, *, allow_loss
         Not a triad; a model with temperature or another column; a model that says more, unless
         `allow_lossy`.
     """
+    _check_inputs(calibration, target)
     model = calibration.model
-    if sorted(model.axes) != list(COMPONENTS):
-        raise MultiposError(
-            f"{target} takes three outputs, one on each of x, y, z; this calibration has "
-            f"{', '.join(f'{o} on {a}' for o, a in zip(model.outputs, model.axes, strict=True))}."
-        )
-    if model.environment:
-        raise MultiposError(
-            f"the model uses column '{model.environment[0]}', but {target} has no such input; "
-            "export --to c, or fit a model without it."
-        )
     reduced = build_model(formula, model.outputs, model.axes, unit=model.unit)
     lost = not all(set(a) <= set(b) for a, b in zip(model.terms, reduced.terms, strict=True))
     if lost:
@@ -106,6 +97,7 @@ def in_metres(calibration: Calibration, target: str) -> float:
     MultiposError
         The readings are neither in m/s² nor in g.
     """
+    _check_inputs(calibration, target)
     unit = calibration.model.unit
     if unit in _METRES:
         return 1.0
@@ -119,3 +111,17 @@ def in_metres(calibration: Calibration, target: str) -> float:
         f"{target} holds raw values in m/s^2, but the readings are in '{unit}' with a scale factor "
         f"of {scale:.4g} per g; convert them, or state --unit g or --unit m/s^2 in fit."
     )
+
+
+def _check_inputs(calibration: Calibration, target: str) -> None:
+    model = calibration.model
+    if sorted(model.axes) != list(COMPONENTS):
+        raise MultiposError(
+            f"{target} takes three outputs, one on each of x, y, z; this calibration has "
+            f"{', '.join(f'{o} on {a}' for o, a in zip(model.outputs, model.axes, strict=True))}."
+        )
+    if model.environment:
+        raise MultiposError(
+            f"the model uses column '{model.environment[0]}', but {target} has no such input; "
+            "export --to c, or fit a model without it."
+        )

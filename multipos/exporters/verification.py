@@ -153,9 +153,9 @@ def verify_export(path: str | os.PathLike[str], calibration: Calibration) -> Ver
         raise MultiposError(
             f"{path}: neither C nor parameters that export writes; give a file of multipos export."
         )
+    expected = reduce_to(calibration, formula, target, allow_lossy=True)
     metres = 1.0 if formula == LINEAR else in_metres(calibration, target)
     matrix, offset = law[0] * metres, law[1] / metres
-    expected = reduce_to(calibration, formula, target, allow_lossy=True)
     residuals = law_residuals(calibration, matrix, offset)
     should = law_residuals(calibration, expected.matrix, expected.offset)
     _refuse_strange(where, float(np.abs(residuals - should).max()), "parameters")
@@ -232,7 +232,7 @@ def _run_c(path: str, found: Any, rows: Array) -> Array:
     with tempfile.TemporaryDirectory() as folder:
         source, program = Path(folder) / "main.c", Path(folder) / "main"
         source.write_text(main, encoding="utf-8")
-        _call([compiler, "-std=c99", "-O2", "-o", str(program), str(source), path], path)
+        _call([compiler, "-std=c99", "-O2", "-o", str(program), "-x", "c", str(source), path], path)
         out = _call([str(program)], path, np.ascontiguousarray(rows).tobytes())
     force = np.frombuffer(out).reshape(-1, axes)
     if len(force) != len(rows):
