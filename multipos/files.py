@@ -260,8 +260,10 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     MultiposError
         The file cannot be written; an existing one is left as it was.
     """
-    target = Path(path)
+    target = Path(os.path.realpath(path))  # a link stays, what it points to is written
     try:
+        if target.exists() and not os.access(target, os.W_OK):
+            raise PermissionError(None, "it is read-only")
         if target.exists() and not target.is_file():  # a device or a pipe has no neighbour
             if target.is_dir():
                 raise IsADirectoryError(None, "it is a folder")
@@ -342,6 +344,8 @@ def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
         value = json.loads(raw.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise MultiposError(f"{path}: not UTF-8 text; give a file of schema '{schema}'.") from None
+    except RecursionError:
+        raise MultiposError(f"{path}: nested too deeply for a file of schema '{schema}'.") from None
     except json.JSONDecodeError as error:
         raise MultiposError(
             f"{path}: line {error.lineno}, column {error.colno}: not valid JSON ({error.msg}); "

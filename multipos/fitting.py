@@ -40,7 +40,7 @@ from multipos.model import (
     formula_columns,
     linear_term,
 )
-from multipos.readings import Readings, orient, read_readings
+from multipos.readings import Readings, orient, read_readings, stated_sd
 from multipos.scheme import Scheme
 from multipos.units import gravity_ratio, normal_gravity
 
@@ -180,7 +180,9 @@ def complete(
         condition=solution.condition,
         leverage=solution.leverage,
         lack_of_fit=_lack_of_fit(model, reference, readings, solution.residuals),
-        outliers=find_outliers(solution.residuals, solution.leverage, dof, model.outputs, names),
+        outliers=find_outliers(
+            solution.residuals, solution.leverage, dof, model.outputs, names, stated_sd(readings)
+        ),
         warnings=tuple(warnings),
     )
     return Calibration(
@@ -269,8 +271,10 @@ def _lack_of_fit(
     if len(set(groups)) == len(groups):
         return {}
     result: dict[str, dict[str, object]] = {}
-    for output, terms, column in zip(model.outputs, model.terms, residuals.T, strict=True):
-        tested = lack_of_fit(column, groups, len(terms))
+    stated = stated_sd(readings)
+    sd = np.ones_like(residuals) if stated is None else stated
+    for i, (output, terms) in enumerate(zip(model.outputs, model.terms, strict=True)):
+        tested = lack_of_fit(residuals[:, i], groups, len(terms), sd=sd[:, i])
         if tested is not None:
             f, lack, pure, p = tested
             result[output] = {"F": f, "dof": [lack, pure], "p": p}

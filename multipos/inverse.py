@@ -125,8 +125,8 @@ def _solve_linear(model: Model, parameters: Array, raw: Array) -> Array:
     scale = np.abs(matrix).max()
     if not scale or np.linalg.matrix_rank(matrix / scale) < matrix.shape[1]:
         raise MultiposError(
-            "the scale factors and cross terms form a singular matrix, so readings cannot be "
-            "compensated; check the calibration."
+            "the scale factors and cross terms form a singular matrix, so no force can be found "
+            "from readings; every output needs its own axis in the model, and must respond to it."
         )
     inverse = np.linalg.pinv(matrix) if len(matrix) > len(sensed) else np.linalg.inv(matrix)
     force: Array = (raw - linear[:, 0]) @ inverse.T

@@ -373,7 +373,8 @@ def formula_columns(text: str) -> tuple[str, ...]:
 def default_axes(outputs: Sequence[str], axes: Sequence[str] | str | None) -> tuple[str, ...]:
     """Return the case axis of each output: as given, or x, y, z in order."""
     if axes is not None:
-        return tuple(axes.split(",")) if isinstance(axes, str) else tuple(axes)
+        named = axes.split(",") if isinstance(axes, str) else axes
+        return tuple(axis.strip() for axis in named)
     if len(outputs) > 3:
         raise UsageError(
             f"{len(outputs)} columns could be outputs: {', '.join(outputs)}; name them with "
@@ -457,7 +458,7 @@ def _check_axes(outputs: tuple[str, ...], axes: tuple[str, ...], inputs: tuple[s
         if axis not in inputs:
             raise UsageError(
                 f"output '{output}' senses axis {axis}, which is not among "
-                f"--inputs {','.join(inputs)}."
+                f"--inputs {','.join(inputs)}; name it there, or choose the outputs with --outputs."
             )
 
 
