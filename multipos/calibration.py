@@ -363,12 +363,14 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
     }
     model = build_model(
         content["model"], outputs, tuple(content["axes"]), tuple(content["inputs"]),
-        content["unit"],
+        str(content["unit"]),
     )  # fmt: skip
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
     convention = content["convention"]
     reference = _numbers(content["reference"])
+    if not np.isfinite(reference).all():
+        raise ValueError("its reference is not finite")
     size = np.linalg.norm(reference, axis=1)
     up = reference / size[:, None] * (-1.0 if convention == "gravity" else 1.0) + 0.0
     sd_deg = content.get("orientation_sd_deg")
@@ -385,7 +387,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         orientation_sd=None if sd_deg is None else np.radians(_numbers(sd_deg)),
         group=content.get("group"),
         environment=environment,
-        unit=content["unit"],
+        unit=model.unit,
         source=content["input"]["file"],
         sha256=content["input"]["sha256"],
     )
@@ -408,13 +410,16 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         gravity=None if content["gravity"] is None else Gravity(**content["gravity"]),
         estimator=content["estimator"],
         criterion=content["criterion"],
-        confidence=content["confidence"],
+        confidence=float(content["confidence"]),
         diagnostics=Diagnostics(
             rank=found["rank"],
             parameters=found["parameters"],
-            condition=found["condition"],
+            condition=float(_numbers([found["condition"]])[0]),
             leverage=_numbers(found["leverage"]),
-            lack_of_fit=found["lack_of_fit"],
+            lack_of_fit={
+                output: {key: test[key] for key in ("F", "dof", "p")}
+                for output, test in found["lack_of_fit"].items()
+            },
             outliers=tuple(found["outliers"]),
             unidentifiable=tuple(found["unidentifiable"]),
             warnings=tuple(found["warnings"]),
@@ -422,12 +427,29 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         status=Status(**content["status"]),
         created=content["created"],
         version=content["multipos_version"],
-        cross_check=None if cross_check is None else cross_check["closed_form_max_difference"],
+        cross_check=None
+        if cross_check is None
+        else float(cross_check["closed_form_max_difference"]),
     )
-    p, shape = len(calibration.parameters), readings.values.shape
-    if calibration.covariance.shape != (p, p) or calibration.residuals.shape != shape:
-        raise ValueError("its arrays do not fit together")
+    _check(calibration)
     return calibration
+
+
+def _check(c: Calibration) -> None:
+    p, (n, m) = len(c.parameters), c.readings.values.shape
+    shapes = (
+        c.covariance.shape,
+        c.residuals.shape,
+        c.reference.shape,
+        c.diagnostics.leverage.shape,
+    )
+    if shapes != ((p, p), (n, m), (n, 3), (n, m)):
+        raise ValueError("its arrays do not fit together")
+    if not np.isfinite(c.parameters).all() or not 0.0 < c.confidence < 1.0:
+        raise ValueError("its parameters or its confidence are no usable numbers")
+    # NaN is right where nothing was left to estimate an uncertainty from
+    if (np.diag(c.covariance) < 0.0).any() or not (c.parameter_dof >= 0.0).all():
+        raise ValueError("its covariance or degrees of freedom are negative")
 
 
 def _numbers(value: Any) -> Any:
