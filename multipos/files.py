@@ -215,7 +215,7 @@ def _float(cell: Any) -> float:
 
 
 def _label(cell: Any) -> str:
-    if cell is None:
+    if cell is None or str(cell) == "<NA>":  # pandas.NA
         return ""
     if isinstance(cell, float | np.floating) and float(cell).is_integer():
         return str(int(cell))
@@ -260,7 +260,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     MultiposError
         The file cannot be written; an existing one is left as it was.
     """
-    target = Path(os.path.realpath(path))  # a link stays, what it points to is written
+    target = Path(path)
     try:
         if target.exists() and not os.access(target, os.W_OK):
             raise PermissionError(None, "it is read-only")
@@ -269,6 +269,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
                 raise IsADirectoryError(None, "it is a folder")
             target.write_text(text, encoding="utf-8")
             return
+        target = target.resolve()  # a link stays, what it points to is written
         mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         try:
