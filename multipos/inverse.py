@@ -115,7 +115,10 @@ def _apply_inverse(jacobian: Array, misfit: Array) -> Array:
         return np.asarray(np.linalg.solve(jacobian, misfit[:, :, None])[:, :, 0])
     except np.linalg.LinAlgError:
         # One singular row must not cost the others their answer.
-        return np.asarray((np.linalg.pinv(jacobian) @ misfit[:, :, None])[:, :, 0])
+        sound = np.linalg.matrix_rank(jacobian) == columns
+        step = np.full(misfit.shape, np.nan)
+        step[sound] = np.linalg.solve(jacobian[sound], misfit[sound][:, :, None])[:, :, 0]
+        return step
 
 
 def _solve_linear(model: Model, parameters: Array, raw: Array) -> Array:
