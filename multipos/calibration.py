@@ -202,7 +202,7 @@ class Calibration:
 
         Parameters
         ----------
-        raw : (n, M) or (M,) array
+        raw : (n, M) or (M,) array, or (n,) for a single output
             In the unit of the readings.
         environment : mapping of str to (n,) array, optional
             Columns that the model uses beside the components, such as temperature.
@@ -213,7 +213,9 @@ class Calibration:
             On the K axes that the sensor has, in the calibration's convention; NaN where no
             force explains the reading.
         """
-        values = np.array(raw, dtype=np.float64, ndmin=2)
+        values = np.array(raw, dtype=np.float64)
+        if values.ndim < 2:  # one reading of all outputs, or many of the only one
+            values = values.reshape(-1, 1) if len(self.outputs) == 1 else values[None]
         if values.ndim != 2 or values.shape[1] != len(self.outputs):
             raise MultiposError(
                 f"`raw` must have shape (n, {len(self.outputs)}), got {np.shape(raw)}; "
@@ -369,9 +371,9 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         model = model.with_gauge(content["gauge"])
     convention = content["convention"]
     reference = _numbers(content["reference"])
-    if not np.isfinite(reference).all():
-        raise ValueError("its reference is not finite")
     size = np.linalg.norm(reference, axis=1)
+    if not (np.isfinite(size) & (size > 0.0)).all():
+        raise ValueError("its reference is zero or not finite")
     up = reference / size[:, None] * (-1.0 if convention == "gravity" else 1.0) + 0.0
     sd_deg = content.get("orientation_sd_deg")
     readings = Readings(
@@ -445,6 +447,8 @@ def _check(c: Calibration) -> None:
     )
     if shapes != ((p, p), (n, m), (n, 3), (n, m)):
         raise ValueError("its arrays do not fit together")
+    if not set(c.model.environment) <= set(c.readings.environment):
+        raise ValueError("its readings lack a column of its model")
     if not np.isfinite(c.parameters).all() or not 0.0 < c.confidence < 1.0:
         raise ValueError("its parameters or its confidence are no usable numbers")
     # NaN is right where nothing was left to estimate an uncertainty from
