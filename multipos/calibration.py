@@ -447,8 +447,9 @@ def _check(c: Calibration) -> None:
     )
     if shapes != ((p, p), (n, m), (n, 3), (n, m)):
         raise ValueError("its arrays do not fit together")
-    if not set(c.model.environment) <= set(c.readings.environment):
-        raise ValueError("its readings lack a column of its model")
+    columns = [c.readings.environment.get(name, np.nan) for name in c.model.environment]
+    if not all(np.isfinite(column).all() for column in columns):
+        raise ValueError("its readings lack a column of its model, or a number in it")
     if not np.isfinite(c.parameters).all() or not 0.0 < c.confidence < 1.0:
         raise ValueError("its parameters or its confidence are no usable numbers")
     # NaN is right where nothing was left to estimate an uncertainty from
