@@ -10,7 +10,6 @@ import multipos as mp
 from multipos.cli import main
 from multipos.song_qin import PRINTED, TABLE_2, demo_dict, demo_text
 
-
 # Table 2 as its lines stand in the paper, thousandths set apart
 TABLE_2_IN_PRINT = """
 1   0.007 055 6   -1.002 908 508    -0.001 607 945
