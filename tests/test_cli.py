@@ -92,7 +92,7 @@ FILES = {
     "ragged row": (SIX.replace(",0.0015", ""), 1, "bad.csv: row 3 (line 4) has 4 cells where"),
     "duplicate columns": (SIX.replace("ay", "ax"), 1, "bad.csv: column 'ax' appears twice"),
     "left-handed direction": (SIX.replace("E-U-S", "E-U-N"), 1,
-                              "row 1 (line 2), column 'direction': direction 'E-U-N' is left-handed"),
+                              "row 1 (line 2), column 'direction': direction 'E-U-N' is left"),
     "impossible direction": (SIX.replace("E-U-S", "E-W-S"), 1, "'E-W-S' is impossible"),
     "unknown direction": (SIX.replace("E-U-S", "E-U-Q"), 1, "'E-U-Q' is not a triple"),
     "zero up vector": ("up_x,up_y,up_z,ax\n0,0,1,1\n0,0,0,1\n", 1,

@@ -136,7 +136,9 @@ def test_missing_cells_of_a_data_frame_are_empty(missing):
 @given(st.lists(st.floats(allow_infinity=False), min_size=1), st.sampled_from([",", ";", "\t"]))
 def test_csv_keeps_all_digits(tmp_path_factory, values, delimiter):
     path = tmp_path_factory.getbasetemp() / "digits.csv"
-    write_text(path, format_csv({"a": values, "b": np.array(values)}, delimiter))
+    write_text(
+        path, format_csv({"n": range(len(values)), "a": values, "b": np.array(values)}, delimiter)
+    )
     found = read_table(path)
     for name in "ab":
         assert_array_equal(found.number(name, empty=True), values)
