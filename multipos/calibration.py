@@ -166,7 +166,8 @@ class Calibration:
     def rms(self) -> float:
         """Root mean square of what is left after compensation [g].
 
-        Of |f| − |reference| for unknown orientation, of the components of f − reference otherwise.
+        Of ``|f| − |reference|`` for unknown orientation, otherwise of the components of
+        f − reference.
         """
         force = self.compensate(self.readings.values, self.readings.environment)
         if self.estimator == "unknown-orientation":

@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from types import ModuleType
 from typing import NoReturn
 
 from multipos import __version__
@@ -68,12 +69,21 @@ def _run(argv: list[str]) -> str:
         parser.parse_args(argv)
         parser.error("the command must come first")
     name, *rest = argv
-    command = import_module(f"multipos.commands.{name.replace('-', '_')}")
+    arguments = command_parser(name).parse_args(rest)
+    text: str = _command(name).run(arguments)
+    return text
+
+
+def command_parser(name: str) -> argparse.ArgumentParser:
+    """Return the parser of one command, which the documentation prints as well."""
     parser = _Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
-    command.add_options(parser)
-    text: str = command.run(parser.parse_args(rest))
-    return text
+    _command(name).add_options(parser)
+    return parser
+
+
+def _command(name: str) -> ModuleType:
+    return import_module(f"multipos.commands.{name.replace('-', '_')}")
 
 
 def _top_parser() -> argparse.ArgumentParser:
