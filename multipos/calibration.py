@@ -30,6 +30,7 @@ from multipos.readings import Readings
 Array = NDArray[np.float64]
 
 SCHEMA = "multipos/calibration/1"
+_EXTRA = ("variance_components", "orientation_error_deg")  # what some estimators add
 
 
 class Parameter(NamedTuple):
@@ -56,11 +57,13 @@ class Gravity(NamedTuple):
 
 
 class Status(NamedTuple):
-    """How the estimator ended."""
+    """How the estimator ended; the last step is relative, the gradient in units of u."""
 
     converged: bool
     iterations: int
     message: str
+    last_step: float = 0.0
+    gradient: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -242,6 +245,7 @@ class Calibration:
             "group": readings.group,
             "environment": dict(readings.environment) or None,
             "attitude": readings.rotation,
+            "up": readings.up,
         }
         content = {
             "schema": SCHEMA,
@@ -376,7 +380,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         values=_numbers(content["readings"]),
         outputs=outputs,
         positions=tuple(content["positions"]),
-        up=up,
+        up=_numbers(content["up"]) if "up" in content else up,
         rotation=_numbers(content.get("attitude")),
         u=_numbers(content.get("reading_u")),
         covariance=_numbers(content.get("reading_covariance")),
@@ -423,6 +427,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         created=content["created"],
         version=content["multipos_version"],
         cross_check=None if cross_check is None else cross_check["closed_form_max_difference"],
+        extra={key: content[key] for key in _EXTRA if key in content},
     )
     p, shape = len(calibration.parameters), readings.values.shape
     if calibration.covariance.shape != (p, p) or calibration.residuals.shape != shape:
