@@ -102,8 +102,11 @@ def from_up(up: ArrayLike, where: str = "`up`") -> Attitudes:
             f"{where}: the up vector of row {int(np.argmax(bad)) + 1} is zero or not finite; "
             "it must point somewhere."
         )
-    vectors = vectors / largest[:, None]
-    unit = vectors / np.linalg.norm(vectors, axis=1)[:, None] + 0.0
+    scaled = vectors / largest[:, None]
+    unit = scaled / np.linalg.norm(scaled, axis=1)[:, None]
+    # What is a unit vector to rounding stays as it is, so that reading it back changes nothing.
+    already = np.abs(np.linalg.norm(vectors, axis=1) - 1.0) < 4.0 * np.finfo(float).eps
+    unit = np.where(already[:, None], vectors, unit) + 0.0
     return Attitudes(unit, np.full((len(unit), 3, 3), np.nan))
 
 

@@ -20,6 +20,7 @@ from multipos.errors import MultiposError
 
 Array = NDArray[np.float64]
 
+_FLAT = 0.005  # thickness of the cloud of readings below which it is a disc
 _FLATTEST = 0.02  # ratio of semi-axes below which the ellipsoid is not believed
 
 
@@ -47,7 +48,8 @@ def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[
             "up, down and level."
         )
     scaled = (values - centre) / size
-    if np.linalg.svd(scaled, compute_uv=False)[-1] < 1e-6 * np.sqrt(len(scaled)):
+    extent = np.linalg.svd(values - centre, compute_uv=False)
+    if extent[-1] < _FLAT * extent[0]:
         raise MultiposError(
             "all positions lie on one circle, so the readings are flat; add positions off it."
         )

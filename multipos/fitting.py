@@ -30,6 +30,7 @@ from multipos import __version__
 from multipos.calibration import Calibration, Gravity
 from multipos.diagnostics import Diagnostics, lack_of_fit
 from multipos.errors import MultiposError, UsageError
+from multipos.expressions import Expression, build_expression
 from multipos.files import Source
 from multipos.known import Solution, closed_form_difference, solve_closed_form, solve_known
 from multipos.losses import LOSSES
@@ -63,7 +64,7 @@ def fit(
     readings: "Source | Readings",
     *,
     scheme: "Source | Scheme | None" = None,
-    model: str = "linear",
+    model: str | Expression = "linear",
     convention: str = "specific-force",
     outputs: Sequence[str] | str | None = None,
     axes: Sequence[str] | str | None = None,
@@ -90,8 +91,9 @@ def fit(
     readings : Readings, path, mapping of columns, or data frame
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The orientation of each position; otherwise the readings' own columns say it.
-    model : str
-        'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2'.
+    model : str or function
+        'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2', or a Python
+        function of the components and the parameters (see `multipos.expressions`).
     convention : str
         'specific-force': the axis that points up reads +1; 'gravity': the one that points down.
     outputs, axes, inputs : sequences of str, or comma-separated str, optional
@@ -144,32 +146,30 @@ def fit(
     _check_options(convention, gauge, robust, confidence)
     _check_together(closed_form, unknown_orientation, orientation_sd, level_sd, robust)
     local = resolve_gravity(gravity, gravity_u, latitude, height)
-    data = read_readings(readings, outputs=outputs, unit=unit, environment=formula_columns(model))
+    used = formula_columns(model) if isinstance(model, str) else ()
+    data = read_readings(readings, outputs=outputs, unit=unit, environment=used)
     data = _without_orientation(data, scheme) if unknown_orientation else orient(data, scheme)
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
-    built = build_model(
-        model,
-        data.outputs,
-        default_axes(data.outputs, axes),
-        tuple(inputs.split(",")) if isinstance(inputs, str) else tuple(inputs),
-        data.unit,
-        tuple(data.environment),
-    )
+    built = _build(model, data, axes, inputs)
     _check_environment(data, built)
     signed = gravity_ratio(None if local is None else local.value)
     signed = -signed if convention == "gravity" else signed
     placement = place(data, signed, orientation_sd, level_sd)
+    if orientation_sd is not None:
+        data = replace(
+            data, orientation_sd=np.where(placement.spread < np.inf, placement.spread, np.nan)
+        )
     if closed_form:
         solution = solve_closed_form(built, placement.reference, data, pool=pool)
-    elif placement.exact and robust is None:
+    elif placement.exact and robust is None and isinstance(model, str):
         solution = solve_known(built, placement.reference, data, pool=pool)
     else:
         solution = solve_uncertain(built, data, placement, gauge=gauge, robust=robust)
     return complete(
         solution, data, listed=placement.reference, convention=convention, gravity=local,
         estimator=_estimator(placement, closed_form),
-        criterion=_criterion(data, placement, closed_form, robust), confidence=confidence,
+        criterion=_criterion(data, placement, closed_form, robust, model), confidence=confidence,
     )  # fmt: skip
 
 
@@ -232,6 +232,20 @@ def complete(
         cross_check=None if unknown else closed_form_difference(model, listed, readings),
         extra=solution.extra,
     )
+
+
+def _build(
+    model: str | Expression,
+    readings: Readings,
+    axes: Sequence[str] | str | None,
+    inputs: Sequence[str] | str,
+) -> Model:
+    own = default_axes(readings.outputs, axes)
+    columns = tuple(readings.environment)
+    if not isinstance(model, str):
+        return build_expression(model, readings.outputs, own, readings.unit, columns)
+    seen = tuple(inputs.split(",")) if isinstance(inputs, str) else tuple(inputs)
+    return build_model(model, readings.outputs, own, seen, readings.unit, columns)
 
 
 def _check_options(convention: str, gauge: str, robust: str | None, confidence: float) -> None:
@@ -357,14 +371,19 @@ def _lack_of_fit(
 
 
 def _criterion(
-    readings: Readings, placement: Placement, closed_form: bool, robust: str | None
+    readings: Readings,
+    placement: Placement,
+    closed_form: bool,
+    robust: str | None,
+    model: str | Expression,
 ) -> str:
     if closed_form:
         return "exact solution of the six-position equations"
     stated = readings.u is not None or readings.covariance is not None
     loss = "" if robust is None else f", {robust} loss"
     if placement.exact:
-        return f"{'weighted ' if stated else ''}least squares of the readings{loss}"
+        kind = "" if isinstance(model, str) else "nonlinear "
+        return f"{'weighted ' if stated else ''}{kind}least squares of the readings{loss}"
     noise = "stated reading noise" if stated else "equal reading noise"
     if np.isinf(placement.spread).all():
         return f"maximum likelihood of the readings, {noise}{loss}"

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError
-from multipos.model import COMPONENTS, Model, linear_term
+from multipos.model import COMPONENTS, Model
 
 Array = NDArray[np.float64]
 
@@ -43,8 +43,7 @@ def invert(
     """
     sensed = list(sensed_axes(model))
     force = np.zeros((len(raw), 3))
-    bare = {linear_term(axis) for axis in COMPONENTS}
-    if all(not term.factors or term in bare for term in model.basis_terms):
+    if model.is_linear:
         return _solve_linear(model, parameters, raw)
     active = np.arange(len(raw))
     columns = {name: np.asarray(environment[name], dtype=np.float64) for name in model.environment}

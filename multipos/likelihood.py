@@ -53,7 +53,8 @@ from multipos.rotations import (
 Array = NDArray[np.float64]
 
 _ITERATIONS = 200
-_DECREMENT = 1e-22  # of F: steps of 1e-11 of an uncertainty
+_DECREMENT = 1e-20  # of F: a step of 1e-10 of an uncertainty
+_DECREMENT_ROBUST = 1e-14  # weights that change with the step make convergence linear
 _XTOL = 1e-13  # relative step that is only rounding
 _DAMPING = 1e-4
 
@@ -75,6 +76,8 @@ class Problem:
         s_k.
     group : (n,) array of int
         Number of the group, −1 for none.
+    weight : (n,) array
+        What the precision of each position has been multiplied by, 1 but for those set aside.
     groups : int
     attitude : (n, 3, 3) array or None
         Level to case, where a tilt of the table is estimated.
@@ -91,6 +94,7 @@ class Problem:
     reference: Array
     spread: Array
     group: NDArray[np.intp]
+    weight: Array
     groups: int = 0
     attitude: Array | None = None
     level_spread: float = 0.0
@@ -189,6 +193,7 @@ def maximise(problem: Problem, state: State) -> Optimum:
     """Minimise F of eq. (4) from a state."""
     point = evaluate(problem, state)
     damping = _DAMPING
+    enough = _DECREMENT if problem.robust is None else _DECREMENT_ROBUST
     last_step, decrement = np.inf, np.inf
     converged = False
     iterations = 0
@@ -214,7 +219,7 @@ def maximise(problem: Problem, state: State) -> Optimum:
             break
         state, point = _recentred(problem, trial), trial_point
         damping *= 0.1
-        converged = decrement <= _DECREMENT * point.objective or last_step <= _XTOL
+        converged = decrement <= enough * point.objective or last_step <= _XTOL
         normal = linearise(problem, state, point)
     return Optimum(
         state, point, normal, converged, iterations, last_step, float(np.sqrt(max(decrement, 0.0)))
@@ -353,7 +358,7 @@ def _force_by_step(problem: Problem, state: State) -> Array:
     turn = _shared_rotation(problem, state)
     if turn is not None:
         moves = turn @ moves
-    return size[:, None, None] * moves
+    return np.asarray(size[:, None, None] * moves)
 
 
 def _by_shared(problem: Problem, state: State, point: Point, by_force: Array) -> Array:

@@ -264,6 +264,12 @@ class Model:
         return self.basis(force, environment) @ self.coefficients(parameters).T
 
     @cached_property
+    def is_linear(self) -> bool:
+        """Whether the outputs are linear in the force, with constant coefficients."""
+        bare = {CONSTANT, *(linear_term(axis) for axis in COMPONENTS)}
+        return all(term in bare for term in self.basis_terms)
+
+    @cached_property
     def has_all_linear(self) -> bool:
         """Whether every output has its own bias and scale factor, so that it can be described."""
         return all(
@@ -289,6 +295,11 @@ class Model:
             result[:, place] += weight * theta[:, :, column].T
         return result
 
+    def only(self, output: str) -> "Model":
+        """Return the model of one output alone."""
+        i = self.outputs.index(output)
+        return replace(self, outputs=(output,), axes=(self.axes[i],), terms=(self.terms[i],))
+
     def with_gauge(self, gauge: str) -> "Model":
         """Return the model without the linear terms that a gauge fixes: the upper triangle."""
         fixed = [{linear_term(axis) for axis in self.axes[i + 1 :]} for i in range(3)]
@@ -301,9 +312,11 @@ class Model:
     def index(self, output: str, term: "str | Term") -> int:
         """Return the place of a parameter by output and term."""
         try:
-            axis = self.axes[self.outputs.index(output)]
-            wanted = term if isinstance(term, Term) else _parse_term(str(term), str(term), axis)
-            return self.keys.index((output, wanted))
+            known = [(name, str(own)) for name, own in self.keys]
+            if (output, str(term)) not in known:  # `own^2`, or factors in another order
+                axis = self.axes[self.outputs.index(output)]
+                term = _parse_term(str(term), str(term), axis)
+            return known.index((output, str(term)))
         except ValueError:
             raise KeyError(
                 f"no parameter ({output!r}, {str(term)!r}); the model has "

@@ -67,6 +67,23 @@ def rotation_matrix(vector: Array) -> Array:
     return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * skew + 0.5 * half**2 * skew @ skew)
 
 
+def rotation_vector(matrix: Array) -> Array:
+    """Return the rotation vector rho (3,) [rad] of Exp([rho]x), up to half a turn."""
+    doubled = np.array(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )
+    sine = float(np.linalg.norm(doubled)) / 2.0
+    angle = float(np.arctan2(sine, (np.trace(matrix) - 1.0) / 2.0))
+    if sine > _SMALL:
+        return np.asarray(doubled / 2.0 * (angle / sine))
+    if angle < 1.0:  # angle/sin(angle) is 1 to rounding
+        return np.asarray(doubled / 2.0)
+    # half a turn: the axis is the eigenvector of eigenvalue 1
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2.0)
+    axis = vectors[:, int(np.argmax(values))]
+    return np.asarray(angle * axis * (np.sign(axis @ doubled) or 1.0))
+
+
 def left_jacobian(vector: Array) -> Array:
     """Return J_l of eq. (3), (3, 3)."""
     angle = float(np.linalg.norm(vector))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from multipos.ellipsoid import ellipsoid_start, symmetric_root
 from multipos.errors import ConvergenceError, MultiposError, RankError
+from multipos.expressions import ExpressionModel
 from multipos.identifiability import (
     CANDIDATES,
     condition,
@@ -38,6 +39,8 @@ from multipos.rotations import align
 
 Array = NDArray[np.float64]
 
+_PARTS = 50  # that a robust start leaves out in turn
+_SCATTER = 0.1  # of one g: a cloud of noise, not a sphere of positions
 _WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
 
 
@@ -72,8 +75,25 @@ def search(problem: Problem) -> Optimum:
             f"parameters by {best.last_step:.1e} of their size. Check the readings for blunders "
             "(--robust huber names them), or choose a model with fewer terms."
         )
+    _require_sphere(problem, best)
     _require_information(problem, best)
     return best
+
+
+def _require_sphere(problem: Problem, optimum: Optimum) -> None:
+    """Refuse readings that scatter about their ellipsoid by a good part of its size."""
+    if not np.isinf(problem.spread).all():
+        return
+    scale = np.abs(optimum.state.theta[own_scales(problem.model)]).mean()
+    # the median, so that a few bad positions of a robust fit do not condemn the others
+    size = np.linalg.norm(optimum.point.residuals, axis=1)
+    scatter = float(np.median(size)) / max(float(scale), 1e-300)
+    if scatter > _SCATTER:
+        raise MultiposError(
+            f"the readings scatter by {100.0 * scatter:.0f} % about the ellipsoid that fits them "
+            "best; they do not come from positions at rest in one gravity. Turn the sensor to "
+            "different positions and hold it still."
+        )
 
 
 def _listed_start(problem: Problem) -> State | None:
@@ -81,6 +101,8 @@ def _listed_start(problem: Problem) -> State | None:
     if not problem.listed.all():
         return None
     model = problem.model
+    if isinstance(model, ExpressionModel):
+        return start_state(problem, model.first_guess(problem.values, problem.reference))
     _, blocks = model.respond(np.zeros(len(model.keys)), problem.reference, problem.environment)
     theta = np.zeros(len(model.keys))
     for output, (places, design) in enumerate(blocks):
@@ -93,12 +115,13 @@ def _listed_start(problem: Problem) -> State | None:
 def _ellipsoid_start(problem: Problem) -> State | None:
     """The ellipsoid of the readings, turned to the listed directions where some are."""
     model = problem.model
-    if sorted(model.axes) != ["x", "y", "z"]:
+    if sorted(model.axes) != ["x", "y", "z"] or isinstance(model, ExpressionModel):
         return None
     order = [model.axes.index(axis) for axis in ("x", "y", "z")]
     magnitude = float(np.linalg.norm(problem.reference, axis=1).mean())
     crossed = any(name.startswith("cross_") for name in model.names)
-    bias, matrix = ellipsoid_start(problem.values[:, order], magnitude, crossed=crossed)
+    find = ellipsoid_start if problem.robust is None else _median_ellipsoid
+    bias, matrix = find(problem.values[:, order], magnitude, crossed=crossed)
     if model.gauge == "symmetric":
         matrix = symmetric_root(matrix)
     force = np.linalg.solve(matrix, (problem.values[:, order] - bias).T).T
@@ -120,6 +143,23 @@ def _ellipsoid_start(problem: Problem) -> State | None:
         if column is not None:
             theta[i] = linear[model.outputs.index(output), column]
     return start_state(problem, theta, direction, turns)
+
+
+def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tuple[Array, Array]:
+    """Return the ellipsoid start, without one part of the readings, that most readings are near.
+
+    Each part is left out in turn, so that blunders in one of them do not bend the start.
+    """
+    parts = min(len(values), _PARTS)
+    best, least = ellipsoid_start(values, magnitude, crossed=crossed), np.inf
+    for part in range(parts):
+        rest = np.delete(values, np.s_[part::parts], axis=0)
+        bias, matrix = ellipsoid_start(rest, magnitude, crossed=crossed)
+        force = np.linalg.solve(matrix, (values - bias).T)
+        misfit = float(np.median(np.abs(np.linalg.norm(force, axis=0) - magnitude)))
+        if misfit < least:
+            best, least = (bias, matrix), misfit
+    return best
 
 
 def _positive(problem: Problem, optimum: Optimum) -> Optimum:
@@ -176,7 +216,8 @@ def _candidate_gains(problem: Problem, theta: Array) -> Array:
         problem, values=np.zeros((count, problem.values.shape[1])), environment=environment,
         precision=np.broadcast_to(mean, (count, *mean.shape)), reference=size * CANDIDATES,
         spread=np.full(count, spread.max() if len(spread) else 0.0),
-        group=np.full(count, -1), groups=0, attitude=None, level_spread=0.0, robust=None,
+        group=np.full(count, -1), weight=np.ones(count), groups=0, attitude=None,
+        level_spread=0.0, robust=None,
     )  # fmt: skip
     state = start_state(candidates, theta, CANDIDATES)
     jacobian = parameter_jacobian(problem.model, state.theta, size * CANDIDATES, environment)
@@ -212,7 +253,7 @@ def too_few(problem: Problem) -> RankError:
     gains = _candidate_gains(unit, theta)
     best = CANDIDATES[helpful_positions(information, gains, p - equations)]
     return RankError(
-        f"{said}: {', '.join(f'`{name}`' for name in missing)} are out of reach; add positions "
+        f"{said}: {', '.join(f'`{name}`' for name in missing)} out of reach; add positions "
         f"such as {position_words(best)}, or drop those terms.",
         rank=equations, parameters=p,
     )  # fmt: skip

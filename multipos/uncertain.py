@@ -31,17 +31,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.calibration import Status, labels
+from multipos.calibration import Calibration, Status, labels
 from multipos.diagnostics import find_outlying_positions
 from multipos.errors import MultiposError
 from multipos.identifiability import condition, formal_only, own_scales
 from multipos.inverse import parameter_jacobian
 from multipos.known import DENIED, Solution, reading_noise
-from multipos.likelihood import Optimum, Problem, linearise, maximise
+from multipos.likelihood import (
+    Optimum,
+    Problem,
+    evaluate,
+    linearise,
+    maximise,
+    start_state,
+)
 from multipos.losses import loss_slope, loss_weight
 from multipos.model import Model
 from multipos.quantiles import chi2_quantile
-from multipos.readings import Readings
+from multipos.readings import Readings, read_readings
+from multipos.rotations import rotation_vector
 from multipos.starts import reduced_information, search, too_few
 from multipos.variances import Components, estimate_components, linearised
 
@@ -56,6 +64,9 @@ _NOTHING_LEFT = (
 )
 _FIRST_SPREAD = np.radians(0.1)
 _STATED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is stated
+_BEYOND_DOUBT = 1e-6  # chance below which a robust fit sets a position aside
+_ASIDE = 1e-12  # weight of such a position: nothing, but its residual is still reported
+_MEDIAN_SETTLED = 1e-4  # change of ln variance far below what a median can tell
 _MEDIAN_CHI2 = {1: 0.45493642, 2: 1.38629436, 3: 2.36597388, 4: 3.35669398}
 
 
@@ -177,6 +188,8 @@ def solve_uncertain(
     MultiposError
         Too few positions, or readings that do not spread.
     """
+    if placement.exact and len(model.outputs) > 1:
+        return _solve_separately(model, readings, placement, robust)
     if not (np.isfinite(placement.spread) & (placement.group < 0)).any():
         model = model.with_gauge(gauge)
     if np.isinf(placement.spread).any():
@@ -187,20 +200,53 @@ def solve_uncertain(
     if nu < 0:
         raise too_few(problem)
     optimum = search(problem)
-    worth = Worth(1.0, nu)
     if robust is not None:
-        if reading_noise(readings) is None:
-            problem, optimum = _robust_noise(problem, optimum, nu)
-        worth = Worth(_huber_factor(problem, optimum, nu), nu)
+        problem, optimum, worth = _robust(problem, optimum, readings)
     elif reading_noise(readings) is not None:
         worth = _believe(optimum.point.objective, nu)
     elif (np.isfinite(placement.spread) & (placement.spread > 0.0)).any():
-        problem, optimum, worth = _estimate_noise(problem, optimum, placement, nu)
+        problem, optimum, worth = _estimate_noise(problem, optimum, placement)
     elif nu > 0:
         worth = Worth(optimum.point.objective / nu, nu)
     else:
         worth = Worth(np.nan, 0.0, warnings=(_NOTHING_LEFT,))
-    return _solution(problem, optimum, placement, readings, nu, worth)
+    return _solution(problem, optimum, readings, nu, worth)
+
+
+def _solve_separately(
+    model: Model, readings: Readings, placement: Placement, robust: str | None
+) -> Solution:
+    """Fit each output alone where orientations are exact: nothing ties them together."""
+    parts = [
+        solve_uncertain(
+            model.only(output), read_readings(readings, outputs=[output]), placement, robust=robust
+        )
+        for output in model.outputs
+    ]
+    covariance = np.zeros((len(model.keys), len(model.keys)))
+    for part, where in zip(parts, model.slices, strict=True):
+        covariance[where, where] = part.covariance
+
+    def said(name: str) -> tuple[str, ...]:
+        pairs = zip(model.outputs, parts, strict=True)
+        return tuple(f"{output}: {text}" for output, part in pairs for text in getattr(part, name))
+
+    return replace(
+        parts[0],
+        model=model,
+        parameters=np.concatenate([part.parameters for part in parts]),
+        covariance=covariance,
+        parameter_dof=np.concatenate([part.parameter_dof for part in parts]),
+        variance=np.concatenate([part.variance for part in parts]),
+        dof=np.concatenate([part.dof for part in parts]),
+        residuals=np.column_stack([part.residuals for part in parts]),
+        residual_sd=np.concatenate([part.residual_sd for part in parts]),
+        leverage=np.column_stack([part.leverage for part in parts]),
+        condition=max(part.condition for part in parts),
+        outliers=said("outliers"),
+        warnings=said("warnings"),
+        unidentifiable=said("unidentifiable"),
+    )
 
 
 @dataclass(frozen=True)
@@ -232,6 +278,7 @@ def _state_problem(
     return Problem(
         model=model, values=values, environment=readings.environment, precision=precision,
         reference=placement.reference, spread=placement.spread, group=placement.group,
+        weight=np.ones(n),
         groups=placement.groups, attitude=placement.attitude,
         level_spread=placement.level_sd, robust=robust,
     )  # fmt: skip
@@ -247,7 +294,7 @@ def _block_precision(covariance: Array, n: int, m: int) -> Array:
             "readings correlated between positions cannot be combined with uncertain or unknown "
             "orientations; give a covariance within each position only."
         )
-    return np.linalg.inv(own)
+    return np.asarray(np.linalg.inv(own))
 
 
 def _require_triad(model: Model) -> None:
@@ -271,7 +318,7 @@ def _believe(chi2: float, nu: float) -> Worth:
 
 
 def _estimate_noise(
-    problem: Problem, optimum: Optimum, placement: Placement, nu: float
+    problem: Problem, optimum: Optimum, placement: Placement
 ) -> tuple[Problem, Optimum, Worth]:
     """Find noise and solution in turn, by restricted maximum likelihood."""
     sigma2 = 1.0 / float(problem.precision.mean())
@@ -313,45 +360,67 @@ def _estimate_noise(
     return problem, optimum, worth
 
 
-def _robust_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Problem, Optimum]:
-    """Scale the noise to the median misfit, which a few bad positions do not move."""
-    total = float(problem.degrees.sum())
-    exact = (problem.spread == 0.0).all()
-    for _ in range(_ROUNDS):
-        if exact:  # outputs are separate: each has its own noise
-            spread = np.median(np.abs(optimum.point.residuals), axis=0) / 0.67448975
-            sd = np.maximum(spread * np.sqrt(total / nu), 1e-12 * np.abs(problem.values).max())
-            precision = np.broadcast_to(1.0 / sd**2, problem.values.shape).copy()
-        else:
-            typical = np.array([_MEDIAN_CHI2[int(m)] for m in problem.degrees])
-            ratio = float(np.median(optimum.point.q / typical)) * total / nu
-            precision = problem.precision / max(ratio, 1e-300)
-        change = float(np.abs(np.log(precision / problem.precision)).max())
-        problem = replace(problem, precision=precision)
+def _robust(
+    problem: Problem, optimum: Optimum, readings: Readings
+) -> tuple[Problem, Optimum, Worth]:
+    """Find the noise where it is not stated, and set aside what is beyond doubt, worst first."""
+    stated = reading_noise(readings) is not None
+    limit = np.array([chi2_quantile(1.0 - _BEYOND_DOUBT, m) for m in problem.degrees])
+    said = []
+    # At most a quarter of the positions: beyond that it is the model that does not fit.
+    for _ in range(len(limit) // 4 + 1):
+        kept = problem.weight == 1.0
+        nu = float(problem.degrees[kept].sum()) - len(problem.model.keys) - problem.shared
+        if not stated and nu > 0:
+            problem, optimum = _settle_noise(problem, optimum, nu)
+        excess = np.where(kept, optimum.point.q / limit, 0.0)
+        worst = int(np.argmax(excess))
+        if excess[worst] <= 1.0:
+            break
+        misfit = float(np.sqrt(optimum.point.q[worst] / problem.degrees[worst]))
+        said.append(
+            f"position {labels(readings)[worst]} is set aside: it does not fit by {misfit:.3g} "
+            "times the noise"
+        )
+        weight = np.where(np.arange(len(limit)) == worst, _ASIDE, 1.0)
+        column = weight.reshape(-1, *[1] * (problem.precision.ndim - 1))
+        problem = replace(
+            problem, precision=problem.precision * column, weight=problem.weight * weight
+        )
         optimum = maximise(problem, optimum.state)
-        if change < 1e-4:  # far below what a median can tell
+    factor = _huber_factor(problem, optimum, nu)
+    return problem, optimum, Worth(factor, nu, warnings=tuple(said))
+
+
+def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Problem, Optimum]:
+    """Scale the noise to the median misfit, which a few bad positions do not move."""
+    kept = problem.weight == 1.0
+    degrees = problem.degrees[kept]
+    typical = np.array([_MEDIAN_CHI2[int(m)] for m in degrees])
+    for _ in range(_ROUNDS):
+        ratio = float(np.median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
+        ratio = max(ratio, 1e-12)
+        problem = replace(problem, precision=problem.precision / ratio)
+        optimum = maximise(problem, optimum.state)
+        if abs(np.log(ratio)) < _MEDIAN_SETTLED:
             break
     return problem, optimum
 
 
 def _huber_factor(problem: Problem, optimum: Optimum, nu: float) -> float:
     """Return the factor of eq. (1) on the covariance without weights."""
-    q, degrees = optimum.point.q, problem.degrees
+    kept = problem.weight == 1.0
+    q, degrees = optimum.point.q[kept], problem.degrees[kept]
     weight = loss_weight(problem.robust, q, degrees)
     slope = loss_slope(problem.robust, q, degrees)
     mean = max(float(slope.mean()), 0.05)
-    used = float(degrees.sum()) - nu
-    correction = 1.0 + used / float(degrees.sum()) * float(slope.var()) / mean**2
+    used = 1.0 - nu / float(degrees.sum())
+    correction = 1.0 + used * float(slope.var()) / mean**2
     return correction**2 * float(np.sum(q * weight**2)) / max(nu, 1.0) / mean**2
 
 
 def _solution(
-    problem: Problem,
-    optimum: Optimum,
-    placement: Placement,
-    readings: Readings,
-    nu: float,
-    worth: Worth,
+    problem: Problem, optimum: Optimum, readings: Readings, nu: float, worth: Worth
 ) -> Solution:
     model, state, point = problem.model, optimum.state, optimum.point
     p, m = len(model.keys), problem.values.shape[1]
@@ -367,12 +436,15 @@ def _solution(
         "nij,njp,nip->ni", plain.marginal, jacobian @ np.linalg.inv(information), jacobian
     )
     magnitude = float(np.linalg.norm(problem.reference, axis=1).mean())
-    misfit = point.q / (worth.factor if np.isfinite(worth.factor) else 1.0)
+    misfit = point.q / problem.weight / (worth.factor if np.isfinite(worth.factor) else 1.0)
     robust = problem.robust is not None
     precision = problem.precision if problem.precision.ndim == 2 else np.diagonal(
         problem.precision, axis1=1, axis2=2
     )  # fmt: skip
-    residual_sd = np.sqrt(np.mean(1.0 / precision, axis=0) * (1.0 if robust else worth.factor))
+    kept = problem.weight == 1.0
+    residual_sd = np.sqrt(
+        np.mean(1.0 / precision[kept], axis=0) * (1.0 if robust else worth.factor)
+    )
     if not robust and np.isinf(worth.dof) and nu > 0:
         residual_sd = residual_sd * np.sqrt(point.objective / nu)
     return Solution(
@@ -394,7 +466,7 @@ def _solution(
         unidentifiable=formal_only(model, state.theta, u, magnitude),
         warnings=(*worth.warnings, *_scale_bias(problem, state.theta, u, residual_sd, magnitude)),
         status=_status(optimum),
-        extra={**dict(worth.extra), "orientation_error_deg": _orientation_error(problem, optimum)},
+        extra={**dict(worth.extra), **_found_orientations(problem, optimum, readings)},
     )  # fmt: skip
 
 
@@ -416,13 +488,54 @@ def _scale_bias(
     return tuple(said)
 
 
-def _orientation_error(problem: Problem, optimum: Optimum) -> list[float | None]:
-    """Return how far each listed position is found to be off, in degrees."""
-    angle = np.degrees(np.hypot(optimum.state.step[:, 0], optimum.state.step[:, 1]))
-    return [
-        float(a) if known else None
-        for a, known in zip(angle, np.isfinite(problem.spread), strict=True)
-    ]
+def _found_orientations(problem: Problem, optimum: Optimum, readings: Readings) -> dict[str, Any]:
+    """Return what was found of orientations: how far off positions are, groups, tilt [degrees]."""
+    if (problem.spread == 0.0).all() and not problem.shared:
+        return {}
+    state = optimum.state
+    off = np.degrees(np.hypot(state.step[:, 0], state.step[:, 1]))
+    found: dict[str, Any] = {
+        "orientation_error_deg": np.where(np.isfinite(problem.spread), off, np.nan)
+    }
+    if problem.groups:
+        names = dict.fromkeys(label for label in readings.group or () if label)
+        found["group_rotation_deg"] = {
+            name: np.degrees(rotation_vector(turn))
+            for name, turn in zip(names, state.turns, strict=True)
+        }
+    if problem.level_spread > 0.0:
+        found["level_sd_deg"] = np.degrees(problem.level_spread)
+        found["level_tilt_deg"] = np.degrees(state.tilt)
+    return found
+
+
+def uncertain_gain(calibration: Calibration) -> Array:
+    """Return how parameters follow readings, d(parameters)/d(readings), (p, n M).
+
+    Of an uncertain or unknown orientation, near its solution: with A and W of
+    `multipos.likelihood`, S^-1 A'W, orientations and shared unknowns moving along. Outputs run
+    fastest. A robust loss is left out: it holds for positions that fit.
+    """
+    readings, reference = calibration.readings, calibration.reference
+    n, m = readings.values.shape
+    size = np.linalg.norm(reference, axis=1)
+    sign = -1.0 if calibration.convention == "gravity" else 1.0
+    level = float(calibration.extra.get("level_sd_deg", 0.0))
+    placement = place(readings, sign * float(size.mean()), None, level)
+    problem = _state_problem(calibration.model, readings, placement, None)
+    if reading_noise(readings) is None:
+        problem = replace(problem, precision=np.tile(1.0 / calibration.residual_sd**2, (n, 1)))
+    turns = np.tile(np.eye(3), (problem.groups, 1, 1))
+    # About the solution itself: its reference is the listed one, already turned and stepped.
+    problem = replace(problem, reference=reference)
+    state = start_state(problem, calibration.parameters, reference / size[:, None], turns)
+    normal = linearise(problem, state, evaluate(problem, state))
+    p = len(calibration.parameters)
+    slopes = parameter_jacobian(calibration.model, state.theta, reference, readings.environment)
+    everything = np.concatenate([slopes, normal.shared], axis=2)
+    weighted = normal.marginal @ everything  # (n, M, p + shared)
+    solved = np.linalg.solve(normal.information, weighted.reshape(n * m, -1).T)
+    return np.asarray(solved[:p])
 
 
 def _status(optimum: Optimum) -> Status:

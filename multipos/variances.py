@@ -185,4 +185,4 @@ def _restricted(linear: Linearised, v: Array) -> tuple[float, Array]:
         + float(np.einsum("nm,nm->", linear.error, push))
         - float(right @ solved)
     )
-    return value, np.linalg.inv(information)[: linear.p, : linear.p]
+    return float(value), np.asarray(np.linalg.inv(information)[: linear.p, : linear.p])

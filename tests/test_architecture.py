@@ -23,6 +23,7 @@ ORDER = (
     "readings",
     "logs",
     "model",
+    "expressions",
     "extended",
     "least_squares",
     "inverse",
