@@ -35,6 +35,7 @@ _EXTRA = (
     "variance_components",
     "orientation_error_deg",
     "group_rotation_deg",
+    "level_sd_deg",
     "level_tilt_deg",
 )  # what some estimators add
 
