@@ -104,7 +104,7 @@ def test_rms_and_linearity_are_what_they_say():
     bias = cal.parameters[::4]
     force = np.linalg.solve(matrix, (cal.readings.values - bias).T).T
     assert_allclose(cal.compensate(cal.readings.values), force, atol=1e-14)
-    assert cal.rms == pytest.approx(np.sqrt(np.mean((force - cal.reference) ** 2)))
+    assert cal.rms == pytest.approx(np.sqrt(np.mean(np.sum((force - cal.reference) ** 2, axis=1))))
     assert cal.linearity == linearity(cal.model, cal.reference, cal.readings.values, cal.residuals)
 
 

@@ -132,7 +132,7 @@ OPTIONS = {
     "terms not separable": (["--model", "own-cubic"], 1, "`scale_ax` cannot be told from"),
     "too many terms": (["--model", "ieee"], 1, "6 readings cannot determine the 8 terms of ax"),
     "never separable": (["--model", "full-quadratic"], 1, "for ax use '1 + x + y + z + x^2 + y^2'"),
-    "wrong confidence": (["--confidence", "95"], 2, "`confidence` must lie between 0 and 1"),
+    "wrong confidence": (["--confidence", "95"], 2, "--confidence must lie between 0 and 1"),
     "no number": (["--gravity", "g"], 2, "argument --gravity: invalid float value: 'g'"),
     "no numbers": (["--reading-sd", "1,b"], 2, "'1,b' is not a number or numbers"),
     "empty name": (["--outputs", "ax,"], 2, "'ax,' names nothing beside a comma"),

@@ -105,7 +105,7 @@ def test_the_parameter_jacobian_against_finite_differences(kind):
     rng = np.random.default_rng(5)
     built, parameters = sensor("ieee-odd", kind, rng)
     f = forces(built, rng, 6)
-    jacobian = parameter_jacobian(built, f, {})
+    jacobian = parameter_jacobian(built, parameters, f, {})
     for j in range(len(parameters)):
         step = np.zeros(len(parameters))
         step[j] = 1.0  # the model is linear in its parameters
