@@ -161,6 +161,11 @@ def fit(
             data, orientation_sd=np.where(placement.spread < np.inf, placement.spread, np.nan)
         )
     if closed_form:
+        if not placement.exact:
+            raise MultiposError(
+                "--closed-form takes exact orientations, but the readings have groups or "
+                "orientation_sd_deg above 0; leave --closed-form out."
+            )
         solution = solve_closed_form(built, placement.reference, data, pool=pool)
     elif placement.exact and robust is None and isinstance(model, str):
         solution = solve_known(built, placement.reference, data, pool=pool)
@@ -327,8 +332,7 @@ def _add_gravity(
     model: Model, parameters: Array, covariance: Array, dof: Array, gravity: Gravity
 ) -> tuple[Array, Array]:
     """Return covariance and degrees of freedom with the common term of gravity, eqs. (1), (2)."""
-    degree = np.array([term.force_degree for _, term in model.keys])
-    sensitivity = -degree * parameters / gravity.value
+    sensitivity = -model.force_degrees * parameters / gravity.value
     combined = covariance + np.outer(sensitivity, sensitivity) * gravity.u**2
     before, after = np.diag(covariance), np.diag(combined)
     with np.errstate(divide="ignore", invalid="ignore"):

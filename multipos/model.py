@@ -169,6 +169,17 @@ class Model:
         return tuple(unit_per(self.unit, t.force_degree, t.environment) for _, t in self.keys)
 
     @cached_property
+    def own_scales(self) -> tuple[int, ...]:
+        """Where the own-axis scale factors stand in the parameter vector."""
+        axes = dict(zip(self.outputs, self.axes, strict=True))
+        return tuple(i for i, (output, term) in enumerate(self.keys) if str(term) == axes[output])
+
+    @cached_property
+    def force_degrees(self) -> NDArray[np.intp]:
+        """Degree in specific force of each parameter's term, (p,)."""
+        return np.array([term.force_degree for _, term in self.keys], dtype=np.intp)
+
+    @cached_property
     def slices(self) -> tuple[slice, ...]:
         """Where each output's parameters stand in the parameter vector."""
         ends = np.cumsum([len(terms) for terms in self.terms]).tolist()
