@@ -64,7 +64,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def degrees_or_auto(text: str) -> float | str:
     """Return degrees, or 'auto'."""
-    return text if text == "auto" else float(text)
+    try:
+        return text if text == "auto" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is neither degrees nor 'auto'") from None
 
 
 def run(arguments: argparse.Namespace) -> str:
