@@ -153,14 +153,14 @@ def thresholds(
 ) -> Thresholds:
     """Return the thresholds that options state; p thresholds and F thresholds exclude each other.
 
-    Where only one of `enter` and `remove` is given, the other keeps its default or twice, half.
+    The defaults are .05 and .10; beside a stated one that does not fit them, twice or half of it.
     """
     if (enter is not None or remove is not None) and (f_enter is not None or f_remove is not None):
         raise UsageError("--enter and --remove are p, --f-enter and --f-remove F; give one kind.")
     if enter is None:
         enter = 0.05 if remove is None else min(0.05, remove / 2.0)
     if remove is None:
-        remove = max(0.10, min(2.0 * enter, 1.0))
+        remove = 0.10 if enter < 0.10 else min(2.0 * enter, 1.0)
     return Thresholds(enter, remove, f_enter, f_remove)
 
 

@@ -1,0 +1,180 @@
+"""Segments: where one variable is cut so that a model per piece explains the response best.
+
+**Edges.** The rows are sorted by the variable and cut into fine bins; each bin is compressed to a
+triangle (`multipos.selection`), and the rows from bin i to bin j are the triangles between, joined.
+With c(i, j) the residual sum of the whole list of terms there, the best m segments follow from the
+best m − 1 (Bellman),
+
+    D_1(j) = c(0, j),      D_m(j) = min_i D_{m−1}(i) + c(i, j),                             (1)
+
+no segment with fewer rows than asked. Their number is what makes
+
+    n ln(D_m/n) + (m p + m − 1) ln n                                                       (2)
+
+smallest: p coefficients a segment, and every edge counts. Where rows are correlated in time, n in (2)
+is the effective number of rows of the residuals of one segment more than enough.
+
+**No jump.** A correction that jumps at an edge is a step in the output. With the edge e of variable v,
+a term r v^k that carries v gets a second column beside it,
+
+    h(row) = r (v^k − e^k) above e,    0 below,                                            (3)
+
+which is zero at the edge whatever r is; the fit over all segments at once is then continuous, and
+the coefficients of each segment are sums of those of (3): d of v^k r, and −d e^k of r.
+
+Sources: R. Bellman, Commun. ACM 4, 1961; J. Bai, P. Perron, J. Appl. Econometrics 18, 2003;
+Y.-C. Yao, Statist. Probab. Lett. 6, 1988 (the penalty).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.formatting import number
+from multipos.model import Factor, Term
+from multipos.selection import Triangle, compress, join
+
+Array = NDArray[np.float64]
+
+MOST = 6  # segments that are looked for
+_BINS = 48  # candidate edges and one: every pair of them is fitted
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A column of eq. (3): the term, and the edge above which it acts."""
+
+    term: Term
+    variable: str
+    edge: float
+
+    def __str__(self) -> str:
+        return f"{self.term} above {self.variable} = {self.edge:.10g}"
+
+    @property
+    def power(self) -> int:
+        """Power of the segment variable in the term."""
+        return next(f.power for f in self.term.factors if f.variable == self.variable)
+
+    @property
+    def rest(self) -> Term:
+        """The term without the segment variable: what keeps it continuous at the edge."""
+        return Term(tuple(f for f in self.term.factors if f.variable != self.variable))
+
+    def evaluate(self, columns: Mapping[str, Array]) -> Array:
+        """Return the column."""
+        v = columns[self.variable]
+        power = Term((Factor("v", self.power),))
+        lift = power.evaluate({"v": v}) - power.evaluate({"v": self.edge})
+        return np.asarray(np.where(v >= self.edge, lift * self.rest.evaluate(columns), 0.0))
+
+
+def hinges(terms: Sequence[Term], variable: str, edges: Sequence[float]) -> tuple[Hinge, ...]:
+    """Return the columns that let terms change at edges without a jump, eq. (3)."""
+    carrying = [t for t in terms if any(f.variable == variable and f.power for f in t.factors)]
+    return tuple(Hinge(term, variable, edge) for edge in edges for term in carrying)
+
+
+def segment_of(values: Array, edges: Sequence[float]) -> NDArray[np.intp]:
+    """Return the number of the segment of each row, from 0; an edge belongs to the one above."""
+    return np.searchsorted(np.asarray(edges, dtype=np.float64), values, side="right")
+
+
+def find_edges(
+    values: Array, design: Array, response: Array, *, minimum: int, worth: float = 1.0
+) -> tuple[float, ...]:
+    """Return the edges that explain the response best, by eqs. (1) and (2).
+
+    Parameters
+    ----------
+    values : (n,) array
+        The variable to cut.
+    design : (n, p) array
+        All candidate terms.
+    response : (n,) array
+    minimum : int
+        Fewest rows of a segment.
+    worth : float
+        Effective rows over rows.
+
+    Returns
+    -------
+    tuple of float
+        In ascending order; empty where one segment does.
+    """
+    n, p = design.shape
+    order = np.argsort(values, kind="stable")
+    v = values[order]
+    cuts = _cuts(v, minimum)
+    scale = np.linalg.norm(design, axis=0)
+    X, y = design[order] / np.where(scale > 0.0, scale, 1.0), response[order]
+    bins = [compress(X[i:j], y[i:j]) for i, j in zip(cuts[:-1], cuts[1:], strict=True)]
+    cost = _costs(bins, minimum)
+    best, score, chosen = cost[0], np.inf, ()
+    last: list[Array] = []
+    rows = max(n * worth, 2.0)
+    floor = (1e-12 * float(np.linalg.norm(y))) ** 2
+    for m in range(1, MOST + 1):
+        if m > 1:
+            total = best[:-1, np.newaxis] + cost[1:]
+            last.append(total.argmin(axis=0))
+            best = total.min(axis=0)
+        if not np.isfinite(best[-1]):
+            break
+        bic = rows * log(max(float(best[-1]), floor) / n) + (m * p + m - 1) * log(rows)
+        if bic < score:
+            score, chosen = bic, _trace(last, len(bins))
+    return tuple(float(v[cuts[i] - 1] + v[cuts[i]]) / 2.0 for i in chosen)
+
+
+def _cuts(v: Array, minimum: int) -> list[int]:
+    """Rows before which sorted values may be cut: quantiles, never between equal values."""
+    n = len(v)
+    wanted = np.linspace(0, n, min(_BINS, max(1, 4 * n // max(minimum, 1))) + 1).astype(int)
+    inner = [int(np.searchsorted(v, v[i], side="left")) for i in wanted[1:-1]]
+    return sorted({0, n, *inner})
+
+
+def _costs(bins: Sequence[Triangle], minimum: int) -> Array:
+    """c(i, j) of eq. (1) as cost[i, j − 1]: residual sums of bins i … j − 1, inf where too few."""
+    cost = np.full((len(bins), len(bins)), np.inf)
+    for i in range(len(bins)):
+        whole = None
+        for j in range(i, len(bins)):
+            whole = bins[j] if whole is None else join([whole, bins[j]])
+            if whole.rows >= minimum:
+                cost[i, j] = residual_sum(whole)
+    return cost
+
+
+def residual_sum(triangle: Triangle) -> float:
+    """Return the residual sum of all columns, of which some may say the same."""
+    X, y = triangle.R[:, :-1], triangle.R[:, -1]
+    b = np.linalg.lstsq(X, y, rcond=1e-10)[0]
+    return float(((y - X @ b) ** 2).sum())
+
+
+def _trace(last: Sequence[Array], bins: int) -> tuple[int, ...]:
+    """Return the bins that begin the second and later segments, from the choices of eq. (1)."""
+    found: list[int] = []
+    j = bins - 1
+    for choice in reversed(last):
+        i = int(choice[j])
+        found.append(i + 1)
+        j = i
+    return tuple(reversed(found))
+
+
+def check_edges(variable: str, edges: Sequence[float], values: Array) -> None:
+    """Refuse an edge outside the data."""
+    low, high = float(values.min()), float(values.max())
+    for edge in edges:
+        if not low < edge < high:
+            raise MultiposError(
+                f"the edge {variable} = {edge:.10g} is outside the data, which run from "
+                f"{number(low, 6)} to {number(high, 6)}; give edges between."
+            )
