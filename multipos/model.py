@@ -111,6 +111,14 @@ class Term:
 CONSTANT = Term()
 
 
+def evaluate_terms(terms: Sequence[Term], columns: Mapping[str, Array], n: int) -> Array:
+    """Return the design (n, q) of terms; powers by repeated multiplication, each rounded once."""
+    design = np.empty((n, len(terms)))
+    for column, term in enumerate(terms):
+        design[:, column] = term.evaluate(columns)
+    return design
+
+
 def linear_term(variable: str) -> Term:
     """Return the bare variable as a term."""
     return Term((Factor(variable, 1),))

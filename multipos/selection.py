@@ -31,7 +31,7 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +44,7 @@ from multipos.quantiles import f_quantile, f_tail
 Array = NDArray[np.float64]
 
 COLLINEAR = 1e-5  # part of a column's length below which it says nothing of its own
+NOTHING = 1e-12  # part of a column's length below which what the forced terms leave is rounding
 _EXACT = 1e-14  # part of the response below which a residual is rounding
 _BLOCK = 8192  # numbers factored at once, as in `least_squares`
 
@@ -137,11 +138,11 @@ class Thresholds:
 
     def enters(self, found: Tested) -> bool:
         """Tell whether a tested term is strong enough to go in."""
-        return found.p < self.enter if self.f_enter is None else found.F > self.f_enter
+        return found.p < self.enter if self.f_enter is None else self.f_enter < found.F
 
     def leaves(self, found: Tested) -> bool:
         """Tell whether a tested term is weak enough to go out."""
-        return found.p > self.remove if self.f_remove is None else found.F < self.f_remove
+        return found.p > self.remove if self.f_remove is None else self.f_remove > found.F
 
     def needed(self, dof: int) -> float:
         """Return the F that a term needs to go in."""
@@ -297,6 +298,7 @@ class _Search:
         self.collinear: set[int] = set()
         base = _residual(self.X, self._basis(sorted(self.forced)))
         self.scale = np.linalg.norm(base, axis=0)
+        self.dead = self.scale <= NOTHING * np.linalg.norm(self.X, axis=0)
         self.total = float(np.linalg.norm(_residual(self.y, self._basis(sorted(self.forced)))))
 
     def _basis(self, columns: Sequence[int]) -> Array:
@@ -335,7 +337,7 @@ class _Search:
         found = []
         self.collinear = set()
         for place, j in enumerate(outside):
-            if length[place] <= COLLINEAR * self.scale[j]:
+            if self.dead[j] or length[place] <= COLLINEAR * self.scale[j]:
                 self.collinear.add(j)
                 continue
             if not self.requires[j] <= self.inside:
@@ -378,8 +380,3 @@ def _residual(columns: Array, basis: Array) -> Array:
 def all_columns(names: Sequence[str]) -> Selection:
     """Return the selection that takes every column."""
     return Selection(tuple(range(len(names))))
-
-
-def restrict(selection: Selection, order: Sequence[int]) -> Selection:
-    """Return a selection made on some columns of a design, by their places in the whole."""
-    return replace(selection, columns=tuple(sorted(order[j] for j in selection.columns)))

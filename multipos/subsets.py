@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import UsageError
-from multipos.selection import COLLINEAR, Triangle
+from multipos.selection import COLLINEAR, NOTHING, Triangle
 
 Array = NDArray[np.float64]
 
@@ -75,9 +75,10 @@ def residual_sums(triangle: Triangle, forced: Sequence[int] = ()) -> Array:
     k = len(forced)
     T = np.ascontiguousarray(R[k:, k:, np.newaxis])
     lengths = np.linalg.norm(T[:, :, 0], axis=0)
+    least = np.maximum(COLLINEAR * lengths, NOTHING * np.linalg.norm(R[:, k:], axis=0))
     bad = np.zeros(1, dtype=bool)
-    for length in lengths[:-1]:
-        collinear = bad | (np.abs(T[0, 0]) <= COLLINEAR * length)
+    for length in least[:-1]:
+        collinear = bad | (np.abs(T[0, 0]) <= length)
         T = np.concatenate((_without_first(T), T[1:, 1:]), axis=2)
         bad = np.concatenate((bad, collinear))
     rss = np.where(bad, np.inf, T[0, 0] ** 2)
@@ -143,7 +144,7 @@ def all_subsets(
     member = (index[:, np.newaxis] >> np.arange(len(free))) & 1 == 1
     allowed = np.isfinite(rss)
     for place, j in enumerate(free):
-        for needed in (requires[j] if requires else ()):
+        for needed in requires[j] if requires else ():
             if needed not in forced:
                 allowed &= ~member[:, place] | member[:, free.index(needed)]
     size = member.sum(axis=1) + len(forced)
@@ -168,9 +169,7 @@ def _badness(subset: Subset, criterion: str) -> float:
     return -subset.adjusted_r2 if criterion == "adjusted_r2" else float(getattr(subset, criterion))
 
 
-def _describe(
-    columns: tuple[int, ...], rss: float, total: float, n: int, always: int
-) -> Subset:
+def _describe(columns: tuple[int, ...], rss: float, total: float, n: int, always: int) -> Subset:
     q = len(columns)
     aicc, bic = criteria(rss, n, q)
     lost = rss / total if total > 0.0 else float("nan")
