@@ -15,9 +15,9 @@ neighbours (Andrews' rule for the triangular kernel),
 
 (1) alone is too small where rows are strongly correlated. So each column of scores is whitened
 first, h_k = g_k − a g_{k−1} with its own lag-1 correlation a, (1) is formed of h, and its rows and
-columns are divided by 1 − a; times n/(n−p), because residuals are smaller than errors. The triangular
-kernel is what moving sums of B neighbours give, S = (1/B) Σ M M', so its cost does not depend on B.
-Rows on both sides of a gap in time are not neighbours. The effective number of rows is
+columns are divided by 1 − a; times n/(n−p), because residuals are smaller than errors. The
+triangular kernel is what moving sums of B neighbours give, S = (1/B) Σ M M', so its cost does not
+depend on B. Rows on both sides of a gap in time are not neighbours. The effective number of rows is
 
     n_eff = n γ / S_e,    γ = Σ e²,  S_e as (1) of the residuals alone.                     (4)
 
@@ -27,13 +27,14 @@ Over the k slopes b with robust covariance C,
 
 (Hotelling's law), ν = 3 n / 2B, B of the residuals before whitening, as a triangular window has;
 m − 1 for m clusters; t has ν. At a stated 5 % the false alarms of (5) with four slopes, errors and
-factors all of lag-1 correlation ρ, are 5 to 8 % at ρ = .5 (100 to 2000 rows), 3 to 11 % at .9 (500 to
-2000), 23 % at .9 with 100 rows, where the classical F gives 24, 90 and 92 %: a run that is short
-beside its own memory cannot be judged well, but no longer fools.
+factors all of lag-1 correlation ρ, are 4 to 11 % at ρ = .5 (100 to 2000 rows), 3 to 11 % at .9 (500
+to 2000), 23 % at .9 with 100 rows, where the classical F gives 24, 90 and 92 %: a run that is short
+beside its own memory cannot be judged well.
 
 Sources: W. K. Newey, K. D. West, Econometrica 55, 1987; D. W. K. Andrews, Econometrica 59, 1991,
-eq. (6.2); D. W. K. Andrews, J. C. Monahan, Econometrica 60, 1992 (whitening); G. V. Bayley, J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (effective size);
-A. C. Cameron, D. L. Miller, J. Hum. Resour. 50, 2015 (clusters).
+eq. (6.2); D. W. K. Andrews, J. C. Monahan, Econometrica 60, 1992 (whitening); G. V. Bayley,
+J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (effective size); A. C. Cameron, D. L. Miller,
+J. Hum. Resour. 50, 2015 (clusters).
 """
 
 from dataclasses import dataclass
@@ -149,7 +150,7 @@ def cluster_covariance(
 
 
 def _influence(design: Array, residuals: Array, cofactor: Array) -> Array:
-    """What each row adds to the coefficients, (X'X)⁻¹ x_k e_k: columns of like size, well scaled."""
+    """What each row adds to the coefficients, (X'X)⁻¹ x_k e_k."""
     return np.asarray((design * residuals[:, np.newaxis]) @ cofactor)
 
 

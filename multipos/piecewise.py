@@ -1,7 +1,7 @@
 """Fits of one segment, or of all segments of a branch without a jump: selection, fit, tests.
 
-The rows are factored once for the selection (`multipos.selection`); the terms that come out are fitted
-by `multipos.least_squares`, so that what is reported has full precision whatever the path was.
+The rows are factored once for the selection (`multipos.selection`); the terms that come out are
+fitted by `multipos.least_squares`, so what is reported has full precision whatever the path was.
 
 The figures of a fit of q coefficients, k slopes, to n rows, with leverage h:
 
@@ -13,7 +13,7 @@ branch, and F is that of Wald, b' C⁻¹ b / k. A segment's rms is on its rows l
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -28,12 +28,11 @@ from multipos.correlation import (
     window_dof,
 )
 from multipos.errors import MultiposError, RankError
-from multipos.formatting import number
 from multipos.least_squares import LinearFit, solve
 from multipos.model import CONSTANT, Term, evaluate_terms
 from multipos.observations import Data
 from multipos.quantiles import f_quantile, f_tail
-from multipos.regression import Robust, Segment
+from multipos.segment import Robust, Segment
 from multipos.segmentation import Hinge, hinges, segment_of
 from multipos.selection import (
     Selection,
@@ -74,7 +73,7 @@ class Plan:
     terms: tuple[Term, ...]
     variables: tuple[str, ...]
     method: str = "full"
-    limits: Thresholds = Thresholds()
+    limits: Thresholds = field(default_factory=Thresholds)
     criterion: str = "aicc"
     hierarchy: bool = False
     confidence: float = 0.95
@@ -171,7 +170,8 @@ def fit_continuous(
     position = {term: j for j, term in enumerate(plan.terms)}
     requires = [*_requires(plan.terms), *(frozenset({position[h.term]}) for h in extra)]
     fit = _fit(plan, design, data.response, names, requires, where)
-    chosen = [(*plan.terms, *extra)[j] for j in fit.selection.columns]
+    every: tuple[Term | Hinge, ...] = (*plan.terms, *extra)
+    chosen = [every[j] for j in fit.selection.columns]
     b = np.zeros(0) if fit.found is None else fit.found.coefficients
     robust = _robust(plan, fit, data)
     place = segment_of(data.columns[variable], edges)
@@ -359,9 +359,3 @@ def _robust_test(fit: _RobustFit, terms: tuple[Term, ...], values: Array) -> Rob
         F = np.nan
     p = f_tail(F, k, nu) if F == F else np.nan
     return Robust(fit.kind, fit.covariance, F, p, (k, nu), fit.nu, fit.n_effective, fit.lag_one)
-
-
-def format_span(variable: str, span: tuple[float, float], branch: str | None) -> str:
-    """Return a segment in words."""
-    text = f"{variable} {number(span[0], 5)} to {number(span[1], 5)}"
-    return text if branch is None else f"{text}, {branch}"

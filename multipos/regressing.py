@@ -4,28 +4,26 @@
 branches, has every segment fitted (`multipos.piecewise`), and says what a reader should know before
 believing it.
 
-The terms of degree D in m variables are all products of at most D factors, (m + D)!/(m! D!) of them:
-the five variables of the full-temperature model make 21 in second degree.
-
-Where a rate is named, heating and cooling are modelled apart if they differ (`multipos.hysteresis`).
+Where a rate is named, heating and cooling are modelled apart if they differ.
 """
 
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import combinations_with_replacement
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos import __version__
+from multipos.candidates import read_candidates
 from multipos.correlation import effective_size
 from multipos.errors import UsageError
 from multipos.files import Source, read_table
 from multipos.hysteresis import BRANCHES, branch_of, compare_branches
-from multipos.model import Factor, Term, evaluate_terms, parse_terms
+from multipos.model import evaluate_terms
 from multipos.observations import Data, check_columns, read_observations
 from multipos.piecewise import (
     METHODS,
@@ -33,17 +31,15 @@ from multipos.piecewise import (
     Plan,
     fit_continuous,
     fit_segment,
-    format_span,
 )
-from multipos.regression import Regression, Segment
+from multipos.regression import Regression, format_span
+from multipos.segment import Segment
 from multipos.segmentation import check_edges, find_edges, segment_of
 from multipos.selection import thresholds
 from multipos.subsets import CRITERIA
 from multipos.validation import check_by_blocks
 
 Array = NDArray[np.float64]
-
-HIGHEST_DEGREE = 30  # powers a formula may have: Filip has 10
 
 
 @dataclass(frozen=True)
@@ -141,7 +137,7 @@ def regress(
     """
     method = _method(stepwise, backward, subsets)
     limits = thresholds(enter, remove, f_enter, f_remove)
-    names, candidates = _terms(response, variables, degree, terms)
+    names, candidates = read_candidates(response, variables, degree, terms)
     _check_options(
         method, criterion, robust, confidence, cross_validate, response, branches, cluster
     )
@@ -229,48 +225,6 @@ def _check_options(
             raise UsageError(f"{option} names the response '{response}'; give another column.")
 
 
-def _terms(
-    response: str, variables: Sequence[str] | str | None, degree: int | None, terms: str | None
-) -> tuple[tuple[str, ...], tuple[Term, ...]]:
-    """Return the variables and the candidate terms."""
-    given = variables.split(",") if isinstance(variables, str) else variables
-    names = None if given is None else tuple(name.strip() for name in given)
-    if terms is not None and degree is not None:
-        raise UsageError("--degree and --terms both state the terms; give one.")
-    if names is not None and len(set(names)) < len(names):
-        raise UsageError(f"--variables names a column twice: {','.join(names)}.")
-    if terms is not None:
-        parsed = parse_terms(terms, highest=HIGHEST_DEGREE)
-        used = tuple(dict.fromkeys(f.variable for t in parsed for f in t.factors))
-        strange = [name for name in used if names is not None and name not in names]
-        if strange:
-            raise UsageError(f"--terms uses '{strange[0]}', which is not among --variables.")
-        names = used if names is None else names
-    elif names is None:
-        raise UsageError("regress needs --variables A,B,C or --terms.")
-    else:
-        parsed = polynomial(names, 1 if degree is None else degree)
-    if response in names:
-        raise UsageError(
-            f"the response '{response}' is among the variables; it would explain itself, leave it out."
-        )
-    if not names:
-        raise UsageError("--terms holds no variable; the mean alone needs no regression.")
-    return names, parsed
-
-
-def polynomial(variables: Sequence[str], degree: int) -> tuple[Term, ...]:
-    """Return all terms of variables up to a degree, the constant first."""
-    if not 1 <= degree <= HIGHEST_DEGREE:
-        raise UsageError(f"--degree must lie between 1 and {HIGHEST_DEGREE}, got {degree}.")
-    terms = []
-    for d in range(degree + 1):
-        for chosen in combinations_with_replacement(variables, d):
-            factors = tuple(Factor(v, chosen.count(v)) for v in sorted(set(chosen)))
-            terms.append(Term(factors))
-    return tuple(terms)
-
-
 def _parse_segment(
     text: str | None, continuous: bool
 ) -> tuple[str | None, tuple[float, ...] | None]:
@@ -288,10 +242,7 @@ def _parse_segment(
         edges = tuple(float(edge) for edge in rest.split(","))
     except ValueError:
         raise UsageError(f"--segment: '{rest}' is not a list of numbers, nor 'auto'.") from None
-    if (
-        any(b <= a for a, b in zip(edges[:-1], edges[1:], strict=True))
-        or not np.isfinite(edges).all()
-    ):
+    if any(b <= a for a, b in pairwise(edges)) or not np.isfinite(edges).all():
         raise UsageError(f"--segment: edges must be finite and increase, got '{rest}'.")
     return variable, edges
 
@@ -336,7 +287,7 @@ def _fit_all(plan: Plan, data: Data, cut: _Cut) -> list[Segment]:
     variable = cut.variable or plan.variables[0]
     v = data.columns[variable]
     outer = [float(v.min()), *cut.edges, float(v.max())]
-    spans = list(zip(outer[:-1], outer[1:], strict=True))
+    spans = list(pairwise(outer))
     segments: list[Segment] = []
     for branch, rows, place in _groups(data, cut):
         if cut.continuous and cut.edges:
@@ -397,8 +348,8 @@ def _segment_warnings(plan: Plan, segment: Segment, where: str) -> list[str]:
     robust = segment.robust
     if robust is not None and robust.kind != "cluster":
         said.append(
-            f"{where}: neighbouring rows are correlated ({robust.lag_one:.2f}); {segment.n} rows are "
-            f"worth about {robust.n_effective:.3g}, see F_robust"
+            f"{where}: neighbouring rows are correlated ({robust.lag_one:.2f}); {segment.n} rows "
+            f"are worth about {robust.n_effective:.3g}, see F_robust"
         )
     if robust is not None and segment.significant and not robust.p < 1.0 - plan.confidence:
         said.append(f"{where}: significant by F, not by F_robust (p = {robust.p:.2g})")

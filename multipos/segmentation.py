@@ -11,11 +11,11 @@ no segment with fewer rows than asked. Their number is what makes
 
     n ln(D_m/n) + (m p + m − 1) ln n                                                       (2)
 
-smallest: p coefficients a segment, and every edge counts. Where rows are correlated in time, n in (2)
-is the effective number of rows of the residuals of one segment more than enough.
+smallest: p coefficients a segment, and every edge counts. Where rows are correlated in time, n in
+(2) is the effective number of rows of the residuals of one segment more than enough.
 
-**No jump.** A correction that jumps at an edge is a step in the output. With the edge e of variable v,
-a term r v^k that carries v gets a second column beside it,
+**No jump.** A correction that jumps at an edge is a step in the output. With the edge e of variable
+v, a term r v^k that carries v gets a second column beside it,
 
     h(row) = r (v^k − e^k) above e,    0 below,                                            (3)
 
@@ -28,6 +28,7 @@ Y.-C. Yao, Statist. Probab. Lett. 6, 1988 (the penalty).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import log
 
 import numpy as np
@@ -39,6 +40,7 @@ from multipos.model import Factor, Term
 from multipos.selection import Triangle, compress, join
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
 MOST = 6  # segments that are looked for
 _BINS = 48  # candidate edges and one: every pair of them is fitted
@@ -112,10 +114,11 @@ def find_edges(
     cuts = _cuts(v, minimum)
     scale = np.linalg.norm(design, axis=0)
     X, y = design[order] / np.where(scale > 0.0, scale, 1.0), response[order]
-    bins = [compress(X[i:j], y[i:j]) for i, j in zip(cuts[:-1], cuts[1:], strict=True)]
+    bins = [compress(X[i:j], y[i:j]) for i, j in pairwise(cuts)]
     cost = _costs(bins, minimum)
-    best, score, chosen = cost[0], np.inf, ()
-    last: list[Array] = []
+    best, score = cost[0], np.inf
+    chosen: tuple[int, ...] = ()
+    last: list[Rows] = []
     rows = max(n * worth, 2.0)
     floor = (1e-12 * float(np.linalg.norm(y))) ** 2
     for m in range(1, MOST + 1):
@@ -158,7 +161,7 @@ def residual_sum(triangle: Triangle) -> float:
     return float(((y - X @ b) ** 2).sum())
 
 
-def _trace(last: Sequence[Array], bins: int) -> tuple[int, ...]:
+def _trace(last: Sequence[Rows], bins: int) -> tuple[int, ...]:
     """Return the bins that begin the second and later segments, from the choices of eq. (1)."""
     found: list[int] = []
     j = bins - 1

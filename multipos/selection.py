@@ -9,8 +9,8 @@ so a step costs operations on a small triangle however long the log is, and noth
 or subtracted that a fit to all rows would not. With k columns in the model, e its residual and
 z_j what column j has that the model has not, on R,
 
-    F to enter  = (z_j'e)²/(z_j'z_j) / s_j²,       s_j² = |e − z_j (z_j'e)/(z_j'z_j)|² / (n − k − 1),
-    F to remove = b_j² / (s² C_jj),                s² = |e|² / (n − k),                     (2)
+    F to enter  = (z_j'e)²/(z_j'z_j) / s_j²,   s_j² = |e − z_j (z_j'e)/(z_j'z_j)|² / (n − k − 1),
+    F to remove = b_j² / (s² C_jj),            s² = |e|² / (n − k),                         (2)
 
 each on 1 and the degrees of freedom of its s². Forward selection with removal [1]_ looks for a
 term to remove (the weakest, where its p is above `remove`), then for one to add (the strongest,
@@ -21,8 +21,8 @@ where its p is below `enter`), until neither is there.
 F_in > F_out. A cycle crosses every ν as often up as down and would end with a smaller residual sum
 than it began with: there is none.
 
-**Guard.** A column whose z_j is less than 1e-5 of the column itself (beyond the terms that are always
-in) has half its digits in common with the model: it is not entered, and named.
+**Guard.** A column whose z_j is less than 1e-5 of the column itself (beyond the terms that are
+always in) has half its digits in common with the model: it is not entered, and named.
 
 References
 ----------
@@ -132,8 +132,8 @@ class Thresholds:
                 )
         elif not 0.0 < self.enter < self.remove <= 1.0:
             raise UsageError(
-                f"--remove must be above --enter, or terms go in and out for ever, and both between "
-                f"0 and 1; got {self.enter:g} and {self.remove:g}."
+                f"--remove must be above --enter, or terms go in and out for ever, and both "
+                f"between 0 and 1; got {self.enter:g} and {self.remove:g}."
             )
 
     def enters(self, found: Tested) -> bool:
@@ -171,7 +171,7 @@ def compress(design: ArrayLike, response: ArrayLike) -> Triangle:
     n, p = X.shape
     limit = max(2 * (p + 1), _BLOCK // (p + 1))
     parts = [
-        np.linalg.qr(np.column_stack((X[i : i + limit], y[i : i + limit])), mode="r")
+        _triangular(np.column_stack((X[i : i + limit], y[i : i + limit])))
         for i in range(0, n, limit)
     ]
     return join([Triangle(R, min(limit, n - i * limit)) for i, R in enumerate(parts)])
@@ -185,10 +185,13 @@ def join(parts: Sequence[Triangle]) -> Triangle:
     while len(factors) > 1:  # a tree: triangles are stacked while they fit the cache
         group = max(2, _BLOCK // width**2)
         factors = [
-            np.linalg.qr(np.vstack(factors[i : i + group]), mode="r")
-            for i in range(0, len(factors), group)
+            _triangular(np.vstack(factors[i : i + group])) for i in range(0, len(factors), group)
         ]
-    return Triangle(np.asarray(factors[0]), rows)
+    return Triangle(factors[0], rows)
+
+
+def _triangular(a: Array) -> Array:
+    return np.asarray(np.linalg.qr(a, mode="r"))
 
 
 def select_stepwise(

@@ -1,7 +1,7 @@
 """All subsets of a list of columns: the residual sum of every one, from one factor.
 
-R of [X y] (`multipos.selection`) is triangular. Of its first column two things can be said: it is in
-the model, then the triangle without its first row and column holds all the others' part orthogonal
+R of [X y] (`multipos.selection`) is triangular. Of its first column two things can be said: it is
+in the model, then the triangle without its first row and column holds all the others' part orthogonal
 to it; or it is out, then R without that column is brought back to a triangle by Givens rotations of
 neighbouring rows, and its last row falls away. Either way a triangle one smaller is left, so after
 m columns 2^m numbers are left, each the root of one residual sum. All triangles of one size are
@@ -69,7 +69,7 @@ def residual_sums(triangle: Triangle, forced: Sequence[int] = ()) -> Array:
     p = triangle.R.shape[1] - 1
     free = [j for j in range(p) if j not in forced]
     order = [*forced, *free, p]
-    R = np.linalg.qr(triangle.R[:, order], mode="r")
+    R: Array = np.asarray(np.linalg.qr(triangle.R[:, order], mode="r"))
     if len(R) < p + 1:  # fewer rows than columns: zeros below
         R = np.vstack((R, np.zeros((p + 1 - len(R), p + 1))))
     k = len(forced)
@@ -86,7 +86,7 @@ def residual_sums(triangle: Triangle, forced: Sequence[int] = ()) -> Array:
 
 
 def _without_first(T: Array) -> Array:
-    """Triangles (m, m, batch) without their first column, triangular again, without the last row."""
+    """Triangles (m, m, batch) without their first column, triangular again, one row less."""
     H = T[:, 1:].copy()
     for i in range(len(H) - 1):
         a, b = H[i, i], H[i + 1, i]

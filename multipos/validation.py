@@ -1,8 +1,8 @@
 """Validation by blocks of time: what a model is worth on data it has not seen.
 
-Leaving out single rows of a log proves nothing, since the neighbours that stay know the answer. So the
-rows are cut into consecutive blocks of time; each is predicted by a model whose terms were chosen and
-fitted on the other blocks alone,
+Leaving out single rows of a log proves nothing, since the neighbours that stay know the answer. So
+the rows are cut into consecutive blocks of time; each is predicted by a model whose terms were
+chosen and fitted on the other blocks alone,
 
     rms_cv² = Σ (y_k − ŷ_k without the block of k)² / n,       R²_cv = 1 − n rms_cv² / Σ (y − ȳ)².
 

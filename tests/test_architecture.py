@@ -44,6 +44,7 @@ ORDER = (
     "temperature",
     "correlation",
     "observations",
+    "segment",
     "segmentation",
     "hysteresis",
     "regression",
