@@ -7,7 +7,7 @@ The response of a regression is usually an error, and what wants correcting anot
 with x the terms of a row, C the covariance of the segment's coefficients (the robust one where rows
 were correlated) and rms what the model left in that segment.
 
-A row is outside where a variable that the model of its segment uses, or the segment variable itself,
+A row is outside where a variable that its segment's model uses, or the segment variable itself,
 leaves what the rows of the fit covered. A polynomial says nothing there: the row is flagged, its
 variables are clamped to the range, or the table is refused.
 """

@@ -113,8 +113,8 @@ class Regression:
         given = {name: np.asarray(column, dtype=np.float64) for name, column in columns.items()}
         place = self.segment_of(given)
         predicted = np.empty(len(place))
-        for number, segment in enumerate(self.segments):
-            rows = np.flatnonzero(place == number)
+        for i, segment in enumerate(self.segments):
+            rows = np.flatnonzero(place == i)
             predicted[rows] = segment.design(given, rows) @ segment.values
         return predicted
 
@@ -234,11 +234,8 @@ def _text(r: Regression) -> list[str]:
         )
     lines += ["", _overview(r)]
     for i, segment in enumerate(r.segments, start=1):
-        lines += [
-            "",
-            f"Segment {i}: {format_span(r.range_variable, segment.range, segment.branch)}",
-        ]
-        lines += _segment_text(segment)
+        span = format_span(r.range_variable, segment.range, segment.branch)
+        lines += ["", f"Segment {i}: {span}", *_segment_text(segment)]
     return lines
 
 

@@ -1,8 +1,8 @@
 """All subsets of a list of columns: the residual sum of every one, from one factor.
 
 R of [X y] (`multipos.selection`) is triangular. Of its first column two things can be said: it is
-in the model, then the triangle without its first row and column holds all the others' part orthogonal
-to it; or it is out, then R without that column is brought back to a triangle by Givens rotations of
+in the model, then the triangle without its first row and column holds the part of the others that
+is orthogonal to it; or it is out, then R without that column is brought back to a triangle by Givens rotations of
 neighbouring rows, and its last row falls away. Either way a triangle one smaller is left, so after
 m columns 2^m numbers are left, each the root of one residual sum. All triangles of one size are
 rotated together. No sum of squares is formed before the last, so a residual sum is as good as that

@@ -42,6 +42,7 @@ ORDER = (
     "compensation",
     "single_axis",
     "temperature",
+    "candidates",
     "correlation",
     "observations",
     "segment",

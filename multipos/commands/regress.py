@@ -55,7 +55,7 @@ def _add_time(group: argparse._ArgumentGroup) -> None:
     add("--rate-window", type=float, metavar="W",
         help="width of the smoothed derivative, in the unit of time (default 20 rows)")  # fmt: skip
     add("--robust", default="hac", metavar="hac|effective",
-        help="F_robust of correlated rows: by their covariance (default) or effective number")  # fmt: skip
+        help="F_robust by the covariance of correlated rows (default) or their number")  # fmt: skip
     add("--cluster", metavar="COLUMN", help="rows of equal value here belong together")
 
 
