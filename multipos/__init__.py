@@ -34,6 +34,7 @@ _PUBLIC = {
     "load": "calibration",
     "load_regression": "regression",
     "normal_gravity": "units",
+    "over_temperature": "temperature",
     "read_readings": "readings",
     "read_scheme": "scheme",
     "regress": "regressing",
@@ -58,6 +59,7 @@ __all__ = [
     "load",
     "load_regression",
     "normal_gravity",
+    "over_temperature",
     "read_readings",
     "read_scheme",
     "regress",
@@ -77,6 +79,7 @@ if TYPE_CHECKING:
     from multipos.regression import Regression, load_regression
     from multipos.scheme import Scheme, read_scheme
     from multipos.song_qin import demo
+    from multipos.temperature import over_temperature
     from multipos.units import normal_gravity
 
 

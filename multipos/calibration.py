@@ -268,6 +268,7 @@ class Calibration:
             "dof": dict(zip(self.outputs, self.dof, strict=True)),
             "readings": readings.values,
             "reference": self.reference,
+            "reference_environment": dict.fromkeys(self.model.environment, 0.0) or None,
             **{name: value for name, value in optional.items() if value is not None},
             "rms": self.rms,
             "linearity": self.linearity,
@@ -367,6 +368,10 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
     )  # fmt: skip
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
+    selection = content.get("selection")
+    if selection is not None:
+        terms = [(output, term) for output in outputs for term in selection[output]["terms"]]
+        model = model.keeping(terms)
     convention = content["convention"]
     reference = _numbers(content["reference"])
     size = np.linalg.norm(reference, axis=1)
@@ -423,6 +428,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         created=content["created"],
         version=content["multipos_version"],
         cross_check=None if cross_check is None else cross_check["closed_form_max_difference"],
+        extra={} if selection is None else {"selection": selection},
     )
     p, shape = len(calibration.parameters), readings.values.shape
     if calibration.covariance.shape != (p, p) or calibration.residuals.shape != shape:

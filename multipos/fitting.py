@@ -40,6 +40,7 @@ from multipos.model import (
     formula_columns,
     linear_term,
 )
+from multipos.model_selection import select_terms, with_selection
 from multipos.readings import Readings, orient, read_readings
 from multipos.scheme import Scheme
 from multipos.units import gravity_ratio, normal_gravity
@@ -61,6 +62,7 @@ def fit(
     inputs: Sequence[str] | str = COMPONENTS,
     closed_form: bool = False,
     pool: bool = False,
+    stepwise: bool = False,
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
@@ -86,6 +88,8 @@ def fit(
         Use the six-position inversion instead of least squares.
     pool : bool
         Use one residual variance for all outputs.
+    stepwise : bool
+        Keep of the model's terms only those that the readings support.
     reading_sd : float or M floats, optional
         Standard uncertainty of an averaged reading, in reading units.
     gravity, gravity_u : float [m/s²], optional
@@ -135,13 +139,17 @@ def fit(
     sign = -1.0 if convention == "gravity" else 1.0
     assert data.up is not None
     reference = sign * gravity_ratio(None if local is None else local.value) * data.up + 0.0
+    if stepwise and closed_form:
+        raise UsageError("--stepwise chooses terms, --closed-form has its own; give one.")
+    built, selection = select_terms(built, reference, data) if stepwise else (built, None)
     solve = solve_closed_form if closed_form else solve_known
-    return complete(
+    calibration = complete(
         solve(built, reference, data, pool=pool), built, reference, data,
         convention=convention, gravity=local, confidence=confidence,
         estimator="closed-form" if closed_form else "linear",
         criterion=_criterion(data, closed_form),
     )  # fmt: skip
+    return calibration if selection is None else with_selection(calibration, selection)
 
 
 def complete(

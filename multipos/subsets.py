@@ -1,12 +1,13 @@
 """All subsets of a list of columns: the residual sum of every one, from one factor.
 
-R of [X y] (`multipos.selection`) is triangular. Of its first column two things can be said: it is
-in the model, then the triangle without its first row and column holds the part of the others that
-is orthogonal to it; or it is out, then R without that column is brought back to a triangle by Givens rotations of
-neighbouring rows, and its last row falls away. Either way a triangle one smaller is left, so after
-m columns 2^m numbers are left, each the root of one residual sum. All triangles of one size are
-rotated together. No sum of squares is formed before the last, so a residual sum is as good as that
-of a QR of its own; the work is some 10 · 2^m operations, not 2^m fits.
+R of [X y] (`multipos.selection`) is triangular. Of its first column two things can be said. It is
+in the model: then the triangle without its first row and column holds the part of the others that
+is orthogonal to it. Or it is out: then R without that column is brought back to a triangle by
+Givens rotations of neighbouring rows, and its last row falls away. Either way a triangle one
+smaller is left, so after m columns 2^m numbers are left, each the root of one residual sum. All
+triangles of one size are rotated together. No sum of squares is formed before the last, so a
+residual sum is as good as that of a QR of its own; the work is some 10 · 2^m operations, not 2^m
+fits.
 
 A subset in which a column has less than 1e-5 of its length outside those before it is left out.
 

@@ -23,6 +23,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
     add("--closed-form", action="store_true", help="the six-position inversion")
     add("--pool", action="store_true", help="one residual variance for all outputs")
+    add("--stepwise", action="store_true", help="keep the terms that the readings support")
     add(
         "--reading-sd",
         type=numbers,
