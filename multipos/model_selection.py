@@ -5,8 +5,8 @@ candidates; each output keeps those of them that its readings support (`multipos
 constant and the term of its own axis always stay: without bias and scale factor there is no
 calibration. Readings that state their uncertainty are weighted by it.
 
-What was chosen by looking at the data looks better in the same data than it is: u and p of the terms
-kept are those of a model fixed beforehand, and too good.
+What was chosen by looking at the data looks better in the same data than it is: u and p of the
+terms kept are those of a model fixed beforehand, and too good.
 """
 
 from dataclasses import replace

@@ -1,8 +1,8 @@
 """Parameters as functions of temperature: bias, scale factors and cross terms with their bands.
 
 In a model with temperature terms the bias of an output is b_1 + b_T T + b_TT T² + …, and its scale
-factor b_x + b_Tx T + …: sums of parameters with weights that T sets. With w(T) those weights and C the
-covariance of the parameters,
+factor b_x + b_Tx T + …: sums of parameters with weights that T sets. With w(T) those weights and C
+the covariance of the parameters,
 
     value = w' p,    u² = w' C w,    U = k u,    W = u sqrt(m F_{1−α}(m, ν)).               (1)
 
