@@ -153,7 +153,8 @@ def regress(
     edges = given
     if wanted is not None and given is None:
         edges = _find_edges(plan, read.data, wanted, min_rows)
-        said.append(f"edges found in {wanted}: {', '.join(f'{e:.6g}' for e in edges) or 'none'}")
+        if not edges:
+            said.append(f"no edge in {wanted} is worth its coefficients: one segment")
     elif wanted is not None and edges is not None:
         check_edges(wanted, edges, read.data.columns[wanted])
     cut = _Cut(wanted, edges or (), continuous, branches)

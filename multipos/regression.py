@@ -220,6 +220,10 @@ def _text(r: Regression) -> list[str]:
            if r.thresholds else ""),
     ]  # fmt: skip
     lines += [f"rate       {name}: window {window:.6g}" for name, window in r.rates.items()]
+    if r.edges:
+        edges = ", ".join(f"{edge:.6g}" for edge in r.edges)
+        lines.append(f"edges      {r.segment_variable} = {edges}"
+                     + (", continuous" if r.continuous else ""))  # fmt: skip
     if r.hysteresis is not None:
         h = r.hysteresis
         lines.append(
@@ -236,6 +240,9 @@ def _text(r: Regression) -> list[str]:
     for i, segment in enumerate(r.segments, start=1):
         span = format_span(r.range_variable, segment.range, segment.branch)
         lines += ["", f"Segment {i}: {span}", *_segment_text(segment)]
+        last = i == len(r.segments) or r.segments[i].branch != segment.branch
+        if last or not r.continuous:  # segments fitted together share their path
+            lines += _path_text(segment)
     return lines
 
 
@@ -261,7 +268,11 @@ def _segment_text(s: Segment) -> list[str]:
          *([number(c.u_robust, 2), number(c.p_robust, 2)] if robust else [])]
         for c in s.coefficients
     ]  # fmt: skip
-    lines = [table(header, rows)]
+    return [table(header, rows)]
+
+
+def _path_text(s: Segment) -> list[str]:
+    lines = []
     if s.path:
         steps = [
             [str(x.step), f"{'+' if x.action == 'add' else '-'}{x.term}", number(x.F, 6),
