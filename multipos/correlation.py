@@ -73,7 +73,8 @@ def time_order(time: ArrayLike) -> TimeOrder:
     t = np.asarray(time, dtype=np.float64)
     order = np.argsort(t, kind="stable")
     steps = np.diff(t[order])
-    gap = steps > _GAP * float(np.median(steps)) if len(steps) else np.zeros(0, dtype=bool)
+    moving = steps[steps > 0.0]  # rows may share a time stamp
+    gap = steps > (_GAP * float(np.median(moving)) if len(moving) else 0.0)
     return TimeOrder(order, np.concatenate(([0], np.cumsum(gap))).astype(np.intp))
 
 

@@ -79,7 +79,11 @@ class Hinge:
 
 def hinges(terms: Sequence[Term], variable: str, edges: Sequence[float]) -> tuple[Hinge, ...]:
     """Return the columns that let terms change at edges without a jump, eq. (3)."""
-    carrying = [t for t in terms if any(f.variable == variable and f.power for f in t.factors)]
+    carrying = [  # |v| bends at zero and nowhere else, so it stays as it is
+        term
+        for term in terms
+        if any(f.variable == variable and f.power and not f.modulus for f in term.factors)
+    ]
     return tuple(Hinge(term, variable, edge) for edge in edges for term in carrying)
 
 
