@@ -324,8 +324,11 @@ def _warnings(
             + ("" if validation else "; --cross-validate checks it by blocks of time")
         )
     if hysteresis is not None and not hysteresis["significant"]:
+        p = hysteresis["p"]
         said.append(
-            f"heating and cooling do not differ (p = {hysteresis['p']:.2g}): one model for both"
+            f"heating and cooling do not differ (p = {p:.2g}): one model for both"
+            if p == p
+            else "too few independent rows to tell heating from cooling: one model for both"
         )
     for number, segment in enumerate(segments, start=1):
         where = f"segment {number}" if len(segments) > 1 else "the model"
