@@ -28,6 +28,7 @@ Sources: R. Bellman, Commun. ACM 4, 1961; J. Bai, P. Perron, J. Appl. Econometri
 Y.-C. Yao, Statist. Probab. Lett. 6, 1988 (the penalty).
 """
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
@@ -117,11 +118,10 @@ def find_edges(
     n, p = design.shape
     order = np.argsort(values, kind="stable")
     v = values[order]
-    cuts = _cuts(v, minimum)
     scale = np.linalg.norm(design, axis=0)
     X, y = design[order] / np.where(scale > 0.0, scale, 1.0), response[order]
-    bins = [compress(X[i:j], y[i:j]) for i, j in pairwise(cuts)]
-    cost = _costs(bins, minimum)
+    data = _Sorted(v, X, y, _cuts(v, minimum))
+    cost = _costs(data.bins, minimum)
     best, score = cost[0], np.inf
     chosen: tuple[int, ...] = ()
     last: list[Rows] = []
@@ -134,33 +134,48 @@ def find_edges(
             best = total.min(axis=0)
         if not np.isfinite(best[-1]):
             break
-        rss, edges = _polish(v, X, y, cuts, _trace(last, len(bins)), minimum)
+        rss, edges = _polish(data, _trace(last, len(data.bins)), minimum)
         bic = rows * log(max(rss, floor) / n) + (m * p + m - 1) * log(rows)
         if bic < score:
             score, chosen = bic, edges
     return tuple(float(v[i - 1] + v[i]) / 2.0 for i in chosen)
 
 
-def _polish(
-    v: Array, X: Array, y: Array, cuts: Sequence[int], bins: Sequence[int], minimum: int
-) -> tuple[float, tuple[int, ...]]:
+class _Sorted:
+    """Rows sorted by the segment variable, with triangles of their bins ready made."""
+
+    def __init__(self, v: Array, X: Array, y: Array, cuts: Sequence[int]) -> None:
+        self.v, self.X, self.y, self.cuts = v, X, y, cuts
+        self.bins = [compress(X[a:b], y[a:b]) for a, b in pairwise(cuts)]
+
+    def triangle(self, start: int, end: int) -> Triangle:
+        """Return the triangle of rows start … end, of whole bins where they are inside."""
+        first, last = bisect_left(self.cuts, start), bisect_right(self.cuts, end) - 1
+        if first >= last:
+            return compress(self.X[start:end], self.y[start:end])
+        parts = list(self.bins[first:last])
+        for a, b in ((start, self.cuts[first]), (self.cuts[last], end)):
+            if a < b:
+                parts.append(compress(self.X[a:b], self.y[a:b]))
+        return join(parts)
+
+
+def _polish(data: _Sorted, bins: Sequence[int], minimum: int) -> tuple[float, tuple[int, ...]]:
     """Move each edge in turn among finer cuts beside it; return the residual sum and the rows."""
-    n = len(v)
+    n, cuts = len(data.v), data.cuts
     edges = [cuts[i] for i in bins]
-    room = [(cuts[i - 1], cuts[i + 1]) for i in bins]
-    for i, (low, high) in enumerate(room):
+    for i, place in enumerate(bins):
         start, end = (edges[i - 1] if i else 0), (edges[i + 1] if i + 1 < len(edges) else n)
-        low, high = max(low, start + minimum), min(high, end - minimum)
-        fine = sorted({edges[i], *(j for j in _between(v, low, high) if low <= j <= high)})
+        low, high = max(cuts[place - 1], start + minimum), min(cuts[place + 1], end - minimum)
+        fine = sorted({edges[i], *(j for j in _between(data.v, low, high) if low <= j <= high)})
         if len(fine) < 2:
             continue
-        parts = [compress(X[a:b], y[a:b]) for a, b in pairwise((start, *fine, end))]
+        parts = [data.triangle(a, b) for a, b in pairwise((start, *fine, end))]
         left = list(accumulate(parts[:-1], lambda a, b: join([a, b])))
         right = list(accumulate(parts[:0:-1], lambda a, b: join([a, b])))[::-1]
         costs = [residual_sum(a) + residual_sum(b) for a, b in zip(left, right, strict=True)]
         edges[i] = fine[int(np.argmin(costs))]
-    whole = [0, *edges, n]
-    rss = sum(residual_sum(compress(X[a:b], y[a:b])) for a, b in pairwise(whole))
+    rss = sum(residual_sum(data.triangle(a, b)) for a, b in pairwise((0, *edges, n)))
     return rss, tuple(edges)
 
 
