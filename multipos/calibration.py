@@ -37,6 +37,7 @@ _EXTRA = (
     "group_rotation_deg",
     "level_sd_deg",
     "level_tilt_deg",
+    "selection",
 )  # what some estimators add
 
 
@@ -281,6 +282,7 @@ class Calibration:
             "dof": dict(zip(self.outputs, self.dof, strict=True)),
             "readings": readings.values,
             "reference": self.reference,
+            "reference_environment": dict.fromkeys(self.model.environment, 0.0) or None,
             **{name: value for name, value in optional.items() if value is not None},
             "rms": self.rms,
             "linearity": self.linearity,
@@ -381,6 +383,10 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
     )  # fmt: skip
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
+    selection = content.get("selection")
+    if selection is not None:
+        terms = [(output, term) for output in outputs for term in selection[output]["terms"]]
+        model = model.keeping(terms)
     convention = content["convention"]
     reference = _numbers(content["reference"])
     size = np.linalg.norm(reference, axis=1)

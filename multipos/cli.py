@@ -24,6 +24,7 @@ COMMANDS = {
     "fit": "calibrate from readings at static positions",
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
+    "regress": "describe a column by others, in segments, with terms the data support",
     "schemes": "list schemes and what they can tell about a model",
 }
 

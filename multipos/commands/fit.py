@@ -41,6 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--robust", metavar="LOSS", help="huber, soft-l1 or cauchy")
     add("--level-sd", type=float, default=0.0, metavar="DEG", help="tilt that positions share")
     add("--pool", action="store_true", help="one residual variance for all outputs")
+    add("--stepwise", action="store_true", help="keep the terms that the readings support")
     add(
         "--reading-sd",
         type=numbers,
