@@ -13,6 +13,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("calibration", metavar="CAL.json", help="calibration to apply")
     add("data", metavar="DATA.csv", help="raw readings; every column is kept")
+    add("--tilt", action="store_true", help="add tilt_x_deg, …, the angle above the horizon")
     add("--uncertainty", action="store_true", help="add the standard uncertainty u_f_x, …")
     add(
         "--outside",
@@ -28,7 +29,11 @@ def run(arguments: argparse.Namespace) -> str:
     calibration = load(arguments.calibration)
     table = read_table(arguments.data, what="data")
     columns = apply(
-        calibration, table, uncertainty=arguments.uncertainty, outside=arguments.outside
+        calibration,
+        table,
+        tilt=arguments.tilt,
+        uncertainty=arguments.uncertainty,
+        outside=arguments.outside,
     )
     text = format_csv(columns, table.delimiter)
     if arguments.output:
