@@ -19,6 +19,7 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "Calibration": "calibration",
+    "Check": "checks",
     "ConvergenceError": "errors",
     "Model": "model",
     "MultiposError": "errors",
@@ -27,6 +28,7 @@ _PUBLIC = {
     "Scheme": "scheme",
     "UsageError": "errors",
     "apply": "compensation",
+    "check": "checks",
     "demo": "song_qin",
     "fit": "fitting",
     "load": "calibration",
@@ -38,6 +40,7 @@ _PUBLIC = {
 
 __all__ = [
     "Calibration",
+    "Check",
     "ConvergenceError",
     "Model",
     "MultiposError",
@@ -47,6 +50,7 @@ __all__ = [
     "UsageError",
     "__version__",
     "apply",
+    "check",
     "demo",
     "fit",
     "load",
@@ -58,6 +62,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from multipos.calibration import Calibration, load
+    from multipos.checks import Check, check
     from multipos.compensation import apply
     from multipos.designs import schemes
     from multipos.errors import ConvergenceError, MultiposError, RankError, UsageError

@@ -22,6 +22,8 @@ COMMANDS = {
     "fit": "calibrate from readings at static positions",
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
+    "check": "errors of an independent run at known positions, before and after",
+    "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",
     "schemes": "list schemes and what they can tell about a model",
 }
 

@@ -40,8 +40,9 @@ from multipos.model import (
     formula_columns,
     linear_term,
 )
-from multipos.readings import Readings, orient, read_readings
+from multipos.readings import Readings, orient, read_readings, require_range
 from multipos.scheme import Scheme
+from multipos.turntable import roll_warnings
 from multipos.units import gravity_ratio, normal_gravity
 
 Array = NDArray[np.float64]
@@ -67,6 +68,7 @@ def fit(
     latitude: float | None = None,
     height: float | None = None,
     unit: str | None = None,
+    range: Sequence[float] | None = None,
     confidence: float = 0.95,
 ) -> Calibration:
     """Calibrate an accelerometer from readings at known orientations.
@@ -94,6 +96,8 @@ def fit(
         Take gravity from the WGS 84 normal-gravity formula.
     unit : str, optional
         Unit of the readings.
+    range : (low, high), optional
+        Readings outside these limits are an error.
     confidence : float
         Coverage probability of U.
 
@@ -121,6 +125,8 @@ def fit(
     local = resolve_gravity(gravity, gravity_u, latitude, height)
     used = formula_columns(model)
     data = orient(read_readings(readings, outputs=outputs, unit=unit, environment=used), scheme)
+    if range is not None:
+        require_range(data, range)
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
     built = build_model(
@@ -183,7 +189,7 @@ def complete(
         outliers=find_outliers(solution.residuals, solution.leverage, dof, model.outputs, names),
         warnings=tuple(warnings),
     )
-    return Calibration(
+    calibration = Calibration(
         model=model,
         parameters=parameters,
         covariance=covariance,
@@ -204,6 +210,16 @@ def complete(
         version=__version__,
         cross_check=closed_form_difference(model, reference, readings),
     )
+    return _with_roll_warnings(calibration)
+
+
+def _with_roll_warnings(calibration: Calibration) -> Calibration:
+    """Return the calibration of one or two axes with what its rolls warn of."""
+    said = roll_warnings(calibration) if len(calibration.outputs) < 3 else []
+    if not said:
+        return calibration
+    found = calibration.diagnostics
+    return replace(calibration, diagnostics=replace(found, warnings=(*found.warnings, *said)))
 
 
 def resolve_gravity(

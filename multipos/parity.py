@@ -57,7 +57,7 @@ def parity(
     """
     model, parameters = calibration.model, calibration.parameters
     sensed = list(sensed_axes(model))
-    sound = np.isfinite(force).all(axis=1)
+    sound = np.isfinite(force.sum(axis=1))
     full = np.zeros((len(raw), 3))
     full[:, sensed] = np.where(sound[:, None], force, 0.0)
     residual = raw - model.predict(parameters, full, environment)
@@ -70,13 +70,10 @@ def parity(
     vector = np.einsum("ndm,nm->nd", basis, residual)
     spread = basis @ covariance @ basis.transpose(0, 2, 1)
     distance = np.full(len(raw), np.nan)
-    size = np.atleast_1d(np.linalg.det(spread))
-    known = np.atleast_1d(sound & np.isfinite(size) & (size > 0.0))
-    distance[known] = np.einsum(
-        "nd,nd->n",
-        vector[known],
-        np.linalg.solve(spread[known], vector[known][:, :, None])[:, :, 0],
-    )
+    volume = np.linalg.det(spread)
+    known = np.flatnonzero(sound & np.isfinite(volume) & (volume > 0.0))
+    weighted = np.linalg.solve(spread[known], vector[known][:, :, None])[:, :, 0]
+    distance[known] = np.einsum("nd,nd->n", vector[known], weighted)
     degrees, dof = m - len(sensed), float(calibration.dof.min())
     p = np.array([f_tail(d / degrees, degrees, dof) for d in distance.tolist()])
     return Parity(vector, np.where(sound, np.linalg.norm(vector, axis=1), np.nan), p)
