@@ -26,6 +26,7 @@ _PUBLIC = {
     "RankError": "errors",
     "Readings": "readings",
     "Scheme": "scheme",
+    "Tumble": "single_axis",
     "UsageError": "errors",
     "apply": "compensation",
     "check": "checks",
@@ -36,6 +37,9 @@ _PUBLIC = {
     "read_readings": "readings",
     "read_scheme": "scheme",
     "schemes": "designs",
+    "state_bench": "turntable",
+    "table_errors": "turntable",
+    "tumble": "single_axis",
 }
 
 __all__ = [
@@ -47,6 +51,7 @@ __all__ = [
     "RankError",
     "Readings",
     "Scheme",
+    "Tumble",
     "UsageError",
     "__version__",
     "apply",
@@ -58,6 +63,9 @@ __all__ = [
     "read_readings",
     "read_scheme",
     "schemes",
+    "state_bench",
+    "table_errors",
+    "tumble",
 ]
 
 if TYPE_CHECKING:
@@ -70,7 +78,9 @@ if TYPE_CHECKING:
     from multipos.model import Model
     from multipos.readings import Readings, read_readings
     from multipos.scheme import Scheme, read_scheme
+    from multipos.single_axis import Tumble, tumble
     from multipos.song_qin import demo
+    from multipos.turntable import state_bench, table_errors
     from multipos.units import normal_gravity
 
 

@@ -15,17 +15,22 @@ shorter of all answers is given. Elsewhere (1) is fitted by least squares, up to
 at which cosines and sines are still told apart.
 """
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.model import COMPONENTS
+from multipos.quantiles import f_tail
 from multipos.readings import Readings
 
 Array = NDArray[np.float64]
 
 _SAME = 1e-9  # [rad or g], below which two angles are one and a component is zero
+_SIGNIFICANT = 0.01  # chance that a clean roll has a residual harmonic named
 _APART = 10.0  # condition up to which unevenly spaced cosines and sines are told apart
 
 
@@ -84,6 +89,33 @@ class Roll:
         """Return the matrix (N, n) that averages positions of one angle."""
         nearest = np.abs(np.sin((self.distinct[:, None] - self.angle) / 2.0)) < _SAME
         return np.asarray(nearest / nearest.sum(axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """A coefficient pair of a Fourier series, in reading units; order 0 is the mean in `cos`.
+
+    For residuals `p` is the chance of as much where neither table nor model has this harmonic;
+    None where the model explains it whatever it is.
+    """
+
+    plane: str
+    order: int
+    cos: float
+    sin: float
+    p: float | None = None
+
+    @property
+    def amplitude(self) -> float:
+        """Square root of cos² + sin²."""
+        return math.hypot(self.cos, self.sin)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry as JSON carries it, without p."""
+        return {
+            "plane": self.plane, "order": self.order, "cos": self.cos, "sin": self.sin,
+            "amplitude": self.amplitude,
+        }  # fmt: skip
 
 
 def find_rolls(readings: Readings, first: str = "x", sign: float = 1.0) -> tuple[Roll, ...]:
@@ -175,6 +207,59 @@ def transform(roll: Roll) -> Array:
     basis = _basis(roll.distinct, highest_order(roll))
     # Of the dependent pair at h = N/2, pinv gives the shortest answer.
     return np.asarray(np.linalg.pinv(basis, rcond=1e-9))
+
+
+def series(rolls: Sequence[Roll], signal: Array) -> tuple[Harmonic, ...]:
+    """Return the harmonics of a signal (n,) on every roll that spans a turn."""
+    found = []
+    for roll in rolls:
+        if not roll.spans_a_turn:
+            continue
+        values = transform(roll) @ (roll.averaging() @ signal[roll.rows])
+        found.append(Harmonic(roll.plane, 0, float(values[0]), 0.0))
+        for order, (cos, sin) in enumerate(values[1:].reshape(-1, 2).tolist(), start=1):
+            found.append(Harmonic(roll.plane, order, cos, sin))
+    return tuple(found)
+
+
+def residual_series(
+    rolls: Sequence[Roll], residual: Array, design: Array, rounding: float
+) -> tuple[Harmonic, ...]:
+    """Return the harmonics of residuals (n,), each with an F test against all the others.
+
+    A harmonic is tested by what it explains beyond the model: its cosine and sine less their
+    projections on the design (n, p). Residuals of no more than `rounding` are not tested.
+    """
+    Q, _ = np.linalg.qr(design)
+    rss = float(residual @ residual)
+    n, dof = len(residual), len(residual) - design.shape[1]
+    angles = {roll.plane: roll for roll in rolls}
+    result = []
+    for h in series(rolls, residual):
+        roll = angles[h.plane]
+        waves = np.zeros((n, 2))
+        phase = h.order * roll.angle
+        waves[roll.rows] = np.column_stack([np.cos(phase), np.sin(phase)])
+        directions, size, _ = np.linalg.svd(waves - Q @ (Q.T @ waves), full_matrices=False)
+        directions = directions[:, size > 1e-6 * math.sqrt(n)]
+        d = directions.shape[1]
+        explained = float(((residual @ directions) ** 2).sum())
+        p = None
+        if d and dof > d and rss > n * rounding**2 and rss > explained:
+            p = f_tail(explained / d / ((rss - explained) / (dof - d)), d, dof - d)
+        result.append(replace(h, p=p))
+    return tuple(result)
+
+
+def strange_harmonics(residual: Sequence[Harmonic]) -> list[str]:
+    """Name the residual harmonics beyond chance, of all those tested together."""
+    tested = [h.p for h in residual if h.p is not None]
+    return [
+        f"harmonic {h.order} in plane {h.plane} is left by the model with amplitude "
+        f"{h.amplitude:.3g} (p = {h.p:.1g}): the table or a missing term"
+        for h in residual
+        if h.p is not None and h.p < _SIGNIFICANT / len(tested)
+    ]
 
 
 def power(roll: Roll) -> Array:

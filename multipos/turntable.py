@@ -304,30 +304,39 @@ def _described(
     nominal: Array,
     values: dict[int, tuple[float, float, float]],
 ) -> tuple[TableError, ...]:
-    confounded = _confounded(calibration, nominal)
+    """Return every quantity with its value where the model and the positions can tell it."""
+    names = [f"{quantity} in {roll.plane}" for roll in rolls for quantity in QUANTITIES]
+    hidden = _confounded(calibration, calibration.model, nominal, names)
+    same = _confounded(calibration, _fullest(calibration.model), nominal, names)
     errors = []
-    for column, names in enumerate(confounded):
+    for column, name in enumerate(names):
         place, number_ = divmod(column, len(QUANTITIES))
-        found = values.get(column)
-        value, u, U = (None, None, None) if found is None else np.degrees(found).tolist()
-        errors.append(TableError(rolls[place].plane, QUANTITIES[number_], value, u, U, names))
+        told = not hidden[name] and column in values
+        value, u, U = np.degrees(values[column]).tolist() if told else (None, None, None)
+        errors.append(TableError(rolls[place].plane, QUANTITIES[number_], value, u, U, same[name]))
     return tuple(errors)
 
 
-def _confounded(calibration: Calibration, nominal: Array) -> list[tuple[str, ...]]:
-    """Name for each column what does the same: a zero shift, or a term up to third order."""
-    model = calibration.model
-    own = "1 + x + y + z + x*y + x*z + y*z + own^2 + own^3"
-    extended = build_model(own, model.outputs, model.axes, unit=model.unit)
-    shifts = _shifts(extended, calibration.readings, find_rolls(calibration.readings))
-    design = np.column_stack([_design(extended, calibration), *shifts.values()])
-    known = (*extended.names, *(f"zero shift of {output}" for _, output in shifts))
-    names = []
-    for column in nominal.T:
-        both = np.column_stack([design, column])
-        answer = np.linalg.lstsq(design, column, rcond=1e-9)[0]
-        left = float(np.linalg.norm(both @ np.append(answer, -1.0)))
-        same = left <= 1e-9 * max(float(np.linalg.norm(column)), 1e-300)
-        used = np.flatnonzero(np.abs(answer) > 1e-9 * np.abs(answer).max(initial=0.0))
-        names.append(tuple(known[j] for j in used.tolist()) if same else ())
-    return names
+def _fullest(model: Model) -> Model:
+    """Return the model of all terms up to second order and the own third."""
+    formula = "1 + x + y + z + x*y + x*z + y*z + own^2 + own^3"
+    return build_model(formula, model.outputs, model.axes, unit=model.unit)
+
+
+def _confounded(
+    calibration: Calibration, model: Model, nominal: Array, names: list[str]
+) -> dict[str, tuple[str, ...]]:
+    """Return for each quantity what together does the same as it to the readings, by name."""
+    shifts = _shifts(model, calibration.readings, find_rolls(calibration.readings))
+    base = [_design(model, calibration), *shifts.values()]
+    every = [*model.names, *(f"zero shift of {output}" for _, output in shifts), *names]
+    null = separability(np.column_stack([*base, nominal]), floor=FLOOR).null
+    result: dict[str, tuple[str, ...]] = {}
+    for row, name in enumerate(every):
+        if name not in names:
+            continue
+        together = null[:, null[row] != 0.0]
+        others = [every[j] for j in np.flatnonzero(together.any(axis=1)).tolist() if j != row]
+        # One that no output feels at all has no company, but cannot be told either.
+        result[name] = tuple(others) or (("nothing that the outputs feel",) * bool(together.size))
+    return result
