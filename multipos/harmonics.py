@@ -30,6 +30,7 @@ from multipos.readings import Readings
 Array = NDArray[np.float64]
 
 _SAME = 1e-9  # [rad or g], below which two angles are one and a component is zero
+_HIGHEST_UNEVEN = 24
 _SIGNIFICANT = 0.01  # chance that a clean roll has a residual harmonic named
 _APART = 10.0  # condition up to which unevenly spaced cosines and sines are told apart
 
@@ -81,14 +82,22 @@ class Roll:
     @property
     def repeated(self) -> tuple[float, ...]:
         """Angles that are there more than once [degrees]."""
-        counts = self.averaging() > 0.0
-        twice = counts.sum(axis=1) > 1
+        twice = np.bincount(self.groups) > 1
         return tuple(np.round(np.degrees(self.distinct[twice]), 6).tolist())
 
-    def averaging(self) -> Array:
-        """Return the matrix (N, n) that averages positions of one angle."""
-        nearest = np.abs(np.sin((self.distinct[:, None] - self.angle) / 2.0)) < _SAME
-        return np.asarray(nearest / nearest.sum(axis=1, keepdims=True))
+    @property
+    def groups(self) -> NDArray[np.intp]:
+        """Which of the distinct angles each position has (n,)."""
+        after = np.searchsorted(self.distinct, self.angle + _SAME) - 1
+        return np.asarray(np.maximum(after, 0))
+
+    def average(self, values: Array) -> Array:
+        """Return the means (N, …) over positions of one angle of values (n, …)."""
+        groups = self.groups
+        total = np.zeros((len(self.distinct), *values.shape[1:]))
+        np.add.at(total, groups, values)
+        counts = np.bincount(groups).reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray(total / counts)
 
 
 @dataclass(frozen=True)
@@ -193,7 +202,7 @@ def highest_order(roll: Roll) -> int:
     count = len(roll.distinct)
     if roll.even:
         return count // 2
-    order = (count - 1) // 2
+    order = min((count - 1) // 2, _HIGHEST_UNEVEN)
     while order > 0:
         singular = np.linalg.svd(_basis(roll.distinct, order), compute_uv=False)
         if singular[0] <= _APART * singular[-1]:
@@ -205,8 +214,10 @@ def highest_order(roll: Roll) -> int:
 def transform(roll: Roll) -> Array:
     """Return the matrix (1 + 2 H, N) of the transform: m, c_1, s_1, … c_H, s_H by eq. (2)."""
     basis = _basis(roll.distinct, highest_order(roll))
-    # Of the dependent pair at h = N/2, pinv gives the shortest answer.
-    return np.asarray(np.linalg.pinv(basis, rcond=1e-9))
+    if roll.even:
+        result: Array = basis.T / (len(basis) * power(roll)[:, None])  # eq. (2)
+        return result
+    return np.asarray(np.linalg.pinv(basis))
 
 
 def series(rolls: Sequence[Roll], signal: Array) -> tuple[Harmonic, ...]:
@@ -215,7 +226,7 @@ def series(rolls: Sequence[Roll], signal: Array) -> tuple[Harmonic, ...]:
     for roll in rolls:
         if not roll.spans_a_turn:
             continue
-        values = transform(roll) @ (roll.averaging() @ signal[roll.rows])
+        values = transform(roll) @ roll.average(signal[roll.rows])
         found.append(Harmonic(roll.plane, 0, float(values[0]), 0.0))
         for order, (cos, sin) in enumerate(values[1:].reshape(-1, 2).tolist(), start=1):
             found.append(Harmonic(roll.plane, order, cos, sin))

@@ -439,13 +439,11 @@ def _fourier_difference(calibration: Calibration, rolls: tuple[Roll, ...]) -> fl
     design, signal = _design(c.model, c), c.readings.values[:, 0]
     left, right = [], []
     for roll in rolls:
-        mean = roll.averaging()
-        if not roll.even or np.ptp((mean > 0.0).sum(axis=1)) > 0:
+        if not roll.even or np.ptp(np.bincount(roll.groups)) > 0:
             return None
-        weight = np.sqrt(len(roll.rows) * power(roll))[:, None]
-        series = weight * (transform(roll) @ mean)
-        left.append(series @ design[roll.rows])
-        right.append(series @ signal[roll.rows])
+        weighted = np.sqrt(len(roll.rows) * power(roll))[:, None] * transform(roll)
+        left.append(weighted @ roll.average(design[roll.rows]))
+        right.append(weighted @ roll.average(signal[roll.rows]))
     by_fourier = solve(np.concatenate(left), np.concatenate(right)).coefficients
     return float(np.abs(by_fourier - c.parameters).max() / np.abs(signal).max())
 
