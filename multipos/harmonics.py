@@ -5,7 +5,7 @@ two other axes to the second, so that up = (cos t, sin t) on them. A signal at N
 
     y(t) = m + sum_h (c_h cos ht + s_h sin ht),    h = 1 … N/2,                             (1)
 
-eq. (1) of docs/theory/tumble.md. Where the N angles are even steps of a turn, this is the discrete
+eq. (3) of docs/theory/tumble.md. Where the N angles are even steps of a turn, this is the discrete
 Fourier transform,
 
     m = mean y,    c_h = 2/N sum y cos ht,    s_h = 2/N sum y sin ht,                       (2)

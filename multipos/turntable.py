@@ -16,7 +16,7 @@ M the linear part of the model. Against the terms of an input axis along cos t, 
     c_2: (sin t − sin 3t)/2 nothing else but the misalignment, so it can be told,
     s_2: (cos 3t − cos t)/2 scale factor and third order:
 
-eqs. (10) to (14) of docs/theory/tumble.md. Whatever a model leaves out can be estimated and stands
+eqs. (10) to (12) of docs/theory/tumble.md. Whatever a model leaves out can be estimated and stands
 beside the names of the terms that would do the same. Between two rolls the zero of an output may
 shift, which no term of the sensor does.
 """

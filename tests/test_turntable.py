@@ -70,7 +70,7 @@ def test_a_perfect_table_has_no_errors_and_u_covers():
     ],
 )
 def test_one_axis_in_one_plane(quantity, same):
-    """Equations (10) to (14) of the theory page: sin 3t is the only one with no double."""
+    """Equation (12) of docs/theory/tumble.md: sin 3t is the only one with no double."""
     up = np.column_stack([np.cos(T), np.sin(T), 0 * T])
     noise = 1e-6 * np.random.default_rng(1).standard_normal(24)
     cal = mp.fit({"E": up[:, 0] + noise}, scheme="tumble-24", unit="V",
