@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.calibration import Calibration, labels
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Source
-from multipos.formatting import number, table
 from multipos.inverse import sensed_axes
 from multipos.model import COMPONENTS
 from multipos.readings import Readings, orient, read_readings, require_range
@@ -99,7 +98,7 @@ class Check:
     @property
     def verdict(self) -> str | None:
         """The worst verdict of all positions, or None without a limit."""
-        return _worst(self.verdicts)
+        return worst(self.verdicts)
 
     def summary(self, axis: str | None = None) -> dict[str, Any]:
         """Return maximum, rms and linearity before and after, of one axis or of all."""
@@ -115,17 +114,17 @@ class Check:
             }
         widest = np.where(self.counted, self.U, -np.inf)[:, columns]
         found["after"]["largest_U"] = float(widest.max())
-        found["verdict"] = _worst(self.verdicts[:, columns])
+        found["verdict"] = worst(self.verdicts[:, columns])
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON carries it, with the keys of docs/reference/formats."""
+        """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
         rows = []
         for row, label in enumerate(self.positions):
             entry: dict[str, Any] = {"position": label}
             for name in ("reference", "before", "after", "u", "U"):
                 entry[name] = dict(zip(self.axes, getattr(self, name)[row].tolist(), strict=True))
-            entry["verdict"] = _worst(self.verdicts[row])
+            entry["verdict"] = worst(self.verdicts[row])
             entry["counted"] = dict(zip(self.axes, self.counted[row].tolist(), strict=True))
             rows.append(entry)
         return {
@@ -232,52 +231,6 @@ def check(
         source=data.source,
         sha256=data.sha256,
         warnings=data.notes,
-    )
-
-
-def check_sections(found: Check, draw: Any = table) -> list[tuple[str, str]]:
-    """Return the sections of a report: the summary and the errors of every position."""
-    unit = found.unit
-    header = ["axis", f"max before [{unit}]", "max after", "rms before", "rms after",
-              "linearity before [%]", "after", "largest U", "verdict"]  # fmt: skip
-    rows = []
-    for axis in (*found.axes, None) if len(found.axes) > 1 else found.axes:
-        s = found.summary(axis)
-        values = [
-            number(s[when][key])
-            for key in ("maximum", "rms", "linearity_percent")
-            for when in ("before", "after")
-        ]
-        rows.append(
-            [axis or "all", *values, number(s["after"]["largest_U"], 2), s["verdict"] or "-"]
-        )
-    parts = [("Errors before and after compensation", draw(header, rows))]
-    header = ["position"]
-    for axis in found.axes:
-        header += [f"{axis} [{unit}]", "before", "after", "U"]
-    rows = []
-    for row, label in enumerate(found.positions):
-        cells = [label]
-        for column in np.arange(len(found.axes)):
-            cells += [f"{found.reference[row, column]:.6g}"]
-            cells += [_signed(found.before[row, column]), _signed(found.after[row, column])]
-            cells += [number(float(found.U[row, column]), 2)]
-        rows.append([*cells, _worst(found.verdicts[row]) or "-"])
-    parts.append(("Every position", draw([*header, "verdict"], rows)))
-    return parts
-
-
-def check_text(found: Check) -> str:
-    """Return the check as plain text."""
-    sections = check_sections(found)
-    text = "\n".join(f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in sections)
-    if found.limit is None:
-        return text
-    count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}
-    said = ", ".join(f"{count[name]} {name}" for name in VERDICTS)
-    return (
-        f"{text}\n{found.verdict} against {found.limit:g} {found.unit} with U "
-        f"({100 * found.confidence:g} %) as guard band: {said}\n"
     )
 
 
@@ -390,7 +343,8 @@ def _judge(
     return verdicts
 
 
-def _worst(verdicts: NDArray[np.str_]) -> str | None:
+def worst(verdicts: NDArray[np.str_]) -> str | None:
+    """Return the worst of some verdicts, None where there is none."""
     given = [VERDICTS.index(name) for name in set(verdicts.ravel().tolist()) if name]
     return VERDICTS[max(given)] if given else None
 
@@ -411,7 +365,3 @@ def _linearity(reference: Array, error: Array, counted: NDArray[np.bool_], tilt:
         left = y - y.mean() - slope * centred
         result[column] = 100.0 * float(np.abs(left).max()) / span
     return result
-
-
-def _signed(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:+.3g}"

@@ -31,7 +31,6 @@ from multipos.calibration import Calibration
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.files import Source
 from multipos.fitting import fit
-from multipos.formatting import number, table, uncertain
 from multipos.harmonics import (
     Harmonic,
     Roll,
@@ -47,7 +46,7 @@ from multipos.least_squares import name_combinations, separability, solve
 from multipos.model import COMPONENTS, Model, build_model, default_axes
 from multipos.readings import Readings, orient, read_readings
 from multipos.scheme import Scheme
-from multipos.turntable import TableErrors, table_error_sections, table_errors
+from multipos.turntable import TableErrors, table_errors
 
 Array = NDArray[np.float64]
 
@@ -129,7 +128,7 @@ class Tumble:
         return self.coefficients[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON carries it."""
+        """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
         return {
             "schema": SCHEMA,
             **{name: vars(found) for name, found in self.coefficients.items()},
@@ -230,51 +229,6 @@ def tumble(
         weak=_weak(calibration, axis),
         warnings=(*calibration.diagnostics.warnings, *repeated, *strange_harmonics(residual)),
     )
-
-
-def tumble_sections(found: Tumble, draw: Any = table) -> list[tuple[str, str]]:
-    """Return the sections of a report: coefficients, what is hidden, harmonics, turntable."""
-    rows = []
-    for name, c in found.coefficients.items():
-        custom = c.customary
-        value = uncertain(custom["value"], custom["u"]) if "value" in custom else "-"
-        rows.append(
-            [name, uncertain(c.value, c.u), c.unit, value, number(custom["U"], 2), custom["unit"],
-             number(c.k), number(c.dof)]
-        )  # fmt: skip
-    header = ["coefficient", "value(u)", "unit", "value(u)", "U", "unit", "k", "dof"]
-    sections = [("Tumble", draw(header, rows))]
-    hidden = [*found.unidentifiable, *found.weak]
-    if found.taken_as_zero:
-        hidden.append(f"taken as zero: {', '.join(found.taken_as_zero)}")
-    if hidden:
-        text = "\n".join(f"- {line}" for line in hidden)
-        sections.append(("What the points cannot tell", text))
-    unit = found.calibration.model.unit
-    residual = {(h.plane, h.order): h for h in found.residual_harmonics}
-    rows = []
-    for h in found.harmonics:
-        left = residual[h.plane, h.order]
-        rows.append(
-            [h.plane, str(h.order), *(f"{v:.6g}" for v in (h.cos, h.sin, h.amplitude)),
-             f"{left.amplitude:.2g}", number(left.p, 2)]
-        )  # fmt: skip
-    if rows:
-        header = ["plane", "order", f"cos [{unit}]", "sin", "amplitude", "left by the model", "p"]
-        sections.append(("Harmonics", draw(header, rows)))
-    return [*sections, *table_error_sections(found.table_errors, draw)]
-
-
-def tumble_text(found: Tumble) -> str:
-    """Return the tumble as plain text."""
-    text = "\n".join(
-        f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in tumble_sections(found)
-    )
-    if found.fourier_max_difference is not None:
-        text += (
-            f"\nFourier against least squares: {found.fourier_max_difference:.1e} of a reading\n"
-        )
-    return text
 
 
 def _one_axis(data: Readings, axes: Sequence[str] | str) -> str:

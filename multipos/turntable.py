@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.calibration import Calibration
-from multipos.formatting import number, table, uncertain
 from multipos.harmonics import Roll, find_rolls
 from multipos.known import FLOOR
 from multipos.least_squares import separability, solve
@@ -197,41 +196,6 @@ def state_bench(
     sds = np.radians([offset_sd_deg, *[first_sd_deg] * 2, *[second_sd_deg] * 2])
     effect = _effects(calibration, rolls, linear) * np.tile(sds, len(rolls))
     return replace(readings, u=None, covariance=covariance + effect @ effect.T)
-
-
-def installation_sections(calibration: Calibration, draw: Any = table) -> list[tuple[str, str]]:
-    """Return the section of a report on how the outputs are installed, θ_ij with u and U."""
-    rows = []
-    for pair, angle in calibration.installation_deg.items():
-        output = calibration.outputs[calibration.model.axes.index(pair[0])]
-        name = f"{output} towards {pair[1]}"
-        rows.append([name, uncertain(angle["value"], angle["u"]), number(angle["U"], 2)])
-    return [("Installation", draw(["theta", "value(u) [deg]", "U"], rows))] if rows else []
-
-
-def table_error_sections(found: TableErrors, draw: Any = table) -> list[tuple[str, str]]:
-    """Return the sections of a report on the turntable."""
-    sections = []
-    rows = []
-    for error in found.errors:
-        told = error.value_deg is not None and error.u_deg is not None
-        rows.append(
-            [error.plane, error.quantity.replace("_", " "),
-             uncertain(error.value_deg or 0.0, error.u_deg or 0.0) if told else "cannot be told",
-             number(error.U_deg, 2), ", ".join(error.confounded_with) or "nothing"]
-        )  # fmt: skip
-    if rows:
-        header = ["roll", "table error", "value(u) [deg]", "U", "does the same as"]
-        sections.append(("Turntable", draw(header, rows)))
-    shifts = [
-        [shift.plane, shift.output, f"{uncertain(shift.value, shift.u)} {shift.unit}",
-         number(shift.U, 2), f"{shift.p:.2g}"]
-        for shift in found.zero_shifts
-    ]  # fmt: skip
-    if shifts:
-        header = ["roll", "zero of", "shift(u)", "U", "p"]
-        sections.append(("Zero between rolls", draw(header, shifts)))
-    return sections
 
 
 def _turn(calibration: Calibration, roll: Roll) -> Array:

@@ -48,6 +48,7 @@ ORDER = (
     "simulation",
     "exporters",
     "plots",
+    "sections",
     "reports",
     "song_qin",
     "commands",

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos import cli
-from multipos.checks import check_text
 from multipos.scheme import read_scheme
+from multipos.sections import check_text
 
 FACES = read_scheme("faces-corners-14").up
 SD = 1e-4

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos import cli
 from multipos.scheme import read_scheme
-from multipos.single_axis import COEFFICIENTS, tumble_text
+from multipos.sections import tumble_text
+from multipos.single_axis import COEFFICIENTS
 
 TRUTH = {
     "K0": 2e-3, "K1": 1.3, "K2": 1e-4, "K3": 3e-5, "Koq": -2e-5, "Kip": 5e-5, "Kio": -4e-5,

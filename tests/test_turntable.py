@@ -10,7 +10,8 @@ import multipos as mp
 from multipos.harmonics import find_rolls
 from multipos.readings import Readings, orient
 from multipos.scheme import read_scheme
-from multipos.turntable import QUANTITIES, installation_sections, table_error_sections
+from multipos.sections import installation_sections, table_error_sections
+from multipos.turntable import QUANTITIES
 
 T = np.radians(np.arange(0.0, 360.0, 15.0))
 ERRORS = dict(zip(QUANTITIES, (1e-3, 5e-4, -3e-4, 2e-4, 4e-4), strict=True))  # [rad]

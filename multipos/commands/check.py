@@ -3,9 +3,10 @@
 import argparse
 
 from multipos.calibration import load
-from multipos.checks import check, check_text
+from multipos.checks import check
 from multipos.commands.options import add_output, add_range, numbers, warn
 from multipos.files import to_json, write_text
+from multipos.sections import check_text
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

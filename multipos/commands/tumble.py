@@ -4,7 +4,8 @@ import argparse
 
 from multipos.commands.options import add_output, add_range, names, numbers, warn
 from multipos.files import to_json, write_text
-from multipos.single_axis import tumble, tumble_text
+from multipos.sections import tumble_text
+from multipos.single_axis import tumble
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
