@@ -25,6 +25,8 @@ COMMANDS = {
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
     "regress": "describe a column by others, in segments, with terms the data support",
+    "check": "errors of an independent run at known positions, before and after",
+    "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",
     "schemes": "list schemes and what they can tell about a model",
 }
 

@@ -43,8 +43,9 @@ from multipos.model import (
     linear_term,
 )
 from multipos.model_selection import select_terms, with_selection
-from multipos.readings import Readings, orient, read_readings, stated_sd
+from multipos.readings import Readings, orient, read_readings, require_range, stated_sd
 from multipos.scheme import Scheme
+from multipos.turntable import roll_warnings
 from multipos.uncertain import Placement, place, solve_uncertain
 from multipos.units import gravity_ratio, normal_gravity
 
@@ -84,6 +85,7 @@ def fit(
     height: float | None = None,
     level_sd: float = 0.0,
     unit: str | None = None,
+    range: Sequence[float] | None = None,
     confidence: float = 0.95,
 ) -> Calibration:
     """Calibrate an accelerometer from readings at static positions.
@@ -125,6 +127,8 @@ def fit(
         Standard deviation of a tilt that all positions share, about each level axis.
     unit : str, optional
         Unit of the readings.
+    range : (low, high), optional
+        Readings outside these limits are an error.
     confidence : float
         Coverage probability of U.
 
@@ -153,6 +157,8 @@ def fit(
     used = formula_columns(model) if isinstance(model, str) else ()
     data = read_readings(readings, outputs=outputs, unit=unit, environment=used)
     data = _without_orientation(data, scheme) if unknown_orientation else orient(data, scheme)
+    if range is not None:
+        require_range(data, range)
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
     built = _build(model, data, axes, inputs)
@@ -232,7 +238,7 @@ def complete(
         warnings=tuple(warnings),
     )
     unknown = estimator == "unknown-orientation"
-    return Calibration(
+    calibration = Calibration(
         model=model,
         parameters=parameters,
         covariance=covariance,
@@ -254,6 +260,16 @@ def complete(
         cross_check=None if unknown else closed_form_difference(model, listed, readings),
         extra=solution.extra,
     )
+    return _with_roll_warnings(calibration)
+
+
+def _with_roll_warnings(calibration: Calibration) -> Calibration:
+    """Return the calibration of one or two axes with what its rolls warn of."""
+    said = roll_warnings(calibration) if len(calibration.outputs) < 3 else []
+    if not said:
+        return calibration
+    found = calibration.diagnostics
+    return replace(calibration, diagnostics=replace(found, warnings=(*found.warnings, *said)))
 
 
 def _build(

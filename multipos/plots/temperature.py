@@ -1,56 +1,18 @@
-"""Figures, each a function that draws on an axes it is given.
+"""Figures of a regression and of parameters over temperature."""
 
-Colours are those of Okabe and Ito, which colour-blind people can tell apart, and every series has
-a second cue: a marker, a line style or a number. `new_figure` makes a figure that knows nothing of
-the screen.
-"""
-
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.correction import correct
 from multipos.files import Source, read_table
+from multipos.plots.style import COLOURS
 from multipos.regression import Regression
 from multipos.segment import Segment
 from multipos.temperature import Curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
-
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999", "#f0e442")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-
-_STYLE: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "multipos",
-    "font.size": 9.0,
-    "font.family": "sans-serif",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 9.0,
-    "axes.titlelocation": "left",
-    "hatch.linewidth": 0.6,
-    "lines.markersize": 4.0,
-}
-
-
-def new_figure(rows: int = 1, *, width: float = 5.8, height: float = 2.6) -> "tuple[Figure, Any]":
-    """Return a figure of so many axes below each other, and the axes (rows,); sizes in inches."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    with rc_context(_STYLE):
-        figure = Figure(figsize=(width, height * rows), layout="constrained")
-        axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
-    return figure, axes
-
-
-# --- Temperature
 
 
 def draw_correction(
