@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from multipos.averages import Averages, RestAverage
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Source
+from multipos.known_rests import read_sections
 from multipos.logs import Log, open_log
 from multipos.matching import FARTHEST_DEG, Match, match_directions
 from multipos.readings import is_environment
@@ -22,7 +23,6 @@ from multipos.rest_means import RestMean, RestSum
 from multipos.rests import Finder, Grid, Rest, Survey, Windows
 from multipos.samples import Progress, Samples, small_pieces
 from multipos.scheme import Scheme, read_scheme
-from multipos.sections import read_sections
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,12 @@ line, and then stderr ends in one line that begins ``multipos: error:``.
 """
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Iterable, Sequence
 from importlib import import_module
+from types import ModuleType
 from typing import NoReturn
 
 from multipos import __version__
@@ -22,11 +24,14 @@ COMMANDS = {
     "fit": "calibrate from readings at static positions",
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
+    "regress": "describe a column by others, in segments, with terms the data support",
+    "average": "average the rests of a raw log into readings",
     "export": "write a calibration as a C function or for another program",
     "verify-export": "show what the consumer of an exported file will see",
     "simulate": "make readings or a raw log of a calibrated sensor",
+    "check": "errors of an independent run at known positions, before and after",
+    "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",
     "schemes": "list schemes and what they can tell about a model",
-    "average": "average the rests of a raw log into readings",
 }
 
 
@@ -43,23 +48,49 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _complain("interrupted.", 1)
     try:
-        sys.stdout.writelines([text] if isinstance(text, str) else text)
-        sys.stdout.flush()
+        _print(text)
     except BrokenPipeError:  # the reader, `head` say, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _close_stdout()
+    except OSError as error:
+        _close_stdout()
+        return _complain(f"cannot write to stdout: {error.strerror}.", 1)
     return 0
+
+
+def _print(text: str | Iterable[str]) -> None:
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # What a terminal's encoding lacks is escaped, which in JSON is the same character.
+        sys.stdout.reconfigure(errors="backslashreplace")
+    sys.stdout.writelines([text] if isinstance(text, str) else text)
+    sys.stdout.flush()
+
+
+def _close_stdout() -> None:
+    # What is still buffered goes nowhere, so that the interpreter does not try again at its end.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run(argv: list[str]) -> str | Iterable[str]:
     if not argv or argv[0] not in COMMANDS:
-        _top_parser().parse_args(argv)
+        parser = _top_parser()
+        parser.parse_args(argv)
+        parser.error("the command must come first")
     name, *rest = argv
-    command = import_module(f"multipos.commands.{name.replace('-', '_')}")
+    arguments = command_parser(name).parse_args(rest)
+    text: str = _command(name).run(arguments)
+    return text
+
+
+def command_parser(name: str) -> argparse.ArgumentParser:
+    """Return the parser of one command, which the documentation prints as well."""
     parser = _Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
-    command.add_options(parser)
-    text: str | Iterable[str] = command.run(parser.parse_args(rest))
-    return text
+    _command(name).add_options(parser)
+    return parser
+
+
+def _command(name: str) -> ModuleType:
+    return import_module(f"multipos.commands.{name.replace('-', '_')}")
 
 
 def _top_parser() -> argparse.ArgumentParser:

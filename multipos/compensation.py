@@ -6,6 +6,10 @@ covariance of the parameters, and ``outside``: 1 where a reading lies beyond wha
 calibrated, that is where |f| exceeds the largest reference or a column of the model leaves the
 range of the calibration's readings, 0 elsewhere.
 
+With tilt the sensor is taken to be at rest (`multipos.tilt`): ``tilt_x_deg`` … are the angles of
+its axes above the horizon, and one axis that it does not have follows from |f| = g with that
+axis up. More outputs than axes leave a parity: ``parity`` and ``fault`` (`multipos.parity`).
+
 A table in memory is done at once (`apply`), a file piece by piece (`apply_log`), so that a log may
 be of any length.
 """
@@ -22,6 +26,8 @@ from multipos.files import Column, Source, Table, format_csv, read_table
 from multipos.inverse import inverse_covariance, sensed_axes
 from multipos.logs import Log, Piece
 from multipos.model import COMPONENTS
+from multipos.parity import FAULT_LEVEL, parity
+from multipos.tilt import at_rest, reading_noise, tilt_at_rest
 
 Array = NDArray[np.float64]
 
@@ -35,6 +41,7 @@ def apply(
     calibration: Calibration,
     data: Source,
     *,
+    tilt: bool = False,
     uncertainty: bool = False,
     outside: str = "flag",
 ) -> dict[str, Column]:
@@ -45,8 +52,10 @@ def apply(
     calibration : Calibration
     data : path, mapping of columns, or data frame
         Must have the calibration's outputs, and the columns its model uses.
+    tilt : bool
+        Add ``tilt_x_deg`` …, the angle of each axis above the horizon, for a sensor at rest.
     uncertainty : bool
-        Add ``u_f_x`` … [g].
+        Add ``u_f_x`` … [g], and with tilt ``u_tilt_x_deg`` …, the noise of a reading included.
     outside : str
         'flag' rows beyond what was calibrated, 'clamp' the model's other columns (such as
         temperature) to the calibrated range as well, or 'refuse' the table.
@@ -63,8 +72,8 @@ def apply(
     """
     _check_outside(outside)
     table = read_table(data, what="data")
-    _check_columns(calibration, table.source, table.columns, uncertainty)
-    added = add_columns(calibration, table, uncertainty=uncertainty, outside=outside)
+    _check_columns(calibration, table.source, table.columns, tilt, uncertainty)
+    added = add_columns(calibration, table, tilt=tilt, uncertainty=uncertainty, outside=outside)
     if outside == "refuse" and added["outside"].any():
         where = table.where(int(np.argmax(added["outside"])), calibration.outputs[0])
         raise _refusal(where, int(added["outside"].sum()), table.rows)
@@ -79,7 +88,7 @@ class AppliedLog:
     ----------
     calibration : Calibration
     log : Log
-    uncertainty, outside
+    tilt, uncertainty, outside
         As for `apply`.
     progress : callable or None
         Is told how much of the log has been read, 0 to 1.
@@ -89,6 +98,7 @@ class AppliedLog:
 
     calibration: Calibration
     log: Log
+    tilt: bool = False
     uncertainty: bool = False
     outside: str = "flag"
     progress: Callable[[float], None] | None = None
@@ -102,7 +112,11 @@ class AppliedLog:
         carried = () if self.log.text else self.log.numeric  # rows of text are written as they are
         for piece in self.log.read(self._needed, carried):
             added = add_columns(
-                self.calibration, piece.table, uncertainty=self.uncertainty, outside=self.outside
+                self.calibration,
+                piece.table,
+                tilt=self.tilt,
+                uncertainty=self.uncertainty,
+                outside=self.outside,
             )
             beyond = added["outside"].astype(bool)
             if first is None and beyond.any():
@@ -146,6 +160,7 @@ def apply_log(
     calibration: Calibration,
     log: Log,
     *,
+    tilt: bool = False,
     uncertainty: bool = False,
     outside: str = "flag",
     progress: Callable[[float], None] | None = None,
@@ -158,37 +173,45 @@ def apply_log(
         A column is missing. Bad cells and refused rows are found when the pieces are read.
     """
     _check_outside(outside)
-    _check_columns(calibration, log.source, log.columns, uncertainty)
-    return AppliedLog(calibration, log, uncertainty, outside, progress)
+    _check_columns(calibration, log.source, log.columns, tilt, uncertainty)
+    return AppliedLog(calibration, log, tilt, uncertainty, outside, progress)
 
 
 def add_columns(
-    calibration: Calibration, table: Table, *, uncertainty: bool, outside: str
+    calibration: Calibration, table: Table, *, tilt: bool, uncertainty: bool, outside: str
 ) -> dict[str, Array]:
-    """Return the columns that a table gets, in order: force, its uncertainty, outside.
-
-    What else can be told of a row from its force belongs between the last two.
-    """
+    """Return the columns that a table gets, each row from itself alone, in order."""
     raw = np.column_stack([table.number(name) for name in calibration.outputs])
     environment = {name: table.number(name) for name in calibration.model.environment}
     beyond, clamped = _environment_outside(calibration, table, environment)
     if outside == "clamp":
         environment = clamped
-    force = calibration.compensate(raw, environment)
-    axes = _axes(calibration)
-    added = dict(zip((f"f_{axis}" for axis in axes), force.T, strict=True))
+    axes = list(sensed_axes(calibration.model))
+    names = [COMPONENTS[i] for i in axes]
+    if tilt:
+        rest = at_rest(calibration, raw, environment)
+        force, found = rest[:, axes], tilt_at_rest(calibration, rest, environment)
+        beyond |= np.isnan(found.tilt).any(axis=1)
+    else:
+        force = calibration.compensate(raw, environment)
+    beyond |= _force_outside(calibration, force)
+    added = {f"f_{axis}": force[:, column] for column, axis in enumerate(names)}
     if uncertainty:
         covariance = inverse_covariance(
             calibration.model, calibration.parameters, calibration.covariance, force, environment
         )
-        for column, axis in enumerate(axes):
+        for column, axis in enumerate(names):
             added[f"u_f_{axis}"] = np.sqrt(covariance[:, column, column])
-    beyond |= _force_outside(calibration, force)
+    if tilt:
+        for column, axis in enumerate(names):
+            added[f"tilt_{axis}_deg"] = np.degrees(found.tilt[:, column])
+        for column, axis in enumerate(names if uncertainty else ()):
+            added[f"u_tilt_{axis}_deg"] = np.degrees(found.u[:, column])
+    if len(calibration.outputs) > len(axes):
+        odd = parity(calibration, raw, force, environment, reading_noise(calibration))
+        added["parity"] = odd.size
+        added["fault"] = (odd.p < FAULT_LEVEL).astype(np.int64)
     return {**added, "outside": beyond.astype(np.int64)}
-
-
-def _axes(calibration: Calibration) -> list[str]:
-    return [COMPONENTS[i] for i in sensed_axes(calibration.model)]
 
 
 def _check_outside(outside: str) -> None:
@@ -198,7 +221,7 @@ def _check_outside(outside: str) -> None:
 
 def _check_columns(
     calibration: Calibration, source: str, columns: Mapping[str, Column] | tuple[str, ...],
-    uncertainty: bool,
+    tilt: bool, uncertainty: bool,
 ) -> None:  # fmt: skip
     for name in (*calibration.outputs, *calibration.model.environment):
         if name not in columns:
@@ -206,9 +229,12 @@ def _check_columns(
                 f"{source}: no column '{name}', which this calibration needs; "
                 f"the columns are {', '.join(columns)}."
             )
-    prefixes = ("f_", "u_f_") if uncertainty else ("f_",)
-    names = [f"{prefix}{axis}" for prefix in prefixes for axis in _axes(calibration)]
-    for name in (*names, "outside"):
+    # What one reading gets, every reading gets.
+    one = {name: calibration.readings.values[:1, i] for i, name in enumerate(calibration.outputs)}
+    one |= {n: calibration.readings.environment[n][:1] for n in calibration.model.environment}
+    added = add_columns(calibration, Table(source, one, rows=1), tilt=tilt,
+                        uncertainty=uncertainty, outside="flag")  # fmt: skip
+    for name in added:
         if name in columns:
             raise MultiposError(
                 f"{source}: column '{name}' is there already; rename it, apply writes it."

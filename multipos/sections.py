@@ -1,101 +1,147 @@
-"""Rests that the user knows: a file of the rows where each begins and ends."""
+"""Sections of reports on one- and two-axis sensors: (title, text) pairs, and plain text of them.
 
-import json
-import os
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+`draw` turns a header and rows into a table: `formatting.table` for plain text, or
+`formatting.markdown_table`.
+"""
 
-from multipos.errors import MultiposError
-from multipos.files import Source, read_bytes, read_table
-from multipos.rests import Rest
+from collections.abc import Callable, Sequence
 
+import numpy as np
 
-@dataclass(frozen=True)
-class Sections:
-    """Rests that the user knows, by label."""
+from multipos.calibration import Calibration
+from multipos.checks import VERDICTS, Check, worst
+from multipos.formatting import number, table, uncertain
+from multipos.single_axis import Tumble
+from multipos.turntable import TableErrors
 
-    source: str
-    rests: dict[str, Rest]
-
-    def inside(self, rows: int) -> dict[str, Rest]:
-        """Return the rests of a log of so many rows, or say which lies outside."""
-        for label, rest in self.rests.items():
-            if rest.start < 0 or rest.end > rows:
-                raise MultiposError(
-                    f"{self.source}: section '{label}' is rows {rest.start} to {rest.end}, but the "
-                    f"log has {rows} rows, counted from 0."
-                )
-        return self.rests
+Draw = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
 
 
-def read_sections(source: Source) -> Sections:
-    """Read where rests begin and end: rows of the log from 0, the end not included.
-
-    Parameters
-    ----------
-    source : path of JSON or CSV, or mapping
-        ``{label: {"start": row, "end": row}}``, or columns position, start, end.
-
-    Raises
-    ------
-    MultiposError
-        Missing, empty, of another form, or a section with fewer than two rows.
-    """
-    if isinstance(source, str | os.PathLike) and Path(source).suffix.lower() == ".json":
-        where, found = str(source), _from_json(source)
-    elif isinstance(source, Mapping) and "position" not in source:
-        where, found = "sections", source
-    else:
-        table = read_table(source, what="sections")
-        where = table.source
-        missing = [name for name in ("position", "start", "end") if name not in table]
-        if missing:
-            raise MultiposError(
-                f"{where}: no column '{missing[0]}'; sections need position, start, end."
-            )
-        ends = zip(table.number("start").tolist(), table.number("end").tolist(), strict=True)
-        labels = table.text("position")
-        twice = next((label for label in labels if labels.count(label) > 1), None)
-        if twice is not None:
-            raise MultiposError(f"{where}: section '{twice}' appears twice; give each its label.")
-        found = {
-            label: {"start": start, "end": end}
-            for label, (start, end) in zip(labels, ends, strict=True)
-        }
-    if not found:
-        raise MultiposError(f"{where}: no sections; give a start and an end for each position.")
-    return Sections(where, {str(label): _section(where, label, each)
-                            for label, each in found.items()})  # fmt: skip
+def installation_sections(calibration: Calibration, draw: Draw = table) -> list[tuple[str, str]]:
+    """Return the section of a report on how the outputs are installed, θ_ij with u and U."""
+    rows = []
+    for pair, angle in calibration.installation_deg.items():
+        output = calibration.outputs[calibration.model.axes.index(pair[0])]
+        name = f"{output} towards {pair[1]}"
+        rows.append([name, uncertain(angle["value"], angle["u"]), number(angle["U"], 2)])
+    return [("Installation", draw(["theta", "value(u) [deg]", "U"], rows))] if rows else []
 
 
-def _from_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
-    try:
-        found = json.loads(read_bytes(path, "sections").decode("utf-8-sig"))
-    except ValueError as error:
-        raise MultiposError(f"{path}: not valid JSON ({error}); write it again.") from None
-    if not isinstance(found, dict):
-        raise MultiposError(
-            f'{path}: sections are {{"label": {{"start": row, "end": row}}}}, got another form.'
+def table_error_sections(found: TableErrors, draw: Draw = table) -> list[tuple[str, str]]:
+    """Return the sections of a report on the turntable."""
+    sections = []
+    rows = []
+    for error in found.errors:
+        told = error.value_deg is not None and error.u_deg is not None
+        rows.append(
+            [error.plane, error.quantity.replace("_", " "),
+             uncertain(error.value_deg or 0.0, error.u_deg or 0.0) if told else "cannot be told",
+             number(error.U_deg, 2), ", ".join(error.confounded_with) or "nothing"]
+        )  # fmt: skip
+    if rows:
+        header = ["roll", "table error", "value(u) [deg]", "U", "does the same as"]
+        sections.append(("Turntable", draw(header, rows)))
+    shifts = [
+        [shift.plane, shift.output, f"{uncertain(shift.value, shift.u)} {shift.unit}",
+         number(shift.U, 2), f"{shift.p:.2g}"]
+        for shift in found.zero_shifts
+    ]  # fmt: skip
+    if shifts:
+        header = ["roll", "zero of", "shift(u)", "U", "p"]
+        sections.append(("Zero between rolls", draw(header, shifts)))
+    return sections
+
+
+def tumble_sections(found: Tumble, draw: Draw = table) -> list[tuple[str, str]]:
+    """Return the sections of a report: coefficients, what is hidden, harmonics, turntable."""
+    rows = []
+    for name, c in found.coefficients.items():
+        custom = c.customary
+        value = uncertain(custom["value"], custom["u"]) if "value" in custom else "-"
+        rows.append(
+            [name, uncertain(c.value, c.u), c.unit, value, number(custom["U"], 2), custom["unit"],
+             number(c.k), number(c.dof)]
+        )  # fmt: skip
+    header = ["coefficient", "value(u)", "unit", "value(u)", "U", "unit", "k", "dof"]
+    sections = [("Tumble", draw(header, rows))]
+    hidden = [*found.unidentifiable, *found.weak]
+    if found.taken_as_zero:
+        hidden.append(f"taken as zero: {', '.join(found.taken_as_zero)}")
+    if hidden:
+        text = "\n".join(f"- {line}" for line in hidden)
+        sections.append(("What the points cannot tell", text))
+    unit = found.calibration.model.unit
+    residual = {(h.plane, h.order): h for h in found.residual_harmonics}
+    rows = []
+    for h in found.harmonics:
+        left = residual[h.plane, h.order]
+        rows.append(
+            [h.plane, str(h.order), *(f"{v:.6g}" for v in (h.cos, h.sin, h.amplitude)),
+             f"{left.amplitude:.2g}", number(left.p, 2)]
+        )  # fmt: skip
+    if rows:
+        header = ["plane", "order", f"cos [{unit}]", "sin", "amplitude", "left by the model", "p"]
+        sections.append(("Harmonics", draw(header, rows)))
+    return [*sections, *table_error_sections(found.table_errors, draw)]
+
+
+def tumble_text(found: Tumble) -> str:
+    """Return the tumble as plain text."""
+    text = "\n".join(
+        f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in tumble_sections(found)
+    )
+    if found.fourier_max_difference is not None:
+        text += (
+            f"\nFourier against least squares: {found.fourier_max_difference:.1e} of a reading\n"
         )
-    return found
+    return text
 
 
-def _section(where: str, label: str, each: Any) -> Rest:
-    try:
-        start, end = each["start"], each["end"]
-        rest = Rest(int(start), int(end))
-        whole = rest == (start, end)
-    except (KeyError, TypeError, ValueError, OverflowError):
-        whole = False
-    if not whole:
-        raise MultiposError(
-            f"{where}: section '{label}' needs a start and an end that are whole numbers of rows."
+def check_sections(found: Check, draw: Draw = table) -> list[tuple[str, str]]:
+    """Return the sections of a report: the summary and the errors of every position."""
+    unit = found.unit
+    header = ["axis", f"max before [{unit}]", "max after", "rms before", "rms after",
+              "linearity before [%]", "after", "largest U", "verdict"]  # fmt: skip
+    rows = []
+    for axis in (*found.axes, None) if len(found.axes) > 1 else found.axes:
+        s = found.summary(axis)
+        values = [
+            number(s[when][key])
+            for key in ("maximum", "rms", "linearity_percent")
+            for when in ("before", "after")
+        ]
+        rows.append(
+            [axis or "all", *values, number(s["after"]["largest_U"], 2), s["verdict"] or "-"]
         )
-    if rest.end - rest.start < 2:
-        raise MultiposError(
-            f"{where}: section '{label}' goes from row {rest.start} to {rest.end}; the end must "
-            "be at least two rows after the start."
-        )
-    return rest
+    parts = [("Errors before and after compensation", draw(header, rows))]
+    header = ["position"]
+    for axis in found.axes:
+        header += [f"{axis} [{unit}]", "before", "after", "U"]
+    rows = []
+    for row, label in enumerate(found.positions):
+        cells = [label]
+        for column in np.arange(len(found.axes)):
+            cells += [f"{found.reference[row, column]:.6g}"]
+            cells += [_signed(found.before[row, column]), _signed(found.after[row, column])]
+            cells += [number(float(found.U[row, column]), 2)]
+        rows.append([*cells, worst(found.verdicts[row]) or "-"])
+    parts.append(("Every position", draw([*header, "verdict"], rows)))
+    return parts
+
+
+def check_text(found: Check) -> str:
+    """Return the check as plain text."""
+    sections = check_sections(found)
+    text = "\n".join(f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in sections)
+    if found.limit is None:
+        return text
+    count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}
+    said = ", ".join(f"{count[name]} {name}" for name in VERDICTS)
+    return (
+        f"{text}\n{found.verdict} against {found.limit:g} {found.unit} with U "
+        f"({100 * found.confidence:g} %) as guard band: {said}\n"
+    )
+
+
+def _signed(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:+.3g}"

@@ -2,13 +2,16 @@
 
 import argparse
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 from multipos.calibration import load
 from multipos.commands.options import add_output, names, progress_bar, warn
 from multipos.compensation import apply, apply_log
-from multipos.files import to_json, write_text
+from multipos.correction import correct
+from multipos.errors import UsageError
+from multipos.files import Column, format_csv, read_schema, read_table, to_json, write_text
 from multipos.logs import open_log, read_log
+from multipos.regression import SCHEMA, load_regression
 
 _IN_MEMORY = 1 << 24  # bytes of the table; more go to a temporary file
 _PIECE = 1 << 20
@@ -17,10 +20,12 @@ _PIECE = 1 << 20
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
-    add("calibration", metavar="CAL.json", help="calibration to apply")
+    add("calibration", metavar="CAL.json", help="calibration or regression to apply")
     add("data", metavar="DATA.csv", help="raw readings; every column is kept")
     add("--columns", type=names, metavar="a,b,c,…", help="names of all columns, where it has none")
+    add("--tilt", action="store_true", help="add tilt_x_deg, …, the angle above the horizon")
     add("--uncertainty", action="store_true", help="add the standard uncertainty u_f_x, …")
+    add("--correct", metavar="COLUMN", help="what a regression corrects (default its response)")
     add(
         "--outside",
         default="flag",
@@ -32,23 +37,56 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> str | Iterator[str]:
     """Return what the command prints: the table in pieces, once all of it is there."""
+    if read_schema(arguments.calibration) == SCHEMA:
+        return _correct(arguments)
+    if arguments.correct is not None:
+        raise UsageError("--correct goes with a regression; a calibration gives forces.")
     calibration = load(arguments.calibration)
-    options = {"uncertainty": arguments.uncertainty, "outside": arguments.outside}
+    options = {
+        "tilt": arguments.tilt,
+        "uncertainty": arguments.uncertainty,
+        "outside": arguments.outside,
+    }
     log = open_log(arguments.data, columns=arguments.columns)
+    if arguments.json:
+        return _finish(arguments, apply(calibration, read_log(log), **options))
     with progress_bar(arguments.data, "applying") as progress:
         applied = apply_log(calibration, log, progress=progress, **options)
-        text: str | Iterator[str] = ""
         if arguments.output:
             write_text(arguments.output, applied)
-        elif not arguments.json:
-            text = _keep(applied)
-        if arguments.json:
-            columns = apply(calibration, read_log(log), **options)
-            text = to_json({"rows": len(columns["outside"]), "columns": columns})
-            applied.rows, applied.beyond = len(columns["outside"]), int(sum(columns["outside"]))
-    if applied.beyond:
-        warn([f"{applied.beyond} of {applied.rows} rows are outside what was calibrated"])
+        text = "" if arguments.output else _keep(applied)
+    _warn_outside(applied.beyond, applied.rows)
     return text
+
+
+def _correct(arguments: argparse.Namespace) -> str:
+    """Apply a regression: whole, because a rate needs the rows before and after."""
+    if arguments.tilt:
+        raise UsageError("--tilt goes with a calibration; a regression corrects a column.")
+    columns = correct(
+        load_regression(arguments.calibration),
+        read_table(arguments.data, what="data"),
+        column=arguments.correct,
+        uncertainty=arguments.uncertainty,
+        outside=arguments.outside,
+    )
+    return _finish(arguments, columns)
+
+
+def _finish(arguments: argparse.Namespace, columns: Mapping[str, Column]) -> str:
+    text = format_csv(columns)
+    if arguments.output:
+        write_text(arguments.output, text)
+    rows = len(columns["outside"])
+    _warn_outside(int(sum(columns["outside"])), rows)
+    if arguments.json:
+        return to_json({"rows": rows, "columns": columns})
+    return "" if arguments.output else text
+
+
+def _warn_outside(beyond: int, rows: int) -> None:
+    if beyond:
+        warn([f"{beyond} of {rows} rows are outside what was calibrated"])
 
 
 def _keep(pieces: Iterable[str]) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from multipos.commands.options import add_model, add_output, names, numbers, warn
+from multipos.commands.options import add_model, add_output, add_range, names, numbers, warn
 from multipos.files import to_json
 from multipos.fitting import fit
 from multipos.reports import text_report
@@ -12,7 +12,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
     add("readings", metavar="READINGS", help="CSV file of averaged readings")
-    add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
+    add(
+        "--scheme",
+        metavar="S",
+        help="scheme name (see multipos schemes), names joined by +, or CSV file",
+    )
     add_model(parser)
     add(
         "--convention",
@@ -22,7 +26,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
     add("--closed-form", action="store_true", help="the six-position inversion")
+    add(
+        "--unknown-orientation",
+        action="store_true",
+        help="nothing is known of the orientations but |f| = 1 g",
+    )
+    add(
+        "--orientation-sd",
+        type=degrees_or_auto,
+        metavar="DEG",
+        help="standard deviation of every position, per axis; 'auto' estimates it",
+    )
+    add("--gauge", default="lower", metavar="lower|symmetric", help="where orientation is free")
+    add("--robust", metavar="LOSS", help="huber, soft-l1 or cauchy")
+    add("--level-sd", type=float, default=0.0, metavar="DEG", help="tilt that positions share")
     add("--pool", action="store_true", help="one residual variance for all outputs")
+    add("--stepwise", action="store_true", help="keep the terms that the readings support")
     add(
         "--reading-sd",
         type=numbers,
@@ -34,6 +53,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--latitude", type=float, metavar="DEG", help="gravity by WGS 84 at this latitude")
     add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
     add("--unit", metavar="UNIT", help="unit of the readings")
+    add_range(parser)
     add(
         "--confidence",
         type=float,
@@ -42,6 +62,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="coverage probability of U (default 0.95)",
     )
     add_output(parser, "CAL.json", "write the calibration to CAL.json")
+
+
+def degrees_or_auto(text: str) -> float | str:
+    """Return degrees, or 'auto'."""
+    try:
+        return text if text == "auto" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is neither degrees nor 'auto'") from None
 
 
 def run(arguments: argparse.Namespace) -> str:

@@ -1,10 +1,13 @@
 """What several commands share: lists on the command line, the model's options, warnings."""
 
 import argparse
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+
+from multipos.model import NAMED
 
 _LARGE = 1 << 24  # bytes; a smaller file is read before a bar could be seen
 
@@ -25,6 +28,19 @@ def numbers(text: str) -> tuple[float, ...]:
         raise argparse.ArgumentTypeError(f"'{text}' is not a number or numbers") from None
 
 
+def accept_negative_lists(parser: argparse.ArgumentParser) -> None:
+    """Let an option take ``-2,2`` as its value: argparse knows negative numbers, not lists."""
+    parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)[\d.,eE+-]*$")
+
+
+def add_range(parser: argparse.ArgumentParser) -> None:
+    """Add ``--range``."""
+    accept_negative_lists(parser)
+    parser.add_argument(
+        "--range", type=numbers, metavar="LOW,HIGH", help="refuse readings outside these limits"
+    )
+
+
 def add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None:
     """Add ``-o``."""
     parser.add_argument("-o", dest="output", metavar=metavar, help=text)
@@ -33,7 +49,12 @@ def add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None
 def add_model(parser: argparse.ArgumentParser) -> None:
     """Add ``--model``, ``--axes`` and ``--inputs``."""
     add = parser.add_argument
-    add("--model", default="linear", metavar="M", help="model or formula (default linear)")
+    add(
+        "--model",
+        default="linear",
+        metavar="M",
+        help=f"{', '.join(NAMED)}, or a formula (default linear)",
+    )
     add("--axes", type=names, metavar="x,y,z", help="case axis that each output senses")
     add(
         "--inputs",

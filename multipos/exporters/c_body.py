@@ -297,9 +297,9 @@ class _Writer:
         ]
         grid = np.array(list(itertools.product(*axes, *environment)))
         columns = dict(zip(self._middle, grid[:, 3:].T, strict=True))
-        gradient = self._model.basis_gradient(grid[:, :3], columns)
         sensed = [COMPONENTS.index(axis) for axis in self._sensed]
-        jacobian = np.einsum("nti,mt->nmi", gradient, self._theta)[:, :, sensed]
+        parameters = self._calibration.parameters
+        jacobian = self._model.force_jacobian(parameters, grid[:, :3], columns)[:, :, sensed]
         if self._is_redundant:
             normal = np.linalg.inv(self._slope.T @ self._slope)
             moved = normal @ jacobian.transpose(0, 2, 1) @ jacobian
