@@ -262,7 +262,8 @@ def test_autopilots_by_their_law(target, offset, scale, unit):
         slope, bias = np.polyfit(up[:, i], readings.values[:, i], 1)
         assert o[i] == pytest.approx(bias, abs=1e-10)
         assert s[i] == pytest.approx(9.80665 / slope, rel=1e-10)
-    rms = np.sqrt(np.mean(((readings.values - o) * s / 9.80665 - up) ** 2))
+    left = (readings.values - o) * s / 9.80665 - up
+    rms = np.sqrt(np.mean((left**2).sum(axis=1)))
     assert f"to {1e3 * rms:.3g} mg" in exported.notes[0]
     assert "cannot express cross_ax_y" in exported.notes[0]
 

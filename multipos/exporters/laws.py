@@ -59,7 +59,7 @@ def reduce_to(calibration: Calibration, formula: str, target: str, *, allow_loss
     K = sign * linear[:, 1:] / STANDARD_GRAVITY
     # Columns of T belong to the outputs in the order x, y, z in which consumers hold them.
     law = Law(np.asarray(np.linalg.inv(K))[:, order], linear[order, 0], lost, 0.0)
-    law = law._replace(rms=float(np.sqrt(np.mean(law_residuals(calibration, *law[:2]) ** 2))))
+    law = law._replace(rms=rms_left(calibration, law_residuals(calibration, *law[:2])))
     if lost and not allow_lossy:
         raise MultiposError(f"{loss_text(calibration, law, target)}; accept it with --allow-lossy.")
     return law
@@ -70,6 +70,15 @@ def law_residuals(calibration: Calibration, matrix: Array, offset: Array) -> Arr
     order = [calibration.model.axes.index(axis) for axis in COMPONENTS]
     raw = calibration.readings.values[:, order]
     return (raw - offset) @ matrix.T / STANDARD_GRAVITY - specific_force(calibration)
+
+
+def rms_left(calibration: Calibration, residuals: Array) -> float:
+    """Return the rms of what is left [g], of the same kind as the calibration's own."""
+    if calibration.estimator == "unknown-orientation":
+        reference = specific_force(calibration)
+        size = np.linalg.norm(reference + residuals, axis=1)
+        return float(np.sqrt(np.mean((size - np.linalg.norm(reference, axis=1)) ** 2)))
+    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
 
 
 def specific_force(calibration: Calibration) -> Array:

@@ -25,7 +25,7 @@ from multipos.exporters.laws import (
     in_metres,
     law_residuals,
     reduce_to,
-    specific_force,
+    rms_left,
 )
 from multipos.exporters.parameters import ARDUPILOT, PX4, read_parameters, read_ros
 from multipos.files import plain, read_bytes
@@ -70,8 +70,9 @@ class Verification:
     positions : tuple of n str
     residuals : (n, K) array [g]
         Force as the consumer finds it, less the reference.
-    calibration_rms : float [g]
-        What the calibration itself leaves.
+    rms, calibration_rms : float [g]
+        Root mean square of what is left by the consumer, and by the calibration itself; of the
+        magnitude where the orientation was unknown, of the vector otherwise.
     difference : float or None [g]
         Largest difference from what the calibration gives; None where the target says less.
     """
@@ -80,13 +81,9 @@ class Verification:
     axes: tuple[str, ...]
     positions: tuple[str, ...]
     residuals: Array
+    rms: float
     calibration_rms: float
     difference: float | None
-
-    @cached_property
-    def rms(self) -> float:
-        """Root mean square of the residuals [g]."""
-        return float(np.sqrt(np.mean(self.residuals**2)))
 
     @cached_property
     def max(self) -> float:
@@ -164,6 +161,7 @@ def verify_export(path: str | os.PathLike[str], calibration: Calibration) -> Ver
         axes=COMPONENTS,
         positions=labels(calibration.readings),
         residuals=residuals,
+        rms=rms_left(calibration, residuals),
         calibration_rms=calibration.rms,
         difference=None,
     )
@@ -193,12 +191,15 @@ def _verify_c(path: str, text: str, calibration: Calibration) -> Verification:
     )
     difference = float(np.abs(force - should).max())
     _refuse_strange(path, difference, found["type"])
-    sign = -1.0 if calibration.convention == "gravity" else 1.0
+    residuals = force - calibration.reference[:, sensed]
+    all_axes = np.zeros_like(calibration.reference)
+    all_axes[:, sensed] = residuals
     return Verification(
         target="c, single precision" if single else "c",
         axes=tuple(COMPONENTS[i] for i in sensed),
         positions=labels(readings),
-        residuals=force - sign * specific_force(calibration)[:, sensed],
+        residuals=residuals,
+        rms=rms_left(calibration, all_axes),
         calibration_rms=calibration.rms,
         difference=difference,
     )
