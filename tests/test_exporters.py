@@ -101,7 +101,8 @@ def compile_c(compiler, folder, *options):
     if shutil.which(compiler) is None:
         pytest.skip(f"no {compiler} on this machine")
     program = folder / f"run-{compiler}"
-    command = [compiler, *WARNINGS, "-O2", *options, *sorted(folder.glob("*.c")), "-o", program]
+    command = [compiler, *WARNINGS, "-O2", *options, *sorted(folder.glob("*.c"))]
+    command += ["-o", program, "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
@@ -144,6 +145,31 @@ def test_compiled_c_agrees_with_python(case, single, compiler, tmp_path):
         assert (off.max(axis=1) / np.linalg.norm(expected, axis=1)).max() < 1e-12
     else:
         assert off.max() < 1e-9
+
+
+def saturating(own, x, y, z, temperature, bias, scale, limit=0.01, slope=0.0):
+    linear = bias + scale * own + slope * (temperature - 20.0) + 0.01 * (x + y + z)
+    return linear / (1.0 + limit * linear**2) ** 0.5 + 1e-4 * abs(own)
+
+
+@pytest.mark.parametrize("compiler", SANITIZERS)
+@pytest.mark.parametrize("single", [False, True], ids=["double", "float"])
+def test_a_model_written_as_an_expression(single, compiler, tmp_path):
+    rng = np.random.default_rng(0)
+    up = mp.read_scheme("fibonacci-80").up
+    temperature = rng.uniform(10.0, 40.0, size=80)
+    values = np.column_stack(
+        [saturating(up[:, i], *up.T, temperature, 0.05 * i, 1.0, 0.01, 1e-3) for i in range(3)]
+    )
+    values += 1e-6 * rng.normal(size=values.shape)
+    readings = mp.Readings(values, up=up, environment={"temperature": temperature})
+    cal = mp.fit(readings, model=saturating)
+    rows = random_readings(cal).astype(np.float32 if single else np.float64)
+    exported = export(cal, "c", name="imu", float=single)
+    found = run_c(compiler, cal, exported, rows, tmp_path)
+    raw, environment = np.split(rows.astype(float), [3], axis=1)
+    expected = cal.compensate(raw, {"temperature": environment[:, 0]})
+    assert np.abs(found - expected).max() < (5e-7 if single else 1e-9)
 
 
 @pytest.mark.parametrize("compiler", SANITIZERS)

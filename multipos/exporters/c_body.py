@@ -99,7 +99,7 @@ class _Writer:
         return "\n".join([*lines, "}"]) + "\n", "one matrix product"
 
     def polynomial(self) -> tuple[str, str]:
-        steps, rho = self._steps()
+        steps, rho = needed_steps(self._calibration, self._slope, single=self._single)
         unknowns = ", ".join(f"{axis} = {self._number(0.0)}" for axis in self._sensed)
         constants, coefficients = self._coefficients()
         inner = [
@@ -120,8 +120,7 @@ class _Writer:
             *(f"    accel[{k}] = {axis};" for k, axis in enumerate(self._sensed)),
             "}",
         ]
-        how = f"{steps} steps, each shrinking the error at least {1.0 / max(rho, 1e-16):.3g} times"
-        return "\n".join(lines) + "\n", how
+        return "\n".join(lines) + "\n", steps_in_words(steps, rho)
 
     @property
     def _is_redundant(self) -> bool:
@@ -274,38 +273,48 @@ class _Writer:
     def _number(self, value: float) -> str:
         return literal(value, self._single)
 
-    def _steps(self) -> tuple[int, float]:
-        """Return the number of steps, eq. (2), and rho."""
-        largest = float(np.linalg.norm(self._calibration.reference, axis=1).max())
-        rho = self._contraction(_HEADROOM * largest)
-        if not rho <= _SLOWEST:
-            raise MultiposError(
-                f"the inverse of this model does not converge in fixed steps over "
-                f"{_HEADROOM * largest:.3g} g (contraction {rho:.2g}, at most {_SLOWEST} is safe); "
-                "drop terms whose coefficient is not significant, or use apply."
-            )
-        reach = np.sqrt(3.0) * _HEADROOM * largest
-        needed = np.log(_TOLERANCE[self._single] / reach) / np.log(max(rho, 1e-16))
-        return 1 + int(np.ceil(needed)), rho
 
-    def _contraction(self, reach: float) -> float:
-        line = np.linspace(-reach, reach, _GRID)
-        still = np.zeros(1)
-        axes = [line if axis in self._sensed else still for axis in COMPONENTS]
-        environment = [
-            np.linspace(*environment_range(self._calibration, name), 5) for name in self._middle
-        ]
-        grid = np.array(list(itertools.product(*axes, *environment)))
-        columns = dict(zip(self._middle, grid[:, 3:].T, strict=True))
-        sensed = [COMPONENTS.index(axis) for axis in self._sensed]
-        parameters = self._calibration.parameters
-        jacobian = self._model.force_jacobian(parameters, grid[:, :3], columns)[:, :, sensed]
-        if self._is_redundant:
-            normal = np.linalg.inv(self._slope.T @ self._slope)
-            moved = normal @ jacobian.transpose(0, 2, 1) @ jacobian
-        else:
-            moved = self._inverse @ jacobian
-        return float(np.linalg.norm(np.eye(len(sensed)) - moved, ord=2, axis=(1, 2)).max())
+def needed_steps(calibration: Calibration, slope: Array, *, single: bool) -> tuple[int, float]:
+    """Return the number of steps, eq. (2), and rho; `slope` (M, K) is K0.
+
+    Raises
+    ------
+    MultiposError
+        They would not converge.
+    """
+    largest = float(np.linalg.norm(calibration.reference, axis=1).max())
+    rho = _contraction(calibration, slope, _HEADROOM * largest)
+    if not rho <= _SLOWEST:
+        raise MultiposError(
+            f"the inverse of this model does not converge in fixed steps over "
+            f"{_HEADROOM * largest:.3g} g (contraction {rho:.2g}, at most {_SLOWEST} is safe); "
+            "drop terms whose coefficient is not significant, or use apply."
+        )
+    reach = np.sqrt(3.0) * _HEADROOM * largest
+    needed = np.log(_TOLERANCE[single] / reach) / np.log(max(rho, 1e-16))
+    return 1 + int(np.ceil(needed)), rho
+
+
+def _contraction(calibration: Calibration, slope: Array, reach: float) -> float:
+    model = calibration.model
+    sensed = list(sensed_axes(model))
+    line, still = np.linspace(-reach, reach, _GRID), np.zeros(1)
+    axes = [line if i in sensed else still for i in range(3)]
+    names = model.environment
+    environment = [np.linspace(*environment_range(calibration, name), 5) for name in names]
+    grid = np.array(list(itertools.product(*axes, *environment)))
+    columns = dict(zip(names, grid[:, 3:].T, strict=True))
+    jacobian = model.force_jacobian(calibration.parameters, grid[:, :3], columns)[:, :, sensed]
+    if len(slope) > len(sensed):
+        moved = np.linalg.inv(slope.T @ slope) @ jacobian.transpose(0, 2, 1) @ jacobian
+    else:
+        moved = np.linalg.inv(slope) @ jacobian
+    return float(np.linalg.norm(np.eye(len(sensed)) - moved, ord=2, axis=(1, 2)).max())
+
+
+def steps_in_words(steps: int, rho: float) -> str:
+    """Return how a function with so many steps computes."""
+    return f"{steps} steps, each shrinking the error at least {1.0 / max(rho, 1e-16):.3g} times"
 
 
 def _collected(parts: list[tuple[float, str]]) -> list[tuple[float, str]]:

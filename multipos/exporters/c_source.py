@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from multipos.calibration import Calibration
 from multipos.errors import UsageError
 from multipos.exporters.c_body import environment_range, function_body, literal
+from multipos.exporters.c_expression import expression_body
+from multipos.expressions import ExpressionModel
 from multipos.formatting import number, table, uncertain
 from multipos.inverse import sensed_axes
 from multipos.model import COMPONENTS
@@ -38,8 +40,13 @@ def c_source(calibration: Calibration, name: str, *, single: bool) -> str:
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         raise UsageError(f"--name '{name}' is no C identifier; use letters, digits and _.")
     _vectors(calibration, single)  # which says why, where the model has no inverse
-    body, how = function_body(calibration, single=single)
-    return f"{_header(calibration, name, how)}\n{signature(calibration, name, single)}\n{body}"
+    if isinstance(calibration.model, ExpressionModel):
+        body, how, library = expression_body(calibration, single=single)
+    else:
+        (body, how), library = function_body(calibration, single=single), False
+    include = "#include <math.h>\n\n" if library else ""
+    head = _header(calibration, name, how)
+    return f"{head}\n{include}{signature(calibration, name, single)}\n{body}"
 
 
 def signature(calibration: Calibration, name: str, single: bool) -> str:

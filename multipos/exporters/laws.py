@@ -112,8 +112,8 @@ def in_metres(calibration: Calibration, target: str) -> float:
         return 1.0
     if unit == "g":
         return STANDARD_GRAVITY
-    linear = calibration.model.linear_map({}) @ calibration.parameters
-    scale = float(np.abs(linear[:, 1:]).max(axis=1).mean())
+    slope = calibration.model.force_jacobian(calibration.parameters, np.zeros((1, 3)), {})[0]
+    scale = float(np.abs(slope).max(axis=1).mean())
     if unit == "reading" and 0.5 < scale / STANDARD_GRAVITY < 2.0:  # not stated, but plain
         return 1.0
     raise MultiposError(

@@ -233,7 +233,10 @@ def _run_c(path: str, found: Any, rows: Array) -> Array:
     with tempfile.TemporaryDirectory() as folder:
         source, program = Path(folder) / "main.c", Path(folder) / "main"
         source.write_text(main, encoding="utf-8")
-        _call([compiler, "-std=c99", "-O2", "-o", str(program), "-x", "c", str(source), path], path)
+        _call(
+            [compiler, "-std=c99", "-O2", "-o", str(program), "-x", "c", str(source), path, "-lm"],
+            path,
+        )
         out = _call([str(program)], path, np.ascontiguousarray(rows).tobytes())
     force = np.frombuffer(out).reshape(-1, axes)
     if len(force) != len(rows):
