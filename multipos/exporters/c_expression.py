@@ -114,7 +114,8 @@ def _write(step: Any, names: list[list[str]], single: bool) -> tuple[list[str], 
             held[into[0]] = names[operands[0]][operands[1]]
             continue
         if code == "OP_CONST":
-            held[into[0]] = f"({literal(step.instruction_constant(k), single)})"
+            number = literal(step.instruction_constant(k), single)
+            held[into[0]] = f"({number})" if number.startswith("-") else number
             continue
         if code == "OP_OUTPUT":
             results.append((names[0][into[1]], held[operands[0]]))
