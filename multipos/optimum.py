@@ -1,0 +1,266 @@
+"""The best that positions can do: weights of a continuous design, with their certificate.
+
+Weights w on candidate positions, Σ w_k = 1, make a criterion F of `multipos.information` as large
+as it can be. F is concave, so a solution is known when it is seen: with s its gradient,
+
+    F* − F(w) ≤ max s − 1,                                                                 (1)
+
+Kiefer and Wolfowitz's equivalence theorem as a certificate; the right-hand side is the gap. For D
+the efficiency that can be missing is 1 − exp(−gap).
+
+Weights on a few hundred candidates come from a primal–dual interior-point iteration,
+
+    (−∇²F + diag(z/w)) Δw + ν 1 = s + μ/w,      Σ Δw = 0,      z_k w_k → μ → 0,             (2)
+
+which takes some twenty steps whatever the candidates and, where many designs are best, ends in
+their middle, so that symmetry is kept. Among very many candidates, or all directions of the
+sphere, only those matter where s is near 1: a small set is solved, the others are priced by s, the
+highest join it, and so on until none exceeds 1. The cost of a round is linear in their number.
+On the sphere the maxima of s are refined from a grid by Newton's iteration, vectorised.
+
+Rejected: vertex directions and multiplicative weights alone, whose last digits take thousands of
+steps; a semidefinite programme, which solves the same problem a hundred times slower.
+
+Sources: J. Kiefer, J. Wolfowitz, Canad. J. Math. 12, 1960; C. L. Atwood, Ann. Statist. 4, 1976.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import ConvergenceError
+from multipos.information import (
+    Blocks,
+    Criterion,
+    Setting,
+    inform,
+    kernels,
+    log_det,
+    objective,
+    sensitivity,
+)
+from multipos.scheme import read_scheme
+
+Array = NDArray[np.float64]
+
+GAP = 1e-7  # certificate asked for: ten times sharper than the one promised
+_WORKING = 120  # candidates solved together at the start, and joined by a third of that a round
+_ROUNDS = 60
+_STEPS = 60  # of the interior point; twenty are usual
+_GRID = 2000  # directions that a maximum over the sphere is looked for from
+_MAXIMA = 24  # of them refined
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A continuous design and its certificate.
+
+    Attributes
+    ----------
+    up : (k, 3) array
+        Empty where the candidates are not directions.
+    chosen : (k,) array of int
+        The candidates that carry weight; empty on the sphere.
+    weights : (k,) array
+    value, log_det : float
+        The criterion, and ln det of the information per position.
+    gap : float
+        max s − 1, over the candidates or refined over the sphere.
+    """
+
+    up: Array
+    chosen: NDArray[np.intp]
+    weights: Array
+    value: float
+    log_det: float
+    gap: float
+
+
+def optimise_candidates(rows: Blocks, criterion: Criterion, *, gap: float = GAP) -> Optimum:
+    """Return the best weights on candidates whose rows are (n, K, p_b).
+
+    Raises
+    ------
+    ConvergenceError
+        The certificate stays above `gap`.
+    """
+    n = len(rows[0])
+    start = np.unique(np.linspace(0, n - 1, min(n, _WORKING)).astype(np.intp))
+    if log_det(inform(_taken(rows, start))) == -np.inf:
+        start = _spread(rows)
+    working = start
+    for _ in range(_ROUNDS):
+        weights = weigh(_taken(rows, working), criterion)
+        information = inform(_taken(rows, working), weights)
+        s = sensitivity(rows, kernels(information, criterion))
+        found = float(s.max()) - 1.0
+        if found <= gap:
+            kept = weights > 1e-7
+            return Optimum(
+                np.empty((0, 3)), working[kept], weights[kept] / weights[kept].sum(),
+                objective(information, criterion), log_det(information), found,
+            )  # fmt: skip
+        s[working] = -np.inf
+        highest = np.argpartition(-s, min(_WORKING // 3, n - 1))[: _WORKING // 3]
+        joined = highest[s[highest] > 1.0]
+        working = np.concatenate([working[weights > 1e-9], joined])
+    raise ConvergenceError(_unfinished(found))
+
+
+def optimise_sphere(setting: Setting, criterion: Criterion, *, gap: float = GAP) -> Optimum:
+    """Return the best weights over all directions of the sphere.
+
+    Raises
+    ------
+    ConvergenceError
+        The certificate stays above `gap`.
+    """
+    up = np.concatenate([read_scheme("all-26").up, read_scheme("fibonacci-80").up])
+    for _ in range(_ROUNDS):
+        rows = setting.rows(up)
+        weights = weigh(rows, criterion)
+        information = inform(rows, weights)
+        kernel = kernels(information, criterion)
+        peaks, heights = maxima(lambda u, G=kernel: sensitivity(setting.rows(u), G))
+        found = float(heights.max()) - 1.0
+        if found <= gap:
+            kept = weights > 1e-7
+            return Optimum(
+                up[kept], np.empty(0, dtype=np.intp), weights[kept] / weights[kept].sum(),
+                objective(information, criterion), log_det(information), found,
+            )  # fmt: skip
+        up = np.concatenate([up[weights > 1e-9], peaks[heights > 1.0]])
+    raise ConvergenceError(_unfinished(found))
+
+
+def weigh(rows: Blocks, criterion: Criterion) -> Array:
+    """Return the best weights (n,) of a few hundred candidates by eq. (2)."""
+    n = len(rows[0])
+    w = np.full(n, 1.0 / n)
+    s, curvature = _derivatives(rows, w, criterion)
+    z = np.full(n, float(s.max()))
+    for _ in range(_STEPS):
+        mu = 0.1 * float(z @ w) / n
+        matrix = np.ones((n + 1, n + 1))
+        matrix[n, n] = 0.0
+        matrix[:n, :n] = curvature
+        matrix[np.arange(n), np.arange(n)] += z / w
+        step = np.linalg.solve(matrix, np.append(s + mu / w, 0.0))[:n]
+        turn = mu / w - z / w * step - z
+        w = w + _length(w, step) * step
+        z = z + _length(z, turn) * turn
+        w /= w.sum()
+        s, curvature = _derivatives(rows, w, criterion)
+        if s.max() - 1.0 <= 0.01 * GAP:
+            break
+    return w
+
+
+def _length(x: Array, step: Array) -> float:
+    """Return how far a step may go before an entry vanishes."""
+    shrinking = step < 0.0
+    if not shrinking.any():
+        return 1.0
+    return min(1.0, 0.95 * float((-x[shrinking] / step[shrinking]).min()))
+
+
+def _derivatives(rows: Blocks, w: Array, criterion: Criterion) -> tuple[Array, Array]:
+    """Return the gradient s (n,) and the curvature −∇²F (n, n) along Σ Δw = 0."""
+    information = inform(rows, w)
+    kernel = kernels(information, criterion)
+    s = sensitivity(rows, kernel)
+    n = len(w)
+    curvature = np.zeros((n, n))
+    p = sum(len(M) for M in information)
+    for Z, M, G in zip(rows, information, kernel, strict=True):
+        k = Z.shape[1]
+        flat = Z.reshape(n * k, -1)
+        plain = flat @ np.linalg.solve(M, flat.T)
+        products = plain**2 / p if criterion.weight is None else 2.0 * plain * (flat @ G @ flat.T)
+        curvature += products.reshape(n, k, n, k).sum(axis=(1, 3))
+    if criterion.weight is not None:
+        curvature -= np.outer(s, s)
+    return s, curvature
+
+
+def maxima(function: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Return directions (k, 3) where a function of directions has its highest maxima, and them.
+
+    From the best of a grid that lie apart, Newton's iteration with differences; a step that does
+    not rise is not taken.
+    """
+    grid = _grid()
+    values = function(grid)
+    peaks: list[int] = []
+    for index in np.argsort(-values)[: _GRID // 4]:
+        if all(grid[index] @ grid[other] < 0.97 for other in peaks):
+            peaks.append(int(index))
+        if len(peaks) == _MAXIMA:
+            break
+    up, height = grid[peaks], values[peaks]
+    h = 1e-3
+    for _ in range(8):
+        first, second = _frame(up)
+        around = [
+            function(_unit(up + h * (a * first + b * second))) - height
+            for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1))
+        ]
+        gradient = np.stack([around[0] - around[1], around[2] - around[3]], axis=1) / (2 * h)
+        xx, yy = (around[0] + around[1]) / h**2, (around[2] + around[3]) / h**2
+        xy = (around[4] - h * gradient.sum(axis=1)) / h**2 - (xx + yy) / 2.0
+        hessian = np.stack([np.stack([xx, xy], 1), np.stack([xy, yy], 1)], 1)
+        bend, axes = np.linalg.eigh(hessian)
+        along = np.einsum("nij,ni->nj", axes, gradient) / np.maximum(np.abs(bend), 1e-3)
+        size = np.linalg.norm(along, axis=1, keepdims=True)
+        along *= np.minimum(1.0, 0.1 / np.maximum(size, 1e-300))
+        step = np.einsum("nij,nj->ni", axes, along)
+        moved = _unit(up + step[:, :1] * first + step[:, 1:] * second)
+        raised = function(moved)
+        better = raised > height
+        up, height = np.where(better[:, np.newaxis], moved, up), np.where(better, raised, height)
+        if not better.any():
+            break
+    return up, height
+
+
+@lru_cache(maxsize=1)
+def _grid() -> Array:
+    special = ("all-26", "icosahedron-12", "dodecahedron-20", f"fibonacci-{_GRID}")
+    return np.concatenate([read_scheme(name).up for name in special])
+
+
+def _frame(up: Array) -> tuple[Array, Array]:
+    other = np.eye(3)[np.argmin(np.abs(up), axis=1)]
+    first = _unit(np.cross(up, other))
+    return first, np.cross(up, first)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def _taken(rows: Blocks, chosen: NDArray[np.intp]) -> Blocks:
+    return tuple(Z[chosen] for Z in rows)
+
+
+def _spread(rows: Blocks) -> NDArray[np.intp]:
+    """Return candidates that determine every parameter: pivots of each block, as QR picks them."""
+    from scipy.linalg import qr
+
+    chosen: list[int] = []
+    for Z in rows:
+        n, k, p = Z.shape
+        flat = Z.reshape(n * k, p)
+        _, pivots = qr(flat.T, mode="r", pivoting=True)
+        chosen += (pivots[: 4 * p] // k).tolist()
+    return np.unique(np.array(chosen, dtype=np.intp))
+
+
+def _unfinished(gap: float) -> str:
+    return (
+        f"the best weights are known to a gap of {gap:.1e} only, {GAP:g} was asked; "
+        "the model is nearly inseparable on these positions, drop a term."
+    )
