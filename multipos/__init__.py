@@ -28,12 +28,14 @@ _PUBLIC = {
     "UsageError": "errors",
     "apply": "compensation",
     "demo": "song_qin",
+    "design": "designs",
     "fit": "fitting",
     "load": "calibration",
     "normal_gravity": "units",
     "read_readings": "readings",
     "read_scheme": "scheme",
-    "schemes": "designs",
+    "schemes": "assessment",
+    "worth": "prospects",
 }
 
 __all__ = [
@@ -48,21 +50,25 @@ __all__ = [
     "__version__",
     "apply",
     "demo",
+    "design",
     "fit",
     "load",
     "normal_gravity",
     "read_readings",
     "read_scheme",
     "schemes",
+    "worth",
 ]
 
 if TYPE_CHECKING:
+    from multipos.assessment import schemes
     from multipos.calibration import Calibration, load
     from multipos.compensation import apply
-    from multipos.designs import schemes
+    from multipos.designs import design
     from multipos.errors import ConvergenceError, MultiposError, RankError, UsageError
     from multipos.fitting import fit
     from multipos.model import Model
+    from multipos.prospects import worth
     from multipos.readings import Readings, read_readings
     from multipos.scheme import Scheme, read_scheme
     from multipos.song_qin import demo

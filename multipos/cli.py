@@ -23,6 +23,8 @@ COMMANDS = {
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
     "schemes": "list schemes and what they can tell about a model",
+    "design": "find the best positions for a model, with proof",
+    "worth": "tell what one more position would bring to a calibration",
 }
 
 

@@ -18,7 +18,6 @@ Technometrics 22, 1980.
 """
 
 import math
-from collections.abc import Callable
 from itertools import combinations_with_replacement, islice
 
 import numpy as np
@@ -103,8 +102,7 @@ def exchange(
 
     def state() -> "_State | None":
         information = tuple(
-            total * (M + R)
-            for M, R in zip(_information(rows, choice, fixed), added, strict=True)
+            total * (M + R) for M, R in zip(_information(rows, choice, fixed), added, strict=True)
         )
         sound = objective(information, criterion) > -math.inf
         return _State(rows, information, criterion) if sound else None
@@ -207,7 +205,7 @@ def _try_all(
     every = combinations_with_replacement(range(n), count)
     while part := list(islice(every, 2000)):
         choices = np.array(part, dtype=np.intp)
-        matrices = [I[choices].sum(axis=1) + M for I, M in zip(single, base, strict=True)]
+        matrices = [S[choices].sum(axis=1) + M for S, M in zip(single, base, strict=True)]
         for row in np.argsort(-_roughly(matrices, criterion))[:3]:
             value = objective(tuple(M[row] for M in matrices), criterion)
             if value > best[0] + 1e-12:

@@ -170,7 +170,18 @@ def make_setting(
     return Setting(model, math.radians(orientation_sd) / reading_sd)
 
 
-@dataclass(frozen=True)
+def nothing_to_weigh(orientation_sd: float | None, reading_sd: float) -> list[str]:
+    """Return a warning where an orientation sd stands beside a reading sd of a whole g."""
+    if not orientation_sd or reading_sd != 1.0:
+        return []
+    text = (
+        f"--orientation-sd {orientation_sd:g} is weighed against a reading of standard uncertainty "
+        "1 g, where it hardly counts; give --reading-sd in g (at a scale factor of 1 per g)"
+    )
+    return [text]
+
+
+@dataclass(frozen=True, eq=False)
 class Criterion:
     """What makes one scheme better than another: D without `weight`, else B of eq. (2)."""
 

@@ -26,7 +26,7 @@ Sources: J. Kiefer, J. Wolfowitz, Canad. J. Math. 12, 1960; C. L. Atwood, Ann. S
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +124,7 @@ def optimise_sphere(setting: Setting, criterion: Criterion, *, gap: float = GAP)
         weights = weigh(rows, criterion)
         information = inform(rows, weights)
         kernel = kernels(information, criterion)
-        peaks, heights = maxima(lambda u, G=kernel: sensitivity(setting.rows(u), G))
+        peaks, heights = maxima(partial(_sensed, setting, kernel))
         found = float(heights.max()) - 1.0
         if found <= gap:
             kept = weights > 1e-7
@@ -134,6 +134,16 @@ def optimise_sphere(setting: Setting, criterion: Criterion, *, gap: float = GAP)
             )  # fmt: skip
         up = np.concatenate([up[weights > 1e-9], peaks[heights > 1.0]])
     raise ConvergenceError(_unfinished(found))
+
+
+def largest_sensitivity(setting: Setting, information: Blocks) -> float:
+    """Return the largest s(u) of criterion D over the sphere."""
+    kernel = kernels(information, Criterion("D"))
+    return float(maxima(partial(_sensed, setting, kernel))[1].max())
+
+
+def _sensed(setting: Setting, kernel: Blocks, up: Array) -> Array:
+    return sensitivity(setting.rows(up), kernel)
 
 
 def weigh(rows: Blocks, criterion: Criterion) -> Array:

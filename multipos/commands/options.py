@@ -40,6 +40,20 @@ def add_model(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_orientation(parser: argparse.ArgumentParser) -> None:
+    """Add ``--unknown-orientation`` and ``--orientation-sd``, of which one can be given."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--unknown-orientation", action="store_true", help="orientations are unknown, |f| = g"
+    )
+    group.add_argument(
+        "--orientation-sd",
+        type=float,
+        metavar="DEG",
+        help="standard deviation of the orientation per axis [degrees]",
+    )
+
+
 def warn(warnings: Sequence[str]) -> None:
     """Print warnings to stderr, a line each."""
     for warning in warnings:
