@@ -21,7 +21,8 @@ On the sphere the maxima of s are refined from a grid by Newton's iteration, vec
 Rejected: vertex directions and multiplicative weights alone, whose last digits take thousands of
 steps; a semidefinite programme, which solves the same problem a hundred times slower.
 
-Sources: J. Kiefer, J. Wolfowitz, Canad. J. Math. 12, 1960; C. L. Atwood, Ann. Statist. 4, 1976.
+Sources: J. Kiefer, J. Wolfowitz, Canad. J. Math. 12, 1960; R. Harman, L. Pronzato, Statist. Probab.
+Lett. 77, 2007 (which candidates can be left out).
 """
 
 from collections.abc import Callable
@@ -47,11 +48,18 @@ from multipos.scheme import read_scheme
 Array = NDArray[np.float64]
 
 GAP = 1e-7  # certificate asked for: ten times sharper than the one promised
-_WORKING = 120  # candidates solved together at the start, and joined by a third of that a round
+_WORKING = 80  # candidates solved together at the start
+_JOINED = 30  # candidates that join them in a round at most
+_EARLY = 0.03  # of the last gap, to which the weights of a round are found
+_NEGLIGIBLE = 1e-9  # weight that is none
 _ROUNDS = 60
 _STEPS = 60  # of the interior point; twenty are usual
 _GRID = 2000  # directions that a maximum over the sphere is looked for from
-_MAXIMA = 24  # of them refined
+_FINE = 20_000  # directions from which a certificate is confirmed
+_MAXIMA = 100  # local maxima of the grid that are climbed
+_CLIMBS = 8  # Newton steps
+_SAME = 1.0 - 1e-9  # cosine from which two directions are one
+_SPECIAL = "all-26+icosahedron-12+dodecahedron-20"
 
 
 @dataclass(frozen=True)
@@ -91,22 +99,28 @@ def optimise_candidates(rows: Blocks, criterion: Criterion, *, gap: float = GAP)
     start = np.unique(np.linspace(0, n - 1, min(n, _WORKING)).astype(np.intp))
     if log_det(inform(_taken(rows, start))) == -np.inf:
         start = _spread(rows)
-    working = start
+    working, found = start, 1.0
     for _ in range(_ROUNDS):
-        weights = weigh(_taken(rows, working), criterion)
-        information = inform(_taken(rows, working), weights)
+        chosen = _taken(rows, working)
+        aim = max(_EARLY * found, 0.01 * gap)
+        weights = weigh(chosen, criterion, gap=aim)
+        weights[weights <= _NEGLIGIBLE] = 0.0
+        weights /= weights.sum()
+        information = inform(chosen, weights)
         s = sensitivity(rows, kernels(information, criterion))
         found = float(s.max()) - 1.0
         if found <= gap:
-            kept = weights > 1e-7
+            kept = weights > 0.0
             return Optimum(
-                np.empty((0, 3)), working[kept], weights[kept] / weights[kept].sum(),
+                np.empty((0, 3)), working[kept], weights[kept],
                 objective(information, criterion), log_det(information), found,
             )  # fmt: skip
+        # a candidate of lower s is in no optimum of D (R. Harman, L. Pronzato, 2007), hardly of L
+        alive = (s[working] > 1.0 - np.sqrt(found)) & (weights > aim / len(working))
+        kept = working[alive]
         s[working] = -np.inf
-        highest = np.argpartition(-s, min(_WORKING // 3, n - 1))[: _WORKING // 3]
-        joined = highest[s[highest] > 1.0]
-        working = np.concatenate([working[weights > 1e-9], joined])
+        highest = np.argpartition(-s, min(_JOINED, n - 1))[:_JOINED]
+        working = np.concatenate([kept, highest[s[highest] > 1.0]])
     raise ConvergenceError(_unfinished(found))
 
 
@@ -121,18 +135,21 @@ def optimise_sphere(setting: Setting, criterion: Criterion, *, gap: float = GAP)
     up = np.concatenate([read_scheme("all-26").up, read_scheme("fibonacci-80").up])
     for _ in range(_ROUNDS):
         rows = setting.rows(up)
-        weights = weigh(rows, criterion)
-        information = inform(rows, weights)
-        kernel = kernels(information, criterion)
-        peaks, heights = maxima(partial(_sensed, setting, kernel))
+        weights = weigh(rows, criterion, gap=0.01 * gap)
+        kept = weights > _NEGLIGIBLE
+        up, weights = up[kept], weights[kept] / weights[kept].sum()
+        information = inform(setting.rows(up), weights)
+        sensed = partial(_sensed, setting, kernels(information, criterion))
+        peaks, heights = maxima(sensed)
+        if heights.max() - 1.0 <= gap:  # before it is said, look closer
+            peaks, heights = maxima(sensed, _FINE)
         found = float(heights.max()) - 1.0
         if found <= gap:
-            kept = weights > 1e-7
             return Optimum(
-                up[kept], np.empty(0, dtype=np.intp), weights[kept] / weights[kept].sum(),
+                up, np.empty(0, dtype=np.intp), weights,
                 objective(information, criterion), log_det(information), found,
             )  # fmt: skip
-        up = np.concatenate([up[weights > 1e-9], peaks[heights > 1.0]])
+        up = np.concatenate([up, peaks[heights > 1.0]])
     raise ConvergenceError(_unfinished(found))
 
 
@@ -146,8 +163,8 @@ def _sensed(setting: Setting, kernel: Blocks, up: Array) -> Array:
     return sensitivity(setting.rows(up), kernel)
 
 
-def weigh(rows: Blocks, criterion: Criterion) -> Array:
-    """Return the best weights (n,) of a few hundred candidates by eq. (2)."""
+def weigh(rows: Blocks, criterion: Criterion, *, gap: float) -> Array:
+    """Return the best weights (n,) of a few hundred candidates to a gap, by eq. (2)."""
     n = len(rows[0])
     w = np.full(n, 1.0 / n)
     s, curvature = _derivatives(rows, w, criterion)
@@ -164,7 +181,7 @@ def weigh(rows: Blocks, criterion: Criterion) -> Array:
         z = z + _length(z, turn) * turn
         w /= w.sum()
         s, curvature = _derivatives(rows, w, criterion)
-        if s.max() - 1.0 <= 0.01 * GAP:
+        if s.max() - 1.0 <= gap:
             break
     return w
 
@@ -196,23 +213,25 @@ def _derivatives(rows: Blocks, w: Array, criterion: Criterion) -> tuple[Array, A
     return s, curvature
 
 
-def maxima(function: Callable[[Array], Array]) -> tuple[Array, Array]:
+def maxima(function: Callable[[Array], Array], grid_size: int = _GRID) -> tuple[Array, Array]:
     """Return directions (k, 3) where a function of directions has its highest maxima, and them.
 
-    From the best of a grid that lie apart, Newton's iteration with differences; a step that does
-    not rise is not taken.
+    From the highest of a grid's local maxima, and from faces, edges and corners, by Newton's
+    iteration with differences; a step that does not rise is not taken, and the next is shorter.
     """
-    grid = _grid()
+    grid, neighbours = _grid(grid_size)
     values = function(grid)
-    peaks: list[int] = []
-    for index in np.argsort(-values)[: _GRID // 4]:
-        if all(grid[index] @ grid[other] < 0.97 for other in peaks):
-            peaks.append(int(index))
-        if len(peaks) == _MAXIMA:
-            break
-    up, height = grid[peaks], values[peaks]
+    summit = np.ones(len(grid), dtype=bool)
+    for offset, near in neighbours:
+        summit[offset:] &= ~near | (values[offset:] >= values[:-offset])
+        summit[:-offset] &= ~near | (values[:-offset] >= values[offset:])
+    peaks = np.flatnonzero(summit)
+    special = read_scheme(_SPECIAL).up
+    up = np.concatenate([special, grid[peaks[np.argsort(-values[peaks])[:_MAXIMA]]]])
+    height = function(up)
+    reach = np.full(len(up), 0.1)
     h = 1e-3
-    for _ in range(8):
+    for _ in range(_CLIMBS):
         first, second = _frame(up)
         around = [
             function(_unit(up + h * (a * first + b * second))) - height
@@ -224,22 +243,38 @@ def maxima(function: Callable[[Array], Array]) -> tuple[Array, Array]:
         hessian = np.stack([np.stack([xx, xy], 1), np.stack([xy, yy], 1)], 1)
         bend, axes = np.linalg.eigh(hessian)
         along = np.einsum("nij,ni->nj", axes, gradient) / np.maximum(np.abs(bend), 1e-3)
-        size = np.linalg.norm(along, axis=1, keepdims=True)
-        along *= np.minimum(1.0, 0.1 / np.maximum(size, 1e-300))
+        size = np.maximum(np.linalg.norm(along, axis=1), 1e-300)
+        along *= np.minimum(1.0, reach / size)[:, np.newaxis]
         step = np.einsum("nij,nj->ni", axes, along)
         moved = _unit(up + step[:, :1] * first + step[:, 1:] * second)
         raised = function(moved)
         better = raised > height
         up, height = np.where(better[:, np.newaxis], moved, up), np.where(better, raised, height)
-        if not better.any():
-            break
-    return up, height
+        reach = np.where(better, reach, 0.2 * np.minimum(reach, size))
+    return _apart(up, height)
 
 
-@lru_cache(maxsize=1)
-def _grid() -> Array:
-    special = ("all-26", "icosahedron-12", "dodecahedron-20", f"fibonacci-{_GRID}")
-    return np.concatenate([read_scheme(name).up for name in special])
+def _apart(up: Array, height: Array) -> tuple[Array, Array]:
+    """Return each maximum once, highest first: several climbs may end on one summit."""
+    kept: list[int] = []
+    for index in np.argsort(-height, kind="stable").tolist():
+        if not kept or (up[kept] @ up[index]).max() < _SAME:
+            kept.append(index)
+    return up[kept], height[kept]
+
+
+@lru_cache(maxsize=2)
+def _grid(count: int) -> tuple[Array, list[tuple[int, NDArray[np.bool_]]]]:
+    """Return directions on a golden spiral, and its neighbours: by index offsets, where near.
+
+    Neighbours on the spiral are a Fibonacci number of places apart, which one depends on the
+    latitude.
+    """
+    up = read_scheme(f"fibonacci-{count}").up
+    spacing = np.cos(3.0 * np.sqrt(np.pi / count))
+    offsets = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 377)
+    near = [np.einsum("ni,ni->n", up[k:], up[:-k]) > spacing for k in offsets]
+    return up, list(zip(offsets, near, strict=True))
 
 
 def _frame(up: Array) -> tuple[Array, Array]:

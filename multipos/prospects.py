@@ -52,10 +52,10 @@ def worth(
     Returns
     -------
     dict
-        {"parameter", "u": {"output:term": u now}, "candidates": [{up, fall: relative fall of u of
-        the parameter or on geometric average, u: {"output:term": u then}}], best first,
-        "further_positions": how many more until the target, None without or beyond reach, "path":
-        [[ux, uy, uz], …], "floor": u of the parameter that no position lowers}.
+        {"parameter", "target", "u": {"output:term": u now}, "candidates": [{up, fall, u}] best
+        first, fall being that of u of the parameter, or on geometric average, and u what each
+        would be, "further_positions": how many more until the target, None without one or beyond
+        reach, "path": [[ux, uy, uz], …], "floor": u of the parameter that no position lowers}.
 
     Raises
     ------
@@ -84,6 +84,7 @@ def worth(
         path = _ahead(present, pieces, covered[index], fixed[index], index, target)
     return {
         "parameter": parameter,
+        "target": target,
         "u": dict(zip(keys, before.tolist(), strict=True)),
         "candidates": [
             {
@@ -111,6 +112,11 @@ def worth_text(found: dict[str, Any]) -> str:
     if found["parameter"] is not None:
         header.append("to")
     parts = [f"worth of one more position, for {what}", table(header, rows, left=0)]
+    if found["target"] is not None and found["path"] is None:
+        parts.append(
+            f"the target of {number(found['target'])} is out of reach: u stays above "
+            f"{number(found['floor'])}, whatever is measured, or falls too slowly"
+        )
     if found["path"] is not None:
         parts.append(
             f"{found['further_positions']} further positions reach the target; the next ones, "
@@ -188,7 +194,8 @@ def _ahead(
         now = float(np.linalg.inv(present)[index, index])
         if math.sqrt(now * scale + fixed) <= target:
             return path
-        best = int(_variances(present, pieces)[:, index].argmin())
+        then = _variances(present, pieces)[:, index]
+        best = int(np.round(then / then.min(), 9).argmin())  # the first of equal ones
         path.append(best)
         present = present + pieces[best]
     return None
