@@ -42,6 +42,9 @@ Blocks = tuple[Array, ...]
 
 # A scheme that serves one parameter alone would leave others unknown: they count this much.
 _OTHERS = 1e-4
+# Multiplications of a product from which BLAS may start threads: on a busy machine their waiting
+# for each other costs a hundred times what they gain on products of this size.
+_PIECE = 200_000
 
 
 @dataclass(frozen=True)
@@ -118,8 +121,11 @@ class Setting:
             normal /= np.linalg.norm(normal, axis=1, keepdims=True)
             return np.asarray(np.einsum("nm,nmp->np", normal, X)[:, np.newaxis, :])
         spread = turned * (self.orientation_sd * abs(self.size))
-        V = np.eye(X.shape[1]) + spread @ spread.transpose(0, 2, 1)
-        return np.asarray(np.linalg.solve(np.linalg.cholesky(V), X))
+        # V = 1 + A A' with A (M, 2): its inverse root needs the eigenvalues of A'A only
+        eigen, Q = np.linalg.eigh(spread.transpose(0, 2, 1) @ spread)
+        eigen = np.maximum(eigen, 1e-12)
+        A = spread @ (Q * np.sqrt((1.0 - 1.0 / np.sqrt(1.0 + eigen)) / eigen)[:, np.newaxis, :])
+        return np.asarray(X - A @ (A.transpose(0, 2, 1) @ X))
 
     def _jacobian(self, force: Array) -> Array:
         """Return dy/df (n, M, 3)."""
@@ -234,8 +240,21 @@ def inform(rows: Blocks, weights: Array | None = None) -> Blocks:
         n, k, p = Z.shape
         w = np.full(n, 1.0 / n) if weights is None else weights
         flat = (Z * np.sqrt(w)[:, np.newaxis, np.newaxis]).reshape(n * k, p)
-        matrices.append(flat.T @ flat)
+        step = max(1, _PIECE // (p * p))
+        pieces = [flat[i : i + step] for i in range(0, n * k, step)]
+        matrices.append(np.sum([piece.T @ piece for piece in pieces], axis=0))
     return tuple(matrices)
+
+
+def multiply(A: Array, B: Array) -> Array:
+    """Return A B, a few rows of A at a time: see `_PIECE`."""
+    step = max(1, _PIECE // B.size)
+    if step >= len(A):
+        return np.asarray(A @ B)
+    product = np.empty((len(A), B.shape[1]))
+    for i in range(0, len(A), step):
+        np.matmul(A[i : i + step], B, out=product[i : i + step])
+    return product
 
 
 def log_det(information: Blocks) -> float:
@@ -276,7 +295,7 @@ def sensitivity(rows: Blocks, kernel: Blocks) -> Array:
     total = np.zeros(len(rows[0]))
     for Z, G in zip(rows, kernel, strict=True):
         flat = Z.reshape(-1, Z.shape[2])
-        total += np.einsum("ij,ij->i", flat @ G, flat).reshape(len(Z), -1).sum(axis=1)
+        total += np.einsum("ij,ij->i", multiply(flat, G), flat).reshape(len(Z), -1).sum(axis=1)
     return total
 
 

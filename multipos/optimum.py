@@ -40,6 +40,7 @@ from multipos.information import (
     inform,
     kernels,
     log_det,
+    multiply,
     objective,
     sensitivity,
 )
@@ -49,6 +50,8 @@ Array = NDArray[np.float64]
 
 GAP = 1e-7  # certificate asked for: ten times sharper than the one promised
 _WORKING = 80  # candidates solved together at the start
+_MOST = 200  # candidates solved together at most
+_SMALL = 80  # equations up to which BLAS starts no threads
 _JOINED = 30  # candidates that join them in a round at most
 _EARLY = 0.03  # of the last gap, to which the weights of a round are found
 _NEGLIGIBLE = 1e-9  # weight that is none
@@ -117,7 +120,8 @@ def optimise_candidates(rows: Blocks, criterion: Criterion, *, gap: float = GAP)
             )  # fmt: skip
         # a candidate of lower s is in no optimum of D (R. Harman, L. Pronzato, 2007), hardly of L
         alive = (s[working] > 1.0 - np.sqrt(found)) & (weights > aim / len(working))
-        kept = working[alive]
+        heaviest = np.argsort(-weights[alive], kind="stable")[: _MOST - _JOINED]
+        kept = working[alive][heaviest]
         s[working] = -np.inf
         highest = np.argpartition(-s, min(_JOINED, n - 1))[:_JOINED]
         working = np.concatenate([kept, highest[s[highest] > 1.0]])
@@ -134,8 +138,7 @@ def optimise_sphere(setting: Setting, criterion: Criterion, *, gap: float = GAP)
     """
     up = np.concatenate([read_scheme("all-26").up, read_scheme("fibonacci-80").up])
     for _ in range(_ROUNDS):
-        rows = setting.rows(up)
-        weights = weigh(rows, criterion, gap=0.01 * gap)
+        weights = weigh(setting.rows(up), criterion, gap=0.01 * gap)
         kept = weights > _NEGLIGIBLE
         up, weights = up[kept], weights[kept] / weights[kept].sum()
         information = inform(setting.rows(up), weights)
@@ -149,7 +152,9 @@ def optimise_sphere(setting: Setting, criterion: Criterion, *, gap: float = GAP)
                 up, np.empty(0, dtype=np.intp), weights,
                 objective(information, criterion), log_det(information), found,
             )  # fmt: skip
-        up = np.concatenate([up, peaks[heights > 1.0]])
+        joining = peaks[heights > 1.0][: _MOST // 3]
+        heaviest = np.argsort(-weights, kind="stable")[: _MOST - len(joining)]
+        up = np.concatenate([up[np.sort(heaviest)], joining])
     raise ConvergenceError(_unfinished(found))
 
 
@@ -171,11 +176,9 @@ def weigh(rows: Blocks, criterion: Criterion, *, gap: float) -> Array:
     z = np.full(n, float(s.max()))
     for _ in range(_STEPS):
         mu = 0.1 * float(z @ w) / n
-        matrix = np.ones((n + 1, n + 1))
-        matrix[n, n] = 0.0
-        matrix[:n, :n] = curvature
-        matrix[np.arange(n), np.arange(n)] += z / w
-        step = np.linalg.solve(matrix, np.append(s + mu / w, 0.0))[:n]
+        curvature[np.arange(n), np.arange(n)] += z / w
+        free, level = solve_definite(curvature, np.stack([s + mu / w, np.ones(n)], axis=1)).T
+        step = free - level * (free.sum() / level.sum())
         turn = mu / w - z / w * step - z
         w = w + _length(w, step) * step
         z = z + _length(z, turn) * turn
@@ -184,6 +187,20 @@ def weigh(rows: Blocks, criterion: Criterion, *, gap: float) -> Array:
         if s.max() - 1.0 <= gap:
             break
     return w
+
+
+def solve_definite(A: Array, B: Array) -> Array:
+    """Return A⁻¹ B for a positive definite A, by halves: see `_PIECE` in `information`."""
+    n = len(A)
+    if n <= _SMALL:
+        return np.asarray(np.linalg.solve(A, B))
+    h = n // 2
+    left = solve_definite(A[:h, :h], np.hstack([A[:h, h:], B[:h]]))
+    across, first = left[:, : n - h], left[:, n - h :]
+    rest = solve_definite(
+        A[h:, h:] - multiply(A[h:, :h], across), B[h:] - multiply(A[h:, :h], first)
+    )
+    return np.concatenate([first - multiply(across, rest), rest])
 
 
 def _length(x: Array, step: Array) -> float:
@@ -205,8 +222,11 @@ def _derivatives(rows: Blocks, w: Array, criterion: Criterion) -> tuple[Array, A
     for Z, M, G in zip(rows, information, kernel, strict=True):
         k = Z.shape[1]
         flat = Z.reshape(n * k, -1)
-        plain = flat @ np.linalg.solve(M, flat.T)
-        products = plain**2 / p if criterion.weight is None else 2.0 * plain * (flat @ G @ flat.T)
+        plain = multiply(flat, np.asarray(np.linalg.solve(M, flat.T)))
+        if criterion.weight is None:
+            products = plain**2 / p
+        else:
+            products = 2.0 * plain * multiply(flat, G @ flat.T)
         curvature += products.reshape(n, k, n, k).sum(axis=(1, 3))
     if criterion.weight is not None:
         curvature -= np.outer(s, s)

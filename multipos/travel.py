@@ -1,10 +1,12 @@
 """Travel: an order of positions in which the sensor turns little from one to the next.
 
 A move from u to v turns it by the angle between them at least. The shortest open path through all
-positions is a travelling salesman's problem; here a path grows by its nearest neighbour from every
-possible beginning, and the best is shortened by reversing stretches (2-opt) and moving positions
-until neither helps, which for the few dozen positions of a scheme leaves little to gain.
+positions is a travelling salesman's problem; here paths grow by the nearest neighbour from several
+beginnings and are shortened by reversing stretches (2-opt) and moving short ones (Or-opt) until
+neither helps, which for the few dozen positions of a scheme leaves little to gain.
 """
+
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 _BETTER = 1e-9  # [rad]
+_MOVED = 3  # positions moved together at most
+_STARTS = 10  # paths that are shortened
+_FEW = 20  # positions up to which more than one is
 
 
 def travel_deg(up: ArrayLike) -> float:
@@ -34,8 +39,9 @@ def order_positions(up: ArrayLike, start: ArrayLike | None = None) -> Array:
     everything = np.concatenate([here, vectors])
     if len(everything) < 3:
         return vectors
-    cost = _angles(everything[:, np.newaxis], everything[np.newaxis])
-    path = _shorten(cost, _nearest(cost))
+    cost = _angles(everything[:, np.newaxis], everything[np.newaxis]).tolist()
+    paths = (_shorten(cost, path) for path in _beginnings(cost))
+    path = min(paths, key=lambda path: round(_length(cost, path), 9))
     return np.asarray(everything[path][len(here) :])
 
 
@@ -46,32 +52,42 @@ def _angles(a: Array, b: Array) -> Array:
     )
 
 
-def _nearest(cost: Array) -> list[int]:
-    path, left = [0], set(range(1, len(cost)))
-    while left:
-        last = path[-1]
-        # ties go to the position given first
-        nearest = min(left, key=lambda i: (round(float(cost[last, i]), 9), i))
-        path.append(nearest)
-        left.remove(nearest)
-    return path
+def _beginnings(cost: list[list[float]]) -> list[list[int]]:
+    """Return paths from position 0 to one of the nearest, then always to the nearest left."""
+    n = len(cost)
+    second = sorted(range(1, n), key=lambda i: (round(cost[0][i], 9), i))
+    paths = []
+    for step in second[: _STARTS if n <= _FEW else 1]:
+        path, left = [0, step], set(range(1, n)) - {step}
+        while left:
+            # ties go to the position given first
+            _, nearest = min((round(cost[path[-1]][i], 9), i) for i in left)
+            path.append(nearest)
+            left.remove(nearest)
+        paths.append(path)
+    return paths
 
 
-def _shorten(cost: Array, path: list[int]) -> list[int]:
-    """Reverse stretches and move single positions while the open path gets shorter."""
-    n = len(path)
+def _shorten(cost: list[list[float]], path: list[int]) -> list[int]:
+    """Reverse stretches and move short ones while the open path gets shorter."""
+    n, shortest = len(path), _length(cost, path)
     improved = True
     while improved:
         improved = False
         for i in range(1, n):
-            for j in range(i, n):
-                before, within, after = path[:i], path[i : j + 1], path[j + 1 :]
-                trials = (within[::-1], [*within[1:], within[0]], [within[-1], *within[:-1]])
-                for trial in ([*before, *turned, *after] for turned in trials):
-                    if _length(cost, trial) < _length(cost, path) - _BETTER:
-                        path, improved = trial, True
+            for j in range(i + 1, n + 1):
+                stretch = path[i:j]
+                trials = [stretch[::-1]]
+                for k in range(1, min(_MOVED, j - i - 1) + 1):
+                    head, tail = stretch[:k], stretch[-k:]
+                    trials += [stretch[k:] + head, stretch[k:] + head[::-1]]
+                    trials += [tail + stretch[:-k], tail[::-1] + stretch[:-k]]
+                for turned in trials:
+                    trial = path[:i] + turned + path[j:]
+                    if (length := _length(cost, trial)) < shortest - _BETTER:
+                        path, shortest, improved = trial, length, True
     return path
 
 
-def _length(cost: Array, path: list[int]) -> float:
-    return float(cost[path[:-1], path[1:]].sum())
+def _length(cost: list[list[float]], path: list[int]) -> float:
+    return sum(cost[a][b] for a, b in pairwise(path))
