@@ -18,6 +18,7 @@ Technometrics 22, 1980.
 """
 
 import math
+from dataclasses import dataclass
 from itertools import combinations_with_replacement, islice
 
 import numpy as np
@@ -29,8 +30,11 @@ from multipos.information import (
     Setting,
     inform,
     kernels,
+    multiply,
     objective,
     sensitivity,
+    tangents,
+    unit,
 )
 
 Array = NDArray[np.float64]
@@ -98,26 +102,21 @@ def exchange(
     """
     choice = choice.copy()
     total = len(choice) + len(fixed[0])
-    added = tuple(ridge * M for M in inform(rows))
-
-    def state() -> "_State | None":
-        information = tuple(
-            total * (M + R) for M, R in zip(_information(rows, choice, fixed), added, strict=True)
-        )
-        sound = objective(information, criterion) > -math.inf
-        return _State(rows, information, criterion) if sound else None
-
-    current = state()
+    staying = tuple(
+        total * ridge * M + np.einsum("nkp,nkq->pq", Z, Z)
+        for M, Z in zip(inform(rows), fixed, strict=True)
+    )
+    state = _State(rows, criterion, staying)
+    if not state.take(choice):
+        return choice
     for _ in range(_SWEEPS):
         moved = False
         for i in range(len(choice)):
-            if current is None:
-                return choice
-            gains = current.gains(int(choice[i]))
+            gains = state.gains(int(choice[i]))
             best = int(gains.argmax())
             if gains[best] > _BETTER:
                 choice[i] = best
-                current = state()
+                state.take(choice)
                 moved = True
         if not moved:
             break
@@ -127,71 +126,100 @@ def exchange(
 class _State:
     """What the gains of eq. (1) need of the present choice."""
 
-    def __init__(self, rows: Blocks, information: Blocks, criterion: Criterion) -> None:
-        self.rows = rows
-        self.inverse = [np.linalg.inv(M) for M in information]
-        self.left = [Z @ C for Z, C in zip(rows, self.inverse, strict=True)]
-        self.own = [_own(A, Z) for A, Z in zip(self.left, rows, strict=True)]
-        self.trace: float | None = None
-        if criterion.weight is not None:
-            products = [C @ B for C, B in zip(self.inverse, criterion.weight, strict=True)]
+    def __init__(self, rows: Blocks, criterion: Criterion, staying: Blocks) -> None:
+        self.rows, self.criterion, self.staying = rows, criterion, staying
+        self.sound = False
+
+    def take(self, choice: Choice) -> bool:
+        """Take another choice; tell whether it separates the parameters."""
+        taken = [Z[choice].reshape(-1, Z.shape[2]) for Z in self.rows]
+        information = tuple(M + T.T @ T for M, T in zip(self.staying, taken, strict=True))
+        # an exchange only adds information: what is regular stays so
+        self.sound = self.sound or objective(information, self.criterion) > -math.inf
+        if not self.sound:
+            return False
+        inverse = [np.asarray(np.linalg.inv(M), dtype=np.float64) for M in information]
+        self.own, self.left = _forms(self.rows, inverse)
+        if self.criterion.weight is not None:
+            products = [C @ B for C, B in zip(inverse, self.criterion.weight, strict=True)]
             self.trace = float(sum(np.trace(product) for product in products))
-            middle = [P @ C for P, C in zip(products, self.inverse, strict=True)]
-            self.left_b = [Z @ Q for Z, Q in zip(rows, middle, strict=True)]
-            self.own_b = [_own(A, Z) for A, Z in zip(self.left_b, rows, strict=True)]
+            middle = [P @ C for P, C in zip(products, inverse, strict=True)]
+            self.own_b, self.left_b = _forms(self.rows, middle)
+        return True
 
     def gains(self, leaving: int) -> Array:
         """Return the gain of the criterion, up to a constant factor, for every candidate (n,)."""
-        change = np.zeros(len(self.rows[0]))
+        determinants = np.ones(len(self.rows[0]))
+        falls = np.zeros(len(self.rows[0]))
         for b, Z in enumerate(self.rows):
-            S = _bordered(self.own[b], self.left[b] @ Z[leaving].T, leaving)
-            k = Z.shape[1]
-            S[:, :k, :k] += np.eye(k)
-            S[:, k:, k:] -= np.eye(k)
-            determinant = _det(S)
-            with np.errstate(divide="ignore"):
-                if self.trace is None:
-                    change += np.log(np.abs(determinant))
-                    continue
-            T = _bordered(self.own_b[b], self.left_b[b] @ Z[leaving].T, leaving)
-            change += _trace_solved(S, determinant, T)
-        if self.trace is None:
-            return change
+            S = _bordered(self.own[b], self.left[b], Z[leaving], leaving)
+            S.join_signs()
+            determinant = S.determinant()
+            determinants *= determinant
+            if self.criterion.weight is not None:
+                T = _bordered(self.own_b[b], self.left_b[b], Z[leaving], leaving)
+                falls += S.trace_solved(T, determinant)
         with np.errstate(divide="ignore", invalid="ignore"):
-            # what the trace becomes is never 0 or less but by rounding of a singular choice
-            left = np.where(self.trace - change > 0.0, self.trace - change, np.inf)
-            return np.asarray(np.log(self.trace) - np.log(left))
+            if self.criterion.weight is None:
+                return np.asarray(np.log(np.abs(determinants)))
+            # what the trace becomes is 0 or less only by rounding of a singular choice
+            left = np.where(self.trace - falls > 0.0, self.trace - falls, np.inf)
+            return np.asarray(math.log(self.trace) - np.log(left))
 
 
-def _own(left: Array, Z: Array) -> Array:
-    return np.asarray(left @ Z.transpose(0, 2, 1))
+def _forms(rows: Blocks, middle: list[Array]) -> tuple[list[Array], list[Array]]:
+    """Return Z_j C Z_j' (n, K, K) and Z_j C (n, K, p) of each block."""
+    left = [multiply(Z.reshape(-1, Z.shape[2]), C).reshape(Z.shape) for Z, C in
+            zip(rows, middle, strict=True)]  # fmt: skip
+    own = [np.einsum("nkp,nlp->nkl", A, Z) for A, Z in zip(left, rows, strict=True)]
+    return own, left
 
 
-def _bordered(own: Array, cross: Array, leaving: int) -> Array:
-    """Return [[own_j, cross_j], [cross_j', own_leaving]] for each candidate j, (n, 2K, 2K)."""
-    n, k, _ = own.shape
-    S = np.empty((n, 2 * k, 2 * k))
-    S[:, :k, :k], S[:, :k, k:] = own, cross
-    S[:, k:, :k], S[:, k:, k:] = cross.transpose(0, 2, 1), own[leaving]
-    return S
+@dataclass
+class _Bordered:
+    """[[own_j, cross_j], [cross_j', last]] for each candidate j; plain numbers where K = 1."""
+
+    own: Array
+    cross: Array
+    last: Array
+
+    def join_signs(self) -> None:
+        """Add C = diag(1, −1)."""
+        one = np.eye(self.own.shape[1])
+        self.own, self.last = self.own + one, self.last - one
+
+    def determinant(self) -> Array:
+        if self.own.shape[1] == 1:
+            return np.asarray(self.own[:, 0, 0] * self.last[0, 0] - self.cross[:, 0, 0] ** 2)
+        return np.asarray(np.linalg.det(self.matrices()))
+
+    def trace_solved(self, other: "_Bordered", determinant: Array) -> Array:
+        """Return tr(S⁻¹ T), −inf where S is singular: that replacement loses a parameter."""
+        sound = np.abs(determinant) > 1e-12
+        if self.own.shape[1] == 1:
+            top = (
+                self.last[0, 0] * other.own[:, 0, 0]
+                + self.own[:, 0, 0] * other.last[0, 0]
+                - 2.0 * self.cross[:, 0, 0] * other.cross[:, 0, 0]
+            )
+            return np.where(sound, top / np.where(sound, determinant, 1.0), -np.inf)
+        result = np.full(len(sound), -np.inf)
+        S, T = self.matrices()[sound], other.matrices()[sound]
+        result[sound] = np.trace(np.linalg.solve(S, T), axis1=1, axis2=2)
+        return result
+
+    def matrices(self) -> Array:
+        n, k, _ = self.own.shape
+        S = np.empty((n, 2 * k, 2 * k))
+        S[:, :k, :k], S[:, :k, k:] = self.own, self.cross
+        S[:, k:, :k], S[:, k:, k:] = self.cross.transpose(0, 2, 1), self.last
+        return S
 
 
-def _det(S: Array) -> Array:
-    if S.shape[1] == 2:
-        return np.asarray(S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0])
-    return np.asarray(np.linalg.det(S))
-
-
-def _trace_solved(S: Array, determinant: Array, T: Array) -> Array:
-    """Return tr(S⁻¹ T), −inf where S is singular: that replacement would lose a parameter."""
-    sound = np.abs(determinant) > 1e-12
-    if S.shape[1] == 2:
-        top = S[:, 1, 1] * T[:, 0, 0] + S[:, 0, 0] * T[:, 1, 1] - 2.0 * S[:, 0, 1] * T[:, 0, 1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(sound, top / determinant, -np.inf)
-    result = np.full(len(S), -np.inf)
-    result[sound] = np.trace(np.linalg.solve(S[sound], T[sound]), axis1=1, axis2=2)
-    return result
+def _bordered(own: Array, left: Array, leaving_rows: Array, leaving: int) -> _Bordered:
+    n, k, p = left.shape
+    cross = (left.reshape(n * k, p) @ leaving_rows.T).reshape(n, k, k)
+    return _Bordered(own, cross, own[leaving])
 
 
 def _try_all(
@@ -235,12 +263,12 @@ def polish(
     from scipy.optimize import minimize
 
     fixed = setting.rows(included)
-    frame = _frames(up)
+    frame = tangents(up)
     h = 1e-5
 
     def moved(x: Array) -> Array:
         step = np.einsum("nij,nj->ni", frame, x.reshape(-1, 2))
-        return _unit(up + step)
+        return unit(up + step)
 
     def descend(x: Array) -> tuple[float, Array]:
         information = _joined(setting.rows(moved(x)), fixed)
@@ -252,7 +280,7 @@ def polish(
             [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
         )
         around = up[:, np.newaxis, :] + np.einsum("nij,nkj->nki", frame, steps)
-        s = sensitivity(setting.rows(_unit(around.reshape(-1, 3))), kernel).reshape(-1, 4)
+        s = sensitivity(setting.rows(unit(around.reshape(-1, 3))), kernel).reshape(-1, 4)
         slope = np.stack([s[:, 0] - s[:, 1], s[:, 2] - s[:, 3]], axis=1) / (2.0 * h)
         return -value, -slope.ravel() / (len(up) + len(included))
 
@@ -274,12 +302,12 @@ def polish_largest(
     """
     from scipy.optimize import minimize
 
-    fixed, frame = setting.rows(included), _frames(up)
+    fixed, frame = setting.rows(included), tangents(up)
     seen = setting.rows(directions)
     criterion = Criterion("G")
 
     def moved(x: Array) -> Array:
-        return _unit(up + np.einsum("nij,nj->ni", frame, x.reshape(-1, 2)))
+        return unit(up + np.einsum("nij,nj->ni", frame, x.reshape(-1, 2)))
 
     def smooth(x: Array, power: float) -> float:
         information = _joined(setting.rows(moved(x)), fixed)
@@ -302,15 +330,5 @@ def _information(rows: Blocks, choice: Choice, fixed: Blocks) -> Blocks:
     return _joined(tuple(Z[choice] for Z in rows), fixed)
 
 
-def _frames(up: Array) -> Array:
-    other = np.eye(3)[np.argmin(np.abs(up), axis=1)]
-    first = _unit(np.cross(up, other))
-    return np.stack([first, np.cross(up, first)], axis=2)
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
-
-
 def _tidy(up: Array) -> Array:
-    return _unit(np.where(np.abs(up) < 1e-6, 0.0, up)) + 0.0
+    return unit(np.where(np.abs(up) < 1e-6, 0.0, up)) + 0.0

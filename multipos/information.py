@@ -113,7 +113,7 @@ class Setting:
             X = X / self.sd[:, np.newaxis]
         if self.orientation_sd == 0.0:
             return X
-        turned = self._jacobian(self.size * up) @ _tangents(up)
+        turned = self._jacobian(self.size * up) @ tangents(up)
         if self.sd is not None:
             turned = turned / self.sd[:, np.newaxis]
         if math.isinf(self.orientation_sd):
@@ -304,12 +304,16 @@ def _scaled(M: Array) -> Array:
     return np.asarray(M / np.outer(scale, scale))
 
 
-def _tangents(up: Array) -> Array:
+def tangents(up: Array) -> Array:
     """Return two unit vectors normal to each up vector, (n, 3, 2)."""
     other = np.eye(3)[np.argmin(np.abs(up), axis=1)]
-    first = np.cross(up, other)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    first = unit(np.cross(up, other))
     return np.stack([first, np.cross(up, first)], axis=2)
+
+
+def unit(vectors: Array) -> Array:
+    """Return vectors (n, 3) at length 1."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _average(setting: Setting, region: Array) -> Array:

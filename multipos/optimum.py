@@ -43,6 +43,8 @@ from multipos.information import (
     multiply,
     objective,
     sensitivity,
+    tangents,
+    unit,
 )
 from multipos.scheme import read_scheme
 
@@ -252,9 +254,9 @@ def maxima(function: Callable[[Array], Array], grid_size: int = _GRID) -> tuple[
     reach = np.full(len(up), 0.1)
     h = 1e-3
     for _ in range(_CLIMBS):
-        first, second = _frame(up)
+        first, second = np.moveaxis(tangents(up), 2, 0)
         around = [
-            function(_unit(up + h * (a * first + b * second))) - height
+            function(unit(up + h * (a * first + b * second))) - height
             for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1))
         ]
         gradient = np.stack([around[0] - around[1], around[2] - around[3]], axis=1) / (2 * h)
@@ -266,7 +268,7 @@ def maxima(function: Callable[[Array], Array], grid_size: int = _GRID) -> tuple[
         size = np.maximum(np.linalg.norm(along, axis=1), 1e-300)
         along *= np.minimum(1.0, reach / size)[:, np.newaxis]
         step = np.einsum("nij,nj->ni", axes, along)
-        moved = _unit(up + step[:, :1] * first + step[:, 1:] * second)
+        moved = unit(up + step[:, :1] * first + step[:, 1:] * second)
         raised = function(moved)
         better = raised > height
         up, height = np.where(better[:, np.newaxis], moved, up), np.where(better, raised, height)
@@ -295,16 +297,6 @@ def _grid(count: int) -> tuple[Array, list[tuple[int, NDArray[np.bool_]]]]:
     offsets = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 377)
     near = [np.einsum("ni,ni->n", up[k:], up[:-k]) > spacing for k in offsets]
     return up, list(zip(offsets, near, strict=True))
-
-
-def _frame(up: Array) -> tuple[Array, Array]:
-    other = np.eye(3)[np.argmin(np.abs(up), axis=1)]
-    first = _unit(np.cross(up, other))
-    return first, np.cross(up, first)
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _taken(rows: Blocks, chosen: NDArray[np.intp]) -> Blocks:
