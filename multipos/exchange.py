@@ -10,7 +10,7 @@ C = diag(1, −1) and S = C + W (N M)⁻¹ W',
 so that all candidates are tried for a position at once. Each position in turn takes its best
 replacement until none improves (Fedorov's exchange, in the manner of Cook and Nachtsheim);
 random starts guard against local optima. Where there are few choices all are tried. On the sphere
-the positions of the best starts then move freely (L-BFGS along the gradient (3) of
+the positions of the best starts then move freely (BFGS along the gradient (3) of
 `multipos.information`), because a list of directions hardly holds the best ones.
 
 Sources: V. V. Fedorov, Theory of Optimal Experiments, 1972; R. D. Cook, C. J. Nachtsheim,
@@ -18,7 +18,9 @@ Technometrics 22, 1980.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations_with_replacement, islice
 
 import numpy as np
@@ -43,6 +45,9 @@ Choice = NDArray[np.intp]
 _ALL = 20_000  # choices that are tried one and all
 _BETTER = 1e-10  # gain below which an exchange is rounding
 _SWEEPS = 100
+_H = 1e-5  # [rad], of central differences
+_STEPS = 300  # of the polish
+_REACH = 0.3  # [rad], of a step at most
 _RIDGE = 1e-3  # part of the candidates' mean information that makes a random start regular
 
 
@@ -260,37 +265,25 @@ def polish(
     setting: Setting, up: Array, criterion: Criterion, included: Array
 ) -> tuple[float, Array]:
     """Return the criterion and positions (n, 3) after they have moved freely on the sphere."""
-    from scipy.optimize import minimize
+    fixed, frame = setting.rows(included), tangents(up)
+    corners = _H * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 
-    fixed = setting.rows(included)
-    frame = tangents(up)
-    h = 1e-5
-
-    def moved(x: Array) -> Array:
-        step = np.einsum("nij,nj->ni", frame, x.reshape(-1, 2))
-        return unit(up + step)
-
-    def descend(x: Array) -> tuple[float, Array]:
-        information = _joined(setting.rows(moved(x)), fixed)
+    def fall(x: Array) -> tuple[float, Array]:
+        information = _joined(setting.rows(_moved(up, frame, x)), fixed)
         value = objective(information, criterion)
         if value == -math.inf:
-            return 1e6, np.zeros_like(x)
-        kernel = kernels(information, criterion)
-        steps = x.reshape(-1, 2)[:, np.newaxis, :] + h * np.array(
-            [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
-        )
-        around = up[:, np.newaxis, :] + np.einsum("nij,nkj->nki", frame, steps)
-        s = sensitivity(setting.rows(unit(around.reshape(-1, 3))), kernel).reshape(-1, 4)
-        slope = np.stack([s[:, 0] - s[:, 1], s[:, 2] - s[:, 3]], axis=1) / (2.0 * h)
+            return math.inf, np.zeros_like(x)
+        around = x.reshape(-1, 1, 2) + corners
+        near = unit((up[:, np.newaxis] + np.einsum("nij,nkj->nki", frame, around)).reshape(-1, 3))
+        s = sensitivity(setting.rows(near), kernels(information, criterion)).reshape(-1, 4)
+        slope = np.stack([s[:, 0] - s[:, 1], s[:, 2] - s[:, 3]], axis=1) / (2.0 * _H)
         return -value, -slope.ravel() / (len(up) + len(included))
 
     start = np.zeros(2 * len(up))
-    before = -descend(start)[0]
-    found = minimize(
-        descend, start, jac=True, method="L-BFGS-B", options={"maxiter": 300, "ftol": 1e-14}
-    )
+    before = -fall(start)[0]
+    x, value = _descend(fall, start, _STEPS)
     # an equal choice from the list has rounder numbers
-    return (-found.fun, _tidy(moved(found.x))) if -found.fun > before + 1e-9 else (before, up)
+    return (-value, _tidy(_moved(up, frame, x))) if -value > before + 1e-9 else (before, up)
 
 
 def polish_largest(
@@ -300,26 +293,59 @@ def polish_largest(
 
     The maximum is smoothed, (mean of s^q)^(1/q) over the directions, and sharpened by steps.
     """
-    from scipy.optimize import minimize
-
     fixed, frame = setting.rows(included), tangents(up)
     seen = setting.rows(directions)
     criterion = Criterion("G")
 
-    def moved(x: Array) -> Array:
-        return unit(up + np.einsum("nij,nj->ni", frame, x.reshape(-1, 2)))
-
     def smooth(x: Array, power: float) -> float:
-        information = _joined(setting.rows(moved(x)), fixed)
+        information = _joined(setting.rows(_moved(up, frame, x)), fixed)
         if objective(information, criterion) == -math.inf:
-            return 1e6
+            return math.inf
         s = sensitivity(seen, kernels(information, criterion))
         return float(np.log(s.max()) + np.log(np.mean((s / s.max()) ** power)) / power)
 
+    def fall(x: Array, power: float) -> tuple[float, Array]:
+        steps = _H * np.eye(len(x))
+        slope = [smooth(x + step, power) - smooth(x - step, power) for step in steps]
+        return smooth(x, power), np.array(slope) / (2.0 * _H)
+
     x = np.zeros(2 * len(up))
     for power in (20.0, 100.0):
-        x = minimize(smooth, x, args=(power,), method="L-BFGS-B", options={"maxiter": 40}).x
-    return -smooth(x, 1e4), _tidy(moved(x))
+        x, _ = _descend(partial(fall, power=power), x, _STEPS // 10)
+    return -smooth(x, 1e4), _tidy(_moved(up, frame, x))
+
+
+def _descend(
+    function: Callable[[Array], tuple[float, Array]], x: Array, steps: int
+) -> tuple[Array, float]:
+    """Return where a function of value and gradient is least nearby, and its value: BFGS."""
+    value, gradient = function(x)
+    H = np.eye(len(x))
+    for _ in range(steps):
+        direction = -H @ gradient
+        if not gradient @ direction < 0.0:
+            H, direction = np.eye(len(x)), -gradient
+        length = min(1.0, _REACH / max(float(np.abs(direction).max()), 1e-300))
+        while True:
+            s = length * direction
+            lower, slope = function(x + s)
+            if lower <= value + 1e-4 * float(gradient @ s):
+                break
+            length *= 0.3
+            if length < 1e-8:
+                return x, value
+        y, gained = slope - gradient, value - lower
+        x, value, gradient = x + s, lower, slope
+        if gained <= 1e-13:
+            break
+        if (curvature := float(y @ s)) > 1e-14:
+            V = np.eye(len(x)) - np.outer(s, y) / curvature
+            H = V @ H @ V.T + np.outer(s, s) / curvature
+    return x, value
+
+
+def _moved(up: Array, frame: Array, x: Array) -> Array:
+    return unit(up + np.einsum("nij,nj->ni", frame, x.reshape(-1, 2)))
 
 
 def _joined(rows: Blocks, fixed: Blocks) -> Blocks:
