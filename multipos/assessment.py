@@ -90,7 +90,8 @@ def schemes(
     assessor = Assessor(setting, reading_sd)
     found = [assessor.describe(read_scheme(source)) for source in sources or named_schemes()]
     if not sources:
-        found.sort(key=lambda entry: (-(entry["d_efficiency"] or 0.0), entry["positions"]))
+        # of equally good ones, to what rounding leaves, the shortest first
+        found.sort(key=lambda e: (-round(e["d_efficiency"] or 0.0, 9), e["positions"]))
     return {
         "model": setting.model.text,
         "orientation": orientation(setting),
@@ -207,11 +208,11 @@ class Assessor:
 
 def schemes_text(found: dict[str, Any]) -> str:
     """Return `schemes` as text: one table, and of a single scheme its u and what it hides."""
-    heading = (
-        f"model {found['model']}, orientations {found['orientation']}; efficiencies per position, "
+    note = (
+        f"orientations {found['orientation']}; D, A, G and I are efficiencies per position, "
         "against the best on the sphere"
     )
-    parts = [heading, table(*scheme_rows(found["schemes"]))]
+    parts = [f"model {found['model']}", table(*scheme_rows(found["schemes"])), note]
     if len(found["schemes"]) == 1:
         (entry,) = found["schemes"]
         up = [[label, *(f"{value:.6g}" for value in row)] for label, row in entry["up"].items()]

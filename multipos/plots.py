@@ -108,13 +108,11 @@ def _draw_positions(up: Array, axes: "Axes") -> None:
             shrink = 1.0 / np.sqrt(1.0 + abs(z))
             place = x * shrink + side * _APART, y * shrink
             axes.plot(
-                *place, "o", color="white", markeredgecolor="black", markersize=6.0, clip_on=False
-            )
+                *place, "o", color="white", markeredgecolor="black", clip_on=False,
+                markersize=6.0 if count == 1 else 11.0,
+            )  # fmt: skip
             if count > 1:
-                axes.annotate(
-                    str(count), place, textcoords="offset points", xytext=(5, 3), color="white",
-                    fontweight="bold",
-                )  # fmt: skip
+                axes.text(*place, str(count), ha="center", va="center_baseline", fontsize=7.0)
 
 
 def draw_efficiency(designs: Mapping[str, Sequence[Mapping[str, Any]]], axes: "Axes") -> None:

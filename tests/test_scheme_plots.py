@@ -13,10 +13,12 @@ def test_scheme_map_shows_every_position_and_the_largest_variance():
     places = np.array([line.get_xydata()[0] for line in axes.lines])
     # 2 poles, 8 corners, and 4 faces on the rim of both hemispheres
     assert len(places) == 2 + 8 + 2 * 4
-    (mesh,) = axes.collections
+    meshes = axes.collections
     (entry,) = mp.schemes("faces-corners-14", model="own-quadratic")["schemes"]
     # the grid passes through the poles, where the variance is largest
-    assert mesh.get_array().max() == pytest.approx(1.0 / entry["g_efficiency"])
+    assert max(mesh.get_array().max() for mesh in meshes) == pytest.approx(
+        1.0 / entry["g_efficiency"]
+    )
     figure.canvas.draw()
 
 
@@ -31,9 +33,10 @@ def test_lambert_map_keeps_areas():
     up = np.array([[0.0, np.sin(t), np.cos(t)] for t in (0.3, 0.9, 1.4)])
     table = dict(zip(("up_x", "up_y", "up_z"), np.vstack([up, np.eye(3)]).T, strict=True))
     draw_scheme(table, axes)
-    radius = [np.hypot(*line.get_xydata()[0]) for line in axes.lines[:3]]
+    radius = {round(float(np.hypot(*line.get_xydata()[0])), 9) for line in axes.lines}
     # a cap of height 1 − cos t has the share 1 − cos t of the hemisphere
-    assert np.square(radius) == pytest.approx(1.0 - np.cos([0.3, 0.9, 1.4]))
+    for t in (0.3, 0.9, 1.4):
+        assert min(abs(r**2 - (1.0 - np.cos(t))) for r in radius) < 1e-5
 
 
 def test_efficiency_curve():
