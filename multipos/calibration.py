@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos import derived, inverse
 from multipos.diagnostics import Diagnostics, linearity
 from multipos.errors import MultiposError
+from multipos.expressions import expression_dict, load_expression
 from multipos.files import plain, read_json, to_json, write_text
 from multipos.formatting import number, table, uncertain
 from multipos.model import Model, build_model, paper_symbol, parameter_label
@@ -30,6 +31,13 @@ from multipos.readings import Readings
 Array = NDArray[np.float64]
 
 SCHEMA = "multipos/calibration/1"
+_EXTRA = (
+    "variance_components",
+    "orientation_error_deg",
+    "group_rotation_deg",
+    "level_sd_deg",
+    "level_tilt_deg",
+)  # what some estimators add
 
 
 class Parameter(NamedTuple):
@@ -56,11 +64,13 @@ class Gravity(NamedTuple):
 
 
 class Status(NamedTuple):
-    """How the estimator ended."""
+    """How the estimator ended; the last step is relative, the gradient in units of u."""
 
     converged: bool
     iterations: int
     message: str
+    last_step: float = 0.0
+    gradient: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -166,14 +176,14 @@ class Calibration:
     def rms(self) -> float:
         """Root mean square of what is left after compensation [g].
 
-        Of |f| − |reference| for unknown orientation, of the components of f − reference otherwise.
+        Of ``|f| − |reference|`` for unknown orientation, of the vector f − reference otherwise.
         """
         force = self.compensate(self.readings.values, self.readings.environment)
         if self.estimator == "unknown-orientation":
             size = np.linalg.norm(self.reference, axis=1)
             return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
         left = force - self.reference[:, list(inverse.sensed_axes(self.model))]
-        return float(np.sqrt(np.mean(left**2)))
+        return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 
     @cached_property
     def linearity(self) -> dict[str, dict[str, float]]:
@@ -202,7 +212,7 @@ class Calibration:
 
         Parameters
         ----------
-        raw : (n, M) or (M,) array
+        raw : (n, M) or (M,) array, or (n,) for a single output
             In the unit of the readings.
         environment : mapping of str to (n,) array, optional
             Columns that the model uses beside the components, such as temperature.
@@ -213,7 +223,9 @@ class Calibration:
             On the K axes that the sensor has, in the calibration's convention; NaN where no
             force explains the reading.
         """
-        values = np.array(raw, dtype=np.float64, ndmin=2)
+        values = np.array(raw, dtype=np.float64)
+        if values.ndim < 2:  # one reading of all outputs, or many of the only one
+            values = values.reshape(-1, 1) if len(self.outputs) == 1 else values[None]
         if values.ndim != 2 or values.shape[1] != len(self.outputs):
             raise MultiposError(
                 f"`raw` must have shape (n, {len(self.outputs)}), got {np.shape(raw)}; "
@@ -242,6 +254,7 @@ class Calibration:
             "group": readings.group,
             "environment": dict(readings.environment) or None,
             "attitude": readings.rotation,
+            "up": readings.up,
         }
         content = {
             "schema": SCHEMA,
@@ -286,6 +299,7 @@ class Calibration:
             else {"closed_form_max_difference": self.cross_check},
             "intrinsic": self.intrinsic,
             "installation_deg": self.installation_deg,
+            **expression_dict(self.model),
             **self.extra,
         }
         result: dict[str, Any] = plain(content)
@@ -361,22 +375,24 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
     environment = {
         name: _numbers(column) for name, column in content.get("environment", {}).items()
     }
-    model = build_model(
+    model: Model = load_expression(content) if "expression" in content else build_model(
         content["model"], outputs, tuple(content["axes"]), tuple(content["inputs"]),
-        content["unit"],
+        str(content["unit"]),
     )  # fmt: skip
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
     convention = content["convention"]
     reference = _numbers(content["reference"])
     size = np.linalg.norm(reference, axis=1)
+    if not (np.isfinite(size) & (size > 0.0)).all():
+        raise ValueError("its reference is zero or not finite")
     up = reference / size[:, None] * (-1.0 if convention == "gravity" else 1.0) + 0.0
     sd_deg = content.get("orientation_sd_deg")
     readings = Readings(
         values=_numbers(content["readings"]),
         outputs=outputs,
         positions=tuple(content["positions"]),
-        up=up,
+        up=_numbers(content["up"]) if "up" in content else up,
         rotation=_numbers(content.get("attitude")),
         u=_numbers(content.get("reading_u")),
         covariance=_numbers(content.get("reading_covariance")),
@@ -385,7 +401,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         orientation_sd=None if sd_deg is None else np.radians(_numbers(sd_deg)),
         group=content.get("group"),
         environment=environment,
-        unit=content["unit"],
+        unit=model.unit,
         source=content["input"]["file"],
         sha256=content["input"]["sha256"],
     )
@@ -408,13 +424,16 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         gravity=None if content["gravity"] is None else Gravity(**content["gravity"]),
         estimator=content["estimator"],
         criterion=content["criterion"],
-        confidence=content["confidence"],
+        confidence=float(content["confidence"]),
         diagnostics=Diagnostics(
             rank=found["rank"],
             parameters=found["parameters"],
-            condition=found["condition"],
+            condition=float(_numbers([found["condition"]])[0]),
             leverage=_numbers(found["leverage"]),
-            lack_of_fit=found["lack_of_fit"],
+            lack_of_fit={
+                output: {key: test[key] for key in ("F", "dof", "p")}
+                for output, test in found["lack_of_fit"].items()
+            },
             outliers=tuple(found["outliers"]),
             unidentifiable=tuple(found["unidentifiable"]),
             warnings=tuple(found["warnings"]),
@@ -422,12 +441,33 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         status=Status(**content["status"]),
         created=content["created"],
         version=content["multipos_version"],
-        cross_check=None if cross_check is None else cross_check["closed_form_max_difference"],
+        cross_check=None
+        if cross_check is None
+        else float(cross_check["closed_form_max_difference"]),
+        extra={key: content[key] for key in _EXTRA if key in content},
     )
-    p, shape = len(calibration.parameters), readings.values.shape
-    if calibration.covariance.shape != (p, p) or calibration.residuals.shape != shape:
-        raise ValueError("its arrays do not fit together")
+    _check(calibration)
     return calibration
+
+
+def _check(c: Calibration) -> None:
+    p, (n, m) = len(c.parameters), c.readings.values.shape
+    shapes = (
+        c.covariance.shape,
+        c.residuals.shape,
+        c.reference.shape,
+        c.diagnostics.leverage.shape,
+    )
+    if shapes != ((p, p), (n, m), (n, 3), (n, m)):
+        raise ValueError("its arrays do not fit together")
+    columns = [c.readings.environment.get(name, np.nan) for name in c.model.environment]
+    if not all(np.isfinite(column).all() for column in columns):
+        raise ValueError("its readings lack a column of its model, or a number in it")
+    if not np.isfinite(c.parameters).all() or not 0.0 < c.confidence < 1.0:
+        raise ValueError("its parameters or its confidence are no usable numbers")
+    # NaN is right where nothing was left to estimate an uncertainty from
+    if (np.diag(c.covariance) < 0.0).any() or not (c.parameter_dof >= 0.0).all():
+        raise ValueError("its covariance or degrees of freedom are negative")
 
 
 def _numbers(value: Any) -> Any:

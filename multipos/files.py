@@ -15,7 +15,7 @@ import math
 import os
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,12 @@ class Table:
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
+
+    def select(self, rows: Sequence[int]) -> "Table":
+        """Return the table with some of its rows; messages still name the lines of the file."""
+        columns = {name: [column[row] for row in rows] for name, column in self.columns.items()}
+        lines = None if self.lines is None else [self.lines[row] for row in rows]
+        return replace(self, columns=columns, rows=len(rows), lines=lines)
 
     @property
     def decimal_comma(self) -> bool:
@@ -215,7 +221,7 @@ def _float(cell: Any) -> float:
 
 
 def _label(cell: Any) -> str:
-    if cell is None:
+    if cell is None or str(cell) == "<NA>":  # pandas.NA
         return ""
     if isinstance(cell, float | np.floating) and float(cell).is_integer():
         return str(int(cell))
@@ -262,11 +268,14 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """
     target = Path(path)
     try:
+        if target.exists() and not os.access(target, os.W_OK):
+            raise PermissionError(None, "it is read-only")
         if target.exists() and not target.is_file():  # a device or a pipe has no neighbour
             if target.is_dir():
                 raise IsADirectoryError(None, "it is a folder")
             target.write_text(text, encoding="utf-8")
             return
+        target = target.resolve()  # a link stays, what it points to is written
         mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         try:
@@ -342,6 +351,8 @@ def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
         value = json.loads(raw.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise MultiposError(f"{path}: not UTF-8 text; give a file of schema '{schema}'.") from None
+    except RecursionError:
+        raise MultiposError(f"{path}: nested too deeply for a file of schema '{schema}'.") from None
     except json.JSONDecodeError as error:
         raise MultiposError(
             f"{path}: line {error.lineno}, column {error.colno}: not valid JSON ({error.msg}); "

@@ -139,7 +139,13 @@ class Readings:
         if self.u is not None and self.covariance is not None:
             raise MultiposError("`u` and `covariance` both state the reading noise; give one.")
         if self.up is not None:
-            _set(self, "up", _readonly(attitudes.from_up(self.up).up))
+            known = ~np.isnan(self.up).any(axis=1)
+            up = np.full(self.up.shape, np.nan)
+            up[known] = attitudes.from_up(self.up[known]).up if known.any() else up[known]
+            _set(self, "up", _readonly(up))
+            if not known.all() and self.orientation_sd is None:
+                row = int(np.argmin(known))
+                raise MultiposError(f"`up` of row {row + 1} is not finite.")
 
 
 def read_readings(
@@ -198,7 +204,8 @@ def read_readings(
             for name in candidates
             if name not in names
         ]
-    oriented = attitudes.read_attitudes(table)
+    spread = _orientation_sd(table)
+    oriented = attitudes.read_attitudes(table, None if spread is None else np.isnan(spread))
     columns = _environment(table, names, environment, notes)
     return Readings(
         values=np.column_stack([table.number(name) for name in names]),
@@ -209,7 +216,7 @@ def read_readings(
         u=_beside(table, "u", names, notes),
         sd=_beside(table, "sd", names, notes),
         samples=_nonnegative(table, "n") if "n" in table else None,
-        orientation_sd=_orientation_sd(table),
+        orientation_sd=spread,
         group=table.text("group") if "group" in table else None,
         environment=columns,
         unit=unit or "reading",
@@ -222,7 +229,8 @@ def read_readings(
 def _names(outputs: Sequence[str] | str | None) -> tuple[str, ...] | None:
     if outputs is None:
         return None
-    return tuple(outputs.split(",")) if isinstance(outputs, str) else tuple(outputs)
+    names = outputs.split(",") if isinstance(outputs, str) else outputs
+    return tuple(name.strip() for name in names)
 
 
 def _with_outputs(readings: Readings, names: tuple[str, ...]) -> Readings:
@@ -277,6 +285,13 @@ def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
     return replace(
         readings, up=given.up[rows], rotation=given.rotation[rows], positions=positions, notes=notes
     )
+
+
+def stated_sd(readings: Readings) -> Array | None:
+    """Return the stated standard uncertainty of each reading (n, M), or None."""
+    if readings.covariance is not None:
+        return np.asarray(np.sqrt(np.diag(readings.covariance)).reshape(readings.values.shape))
+    return readings.u
 
 
 def _with_up(readings: Readings) -> Readings:
@@ -398,7 +413,7 @@ def _array(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:
             f"`{name}` must have shape {shape}, got {array.shape}; give one row per position."
         )
     # NaN has a meaning in these: heading open, orientation unknown, cell of an unused column.
-    if name not in ("rotation", "orientation_sd") and "environment" not in name:
+    if name not in ("rotation", "up", "orientation_sd") and "environment" not in name:
         finite = np.isfinite(array)
         if not finite.all():
             row = int(np.argwhere(~finite)[0][0])
