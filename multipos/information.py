@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import UsageError
+from multipos.inverse import parameter_jacobian
 from multipos.model import COMPONENTS, Model, Term
 
 Array = NDArray[np.float64]
@@ -88,24 +89,23 @@ class Setting:
     def rows(self, up: Array) -> Blocks:
         """Return the whitened rows Z with I(u) = Z'Z of each block, at up vectors (n, 3)."""
         force = self.size * up
-        if self.orientation_sd == 0.0:
+        if self.orientation_sd > 0.0:
+            return (self.whiten(up, self.design(force)),)
+        if self.parameters is None:
             phi = self.model.basis(force, {})
-            sd = np.ones(len(self.model.outputs)) if self.sd is None else self.sd
-            return tuple(
-                (phi[:, columns] / sd[i])[:, np.newaxis, :]
-                for i, columns in enumerate(self.model.columns)
-            )
-        return (self.whiten(up, self.design(force)),)
+            blocks = [phi[:, np.newaxis, columns] for columns in self.model.columns]
+        else:
+            X = self.design(force)
+            blocks = [X[:, [i], part] for i, part in enumerate(self.model.slices)]
+        if self.sd is None:
+            return tuple(blocks)
+        return tuple(Z / sd for Z, sd in zip(blocks, self.sd.tolist(), strict=True))
 
     def design(self, force: Array) -> Array:
         """Return X (n, M, p), the derivative of the outputs by the parameters."""
-        phi = self.model.basis(force, {})
-        X = np.zeros((len(force), len(self.model.outputs), len(self.model.keys)))
-        for i, (part, columns) in enumerate(
-            zip(self.model.slices, self.model.columns, strict=True)
-        ):
-            X[:, i, part] = phi[:, columns]
-        return X
+        nominal = np.zeros(len(self.model.keys))  # of any sensor, where the model is linear in them
+        parameters = nominal if self.parameters is None else self.parameters
+        return parameter_jacobian(self.model, parameters, force, {})
 
     def whiten(self, up: Array, X: Array) -> Array:
         """Return V^(-1/2) X of eq. (1); where orientations are unknown, the row n'X."""
@@ -130,9 +130,7 @@ class Setting:
     def _jacobian(self, force: Array) -> Array:
         """Return dy/df (n, M, 3)."""
         if self.parameters is not None:
-            return np.asarray(
-                self.model.coefficients(self.parameters) @ self.model.basis_gradient(force, {})
-            )
+            return self.model.force_jacobian(self.parameters, force, {})
         J = np.zeros((len(self.model.outputs), 3))
         for i, axis in enumerate(self.model.axes):
             J[i, COMPONENTS.index(axis)] = 1.0

@@ -303,6 +303,18 @@ def test_predicted_u_of_unknown_orientation_is_the_scatter():
     assert_allclose(ratio, 1.0, atol=4 / math.sqrt(2 * runs))
 
 
+@pytest.mark.parametrize("options", [{}, {"unknown_orientation": True}, {"orientation_sd": 0.01}])
+def test_predicted_u_is_what_the_fit_states(options):
+    rng, sd = np.random.default_rng(10), 1e-4
+    up = read_scheme("all-26").up
+    table = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    table |= dict(zip(OUTPUTS, (up + sd * rng.standard_normal(up.shape)).T, strict=True))
+    cal = mp.fit(table, reading_sd=sd, **options)
+    (entry,) = mp.schemes("all-26", reading_sd=sd, **options)["schemes"]
+    # the sensor is nominal to some 1e-4
+    assert_allclose(cal.u, list(entry["u"].values()), rtol=1e-3)
+
+
 # --- exact designs
 
 
@@ -494,6 +506,20 @@ def test_worth_is_what_a_calibration_with_the_position_states():
     then = mp.fit(more, model="own-quadratic", reading_sd=0.001)
     assert then["ay", "y^2"].u == pytest.approx(best["u"]["ay:y^2"], rel=1e-9)
     assert best["fall"] == pytest.approx(1 - best["u"]["ay:y^2"] / cal["ay", "y^2"].u)
+
+
+@pytest.mark.parametrize(
+    "options", [{"unknown_orientation": True, "gauge": "symmetric"}, {"orientation_sd": 0.05}]
+)
+def test_worth_of_a_position_whose_orientation_is_not_exact(options):
+    rng = np.random.default_rng(11)
+    more = readings("faces-corners-14", rng, 1e-4)
+    less = {name: column[:-1] for name, column in more.items()}
+    cal = mp.fit(less, reading_sd=1e-4, **options)
+    last = {name: column[-1:] for name, column in more.items() if name.startswith("up")}
+    (entry,) = mp.worth(cal, candidates=last)["candidates"]
+    then = mp.fit(more, reading_sd=1e-4, **options)
+    assert_allclose(list(entry["u"].values()), then.u, rtol=2e-3)
 
 
 def test_worth_says_when_to_stop():
