@@ -73,7 +73,7 @@ def schemes(
     axes, inputs : sequences of str, or comma-separated str
         As in `multipos.fit`; outputs are named ax, ay, az after their axes.
     unknown_orientation : bool
-        Only |f| is known: the information is of the norm, the parameters of the lower gauge.
+        Only the norm of f is known, and the parameters are those of the lower gauge.
     orientation_sd : float [degrees], optional
         Standard deviation of the orientation per axis, against `reading_sd` in g.
     reading_sd : float

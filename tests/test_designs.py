@@ -1,10 +1,10 @@
 """Schemes assessed and made: analytic optima, textbook designs, simulated calibrations."""
 
+import contextlib
+import io
 import itertools
 import json
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.benches import read_bench
+from multipos.cli import main
 from multipos.exchange import choose
 from multipos.information import (
     Criterion,
@@ -37,11 +38,11 @@ def setting(model, **options):
 
 
 def command(*arguments):
-    done = subprocess.run(
-        [sys.executable, "-m", "multipos.cli", *arguments],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    return done.returncode, done.stdout, done.stderr
+    """Return exit status, stdout and stderr of a command, run in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main(arguments)
+    return status, out.getvalue(), err.getvalue()
 
 
 # --- the continuous optimum
