@@ -92,8 +92,8 @@ def design(
         {"model", "criterion", "positions" (included ones first, the others in an order that is
         short to travel), "included", "log_det", "optimum_log_det" (of the D-optimum on the
         sphere), "efficiency", "certificate": {max_variance, parameters, gap, over}, "optimum":
-        {positions, weights}, "bench_efficiency" (against the optimum on the candidates),
-        "travel_deg", "time_s", "scheme" (as in `schemes`)}.
+        {positions, weights}, "bench_efficiency" (against the best on the candidates, None for
+        G), "travel_deg", "time_s", "scheme" (as in `schemes`)}.
 
     Raises
     ------
@@ -123,8 +123,9 @@ def design(
     up = np.concatenate([given, order_positions(up, given[-1:])])
     described = assessor.describe(Scheme("design", up, np.full((len(up), 3, 3), np.nan), None))
     p = len(setting.model.keys)
-    # the optimum of G is 1 by the equivalence theorem: its value here is −ln of the largest s
-    at_best, at_bench = (0.0, 0.0) if criterion == "G" else (sphere.value, best.value)
+    # the value of G is −ln of the largest s over the sphere, which is 1 at the optimum
+    at_best = 0.0 if criterion == "G" else sphere.value
+    on_bench = None if criterion == "G" else min(1.0, math.exp(value - best.value))
     turned = travel_deg(up)
     return {
         "model": setting.model.text,
@@ -145,7 +146,7 @@ def design(
             "positions": best.up if bench is None else bench[best.chosen],
             "weights": best.weights,
         },
-        "bench_efficiency": min(1.0, math.exp(value - at_bench)),
+        "bench_efficiency": on_bench,
         "travel_deg": turned,
         "time_s": None if move_time is None else move_time[0] * len(up) + move_time[1] * turned,
         "scheme": described,
@@ -171,13 +172,13 @@ def design_text(found: dict[str, Any]) -> str:
     )
     summary = [
         ["efficiency", f"{found['efficiency']:.6f}", "against the best on the whole sphere"],
-        ["", f"{found['bench_efficiency']:.6f}", "against the best on these candidates"],
         ["log det", f"{found['log_det']:.6f}", f"at most {found['optimum_log_det']:.6f}"],
         ["certificate", f"{certificate['gap']:.1e}", proof],
         ["travel", f"{found['travel_deg']:.0f}°", time],
     ]
-    if not bench:
-        del summary[1]
+    if bench and found["bench_efficiency"] is not None:
+        share = f"{found['bench_efficiency']:.6f}"
+        summary.insert(1, ["", share, "against the best on these candidates"])
     width = max(len(row[1]) for row in summary)
     lines = [f"{a:<11}  {b:>{width}}  {c}".rstrip() for a, b, c in summary]
     heading = (
