@@ -19,59 +19,88 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "Calibration": "calibration",
+    "Check": "checks",
     "ConvergenceError": "errors",
     "Model": "model",
     "MultiposError": "errors",
     "RankError": "errors",
     "Readings": "readings",
+    "Regression": "regression",
     "Scheme": "scheme",
+    "Tumble": "single_axis",
     "UsageError": "errors",
     "apply": "compensation",
+    "correct": "correction",
+    "check": "checks",
     "demo": "song_qin",
     "design": "designs",
     "fit": "fitting",
     "load": "calibration",
+    "load_regression": "regression",
     "normal_gravity": "units",
+    "over_temperature": "temperature",
     "read_readings": "readings",
     "read_scheme": "scheme",
+    "regress": "regressing",
     "schemes": "assessment",
+    "state_bench": "turntable",
+    "table_errors": "turntable",
+    "tumble": "single_axis",
     "worth": "prospects",
 }
 
 __all__ = [
     "Calibration",
+    "Check",
     "ConvergenceError",
     "Model",
     "MultiposError",
     "RankError",
     "Readings",
+    "Regression",
     "Scheme",
+    "Tumble",
     "UsageError",
     "__version__",
     "apply",
+    "check",
+    "correct",
     "demo",
     "design",
     "fit",
     "load",
+    "load_regression",
     "normal_gravity",
+    "over_temperature",
     "read_readings",
     "read_scheme",
+    "regress",
     "schemes",
+    "state_bench",
+    "table_errors",
+    "tumble",
     "worth",
 ]
 
 if TYPE_CHECKING:
     from multipos.assessment import schemes
     from multipos.calibration import Calibration, load
+    from multipos.checks import Check, check
     from multipos.compensation import apply
+    from multipos.correction import correct
     from multipos.designs import design
     from multipos.errors import ConvergenceError, MultiposError, RankError, UsageError
     from multipos.fitting import fit
     from multipos.model import Model
     from multipos.prospects import worth
     from multipos.readings import Readings, read_readings
+    from multipos.regressing import regress
+    from multipos.regression import Regression, load_regression
     from multipos.scheme import Scheme, read_scheme
+    from multipos.single_axis import Tumble, tumble
     from multipos.song_qin import demo
+    from multipos.temperature import over_temperature
+    from multipos.turntable import state_bench, table_errors
     from multipos.units import normal_gravity
 
 

@@ -338,6 +338,16 @@ def plain(value: Any) -> Any:
     return value
 
 
+def read_schema(path: str | os.PathLike[str]) -> str | None:
+    """Return the schema that a JSON file names; None where it is not such a file, or not there."""
+    try:
+        value = json.loads(Path(path).read_bytes())
+    except (OSError, ValueError):
+        return None
+    found = value.get("schema") if isinstance(value, dict) else None
+    return found if isinstance(found, str) else None
+
+
 def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
     """Read a JSON object and check that its ``schema`` is the one expected.
 

@@ -1,9 +1,4 @@
-"""Figures, each a function that draws on an axes it is given.
-
-Colours are those of Okabe and Ito, which colour-blind people can tell apart, and every series has
-a second cue: a marker, a line style or a number. `new_figure` makes a figure that knows nothing of
-the screen.
-"""
+"""Figures of schemes: where the positions lie and what they tell, and how many are needed."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -15,43 +10,13 @@ from multipos.assessment import read_setting
 from multipos.files import Source
 from multipos.information import Criterion, inform, kernels, sensitivity
 from multipos.model import COMPONENTS
+from multipos.plots.style import COLOURS, MARKERS
 from multipos.scheme import Scheme, read_scheme
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999", "#f0e442")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-
-_STYLE: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "multipos",
-    "font.size": 9.0,
-    "font.family": "sans-serif",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 9.0,
-    "axes.titlelocation": "left",
-    "hatch.linewidth": 0.6,
-    "lines.markersize": 4.0,
-}
-
-
-def new_figure(rows: int = 1, *, width: float = 5.8, height: float = 2.6) -> "tuple[Figure, Any]":
-    """Return a figure of so many axes below each other, and the axes (rows,); sizes in inches."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    with rc_context(_STYLE):
-        figure = Figure(figsize=(width, height * rows), layout="constrained")
-        axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
-    return figure, axes
-
-
-# --- Schemes
 
 _APART = 2.3  # of the middles of the two hemispheres, whose radius is 1
 
