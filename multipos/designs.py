@@ -136,6 +136,16 @@ def design(
         "log_det": described["log_det"],
         "optimum_log_det": assessor.optimum("D").log_det,
         "efficiency": min(1.0, math.exp(value - at_best)),
+        **_proof(best, p, bench),
+        "bench_efficiency": on_bench,
+        "travel_deg": turned,
+        "time_s": None if move_time is None else move_time[0] * len(up) + move_time[1] * turned,
+        "scheme": described,
+    }
+
+
+def _proof(best: Optimum, p: int, bench: Array | None) -> dict[str, Any]:
+    return {
         "certificate": {
             "max_variance": p * (1.0 + best.gap),
             "parameters": p,
@@ -146,10 +156,6 @@ def design(
             "positions": best.up if bench is None else bench[best.chosen],
             "weights": best.weights,
         },
-        "bench_efficiency": on_bench,
-        "travel_deg": turned,
-        "time_s": None if move_time is None else move_time[0] * len(up) + move_time[1] * turned,
-        "scheme": described,
     }
 
 
