@@ -27,6 +27,7 @@ _PUBLIC = {
     "Scheme": "scheme",
     "UsageError": "errors",
     "apply": "compensation",
+    "compare": "comparison",
     "demo": "song_qin",
     "fit": "fitting",
     "load": "calibration",
@@ -47,6 +48,7 @@ __all__ = [
     "UsageError",
     "__version__",
     "apply",
+    "compare",
     "demo",
     "fit",
     "load",
@@ -58,6 +60,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from multipos.calibration import Calibration, load
+    from multipos.comparison import compare
     from multipos.compensation import apply
     from multipos.designs import schemes
     from multipos.errors import ConvergenceError, MultiposError, RankError, UsageError

@@ -423,6 +423,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         created=content["created"],
         version=content["multipos_version"],
         cross_check=None if cross_check is None else cross_check["closed_form_max_difference"],
+        extra={key: content[key] for key in ("budget",) if key in content},
     )
     p, shape = len(calibration.parameters), readings.values.shape
     if calibration.covariance.shape != (p, p) or calibration.residuals.shape != shape:

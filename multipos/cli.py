@@ -22,6 +22,7 @@ COMMANDS = {
     "fit": "calibrate from readings at static positions",
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
+    "compare": "compare repeated calibrations of one unit",
     "schemes": "list schemes and what they can tell about a model",
 }
 

@@ -27,6 +27,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos import __version__
+from multipos.budgets import Budget, read_budget
+from multipos.budgets import Source as BudgetSource
 from multipos.calibration import Calibration, Gravity, labels
 from multipos.diagnostics import Diagnostics, find_outliers, lack_of_fit
 from multipos.errors import MultiposError, UsageError
@@ -42,6 +44,7 @@ from multipos.model import (
 )
 from multipos.readings import Readings, orient, read_readings
 from multipos.scheme import Scheme
+from multipos.uncertainty import with_budget
 from multipos.units import gravity_ratio, normal_gravity
 
 Array = NDArray[np.float64]
@@ -66,6 +69,7 @@ def fit(
     gravity_u: float | None = None,
     latitude: float | None = None,
     height: float | None = None,
+    budget: "BudgetSource | Budget | None" = None,
     unit: str | None = None,
     confidence: float = 0.95,
 ) -> Calibration:
@@ -92,6 +96,8 @@ def fit(
         Local gravity and its standard uncertainty; without it one g is the local gravity.
     latitude, height : float [degrees, m], optional
         Take gravity from the WGS 84 normal-gravity formula.
+    budget : path, tables or Budget, optional
+        What is known of the measurement beside the readings (`multipos.budgets`).
     unit : str, optional
         Unit of the readings.
     confidence : float
@@ -118,7 +124,12 @@ def fit(
         raise UsageError(f"unknown convention '{convention}'; give specific-force or gravity.")
     if not 0.0 < confidence < 1.0:
         raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
+    stated = None if budget is None else read_budget(budget)
     local = resolve_gravity(gravity, gravity_u, latitude, height)
+    if stated is not None and stated.gravity is not None:
+        if local is not None:
+            raise UsageError("the options and the budget's [gravity] both state it; give one.")
+        local = Gravity(*stated.gravity)
     used = formula_columns(model)
     data = orient(read_readings(readings, outputs=outputs, unit=unit, environment=used), scheme)
     if reading_sd is not None:
@@ -136,12 +147,13 @@ def fit(
     assert data.up is not None
     reference = sign * gravity_ratio(None if local is None else local.value) * data.up + 0.0
     solve = solve_closed_form if closed_form else solve_known
-    return complete(
+    calibration = complete(
         solve(built, reference, data, pool=pool), built, reference, data,
         convention=convention, gravity=local, confidence=confidence,
         estimator="closed-form" if closed_form else "linear",
         criterion=_criterion(data, closed_form),
     )  # fmt: skip
+    return calibration if stated is None else with_budget(calibration, stated)
 
 
 def complete(

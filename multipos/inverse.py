@@ -74,14 +74,22 @@ def inverse_covariance(
     environment: Mapping[str, ArrayLike],
 ) -> Array:
     """Return the covariance (n, K, K) [g²] of compensated force (n, K), by eq. (2)."""
+    sensitivity = inverse_sensitivity(model, parameters, force, environment)
+    result: Array = sensitivity @ covariance @ sensitivity.transpose(0, 2, 1)
+    return result
+
+
+def inverse_sensitivity(
+    model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    """Return df/dp (n, K, p), how compensated force (n, K) [g] follows the parameters, eq. (2)."""
     sensed = list(sensed_axes(model))
     full = np.zeros((len(force), 3))
     full[:, sensed] = force
     theta = model.coefficients(parameters)
     jacobian = _jacobian(model, theta, full, environment)[:, :, sensed]
     by_parameter = parameter_jacobian(model, full, environment)
-    sensitivity = np.linalg.pinv(jacobian) @ by_parameter
-    result: Array = sensitivity @ covariance @ sensitivity.transpose(0, 2, 1)
+    result: Array = -np.linalg.pinv(jacobian) @ by_parameter
     return result
 
 

@@ -80,7 +80,7 @@ def solve_known(
         The positions cannot separate the parameters; the message names them and a way out.
     """
     phi = model.basis(reference, readings.environment)
-    noise = _noise(readings)
+    noise = stated_noise(readings)
     if noise is not None and noise.ndim == 2:
         fits = _solve_jointly(model, phi, readings, noise)
     else:
@@ -194,7 +194,7 @@ def _solve_jointly(model: Model, phi: Array, readings: Readings, covariance: Arr
     )  # fmt: skip
 
 
-def _noise(readings: Readings) -> Array | None:
+def stated_noise(readings: Readings) -> Array | None:
     """Return the stated noise: variances (n M,) where outputs are independent, or (n M, n M)."""
     if readings.u is not None:
         return readings.u.ravel() ** 2
@@ -246,21 +246,16 @@ def solve_closed_form(
             f"--closed-form solves the models own-quadratic and linear, got '{model.text}'; "
             "leave out --closed-form."
         )
-    rows = six_positions(reference)
-    if rows is None:
+    if six_positions(reference) is None:
         raise MultiposError(
             "--closed-form needs six readings, each axis once up and once down; "
             "leave it out and least squares takes any positions."
         )
     n, m = readings.values.shape
-    weights = np.zeros((len(model.keys), n * m))
-    for output, (axis, part) in enumerate(zip(model.axes, model.slices, strict=True)):
-        weights[part, output::m] = closed_form_weights(
-            reference, rows, COMPONENTS.index(axis), quadratic=model.text == "own-quadratic"
-        )
+    weights = closed_form_gain(model, reference)
     solution = solve_known(model, reference, readings, pool=pool)
     parameters = weights @ readings.values.ravel()
-    noise = _noise(readings)
+    noise = stated_noise(readings)
     full = np.eye(n * m) if noise is None else np.diag(noise) if noise.ndim == 1 else noise
     scale = np.sqrt(_per_parameter(model, solution.variance))
     return replace(
@@ -269,6 +264,32 @@ def solve_closed_form(
         covariance=weights @ full @ weights.T * np.outer(scale, scale),
         residuals=readings.values - model.predict(parameters, reference, readings.environment),
     )
+
+
+def closed_form_gain(model: Model, reference: Array) -> Array:
+    """Return how the six-position inversion makes the parameters of the readings.
+
+    Parameters
+    ----------
+    model : Model
+        Own-quadratic or linear.
+    reference : (6, 3) array [g]
+        The six positions in any order.
+
+    Returns
+    -------
+    (p, 6 M) array
+        Parameters = this matrix times the readings, output running fastest.
+    """
+    rows = six_positions(reference)
+    assert rows is not None
+    m = len(model.outputs)
+    weights = np.zeros((len(model.keys), len(reference) * m))
+    for output, (axis, part) in enumerate(zip(model.axes, model.slices, strict=True)):
+        weights[part, output::m] = closed_form_weights(
+            reference, rows, COMPONENTS.index(axis), quadratic=model.text == "own-quadratic"
+        )
+    return weights
 
 
 def closed_form_difference(model: Model, reference: Array, readings: Readings) -> float | None:
