@@ -46,6 +46,7 @@ ORDER = (
     "single_axis",
     "regression",
     "tilt",
+    "consistency",
     "comparison",
     "simulation",
     "exporters",
