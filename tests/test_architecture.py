@@ -51,6 +51,8 @@ ORDER = (
     "simulation",
     "exporters",
     "plots",
+    "translations",
+    "certificate",
     "reports",
     "song_qin",
     "commands",

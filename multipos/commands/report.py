@@ -11,16 +11,19 @@ from multipos.reports import write_report
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("calibration", metavar="CAL.json", help="calibration to report")
-    add_output(parser, "REPORT", "file to write, .md or .txt")
+    add = parser.add_argument
+    add("calibration", metavar="CAL.json", help="calibration to report")
+    add("--lab", metavar="FILE", help="TOML file of what only the laboratory knows")
+    add("--language", default="en", metavar="en|zh", help="language of the report (default en)")
+    add_output(parser, "REPORT", "file to write, .html, .md or .txt")
 
 
 def run(arguments: argparse.Namespace) -> str:
     """Return what the command prints."""
     if not arguments.output:
-        raise UsageError("report needs -o REPORT.md or REPORT.txt.")
+        raise UsageError("report needs -o REPORT.html, REPORT.md or REPORT.txt.")
     calibration = load(arguments.calibration)
-    write_report(calibration, arguments.output)
+    write_report(calibration, arguments.output, lab=arguments.lab, language=arguments.language)
     if arguments.json:
         return to_json({"report": arguments.output, "created": calibration.created})
     return f"Written to {arguments.output}\n"
