@@ -292,18 +292,17 @@ def _uncertainty(c: Calibration, budget: Evaluation, tr: Translator) -> Section:
         tr(kind.text) for name, kind in KINDS.items() if name not in seen and name not in stated
     ]
     names = list(dict.fromkeys(row.quantity for row in budget.rows))
-    contributions = []
-    for i, name in enumerate(budget.names):
-        parts = [
-            float(np.sqrt(sum(row.added[i, i] for row in budget.rows if row.quantity == quantity)))
-            for quantity in names
-        ]
-        contributions.append((name, *(number(part, 2) for part in parts), number(c.u[i], 2)))
+    contributions = [
+        (name, *(_contribution(budget, quantity, i) for quantity in names), number(c.u[i], 2))
+        for i, name in enumerate(budget.names)
+    ]
     paragraphs = [
         tr(
             "Every input quantity enters by what it does to the parameters through this estimator "
             "at these positions. Quantities marked as common are systematic: they are the same at "
-            "all positions and in repeated calibrations."
+            "all positions and in repeated calibrations. What stands in brackets is independent at "
+            "every position, so the scatter of the residuals holds it already and it is not "
+            "added again."
         )
     ]
     if absent:
@@ -334,6 +333,16 @@ def _uncertainty(c: Calibration, budget: Evaluation, tr: Translator) -> Section:
             ),
         ),
     )  # fmt: skip
+
+
+def _contribution(budget: Evaluation, quantity: str, parameter: int) -> str:
+    """Return what a quantity contributes; in brackets what the scatter holds already."""
+    rows = [row for row in budget.rows if row.quantity == quantity]
+    size = float(np.sqrt(sum(max(row.covariance[parameter, parameter], 0.0) for row in rows)))
+    if not size > 1e-12 * float(np.sqrt(budget.covariance[parameter, parameter])):
+        return "0"  # rounding
+    contained = any(row.contained[parameter] for row in rows)
+    return f"({number(size, 2)})" if contained else number(size, 2)
 
 
 def _sphere(c: Calibration, tr: Translator) -> Section:

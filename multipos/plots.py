@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999", "#f0e442")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-HATCHES = ("", "///", "...", "xxx", "\\\\\\", "++", "oo", "**")
+HATCHES = ("", "//", "\\\\", "xx", "--", "||", "++", "////")  # dots would weigh 150 kB each
 
 _TICKS = 26  # labels that fit below a figure
 _STYLE: Any = {
@@ -41,7 +41,7 @@ _STYLE: Any = {
 }
 
 
-def new_figure(rows: int = 1, *, width: float = 6.4, height: float = 2.6) -> "tuple[Figure, Any]":
+def new_figure(rows: int = 1, *, width: float = 5.8, height: float = 2.6) -> "tuple[Figure, Any]":
     """Return a figure of so many axes below each other, and the axes (rows,); sizes in inches."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -255,6 +255,13 @@ def draw_runs(comparison: Comparison, axes: "Axes", *, term: str = "1") -> None:
     axes.set_ylabel(f"less its mean [{model.units[wanted[0]] if wanted else model.unit}]")
     axes.ticklabel_format(axis="y", scilimits=(-3, 4))
     _legend(axes, 3)
+
+
+def runs_svg(comparison: Comparison) -> str:
+    """Return the biases against the run as an SVG file."""
+    figure, axes = new_figure()
+    draw_runs(comparison, axes[0])
+    return to_svg(figure)
 
 
 def _noise(c: Calibration) -> Array:

@@ -168,7 +168,8 @@ def _index_turns(c: Calibration, quantity: Quantity) -> Array:
     waves = [f(order * angle) for order in orders for f in (np.cos, np.sin) if order or f is np.cos]
     # u is of the error at any one angle: shared evenly by the orders, cos² + sin² = 1.
     size = np.sqrt(1.0 / len(orders))
-    return np.asarray(size * np.array(waves).T[:, :, None] * np.eye(3)[along][:, None, :])
+    turn = np.array([1.0, -1.0, 1.0])[along, None] * np.eye(3)[along]  # from first to second
+    return np.asarray(size * np.array(waves).T[:, :, None] * turn[:, None, :])
 
 
 def _temperature_moves(c: Calibration, quantity: Quantity) -> Array:

@@ -5,6 +5,7 @@ import argparse
 from multipos.commands.options import add_output, warn
 from multipos.comparison import compare, comparison_text
 from multipos.files import to_json, write_text
+from multipos.plots import runs_svg
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +27,7 @@ def run(arguments: argparse.Namespace) -> str:
     found = compare(*arguments.calibrations, confidence=arguments.confidence)
     text = to_json(found.to_dict()) if arguments.json else comparison_text(found)
     if arguments.output:
-        write_text(arguments.output, text)
+        drawn = arguments.output.lower().endswith(".svg")
+        write_text(arguments.output, runs_svg(found) if drawn else text)
     warn(found.warnings)
     return text
