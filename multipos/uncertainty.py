@@ -197,7 +197,9 @@ def with_budget(calibration: Calibration, budget: "Source | Budget") -> Calibrat
     """
     stated = read_budget(budget)
     found = evaluate_budget(calibration, stated)
-    extra = {**calibration.extra, "budget": {"tables": stated.tables, "rows": budget_rows(found)}}
+    scatter = sum(row.covariance for row in found.rows if row.evaluation == "A")
+    kept = {"tables": stated.tables, "rows": budget_rows(found), "scatter": scatter}
+    extra = {**calibration.extra, "budget": kept}
     return replace(calibration, covariance=found.covariance, parameter_dof=found.dof, extra=extra)
 
 
@@ -237,7 +239,9 @@ def _quantities(calibration: Calibration, budget: Budget) -> list[Quantity]:
 def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
     """Return the rows of the readings themselves: what is left of the covariance without others."""
     c = calibration
-    rest = c.covariance - sum(row.added for row in others)
+    kept = c.extra.get("budget", {}).get("scatter")
+    added = sum(row.added for row in others)
+    rest = c.covariance - added if kept is None else np.array(kept, dtype=np.float64)
     count = [len(terms) for terms in c.model.terms]
     output_of = np.repeat(np.arange(len(count)), count)
     dof = c.dof[output_of]
