@@ -112,6 +112,8 @@ class _Family:
         if known.all():
             return self.variances, math.inf
         nu = float(self.dof[~known].sum())
+        if not nu > 0.0:
+            return np.full(len(self.dof), math.nan), nu
         pooled = float(self.dof[~known] @ self.variances[~known]) / nu
         return np.where(known, self.variances, pooled), nu
 
@@ -209,7 +211,7 @@ def _families(found: Sequence[Calibration]) -> list[_Family]:
     for group, name, mine in zip(groups, names, outputs, strict=True):
         dof = np.array([c.dof[mine[0]] for c in found])
         variances = np.array([_scatter(c, mine) for c in found])
-        variances = np.where(np.isinf(dof), 1.0, variances)
+        variances = np.where(np.isinf(dof), 1.0, variances)  # NaN without degrees of freedom
         block = covariances[:, group][:, :, group]
         positive = np.where(variances > 0.0, variances, math.nan)
         families.append(_Family(group, name, block / positive[:, None, None], variances, dof))
@@ -238,4 +240,5 @@ def _scatter(c: Calibration, outputs: list[int]) -> float:
         square = float(np.sum(left**2 / noise[columns]))
     else:
         square = float(left @ np.linalg.solve(noise[np.ix_(columns, columns)], left))
-    return square / float(c.dof[outputs[0]])
+    dof = float(c.dof[outputs[0]])
+    return square / dof if dof > 0.0 else math.nan

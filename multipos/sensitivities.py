@@ -110,17 +110,28 @@ def reading_moves(calibration: Calibration, quantity: Quantity) -> Array:
         assert c.gravity is not None
         along = np.einsum("nmi,ni->nm", _force_jacobian(c), c.reference)
         return np.asarray(along[:, :, None] / c.gravity.value)
-    if quantity.name == "level":
-        # Two horizontal axes, east and north, in case axes; about up nothing moves.
-        return _turned(c, _attitudes(c, quantity)[:, :, :2].transpose(0, 2, 1))
-    if quantity.name == "index":
-        return _turned(c, _index_turns(c, quantity))
+    if quantity.name in ("level", "index"):
+        return _turned(c, turn_axes(c, quantity))
     if quantity.name == "temperature":
         return _temperature_moves(c, quantity)[:, :, None]
     moved = c.readings.values if quantity.name == "gain" else np.ones((n, m))
     if quantity.settings.get("each_output", False):
         return np.asarray(moved[:, :, None] * np.eye(m))
     return moved[:, :, None]
+
+
+def turn_axes(calibration: Calibration, quantity: Quantity) -> Array:
+    """Return the axes (n, q, 3), in case axes, about which level or index turn up, per unit.
+
+    Raises
+    ------
+    MultiposError
+        As in `reading_moves`.
+    """
+    if quantity.name == "index":
+        return _index_turns(calibration, quantity)
+    # Two horizontal axes, east and north; about up nothing moves.
+    return np.asarray(_attitudes(calibration, quantity)[:, :, :2].transpose(0, 2, 1))
 
 
 def _force_jacobian(c: Calibration) -> Array:
