@@ -47,8 +47,10 @@ class Attitudes(NamedTuple):
     rotation: Array
 
 
-def read_attitudes(table: Table) -> Attitudes | None:
+def read_attitudes(table: Table, unknown: NDArray[np.bool_] | None = None) -> Attitudes | None:
     """Return the attitudes a table holds, or None where it has no orientation columns.
+
+    Rows marked `unknown` (n,) may leave their orientation empty; it is NaN then.
 
     Raises
     ------
@@ -73,7 +75,16 @@ def read_attitudes(table: Table) -> Attitudes | None:
             f"{table.source}: column {_quoted(missing)} is missing; an orientation given as "
             f"{found[0]} needs {_quoted(names)}."
         )
-    return _READERS[found[0]](table)
+    if unknown is None:
+        return _READERS[found[0]](table)
+    empty = np.array([not any(table.text(name)[row] for name in names)
+                      for row in range(table.rows)])  # fmt: skip
+    skipped = unknown & empty
+    result = Attitudes(np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan))
+    if not skipped.all():
+        given = _READERS[found[0]](table.select(np.flatnonzero(~skipped).tolist()))
+        result.up[~skipped], result.rotation[~skipped] = given
+    return result
 
 
 def from_up(up: ArrayLike, where: str = "`up`") -> Attitudes:
@@ -91,8 +102,11 @@ def from_up(up: ArrayLike, where: str = "`up`") -> Attitudes:
             f"{where}: the up vector of row {int(np.argmax(bad)) + 1} is zero or not finite; "
             "it must point somewhere."
         )
-    vectors = vectors / largest[:, None]
-    unit = vectors / np.linalg.norm(vectors, axis=1)[:, None] + 0.0
+    scaled = vectors / largest[:, None]
+    unit = scaled / np.linalg.norm(scaled, axis=1)[:, None]
+    # What is a unit vector to rounding stays as it is, so that reading it back changes nothing.
+    already = np.abs(np.linalg.norm(vectors, axis=1) - 1.0) < 4.0 * np.finfo(float).eps
+    unit = np.where(already[:, None], vectors, unit) + 0.0
     return Attitudes(unit, np.full((len(unit), 3, 3), np.nan))
 
 

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos import derived, inverse
 from multipos.diagnostics import Diagnostics, linearity
 from multipos.errors import MultiposError
+from multipos.expressions import expression_dict, load_expression
 from multipos.files import plain, read_json, to_json, write_text
 from multipos.formatting import number, table, uncertain
 from multipos.model import Model, build_model, paper_symbol, parameter_label
@@ -30,6 +31,14 @@ from multipos.readings import Readings
 Array = NDArray[np.float64]
 
 SCHEMA = "multipos/calibration/1"
+_EXTRA = (
+    "variance_components",
+    "orientation_error_deg",
+    "group_rotation_deg",
+    "level_sd_deg",
+    "level_tilt_deg",
+    "budget",
+)  # what some estimators and budgets add
 
 
 class Parameter(NamedTuple):
@@ -56,11 +65,13 @@ class Gravity(NamedTuple):
 
 
 class Status(NamedTuple):
-    """How the estimator ended."""
+    """How the estimator ended; the last step is relative, the gradient in units of u."""
 
     converged: bool
     iterations: int
     message: str
+    last_step: float = 0.0
+    gradient: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -166,14 +177,14 @@ class Calibration:
     def rms(self) -> float:
         """Root mean square of what is left after compensation [g].
 
-        Of |f| − |reference| for unknown orientation, of the components of f − reference otherwise.
+        Of |f| − |reference| for unknown orientation, of the vector f − reference otherwise.
         """
         force = self.compensate(self.readings.values, self.readings.environment)
         if self.estimator == "unknown-orientation":
             size = np.linalg.norm(self.reference, axis=1)
             return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
         left = force - self.reference[:, list(inverse.sensed_axes(self.model))]
-        return float(np.sqrt(np.mean(left**2)))
+        return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 
     @cached_property
     def linearity(self) -> dict[str, dict[str, float]]:
@@ -242,6 +253,7 @@ class Calibration:
             "group": readings.group,
             "environment": dict(readings.environment) or None,
             "attitude": readings.rotation,
+            "up": readings.up,
         }
         content = {
             "schema": SCHEMA,
@@ -286,6 +298,7 @@ class Calibration:
             else {"closed_form_max_difference": self.cross_check},
             "intrinsic": self.intrinsic,
             "installation_deg": self.installation_deg,
+            **expression_dict(self.model),
             **self.extra,
         }
         result: dict[str, Any] = plain(content)
@@ -361,7 +374,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
     environment = {
         name: _numbers(column) for name, column in content.get("environment", {}).items()
     }
-    model = build_model(
+    model: Model = load_expression(content) if "expression" in content else build_model(
         content["model"], outputs, tuple(content["axes"]), tuple(content["inputs"]),
         content["unit"],
     )  # fmt: skip
@@ -376,7 +389,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         values=_numbers(content["readings"]),
         outputs=outputs,
         positions=tuple(content["positions"]),
-        up=up,
+        up=_numbers(content["up"]) if "up" in content else up,
         rotation=_numbers(content.get("attitude")),
         u=_numbers(content.get("reading_u")),
         covariance=_numbers(content.get("reading_covariance")),
@@ -423,7 +436,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         created=content["created"],
         version=content["multipos_version"],
         cross_check=None if cross_check is None else cross_check["closed_form_max_difference"],
-        extra={key: content[key] for key in ("budget",) if key in content},
+        extra={key: content[key] for key in _EXTRA if key in content},
     )
     p, shape = len(calibration.parameters), readings.values.shape
     if calibration.covariance.shape != (p, p) or calibration.residuals.shape != shape:

@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from multipos.calibration import Calibration
 from multipos.diagnostics import bartlett
-from multipos.known import stated_noise
+from multipos.known import reading_noise
 from multipos.quantiles import chi2_tail, f_tail
 from multipos.uncertainty import evaluate_budget
 
@@ -231,7 +231,7 @@ def _is_apart(c: Calibration, covariance: Array, output_of: NDArray[np.intp]) ->
 def _scatter(c: Calibration, outputs: list[int]) -> float:
     """Variance factor s_r² that the residuals gave: whitened where the noise was stated."""
     n, m = c.readings.values.shape
-    noise = stated_noise(c.readings)
+    noise = reading_noise(c.readings)
     columns = (np.arange(n)[:, None] * m + np.array(outputs)).ravel()
     left = c.residuals.ravel()[columns]
     if noise is None:

@@ -93,6 +93,39 @@ def find_outliers(
     return tuple(found)
 
 
+def find_outlying_positions(
+    q: Array, degrees: Array, dof: float, labels: Sequence[str]
+) -> tuple[str, ...]:
+    """Name the positions whose misfit to all outputs together is beyond chance.
+
+    Parameters
+    ----------
+    q : (n,) array
+        Squared misfits in units of the noise variance.
+    degrees : (n,) array
+        Degrees of freedom of each position.
+    dof : float
+        Of the noise, where it was estimated from the same misfits; inf where it is known.
+    labels : sequence of n str
+    """
+    found = []
+    for row in np.flatnonzero(q > 4.0 * degrees).tolist():
+        m, value = float(degrees[row]), float(q[row])
+        if np.isinf(dof):
+            p = chi2_tail(value, m)
+        elif dof > m:
+            # without the position itself, as t_k of eq. (1): the rest is what it is judged by
+            rest = max(dof - value, 1e-300)
+            p = f_tail(value / m / (rest / (dof - m)), m, dof - m)
+        else:
+            continue
+        if p < OUTLIER_LEVEL / len(q):
+            found.append(
+                f"position {labels[row]} does not fit: {np.sqrt(value / m):.1f} times the noise"
+            )
+    return tuple(found)
+
+
 def linearity(
     model: Model, reference: Array, values: Array, residuals: Array
 ) -> dict[str, dict[str, float]]:

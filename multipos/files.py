@@ -15,7 +15,7 @@ import math
 import os
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,12 @@ class Table:
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
+
+    def select(self, rows: Sequence[int]) -> "Table":
+        """Return the table with some of its rows; messages still name the lines of the file."""
+        columns = {name: [column[row] for row in rows] for name, column in self.columns.items()}
+        lines = None if self.lines is None else [self.lines[row] for row in rows]
+        return replace(self, columns=columns, rows=len(rows), lines=lines)
 
     @property
     def decimal_comma(self) -> bool:

@@ -29,11 +29,13 @@ from numpy.typing import ArrayLike, NDArray
 from multipos import __version__
 from multipos.budgets import Budget, read_budget
 from multipos.budgets import Source as BudgetSource
-from multipos.calibration import Calibration, Gravity, labels
-from multipos.diagnostics import Diagnostics, find_outliers, lack_of_fit
+from multipos.calibration import Calibration, Gravity
+from multipos.diagnostics import Diagnostics, lack_of_fit
 from multipos.errors import MultiposError, UsageError
+from multipos.expressions import Expression, build_expression
 from multipos.files import Source
 from multipos.known import Solution, closed_form_difference, solve_closed_form, solve_known
+from multipos.losses import LOSSES
 from multipos.model import (
     COMPONENTS,
     Model,
@@ -44,12 +46,20 @@ from multipos.model import (
 )
 from multipos.readings import Readings, orient, read_readings
 from multipos.scheme import Scheme
+from multipos.uncertain import Placement, place, solve_uncertain
 from multipos.uncertainty import with_budget
 from multipos.units import gravity_ratio, normal_gravity
 
 Array = NDArray[np.float64]
 
 CONVENTIONS = ("specific-force", "gravity")
+GAUGES = ("lower", "symmetric")
+_CONTRADICT = {
+    "--closed-form": (
+        "--unknown-orientation", "--orientation-sd", "--level-sd", "--robust",
+    ),
+    "--unknown-orientation": ("--orientation-sd", "--level-sd"),
+}  # fmt: skip
 _ILL_CONDITIONED = 1e4  # scaled condition at which four of the sixteen digits are gone
 
 
@@ -57,37 +67,52 @@ def fit(
     readings: "Source | Readings",
     *,
     scheme: "Source | Scheme | None" = None,
-    model: str = "linear",
+    model: str | Expression = "linear",
     convention: str = "specific-force",
     outputs: Sequence[str] | str | None = None,
     axes: Sequence[str] | str | None = None,
     inputs: Sequence[str] | str = COMPONENTS,
     closed_form: bool = False,
+    unknown_orientation: bool = False,
+    orientation_sd: float | str | None = None,
+    gauge: str = "lower",
+    robust: str | None = None,
     pool: bool = False,
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
     latitude: float | None = None,
     height: float | None = None,
+    level_sd: float = 0.0,
     budget: "BudgetSource | Budget | None" = None,
     unit: str | None = None,
     confidence: float = 0.95,
 ) -> Calibration:
-    """Calibrate an accelerometer from readings at known orientations.
+    """Calibrate an accelerometer from readings at static positions.
 
     Parameters
     ----------
     readings : Readings, path, mapping of columns, or data frame
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The orientation of each position; otherwise the readings' own columns say it.
-    model : str
-        'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2'.
+    model : str or function
+        'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2', or a Python
+        function of the components and the parameters (see `multipos.expressions`).
     convention : str
         'specific-force': the axis that points up reads +1; 'gravity': the one that points down.
     outputs, axes, inputs : sequences of str, or comma-separated str, optional
         The output columns, the case axis each senses, and the components the model sees.
     closed_form : bool
         Use the six-position inversion instead of least squares.
+    unknown_orientation : bool
+        Nothing is known of the orientations but that gravity has the same size in all of them.
+    orientation_sd : float [degrees] or 'auto', optional
+        Standard deviation of every position about each axis, instead of the readings' own
+        column; 'auto' estimates it together with the reading noise.
+    gauge : str
+        'lower' or 'symmetric': how the rotation of the case is fixed where nothing else does.
+    robust : str, optional
+        'huber', 'soft-l1' or 'cauchy': the loss that lets bad positions count less.
     pool : bool
         Use one residual variance for all outputs.
     reading_sd : float or M floats, optional
@@ -96,6 +121,8 @@ def fit(
         Local gravity and its standard uncertainty; without it one g is the local gravity.
     latitude, height : float [degrees, m], optional
         Take gravity from the WGS 84 normal-gravity formula.
+    level_sd : float [degrees]
+        Standard deviation of a tilt that all positions share, about each level axis.
     budget : path, tables or Budget, optional
         What is known of the measurement beside the readings (`multipos.budgets`).
     unit : str, optional
@@ -113,6 +140,8 @@ def fit(
         The data are at fault; the message says what, where, and the way out.
     RankError
         The positions cannot separate the parameters, which are named.
+    ConvergenceError
+        An uncertain or unknown orientation could not be solved for.
     UsageError
         An option is at fault.
 
@@ -120,48 +149,47 @@ def fit(
     ----------
     JCGM 100:2008, clauses 5.1, 6.2 and annex G; Song and Qin 2009 for the six positions.
     """
-    if convention not in CONVENTIONS:
-        raise UsageError(f"unknown convention '{convention}'; give specific-force or gravity.")
-    if not 0.0 < confidence < 1.0:
-        raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
+    _check_options(convention, gauge, robust, confidence)
+    _check_together(closed_form, unknown_orientation, orientation_sd, level_sd, robust)
     stated = None if budget is None else read_budget(budget)
     local = resolve_gravity(gravity, gravity_u, latitude, height)
     if stated is not None and stated.gravity is not None:
         if local is not None:
             raise UsageError("the options and the budget's [gravity] both state it; give one.")
         local = Gravity(*stated.gravity)
-    used = formula_columns(model)
-    data = orient(read_readings(readings, outputs=outputs, unit=unit, environment=used), scheme)
+    used = formula_columns(model) if isinstance(model, str) else ()
+    data = read_readings(readings, outputs=outputs, unit=unit, environment=used)
+    data = _without_orientation(data, scheme) if unknown_orientation else orient(data, scheme)
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
-    built = build_model(
-        model,
-        data.outputs,
-        default_axes(data.outputs, axes),
-        tuple(inputs.split(",")) if isinstance(inputs, str) else tuple(inputs),
-        data.unit,
-        tuple(data.environment),
-    )
+    built = _build(model, data, axes, inputs)
     _check_environment(data, built)
-    sign = -1.0 if convention == "gravity" else 1.0
-    assert data.up is not None
-    reference = sign * gravity_ratio(None if local is None else local.value) * data.up + 0.0
-    solve = solve_closed_form if closed_form else solve_known
+    signed = gravity_ratio(None if local is None else local.value)
+    signed = -signed if convention == "gravity" else signed
+    placement = place(data, signed, orientation_sd, level_sd)
+    if orientation_sd is not None:
+        data = replace(
+            data, orientation_sd=np.where(placement.spread < np.inf, placement.spread, np.nan)
+        )
+    if closed_form:
+        solution = solve_closed_form(built, placement.reference, data, pool=pool)
+    elif placement.exact and robust is None and isinstance(model, str):
+        solution = solve_known(built, placement.reference, data, pool=pool)
+    else:
+        solution = solve_uncertain(built, data, placement, gauge=gauge, robust=robust)
     calibration = complete(
-        solve(built, reference, data, pool=pool), built, reference, data,
-        convention=convention, gravity=local, confidence=confidence,
-        estimator="closed-form" if closed_form else "linear",
-        criterion=_criterion(data, closed_form),
+        solution, data, listed=placement.reference, convention=convention, gravity=local,
+        estimator=_estimator(placement, closed_form),
+        criterion=_criterion(data, placement, closed_form, robust, model), confidence=confidence,
     )  # fmt: skip
     return calibration if stated is None else with_budget(calibration, stated)
 
 
 def complete(
     solution: Solution,
-    model: Model,
-    reference: Array,
     readings: Readings,
     *,
+    listed: Array,
     convention: str,
     gravity: Gravity | None,
     estimator: str,
@@ -169,32 +197,31 @@ def complete(
     confidence: float,
 ) -> Calibration:
     """Return the calibration of a solution, with gravity's uncertainty and the diagnostics."""
+    model, reference = solution.model, solution.reference
     parameters, covariance = solution.parameters, solution.covariance
     parameter_dof = solution.parameter_dof
     if gravity is not None and gravity.u > 0.0:
-        covariance, parameter_dof = _add_gravity(model, parameters, covariance, parameter_dof,
-                                                 gravity)  # fmt: skip
+        covariance, parameter_dof = _add_gravity(
+            model, parameters, covariance, parameter_dof, gravity
+        )
     warnings = [*readings.notes, *solution.warnings, *_warn_convention(model, solution, convention)]
     if solution.condition > _ILL_CONDITIONED:
         warnings.append(
             f"the positions separate the parameters badly (condition {solution.condition:.1e}); "
             "add positions that differ more"
         )
-    names = labels(readings)
-    dof = solution.residual_dof.tolist()
-    residual_sd = [
-        float(np.sqrt(r @ r / nu)) if nu > 0 else math.nan
-        for r, nu in zip(solution.residuals.T, dof, strict=True)
-    ]
+    exact = estimator in ("linear", "closed-form")
     diagnostics = Diagnostics(
         rank=len(parameters),
         parameters=len(parameters),
         condition=solution.condition,
         leverage=solution.leverage,
-        lack_of_fit=_lack_of_fit(model, reference, readings, solution.residuals),
-        outliers=find_outliers(solution.residuals, solution.leverage, dof, model.outputs, names),
+        lack_of_fit=_lack_of_fit(model, reference, readings, solution.residuals) if exact else {},
+        outliers=solution.outliers,
+        unidentifiable=solution.unidentifiable,
         warnings=tuple(warnings),
     )
+    unknown = estimator == "unknown-orientation"
     return Calibration(
         model=model,
         parameters=parameters,
@@ -202,7 +229,7 @@ def complete(
         parameter_dof=parameter_dof,
         dof=solution.dof,
         residuals=solution.residuals,
-        residual_sd=np.array(residual_sd),
+        residual_sd=solution.residual_sd,
         reference=reference,
         readings=readings,
         convention=convention,
@@ -214,8 +241,74 @@ def complete(
         status=solution.status,
         created=_now(),
         version=__version__,
-        cross_check=closed_form_difference(model, reference, readings),
+        cross_check=None if unknown else closed_form_difference(model, listed, readings),
+        extra=solution.extra,
     )
+
+
+def _build(
+    model: str | Expression,
+    readings: Readings,
+    axes: Sequence[str] | str | None,
+    inputs: Sequence[str] | str,
+) -> Model:
+    own = default_axes(readings.outputs, axes)
+    columns = tuple(readings.environment)
+    if not isinstance(model, str):
+        return build_expression(model, readings.outputs, own, readings.unit, columns)
+    seen = tuple(inputs.split(",")) if isinstance(inputs, str) else tuple(inputs)
+    return build_model(model, readings.outputs, own, seen, readings.unit, columns)
+
+
+def _check_options(convention: str, gauge: str, robust: str | None, confidence: float) -> None:
+    if convention not in CONVENTIONS:
+        raise UsageError(f"unknown convention '{convention}'; give specific-force or gravity.")
+    if gauge not in GAUGES:
+        raise UsageError(f"unknown gauge '{gauge}'; give lower or symmetric.")
+    if robust is not None and robust not in LOSSES:
+        raise UsageError(f"unknown loss '{robust}'; --robust takes {', '.join(LOSSES)}.")
+    if not 0.0 < confidence < 1.0:
+        raise UsageError(f"--confidence must lie between 0 and 1, got {confidence}.")
+
+
+def _check_together(
+    closed_form: bool,
+    unknown: bool,
+    orientation_sd: float | str | None,
+    level_sd: float,
+    robust: str | None,
+) -> None:
+    """Refuse options that contradict each other."""
+    if isinstance(orientation_sd, str):
+        if orientation_sd != "auto":
+            raise UsageError(f"--orientation-sd takes degrees or 'auto', got '{orientation_sd}'.")
+        if robust is not None:
+            raise UsageError("--orientation-sd auto and --robust cannot judge the same residuals.")
+    elif orientation_sd is not None and not 0.0 <= orientation_sd < 180.0:
+        raise UsageError(
+            f"--orientation-sd must lie between 0 and 180 degrees, got {orientation_sd}."
+        )
+    if not 0.0 <= level_sd < 90.0:
+        raise UsageError(f"--level-sd must lie between 0 and 90 degrees, got {level_sd}.")
+    given = {
+        "--closed-form": closed_form,
+        "--unknown-orientation": unknown,
+        "--orientation-sd": orientation_sd is not None,
+        "--level-sd": level_sd > 0.0,
+        "--robust": robust is not None,
+    }
+    for first, others in _CONTRADICT.items():
+        clash = [other for other in others if given[other]]
+        if given[first] and clash:
+            raise UsageError(f"{first} and {clash[0]} contradict each other; give one.")
+
+
+def _estimator(placement: Placement, closed_form: bool) -> str:
+    if closed_form:
+        return "closed-form"
+    if np.isinf(placement.spread).all():
+        return "unknown-orientation"
+    return "linear" if placement.exact else "uncertain-orientation"
 
 
 def resolve_gravity(
@@ -289,11 +382,37 @@ def _lack_of_fit(
     return result
 
 
-def _criterion(readings: Readings, closed_form: bool) -> str:
+def _criterion(
+    readings: Readings,
+    placement: Placement,
+    closed_form: bool,
+    robust: str | None,
+    model: str | Expression,
+) -> str:
     if closed_form:
         return "exact solution of the six-position equations"
     stated = readings.u is not None or readings.covariance is not None
-    return "weighted least squares of the readings" if stated else "least squares of the readings"
+    loss = "" if robust is None else f", {robust} loss"
+    if placement.exact:
+        kind = "" if isinstance(model, str) else "nonlinear "
+        return f"{'weighted ' if stated else ''}{kind}least squares of the readings{loss}"
+    noise = "stated reading noise" if stated else "equal reading noise"
+    if np.isinf(placement.spread).all():
+        return f"maximum likelihood of the readings, {noise}{loss}"
+    return f"maximum a posteriori of readings and orientations, {noise}{loss}"
+
+
+def _without_orientation(readings: Readings, scheme: object) -> Readings:
+    """Return readings of which no orientation is used, saying what is ignored."""
+    notes = readings.notes
+    if readings.up is not None or readings.rotation is not None:
+        notes += ("the orientation columns are ignored, the orientation is taken as unknown",)
+    if scheme is not None:
+        notes += ("--scheme is ignored, the orientation is taken as unknown",)
+    return replace(
+        readings, up=None, rotation=None, orientation_sd=np.full(len(readings), np.nan),
+        group=None, notes=notes,
+    )  # fmt: skip
 
 
 def _with_reading_sd(readings: Readings, reading_sd: ArrayLike) -> Readings:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError
-from multipos.model import COMPONENTS, Model, linear_term
+from multipos.model import COMPONENTS, Model
 
 Array = NDArray[np.float64]
 
@@ -43,16 +43,15 @@ def invert(
     """
     sensed = list(sensed_axes(model))
     force = np.zeros((len(raw), 3))
-    bare = {linear_term(axis) for axis in COMPONENTS}
-    if all(not term.factors or term in bare for term in model.basis_terms):
+    if model.is_linear:
         return _solve_linear(model, parameters, raw)
     active = np.arange(len(raw))
     columns = {name: np.asarray(environment[name], dtype=np.float64) for name in model.environment}
-    theta = model.coefficients(parameters)
     for _ in range(_STEPS):
         here = {name: column[active] for name, column in columns.items()}
-        misfit = raw[active] - model.basis(force[active], here) @ theta.T
-        step = _apply_inverse(_jacobian(model, theta, force[active], here)[:, :, sensed], misfit)
+        misfit = raw[active] - model.predict(parameters, force[active], here)
+        jacobian = model.force_jacobian(parameters, force[active], here)[:, :, sensed]
+        step = _apply_inverse(jacobian, misfit)
         force[active[:, None], sensed] += step
         size = np.abs(step).max(axis=1)
         # A row that runs away has no solution near the linear one; NaN ends it below.
@@ -86,29 +85,21 @@ def inverse_sensitivity(
     sensed = list(sensed_axes(model))
     full = np.zeros((len(force), 3))
     full[:, sensed] = force
-    theta = model.coefficients(parameters)
-    jacobian = _jacobian(model, theta, full, environment)[:, :, sensed]
-    by_parameter = parameter_jacobian(model, full, environment)
+    jacobian = model.force_jacobian(parameters, full, environment)[:, :, sensed]
+    by_parameter = parameter_jacobian(model, parameters, full, environment)
     result: Array = -np.linalg.pinv(jacobian) @ by_parameter
     return result
 
 
-def parameter_jacobian(model: Model, force: Array, environment: Mapping[str, ArrayLike]) -> Array:
-    """Return dh/dp (n, M, p) at force (n, 3) [g]."""
-    phi = model.basis(force, environment)
-    result = np.zeros((len(force), len(model.outputs), len(model.keys)))
-    for output, (part, columns) in enumerate(zip(model.slices, model.columns, strict=True)):
-        result[:, output, part] = phi[:, columns]
-    for target, column, source in model.mirrored:
-        result[:, target, source] += phi[:, column]
-    return result
-
-
-def _jacobian(
-    model: Model, theta: Array, force: Array, environment: Mapping[str, ArrayLike]
+def parameter_jacobian(
+    model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
 ) -> Array:
-    gradient = model.basis_gradient(force, environment)
-    return np.asarray(np.einsum("nti,mt->nmi", gradient, theta))
+    """Return dh/dp (n, M, p) at force (n, 3) [g]."""
+    _, blocks = model.respond(parameters, force, environment)
+    result = np.zeros((len(force), len(model.outputs), len(model.keys)))
+    for output, (places, slopes) in enumerate(blocks):
+        result[:, output, places] = slopes
+    return result
 
 
 def _apply_inverse(jacobian: Array, misfit: Array) -> Array:

@@ -14,15 +14,18 @@ References
 JCGM 100:2008, clauses 4.2 and 6.2; Song and Qin 2009 for the six positions.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.calibration import Status
+from multipos.calibration import Status, labels
 from multipos.closed_form import closed_form_weights, six_positions
-from multipos.diagnostics import bartlett
+from multipos.diagnostics import bartlett, find_outliers
 from multipos.errors import MultiposError, RankError, UsageError
+from multipos.identifiability import formal_only
 from multipos.least_squares import LinearFit, separability, solve
 from multipos.model import COMPONENTS, Model, build_model
 from multipos.quantiles import chi2_quantile
@@ -31,7 +34,7 @@ from multipos.readings import Readings
 Array = NDArray[np.float64]
 
 FLOOR = 1e-9  # [g], absolute norm below which a column of the design is zero
-_DENIED = 0.999  # χ² point beyond which a stated noise is not believed
+DENIED = 0.999  # χ² point beyond which a stated noise is not believed
 DIRECT = Status(True, 0, "solved directly")
 _UNEQUAL = 0.05  # level at which pooling warns that the variances differ
 
@@ -42,6 +45,10 @@ class Solution:
 
     Attributes
     ----------
+    model : Model
+        As fitted, with its gauge.
+    reference : (n, 3) array [g]
+        As used; estimated where it was uncertain.
     parameters, covariance, parameter_dof : (p,), (p, p), (p,) arrays
         Without the common-mode terms of the uncertainty.
     variance : (M,) array
@@ -49,24 +56,31 @@ class Solution:
     dof : (M,) array
         Degrees of freedom of `variance`; inf where the stated noise is believed.
     residuals, leverage : (n, M) arrays
-    residual_dof : (M,) array
-        Readings less terms, for judging residuals.
+    residual_sd : (M,) array
+        Standard deviation of a reading as the residuals show it; NaN where none is left.
+    outliers, warnings, unidentifiable : tuples of str
     condition : float
-    warnings : tuple of str
     status : Status
+    extra : mapping
+        What else the estimator has to say, for the calibration's file.
     """
 
+    model: Model
+    reference: Array
     parameters: Array
     covariance: Array
     parameter_dof: Array
     variance: Array
     dof: Array
     residuals: Array
+    residual_sd: Array
     leverage: Array
-    residual_dof: Array
+    outliers: tuple[str, ...]
     condition: float
     warnings: tuple[str, ...]
+    unidentifiable: tuple[str, ...] = ()
     status: Status = DIRECT
+    extra: Mapping[str, Any] = field(default_factory=dict)
 
 
 def solve_known(
@@ -80,7 +94,7 @@ def solve_known(
         The positions cannot separate the parameters; the message names them and a way out.
     """
     phi = model.basis(reference, readings.environment)
-    noise = stated_noise(readings)
+    noise = reading_noise(readings)
     if noise is not None and noise.ndim == 2:
         fits = _solve_jointly(model, phi, readings, noise)
     else:
@@ -107,17 +121,31 @@ def solve_known(
         variance, dof, said = _believe(chi2, dof, model.outputs, pool)
         warnings += said
     scale = np.sqrt(_per_parameter(model, variance))
+    square = np.einsum("nm,nm->m", fits.residuals, fits.residuals)
+    sd = np.where(residual_dof > 0, np.sqrt(square / np.maximum(residual_dof, 1.0)), np.nan)
+    covariance = fits.cofactor * np.outer(scale, scale)
     return Solution(
+        model=model,
+        reference=reference,
         parameters=fits.parameters,
-        covariance=fits.cofactor * np.outer(scale, scale),
+        covariance=covariance,
         parameter_dof=_per_parameter(model, dof),
         variance=variance,
         dof=dof,
         residuals=fits.residuals,
+        residual_sd=sd,
         leverage=fits.leverage,
-        residual_dof=residual_dof,
+        outliers=find_outliers(
+            fits.residuals, fits.leverage, residual_dof.tolist(), model.outputs, labels(readings)
+        ),
         condition=fits.condition,
         warnings=tuple(warnings),
+        unidentifiable=formal_only(
+            model,
+            fits.parameters,
+            np.sqrt(np.diag(covariance)),
+            float(np.linalg.norm(reference, axis=1).mean()),
+        ),
     )
 
 
@@ -194,7 +222,7 @@ def _solve_jointly(model: Model, phi: Array, readings: Readings, covariance: Arr
     )  # fmt: skip
 
 
-def stated_noise(readings: Readings) -> Array | None:
+def reading_noise(readings: Readings) -> Array | None:
     """Return the stated noise: variances (n M,) where outputs are independent, or (n M, n M)."""
     if readings.u is not None:
         return readings.u.ravel() ** 2
@@ -216,14 +244,14 @@ def _believe(
     for i, (value, nu) in enumerate(zip(chi2.tolist(), dof.tolist(), strict=True)):
         if nu <= 0:
             continue
-        if value > chi2_quantile(_DENIED, nu):
+        if value > chi2_quantile(DENIED, nu):
             factor[i], left[i] = value / nu, nu
             said.append(
                 f"the residuals of {names[i]} deny the stated reading noise (chi-square "
                 f"{value:.4g} on {nu:g} degrees of freedom): its covariance is multiplied by "
                 f"{value / nu:.4g}; placement error is the usual cause, see --orientation-sd"
             )
-        elif value < chi2_quantile(1.0 - _DENIED, nu):
+        elif value < chi2_quantile(1.0 - DENIED, nu):
             said.append(
                 f"the residuals of {names[i]} are far smaller than the stated reading noise "
                 f"(chi-square {value:.3g} on {nu:g} degrees of freedom): it may be overstated"
@@ -255,7 +283,7 @@ def solve_closed_form(
     weights = closed_form_gain(model, reference)
     solution = solve_known(model, reference, readings, pool=pool)
     parameters = weights @ readings.values.ravel()
-    noise = stated_noise(readings)
+    noise = reading_noise(readings)
     full = np.eye(n * m) if noise is None else np.diag(noise) if noise.ndim == 1 else noise
     scale = np.sqrt(_per_parameter(model, solution.variance))
     return replace(

@@ -27,6 +27,7 @@ from multipos.errors import UsageError
 from multipos.units import unit_per
 
 Array = NDArray[np.float64]
+Block = tuple[NDArray[np.intp], Array]  # places in the parameter vector, and dy/dp (n, p_i)
 
 COMPONENTS = ("x", "y", "z")
 NAMED = {
@@ -193,6 +194,17 @@ class Model:
         index = {term: column for column, term in enumerate(self.basis_terms)}
         return tuple(np.array([index[t] for t in terms], dtype=np.intp) for terms in self.terms)
 
+    @cached_property
+    def contributions(self) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]:
+        """For each output, the basis terms it is made of and the parameters that multiply them."""
+        result = []
+        for output, (part, columns) in enumerate(zip(self.slices, self.columns, strict=True)):
+            extra = [(c, source) for target, c, source in self.mirrored if target == output]
+            terms = [*columns.tolist(), *(c for c, _ in extra)]
+            places = [*range(part.start, part.stop), *(source for _, source in extra)]
+            result.append((np.array(terms, dtype=np.intp), np.array(places, dtype=np.intp)))
+        return tuple(result)
+
     def variables(self, force: Array, environment: Mapping[str, ArrayLike]) -> dict[str, Any]:
         """Return the components by name, from force (n, 3) [g] and other columns."""
         missing = [name for name in self.environment if name not in environment]
@@ -213,15 +225,6 @@ class Model:
             phi[:, column] = term.evaluate(variables)
         return phi
 
-    def basis_gradient(self, force: Array, environment: Mapping[str, ArrayLike]) -> Array:
-        """Return d phi / d f (n, T, 3)."""
-        variables = self.variables(force, environment)
-        gradient = np.empty((len(force), len(self.basis_terms), 3))
-        for column, term in enumerate(self.basis_terms):
-            for i, axis in enumerate(COMPONENTS):
-                gradient[:, column, i] = term.derivative(variables, axis)
-        return gradient
-
     def coefficients(self, parameters: Array) -> Array:
         """Return Theta (M, T) of eq. (1); a symmetric gauge mirrors its lower triangle."""
         theta = np.zeros((len(self.outputs), len(self.basis_terms)))
@@ -231,11 +234,40 @@ class Model:
             theta[target, column] = parameters[source]
         return theta
 
+    def respond(
+        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+    ) -> tuple[Array, tuple[Block, ...]]:
+        """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i)."""
+        phi = self.basis(force, environment)
+        blocks = tuple((places, phi[:, columns]) for columns, places in self.contributions)
+        return phi @ self.coefficients(parameters).T, blocks
+
+    def force_jacobian(
+        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+    ) -> Array:
+        """Return dy/df (n, M, 3) at force (n, 3) [g]."""
+        theta = self.coefficients(parameters)
+        result = np.zeros((len(force), len(self.outputs), 3))
+        variables = self.variables(force, environment)
+        for column, term in enumerate(self.basis_terms):
+            for factor in term.factors:
+                if factor.variable in COMPONENTS:
+                    slope = term.derivative(variables, factor.variable)
+                    axis = COMPONENTS.index(factor.variable)
+                    result[:, :, axis] += np.multiply.outer(slope, theta[:, column])
+        return result
+
     def predict(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
     ) -> Array:
         """Return the outputs (n, M) at force (n, 3) [g]."""
         return self.basis(force, environment) @ self.coefficients(parameters).T
+
+    @cached_property
+    def is_linear(self) -> bool:
+        """Whether the outputs are linear in the force, with constant coefficients."""
+        bare = {CONSTANT, *(linear_term(axis) for axis in COMPONENTS)}
+        return all(term in bare for term in self.basis_terms)
 
     @cached_property
     def has_all_linear(self) -> bool:
@@ -263,11 +295,14 @@ class Model:
             result[:, place] += weight * theta[:, :, column].T
         return result
 
+    def only(self, output: str) -> "Model":
+        """Return the model of one output alone."""
+        i = self.outputs.index(output)
+        return replace(self, outputs=(output,), axes=(self.axes[i],), terms=(self.terms[i],))
+
     def with_gauge(self, gauge: str) -> "Model":
         """Return the model without the linear terms that a gauge fixes: the upper triangle."""
-        fixed = [
-            {linear_term(axis) for axis in self.axes[i + 1 :]} for i in range(len(self.outputs))
-        ]
+        fixed = [{linear_term(axis) for axis in self.axes[i + 1 :]} for i in range(3)]
         terms = tuple(
             tuple(term for term in own if term not in gone)
             for own, gone in zip(self.terms, fixed, strict=True)
@@ -277,9 +312,11 @@ class Model:
     def index(self, output: str, term: "str | Term") -> int:
         """Return the place of a parameter by output and term."""
         try:
-            axis = self.axes[self.outputs.index(output)]
-            wanted = term if isinstance(term, Term) else _parse_term(str(term), str(term), axis)
-            return self.keys.index((output, wanted))
+            known = [(name, str(own)) for name, own in self.keys]
+            if (output, str(term)) not in known:  # `own^2`, or factors in another order
+                axis = self.axes[self.outputs.index(output)]
+                term = _parse_term(str(term), str(term), axis)
+            return known.index((output, str(term)))
         except ValueError:
             raise KeyError(
                 f"no parameter ({output!r}, {str(term)!r}); the model has "
@@ -294,7 +331,10 @@ class Model:
         mirrored = []
         for i, (output, axis) in enumerate(zip(self.outputs, self.axes, strict=True)):
             for j in range(i):
-                source = self.keys.index((output, linear_term(self.axes[j])))
+                key = (output, linear_term(self.axes[j]))
+                if key not in self.keys:
+                    continue
+                source = self.keys.index(key)
                 mirrored.append((j, self.basis_terms.index(linear_term(axis)), source))
         return tuple(mirrored)
 

@@ -1,13 +1,20 @@
 """Profile-likelihood intervals: how far a parameter may move before the fit gets worse.
 
-With whitened residuals r(p) and S(p) = r'r, a parameter at the value t leaves, once all others
-are fitted anew, the profile S_j(t) = min over p with p_j = t of S(p). Its interval is where
+With whitened residuals r(p), of unit variance or divided by their estimated standard deviation,
+and S(p) = r'r, a parameter at the value t leaves, once all others are fitted anew, the profile
+S_j(t) = min over p with p_j = t of S(p). Its interval is where
 
-    S_j(t) ≤ S_min (1 + k²/ν),    k from Student's t at ν degrees of freedom,              (1)
-    S_j(t) ≤ S_min + k²,          k normal, where the noise is known (ν infinite).         (2)
+    S_j(t) ≤ S_min + k²,    k from Student's t at ν degrees of freedom, normal at ν = ∞.    (1)
 
 For a linear fit that is p_j ± k u_j exactly; for a nonlinear one it bends with the model, is not
 symmetric, and does not depend on how the parameters are written.
+
+With unknown orientations the best the unknown can do for a reading leaves its distance from the
+model's surface |f| = g; with f = h⁻¹(y; p), J = dh/df and the noise σ of the outputs,
+
+    r_k = (|f_k| - g) / |σ ∘ J⁻ᵀ f_k/|f_k||,                                                (2)
+
+to first order in r_k σ over the size of the surface, which is thousands of times larger.
 
 References
 ----------
@@ -22,9 +29,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.calibration import Calibration
-from multipos.errors import ConvergenceError
-from multipos.inverse import parameter_jacobian
-from multipos.known import stated_noise
+from multipos.errors import ConvergenceError, MultiposError
+from multipos.inverse import invert
+from multipos.known import reading_noise
 from multipos.quantiles import coverage_factor
 
 Array = NDArray[np.float64]
@@ -48,12 +55,13 @@ def profile_interval(
     dof: float = math.inf,
     confidence: float = 0.95,
 ) -> Interval:
-    """Return the profile-likelihood interval of one parameter, eqs. (1) and (2).
+    """Return the profile-likelihood interval of one parameter, eq. (1).
 
     Parameters
     ----------
     residuals : callable
-        Takes parameters (p,), returns whitened residuals (n,).
+        Takes parameters (p,), returns residuals (n,) of unit variance, or divided by the
+        standard deviation that was estimated for them.
     estimate : (p,) array
         Where r'r is least.
     index : int
@@ -75,7 +83,6 @@ def profile_interval(
     best = np.asarray(estimate, dtype=np.float64)
     smallest = float(np.sum(residuals(best) ** 2))
     k = coverage_factor(confidence, dof)
-    allowed = k * k if math.isinf(dof) else smallest * k * k / dof
     ends = []
     for side in (-1.0, 1.0):
         start = np.delete(best, index)  # each point starts from its neighbour's answer
@@ -83,12 +90,12 @@ def profile_interval(
         def excess(step: float, side: float = side) -> float:
             nonlocal start
             found, start = _profiled(residuals, start, index, best[index] + side * step)
-            if found < smallest - 1e-6 * max(allowed, smallest):
+            if found < smallest - 1e-6 * k * k:
                 raise ConvergenceError(
                     "the estimate is not where the sum of squares is least; fit again from "
                     f"{np.insert(start, index, best[index] + side * step).tolist()}."
                 )
-            return found - smallest - allowed
+            return found - smallest - k * k
 
         reach = k * u
         while excess(reach) < 0.0 and reach < _FARTHEST * k * u:
@@ -102,34 +109,53 @@ def profile_interval(
 
 
 def calibration_interval(calibration: Calibration, output: str, term: str) -> Interval:
-    """Return the profile-likelihood interval of a parameter of a fit at known orientations.
+    """Return the profile-likelihood interval of a parameter, without what the budget adds.
 
-    Of the scatter of the readings alone, without what the budget adds.
+    Raises
+    ------
+    MultiposError
+        The orientations were uncertain: neither known nor unknown.
     """
     c = calibration
-    index = c.model.index(output, term)
-    column = c.outputs.index(output)
-    part = c.model.slices[column]
-    n, m = c.readings.values.shape
-    design = parameter_jacobian(c.model, c.reference, c.readings.environment)
-    noise = stated_noise(c.readings)
-    if noise is not None and noise.ndim == 2:
-        whiten, rows = np.linalg.inv(np.linalg.cholesky(noise)), design.reshape(n * m, -1)
-        y, estimate, place = whiten @ c.readings.values.ravel(), c.parameters, index
-        X = whiten @ rows
-    else:
-        sd = np.ones(n) if noise is None else np.sqrt(noise[column::m])
-        X = design[:, column, part] / sd[:, None]
-        y, estimate, place = (
-            c.readings.values[:, column] / sd,
-            c.parameters[part],
-            (index - part.start),
+    if c.estimator not in ("linear", "closed-form", "unknown-orientation"):
+        raise MultiposError(
+            f"no profile is written for the estimator '{c.estimator}'; give `profile_interval` "
+            "the residuals."
         )
-    dof = float(c.dof[column])
-    start = np.linalg.lstsq(X, y, rcond=None)[0] if c.estimator == "closed-form" else estimate
+    index = c.model.index(output, term)
+    dof = float(c.dof[c.outputs.index(output)])
+    residuals = calibration_residuals(c)
+    start = c.parameters
+    if c.estimator == "closed-form":
+        start = fit_residuals(residuals, start)
     return profile_interval(
-        lambda p: y - X @ p, start, place, u=float(c.u[index]), dof=dof, confidence=c.confidence
+        residuals, start, index, u=float(c.u[index]), dof=dof, confidence=c.confidence
     )
+
+
+def calibration_residuals(calibration: Calibration) -> Callable[[Array], Array]:
+    """Return the whitened residuals (n M,) or (n,) of a calibration as a function of (p,)."""
+    c = calibration
+    noise = reading_noise(c.readings)
+    n, m = c.readings.values.shape
+    believed = noise is not None and noise.ndim == 1 and bool(np.isinf(c.dof).all())
+    sd = np.broadcast_to(c.residual_sd, (n, m))
+    if believed and noise is not None:
+        sd = np.sqrt(noise).reshape(n, m)
+
+    def of_known(p: Array) -> Array:
+        y = c.model.predict(p, c.reference, c.readings.environment)
+        return np.asarray(((c.readings.values - y) / sd).ravel())
+
+    def of_unknown(p: Array) -> Array:
+        force = invert(c.model, p, c.readings.values, c.readings.environment)
+        size = np.linalg.norm(force, axis=1)
+        jacobian = c.model.force_jacobian(p, force, c.readings.environment)
+        normal = np.linalg.solve(jacobian.transpose(0, 2, 1), (force / size[:, None])[:, :, None])
+        spread = np.linalg.norm(sd * normal[:, :, 0], axis=1)
+        return np.asarray((size - np.linalg.norm(c.reference, axis=1)) / spread)
+
+    return of_unknown if c.estimator == "unknown-orientation" else of_known
 
 
 def _profiled(
@@ -140,14 +166,15 @@ def _profiled(
 
     if not len(start):
         return float(np.sum(residuals(np.array([value])) ** 2)), start
-    found = least_squares(
-        lambda others: residuals(np.insert(others, index, value)), start, method="trf",
-        x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12,
-    )  # fmt: skip
+
+    def held(others: Array) -> Array:
+        return residuals(np.insert(others, index, value))
+
+    found = least_squares(held, start, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
     return 2.0 * float(found.cost), np.asarray(found.x)
 
 
-def fit_residuals(residuals: Callable[[Array], Array], start: Sequence[float]) -> Array:
+def fit_residuals(residuals: Callable[[Array], Array], start: ArrayLike) -> Array:
     """Return the parameters (p,) at which a sum of squares is least, from a start."""
     from scipy.optimize import least_squares
 

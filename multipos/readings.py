@@ -139,7 +139,13 @@ class Readings:
         if self.u is not None and self.covariance is not None:
             raise MultiposError("`u` and `covariance` both state the reading noise; give one.")
         if self.up is not None:
-            _set(self, "up", _readonly(attitudes.from_up(self.up).up))
+            known = ~np.isnan(self.up).any(axis=1)
+            up = np.full(self.up.shape, np.nan)
+            up[known] = attitudes.from_up(self.up[known]).up if known.any() else up[known]
+            _set(self, "up", _readonly(up))
+            if not known.all() and self.orientation_sd is None:
+                row = int(np.argmin(known))
+                raise MultiposError(f"`up` of row {row + 1} is not finite.")
 
 
 def read_readings(
@@ -198,7 +204,8 @@ def read_readings(
             for name in candidates
             if name not in names
         ]
-    oriented = attitudes.read_attitudes(table)
+    spread = _orientation_sd(table)
+    oriented = attitudes.read_attitudes(table, None if spread is None else np.isnan(spread))
     columns = _environment(table, names, environment, notes)
     return Readings(
         values=np.column_stack([table.number(name) for name in names]),
@@ -209,7 +216,7 @@ def read_readings(
         u=_beside(table, "u", names, notes),
         sd=_beside(table, "sd", names, notes),
         samples=_nonnegative(table, "n") if "n" in table else None,
-        orientation_sd=_orientation_sd(table),
+        orientation_sd=spread,
         group=table.text("group") if "group" in table else None,
         environment=columns,
         unit=unit or "reading",
@@ -398,7 +405,7 @@ def _array(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:
             f"`{name}` must have shape {shape}, got {array.shape}; give one row per position."
         )
     # NaN has a meaning in these: heading open, orientation unknown, cell of an unused column.
-    if name not in ("rotation", "orientation_sd") and "environment" not in name:
+    if name not in ("rotation", "up", "orientation_sd") and "environment" not in name:
         finite = np.isfinite(array)
         if not finite.all():
             row = int(np.argwhere(~finite)[0][0])

@@ -11,8 +11,8 @@ would move the readings y = h(f; p), so for every estimator and every scheme
     dp/dx = G dy/dx,                                                                        (2)
 
 ============  =========================================  =====================================
-gravity g     dy = J f / g                               J = dh/df at the positions
-level         dy = J (a × f)                             a = east, north, in case axes
+gravity g     dy = J f / g, or dp = d p / g at once       d the degree of the term in force
+level         dy = J (a × f)                             J = dh/df; a = east, north, case axes
 orientation   dy_k = J_k (e × f_k), one k alone          e = the case axes
 index         dy = J (a × f) cos mt, … sin mt            a = the shaft, t the angle about it
 gain, offset  dy = y, dy = 1
@@ -31,10 +31,13 @@ from multipos.budgets import Quantity
 from multipos.calibration import Calibration
 from multipos.errors import MultiposError
 from multipos.inverse import parameter_jacobian
-from multipos.known import closed_form_gain, stated_noise
+from multipos.known import closed_form_gain, reading_noise
 from multipos.model import COMPONENTS
+from multipos.uncertain import uncertain_gain
 
 Array = NDArray[np.float64]
+
+_DEGREE = 1e-2  # [degC] of central differences: exact for terms up to the second degree
 
 
 def estimator_gain(calibration: Calibration) -> Array:
@@ -49,12 +52,12 @@ def estimator_gain(calibration: Calibration) -> Array:
     if c.estimator == "closed-form":
         return closed_form_gain(c.model, c.reference)
     if c.estimator != "linear":
-        from multipos.likelihood import gain  # type: ignore[import-not-found]
-
-        return np.asarray(gain(c))
+        return uncertain_gain(c)
     n, m = c.readings.values.shape
-    design = parameter_jacobian(c.model, c.reference, c.readings.environment).reshape(n * m, -1)
-    noise = stated_noise(c.readings)
+    design = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment).reshape(
+        n * m, -1
+    )
+    noise = reading_noise(c.readings)
     if noise is not None and noise.ndim == 2:
         whitener = np.linalg.inv(np.linalg.cholesky(noise))
         Q, R = np.linalg.qr(whitener @ design)
@@ -85,6 +88,12 @@ def parameter_effects(c: Calibration, gain: Array, quantity: Quantity) -> Array:
     n, m = c.readings.values.shape
     if quantity.name == "resolution":
         return gain
+    if quantity.name == "gravity" and c.gravity is not None:
+        # A coefficient of degree d in force goes with g^-d, whatever the residuals.
+        degree = np.array([term.force_degree for _, term in c.model.keys])
+        return np.asarray((degree * c.parameters / c.gravity.value)[:, None])
+    if c.estimator == "unknown-orientation" and quantity.name in ("level", "index"):
+        return np.zeros((len(gain), 1))  # orientations that were not used cannot be wrong
     if quantity.name == "orientation":
         moved = _turned(c, np.broadcast_to(np.eye(3), (n, 3, 3)))  # (n, M, 3 axes)
         by_position = gain.reshape(-1, n, m)
@@ -106,10 +115,6 @@ def reading_moves(calibration: Calibration, quantity: Quantity) -> Array:
     """
     c = calibration
     n, m = c.readings.values.shape
-    if quantity.name == "gravity":
-        assert c.gravity is not None
-        along = np.einsum("nmi,ni->nm", _force_jacobian(c), c.reference)
-        return np.asarray(along[:, :, None] / c.gravity.value)
     if quantity.name in ("level", "index"):
         return _turned(c, turn_axes(c, quantity))
     if quantity.name == "temperature":
@@ -136,8 +141,7 @@ def turn_axes(calibration: Calibration, quantity: Quantity) -> Array:
 
 def _force_jacobian(c: Calibration) -> Array:
     """Return J = dh/df (n, M, 3) at the positions."""
-    gradient = c.model.basis_gradient(c.reference, c.readings.environment)
-    return np.asarray(np.einsum("nti,mt->nmi", gradient, c.model.coefficients(c.parameters)))
+    return c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)
 
 
 def _turned(c: Calibration, axes: Array) -> Array:
@@ -185,14 +189,14 @@ def _index_turns(c: Calibration, quantity: Quantity) -> Array:
 
 def _temperature_moves(c: Calibration, quantity: Quantity) -> Array:
     """Return dy/dT (n, M): the model's own terms, or the coefficients that the budget states."""
+    environment = c.readings.environment
     if "temperature" in c.model.environment:
-        variables = c.model.variables(c.reference, c.readings.environment)
-        n = len(c.readings)
-        gradient = [
-            np.broadcast_to(t.derivative(variables, "temperature"), (n,))
-            for t in c.model.basis_terms
-        ]
-        return np.array(gradient).T @ c.model.coefficients(c.parameters).T
+        sides = [
+            c.model.predict(c.parameters, c.reference,
+                            {**environment, "temperature": environment["temperature"] + step})
+            for step in (_DEGREE, -_DEGREE)
+        ]  # fmt: skip
+        return np.asarray((sides[0] - sides[1]) / (2.0 * _DEGREE))
     known = [key for key in ("bias_per_degC", "scale_per_degC") if key in quantity.settings]
     if not known:
         raise MultiposError(

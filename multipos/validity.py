@@ -135,10 +135,9 @@ def third_order_covariance(
     u = read_budget({"third_order": tables["third_order"]}).quantities["third_order"].u
     full = np.zeros((len(force), 3))
     full[:, sensed] = force
-    gradient = c.model.basis_gradient(full, environment)
-    jacobian = np.einsum("nti,mt->nmi", gradient, c.model.coefficients(c.parameters))
+    jacobian = c.model.force_jacobian(c.parameters, full, environment)
     inverse = np.linalg.pinv(jacobian[:, :, sensed])
-    by_parameter = parameter_jacobian(c.model, full, environment)
+    by_parameter = parameter_jacobian(c.model, c.parameters, full, environment)
     gain = estimator_gain(c)
     for output, axis in enumerate(c.model.axes):
         key = (c.outputs[output], linear_term(axis))

@@ -22,6 +22,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
     add("--closed-form", action="store_true", help="the six-position inversion")
+    add(
+        "--unknown-orientation",
+        action="store_true",
+        help="nothing is known of the orientations but |f| = 1 g",
+    )
+    add(
+        "--orientation-sd",
+        type=degrees_or_auto,
+        metavar="DEG",
+        help="standard deviation of every position, per axis; 'auto' estimates it",
+    )
+    add("--gauge", default="lower", metavar="lower|symmetric", help="where orientation is free")
+    add("--robust", metavar="LOSS", help="huber, soft-l1 or cauchy")
+    add("--level-sd", type=float, default=0.0, metavar="DEG", help="tilt that positions share")
     add("--pool", action="store_true", help="one residual variance for all outputs")
     add(
         "--reading-sd",
@@ -43,6 +57,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="coverage probability of U (default 0.95)",
     )
     add_output(parser, "CAL.json", "write the calibration to CAL.json")
+
+
+def degrees_or_auto(text: str) -> float | str:
+    """Return degrees, or 'auto'."""
+    return text if text == "auto" else float(text)
 
 
 def run(arguments: argparse.Namespace) -> str:

@@ -1,0 +1,259 @@
+"""Where the search for an uncertain or unknown orientation starts, and whether its end is sound.
+
+No guess is asked for. Least squares at the listed directions is one start; the ellipsoid on
+which readings at rest lie (`multipos.ellipsoid`), turned to the listed directions where some
+are, is the other. The second is tried where the first fails, or where positions may be further
+off than five degrees; the lower minimum wins.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.ellipsoid import ellipsoid_start, symmetric_root
+from multipos.errors import ConvergenceError, MultiposError, RankError
+from multipos.expressions import ExpressionModel
+from multipos.identifiability import (
+    CANDIDATES,
+    condition,
+    helpful_positions,
+    least_determined,
+    own_scales,
+    position_words,
+    require_separable,
+)
+from multipos.inverse import parameter_jacobian
+from multipos.least_squares import solve
+from multipos.likelihood import (
+    Normal,
+    Optimum,
+    Problem,
+    State,
+    evaluate,
+    linearise,
+    maximise,
+    start_state,
+)
+from multipos.rotations import align
+
+Array = NDArray[np.float64]
+
+_PARTS = 50  # that a robust start leaves out in turn
+_SCATTER = 0.1  # of one g: a cloud of noise, not a sphere of positions
+_WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
+
+
+def search(problem: Problem) -> Optimum:
+    """Return the best optimum over the starts; the second is tried where the first may be poor."""
+    best: Optimum | None = None
+    fault: MultiposError | None = None
+    wide = bool((problem.spread[problem.listed] > _WIDE).any())
+    for start in (_listed_start, _ellipsoid_start):
+        try:
+            state = start(problem)
+        except MultiposError as error:
+            fault = error
+            continue
+        if state is None:
+            continue
+        found = maximise(problem, state)
+        if problem.adrift:
+            found = _positive(problem, found)
+        better = best is None or (found.converged, -found.point.objective) > (
+            best.converged, -best.point.objective
+        )  # fmt: skip
+        best = found if better else best
+        if best is not None and best.converged and not wide:
+            break
+    if best is None:
+        raise fault or MultiposError("no start could be found; give the orientations.")
+    if not best.converged:
+        _require_information(problem, best)
+        raise ConvergenceError(
+            f"no convergence after {best.iterations} iterations; the last step moved the "
+            f"parameters by {best.last_step:.1e} of their size. Check the readings for blunders "
+            "(--robust huber names them), or choose a model with fewer terms."
+        )
+    _require_sphere(problem, best)
+    _require_information(problem, best)
+    return best
+
+
+def _require_sphere(problem: Problem, optimum: Optimum) -> None:
+    """Refuse readings that scatter about their ellipsoid by a good part of its size."""
+    if not np.isinf(problem.spread).all():
+        return
+    scale = np.abs(optimum.state.theta[own_scales(problem.model)]).mean()
+    # the median, so that a few bad positions of a robust fit do not condemn the others
+    size = np.linalg.norm(optimum.point.residuals, axis=1)
+    scatter = float(np.median(size)) / max(float(scale), 1e-300)
+    if scatter > _SCATTER:
+        raise MultiposError(
+            f"the readings scatter by {100.0 * scatter:.0f} % about the ellipsoid that fits them "
+            "best; they do not come from positions at rest in one gravity. Turn the sensor to "
+            "different positions and hold it still."
+        )
+
+
+def _listed_start(problem: Problem) -> State | None:
+    """Least squares at the listed directions, where all are listed."""
+    if not problem.listed.all():
+        return None
+    model = problem.model
+    if isinstance(model, ExpressionModel):
+        return start_state(problem, model.first_guess(problem.values, problem.reference))
+    _, blocks = model.respond(np.zeros(len(model.keys)), problem.reference, problem.environment)
+    theta = np.zeros(len(model.keys))
+    for output, (places, design) in enumerate(blocks):
+        theta[places] = solve(
+            design, problem.values[:, output], names=[model.names[i] for i in places]
+        ).coefficients
+    return start_state(problem, theta)
+
+
+def _ellipsoid_start(problem: Problem) -> State | None:
+    """The ellipsoid of the readings, turned to the listed directions where some are."""
+    model = problem.model
+    if sorted(model.axes) != ["x", "y", "z"] or isinstance(model, ExpressionModel):
+        return None
+    order = [model.axes.index(axis) for axis in ("x", "y", "z")]
+    magnitude = float(np.linalg.norm(problem.reference, axis=1).mean())
+    crossed = any(name.startswith("cross_") for name in model.names)
+    find = ellipsoid_start if problem.robust is None else _median_ellipsoid
+    bias, matrix = find(problem.values[:, order], magnitude, crossed=crossed)
+    if model.gauge == "symmetric":
+        matrix = symmetric_root(matrix)
+    force = np.linalg.solve(matrix, (problem.values[:, order] - bias).T).T
+    direction = force / np.linalg.norm(force, axis=1)[:, None]
+    if not problem.adrift:
+        turn = align(direction[problem.listed], problem.reference[problem.listed])
+        matrix, direction = matrix @ turn.T, direction @ turn.T
+    turns = np.array(
+        [
+            align(problem.reference[problem.group == g], direction[problem.group == g])
+            for g in range(problem.groups)
+        ]
+    ).reshape(-1, 3, 3)
+    linear = np.empty((3, 4))
+    linear[order] = np.column_stack([bias, matrix])
+    theta = np.zeros(len(model.keys))
+    for i, (output, term) in enumerate(model.keys):
+        column = {"1": 0, "x": 1, "y": 2, "z": 3}.get(str(term))
+        if column is not None:
+            theta[i] = linear[model.outputs.index(output), column]
+    return start_state(problem, theta, direction, turns)
+
+
+def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tuple[Array, Array]:
+    """Return the ellipsoid start, without one part of the readings, that most readings are near.
+
+    Each part is left out in turn, so that blunders in one of them do not bend the start.
+    """
+    parts = min(len(values), _PARTS)
+    best, least = ellipsoid_start(values, magnitude, crossed=crossed), np.inf
+    for part in range(parts):
+        rest = np.delete(values, np.s_[part::parts], axis=0)
+        bias, matrix = ellipsoid_start(rest, magnitude, crossed=crossed)
+        force = np.linalg.solve(matrix, (values - bias).T)
+        misfit = float(np.median(np.abs(np.linalg.norm(force, axis=0) - magnitude)))
+        if misfit < least:
+            best, least = (bias, matrix), misfit
+    return best
+
+
+def _positive(problem: Problem, optimum: Optimum) -> Optimum:
+    """Return the mirrored optimum whose own-axis scale factors are positive."""
+    model, state = problem.model, optimum.state
+    negative = {model.keys[i][1].factors[0].variable for i in own_scales(model)
+                if state.theta[i] < 0.0}  # fmt: skip
+    if not negative:
+        return optimum
+    odd = np.array(
+        [
+            sum(f.power for f in term.factors if f.variable in negative) % 2 == 1
+            for _, term in model.keys
+        ]
+    )
+    mirror = np.array([-1.0 if axis in negative else 1.0 for axis in ("x", "y", "z")])
+    theta = np.where(odd, -state.theta, state.theta)
+    return maximise(problem, start_state(problem, theta, optimum.point.force * mirror
+                                         / np.linalg.norm(optimum.point.force, axis=1)[:, None],
+                                         state.turns))  # fmt: skip
+
+
+def _require_information(problem: Problem, optimum: Optimum) -> None:
+    information = reduced_information(optimum.normal, len(problem.model.keys))
+    if np.isfinite(condition(information)):
+        return
+    gains = _candidate_gains(problem, optimum.state.theta)
+    best = CANDIDATES[helpful_positions(information, gains, 2)]
+    require_separable(
+        information, problem.model.names,
+        f"add positions such as {position_words(best)}, or drop a term",
+    )  # fmt: skip
+
+
+def reduced_information(normal: Normal, p: int) -> Array:
+    """Return the information of the parameters with the shared unknowns eliminated."""
+    full = normal.information
+    cross = full[:p, p:]
+    return np.asarray(full[:p, :p] - cross @ np.linalg.pinv(full[p:, p:]) @ cross.T)
+
+
+def _candidate_gains(problem: Problem, theta: Array) -> Array:
+    """Return what each candidate position, placed as badly as the others, would tell (c, p, p)."""
+    count = len(CANDIDATES)
+    size = float(np.linalg.norm(problem.reference, axis=1).mean())
+    spread = problem.spread[problem.group < 0]
+    environment = {
+        name: np.full(count, float(np.mean(column)))
+        for name, column in problem.environment.items()
+        if name in problem.model.environment
+    }
+    mean = problem.precision.mean(axis=0)
+    candidates = replace(
+        problem, values=np.zeros((count, problem.values.shape[1])), environment=environment,
+        precision=np.broadcast_to(mean, (count, *mean.shape)), reference=size * CANDIDATES,
+        spread=np.full(count, spread.max() if len(spread) else 0.0),
+        group=np.full(count, -1), weight=np.ones(count), groups=0, attitude=None,
+        level_spread=0.0, robust=None,
+    )  # fmt: skip
+    state = start_state(candidates, theta, CANDIDATES)
+    jacobian = parameter_jacobian(problem.model, state.theta, size * CANDIDATES, environment)
+    marginal = linearise(candidates, state, evaluate(candidates, state)).marginal
+    return np.asarray(jacobian.transpose(0, 2, 1) @ marginal @ jacobian)
+
+
+def too_few(problem: Problem) -> RankError:
+    """Return the error of fewer positions than the parameters need, with what is out of reach."""
+    model = problem.model
+    n, p = len(problem.values), len(model.keys)
+    equations = int(problem.degrees.sum()) - problem.shared
+    said = f"{n} positions give {max(equations, 0)} equations for {p} parameters"
+    if not np.isinf(problem.spread).all() or sorted(model.axes) != ["x", "y", "z"]:
+        return RankError(f"{said}; add positions or choose a model with fewer terms.",
+                         rank=min(equations, p), parameters=p)  # fmt: skip
+    # The readings themselves say about where the positions are: enough to see what they miss.
+    values = problem.values
+    centre = (values.max(axis=0) + values.min(axis=0)) / 2.0
+    half = np.maximum((values.max(axis=0) - values.min(axis=0)) / 2.0, 1e-300)
+    order = [model.axes.index(axis) for axis in ("x", "y", "z")]
+    direction = ((values - centre) / half)[:, order]
+    length = np.linalg.norm(direction, axis=1)
+    direction = direction / np.where(length > 0.0, length, 1.0)[:, None]
+    theta = np.zeros(p)
+    theta[own_scales(model)] = 1.0
+    unit = replace(problem, precision=np.ones_like(values), reference=direction, robust=None)
+    state = start_state(unit, theta, direction)
+    marginal = linearise(unit, state, evaluate(unit, state)).marginal
+    jacobian = parameter_jacobian(model, theta, direction, problem.environment)
+    information = np.einsum("nmp,nmk,nkq->pq", jacobian, marginal, jacobian)
+    missing = [model.names[i] for i in sorted(least_determined(information, equations))]
+    gains = _candidate_gains(unit, theta)
+    best = CANDIDATES[helpful_positions(information, gains, p - equations)]
+    return RankError(
+        f"{said}: {', '.join(f'`{name}`' for name in missing)} out of reach; add positions "
+        f"such as {position_words(best)}, or drop those terms.",
+        rank=equations, parameters=p,
+    )  # fmt: skip
