@@ -22,7 +22,7 @@ D. M. Bates, D. G. Watts, *Nonlinear Regression Analysis and Its Applications*, 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np

@@ -19,11 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from multipos.calibration import Calibration, labels, parameter_rows
-from multipos.certificate import Content, Figure, Grid, build_content
+from multipos.certificate import Content, build_content
 from multipos.errors import UsageError
 from multipos.files import write_text
 from multipos.formatting import markdown_table, number, table
 from multipos.plots import COLOURS
+from multipos.sections import Figure, Grid
 
 _Table = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
 

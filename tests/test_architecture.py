@@ -60,6 +60,8 @@ ORDER = (
     "exporters",
     "plots",
     "translations",
+    "sections",
+    "evidence",
     "certificate",
     "reports",
     "song_qin",
