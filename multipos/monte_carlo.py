@@ -48,7 +48,8 @@ class MonteCarlo:
     names : tuple of p str
     trials : int
     stable : bool
-        Whether the adaptive procedure ended by itself; False where it ran out of trials.
+        Whether the adaptive procedure ended by itself; False where it ran out of trials or
+        their number was given.
     mean, u : (p,) arrays
         `u` is NaN where the law has none (Student's t on two degrees of freedom or fewer).
     symmetric, shortest : (p, 2) arrays
@@ -134,23 +135,25 @@ def simulate_budget(
         block = solve(draw(step))
         done.append(block)
         count += len(block)
-        low, high = _symmetric(np.sort(block, axis=0), c.confidence)
-        spread = block.std(axis=0, ddof=1) * exists
-        summaries.append(np.array([block.mean(axis=0) * exists, spread, low, high]))
         if progress is not None:
             progress(count)
+        if trials is not None:
+            continue
+        low, high = _symmetric(_sorted(block), c.confidence)
+        spread = block.std(axis=0, ddof=1) * exists
+        summaries.append(np.array([block.mean(axis=0) * exists, spread, low, high]))
         if len(summaries) < 2 or count < least:
             continue
         rest = np.std(summaries, axis=0, ddof=1) / math.sqrt(len(summaries))
         stable = bool((np.nan_to_num(2.0 * rest) <= delta / 5.0).all())
-        if stable and trials is None:
+        if stable:
             break
-    values = np.sort(np.concatenate(done), axis=0)
+    values = _sorted(np.concatenate(done))
     low, high = _symmetric(values, c.confidence)
     off = np.maximum(np.abs(c.parameters - c.U - low), np.abs(c.parameters + c.U - high))
     return MonteCarlo(
-        names=c.names, trials=count, stable=stable, mean=values.mean(axis=0),
-        u=values.std(axis=0, ddof=1) * exists, symmetric=np.column_stack([low, high]),
+        names=c.names, trials=count, stable=stable, mean=values.mean(axis=1),
+        u=values.std(axis=1, ddof=1) * exists, symmetric=np.column_stack([low, high]),
         shortest=_shortest(values, c.confidence), tolerance=delta, valid=off <= delta,
     )  # fmt: skip
 
@@ -200,7 +203,9 @@ class _Draws:
                 readings = readings + np.einsum("nmq,tq->tnm", moves, drawn)
             elif quantity.name == "resolution":
                 readings = readings + self._law(quantity, readings.shape)
-        return readings + self._noise(trials)
+        noise = self._noise(trials)
+        noise += readings
+        return noise
 
     def _acted(self, trials: int, turned: list[Quantity], scaled: list[Quantity]) -> Array:
         """Readings of the model at the forces that really act, turned and scaled in full."""
@@ -227,9 +232,10 @@ class _Draws:
     def _noise(self, trials: int) -> Array:
         drawn = self.rng.standard_normal((trials, self.n * self.m))
         if self.noise.ndim == 2:
-            noise = (drawn @ self.noise.T).reshape(trials, self.n, self.m)
+            drawn = drawn @ self.noise.T
         else:
-            noise = (drawn * self.noise).reshape(trials, self.n, self.m)
+            drawn *= self.noise
+        noise = drawn.reshape(trials, self.n, self.m)
         for output, dof in enumerate(self.c.dof.tolist()):
             if math.isfinite(dof) and (output == 0 or not self.joint):
                 scale = np.sqrt(dof / self.rng.chisquare(dof, trials))[:, None]
@@ -290,18 +296,26 @@ def _own_estimator(c: Calibration) -> Estimator:
     )
 
 
+def _sorted(trials: Array) -> Array:
+    """Trials (p, N) in order, one contiguous row for each parameter: sorting goes faster."""
+    rows = np.ascontiguousarray(trials.T)
+    rows.sort(axis=1)
+    return rows
+
+
 def _symmetric(values: Array, confidence: float) -> tuple[Array, Array]:
     """Ends of the probabilistically symmetric interval, from sorted trials (JCGM 101, 7.7.2)."""
-    count = len(values)
+    count = values.shape[1]
     inside = int(confidence * count + 0.5)
     first = (count - inside) // 2
-    return values[first], values[min(first + inside, count - 1)]
+    return values[:, first], values[:, min(first + inside, count - 1)]
 
 
 def _shortest(values: Array, confidence: float) -> Array:
     """Ends (p, 2) of the shortest interval, from sorted trials (JCGM 101, 7.7.4)."""
-    inside = int(confidence * len(values) + 0.5)
-    width = values[inside:] - values[: len(values) - inside]
-    first = width.argmin(axis=0)
-    columns = np.arange(values.shape[1])
-    return np.column_stack([values[first, columns], values[first + inside, columns]])
+    count = values.shape[1]
+    inside = int(confidence * count + 0.5)
+    width = values[:, inside:] - values[:, : count - inside]
+    first = width.argmin(axis=1)
+    rows = np.arange(len(values))
+    return np.column_stack([values[rows, first], values[rows, first + inside]])
