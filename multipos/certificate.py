@@ -23,6 +23,7 @@ from multipos.evidence import (
     residuals_section,
 )
 from multipos.files import read_toml
+from multipos.monte_carlo import MonteCarlo
 from multipos.sections import (
     Grid,
     Section,
@@ -123,6 +124,7 @@ def build_content(
     *,
     lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
     language: str = "en",
+    simulated: MonteCarlo | None = None,
 ) -> Content:
     """Return what the report of a calibration says.
 
@@ -133,6 +135,8 @@ def build_content(
         What only the laboratory knows.
     language : str
         'en' or 'zh'.
+    simulated : MonteCarlo, optional
+        What `multipos.monte_carlo` found, for the checks.
     """
     tr = Translator(language)
     said = read_lab(lab)
@@ -163,7 +167,7 @@ def build_content(
             errors_section(c, tr),
             positions_section(c, tr),
             correlation_section(c, tr),
-            checks_section(c, tr),
+            checks_section(c, tr, simulated),
             _method(c, tr),
             _statements(c, tr),
         ),

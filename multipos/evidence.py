@@ -8,6 +8,7 @@ from multipos import plots
 from multipos.calibration import Calibration, labels
 from multipos.criticism import find_influence, fourier_residuals, judge_terms
 from multipos.formatting import number
+from multipos.monte_carlo import MonteCarlo
 from multipos.sections import Figure, Grid, Section, draw_svg
 from multipos.translations import Translator
 
@@ -162,7 +163,7 @@ def correlation_section(c: Calibration, tr: Translator) -> Section:
     )
 
 
-def checks_section(c: Calibration, tr: Translator) -> Section:
+def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None) -> Section:
     """Return the checks of the fit."""
     rows: list[tuple[str, str]] = [
         (tr("rms of what is left after compensation"), f"{c.rms:.3e} g"),
@@ -187,7 +188,30 @@ def checks_section(c: Calibration, tr: Translator) -> Section:
                 "small p are expected."
             )
         )
+    if simulated is not None:
+        grids.append(_simulated(simulated, tr))
+        paragraphs.append(
+            tr(
+                "Monte Carlo draws every input quantity from its law, lets it act in full and "
+                "estimates again (JCGM 101). U is valid where the ends of both intervals agree "
+                "within the tolerance."
+            )
+        )
     return Section(tr("Checks"), tuple(paragraphs), tables=tuple(grids))
+
+
+def _simulated(found: MonteCarlo, tr: Translator) -> Grid:
+    rows = [
+        (name, number(u, 3), f"[{low:.7g}, {high:.7g}]", f"[{first:.7g}, {last:.7g}]",
+         number(tolerance, 2), tr("yes") if valid else tr("no"))
+        for name, u, (low, high), (first, last), tolerance, valid in zip(
+            found.names, found.u.tolist(), found.symmetric.tolist(), found.shortest.tolist(),
+            found.tolerance.tolist(), found.valid.tolist(), strict=True,
+        )
+    ]  # fmt: skip
+    header = ("Parameter", "u", "Symmetric interval", "Shortest interval", "Tolerance", "U valid")
+    return Grid(tr("Monte Carlo, {trials} trials", trials=str(found.trials)),
+                tuple(map(tr, header)), tuple(rows))  # fmt: skip
 
 
 def _criticism(c: Calibration, tr: Translator) -> list[Grid]:

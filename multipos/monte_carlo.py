@@ -20,7 +20,7 @@ every other estimator runs in full in each trial.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from multipos.budgets import Quantity, read_budget
 from multipos.calibration import Calibration
 from multipos.errors import UsageError
+from multipos.fitting import fit
 from multipos.sensitivities import estimator_gain, reading_moves, turn_axes
 from multipos.uncertainty import evaluate_budget
 
@@ -36,6 +37,7 @@ Array = NDArray[np.float64]
 Estimator = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (trials, p)
 
 _BLOCK = 10_000  # trials of a block (JCGM 101, 7.9.4)
+_FEW = 100  # of an estimator that runs once a trial, so that progress shows
 _MOST = 1_000_000
 
 
@@ -126,12 +128,13 @@ def simulate_budget(
     delta = numerical_tolerance(c.u, digits)
     exists = np.where(np.repeat(c.dof, [len(t) for t in c.model.terms]) > 2.0, 1.0, math.nan)
     least = max(_BLOCK, math.ceil(100.0 / (1.0 - c.confidence)))
-    size = _BLOCK if trials is None else min(trials, _BLOCK)
+    one_by_one = estimator is None and c.estimator not in ("linear", "closed-form")
+    size = _FEW if one_by_one and trials is not None else _BLOCK
     done: list[Array] = []
     summaries: list[Array] = []
     count, stable = 0, False
     while count < (trials or _MOST):
-        step = size if trials is None else min(size, trials - count)
+        step = min(size, (trials or _MOST) - count)
         block = solve(draw(step))
         done.append(block)
         count += len(block)
@@ -288,12 +291,24 @@ def _rotate(force: Array, vectors: Array) -> Array:
 
 
 def _own_estimator(c: Calibration) -> Estimator:
+    """The calibration's own estimator, run in full."""
     if c.estimator in ("linear", "closed-form"):
         gain = estimator_gain(c)
         return lambda readings: np.asarray(readings.reshape(len(readings), -1) @ gain.T)
-    raise UsageError(
-        f"give `estimator`, a function of the readings, for a calibration by {c.estimator}."
-    )
+    if c.estimator != "unknown-orientation" or c.model.gauge is None:
+        raise UsageError(
+            f"give `estimator`, a function of the readings, for a calibration by {c.estimator}."
+        )
+    gauge = c.model.gauge
+
+    def estimate(values: Array) -> Array:
+        return fit(
+            replace(c.readings, values=values), model=c.model.text, convention=c.convention,
+            axes=c.model.axes, inputs=c.model.inputs, unknown_orientation=True, gauge=gauge,
+            gravity=None if c.gravity is None else c.gravity.value,
+        ).parameters  # fmt: skip
+
+    return lambda readings: np.array([estimate(one) for one in readings])
 
 
 def _sorted(trials: Array) -> Array:

@@ -23,6 +23,7 @@ from multipos.certificate import Content, build_content
 from multipos.errors import UsageError
 from multipos.files import write_text
 from multipos.formatting import markdown_table, number, table
+from multipos.monte_carlo import MonteCarlo
 from multipos.plots import COLOURS
 from multipos.sections import Figure, Grid
 
@@ -85,6 +86,7 @@ def write_report(
     *,
     lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
     language: str = "en",
+    simulated: MonteCarlo | None = None,
 ) -> None:
     """Write the report in the form that the file's ending asks for: .html, .md or .txt.
 
@@ -96,6 +98,8 @@ def write_report(
         TOML file of what only the laboratory knows (`multipos.certificate.LAB_FIELDS`).
     language : str
         'en' or 'zh'.
+    simulated : MonteCarlo, optional
+        What `multipos.monte_carlo` found, for the checks.
 
     Raises
     ------
@@ -109,7 +113,8 @@ def write_report(
         raise UsageError(
             f"the report's ending '{suffix}' is unknown; write it to a {', '.join(_FORMS)} file."
         )
-    write_text(path, _FORMS[suffix](build_content(calibration, lab=lab, language=language)))
+    content = build_content(calibration, lab=lab, language=language, simulated=simulated)
+    write_text(path, _FORMS[suffix](content))
 
 
 _FORMS: dict[str, Callable[[Content], str]] = {

@@ -132,10 +132,20 @@ def test_numerical_tolerance_by_hand():
     assert_allclose(numerical_tolerance(np.array([2e-5]), 1), [0.5e-5])
 
 
-def test_another_estimator_can_be_simulated():
+def test_monte_carlo_of_an_unknown_orientation():
     c = mp.fit(readings("fibonacci-24", sd=1e-4), reading_sd=1e-4, unknown_orientation=True)
+    trials = 300
+    found = simulate_budget(c, trials=trials, rng=2)
+    assert found.trials == trials
+    # nine standard deviations, each of 300 trials
+    assert_allclose(found.u, c.u, rtol=4 / math.sqrt(2 * trials))
+
+
+def test_another_estimator_can_be_simulated():
+    uncertain = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd=0.1)
     with pytest.raises(UsageError, match="give `estimator`"):
-        simulate_budget(c, trials=100)
+        simulate_budget(uncertain, trials=100)
+    c = mp.fit(readings("fibonacci-24", sd=1e-4), reading_sd=1e-4, unknown_orientation=True)
     gain = estimator_gain(c)
     found = simulate_budget(
         c, trials=40_000, rng=2, estimator=lambda y: y.reshape(len(y), -1) @ gain.T

@@ -274,6 +274,17 @@ def test_a_translation_keeps_what_is_put_in():
     assert wrong == []
 
 
+def test_the_check_by_monte_carlo_is_reported(calibration, tmp_path, capsys):
+    calibration.save(tmp_path / "c.json")
+    argv = ["report", str(tmp_path / "c.json"), "-o", str(tmp_path / "r.md")]
+    assert main([*argv, "--monte-carlo", "20000"]) == 0
+    assert capsys.readouterr().err == ""  # no bar where there is no terminal
+    text = (tmp_path / "r.md").read_text("utf-8")
+    assert "Monte Carlo, 20000 trials" in text
+    assert text.count("| yes |") >= 15
+    assert main([*argv, "--monte-carlo", "3"]) == 2
+
+
 def test_labels_of_positions_are_escaped(six):
     spoilt = replace(six, readings=replace(six.readings, positions=tuple("<b>&\"'")))
     page = html_report(build_content(spoilt))
