@@ -24,16 +24,21 @@ _PUBLIC = {
     "MultiposError": "errors",
     "RankError": "errors",
     "Readings": "readings",
+    "Regression": "regression",
     "Scheme": "scheme",
     "UsageError": "errors",
     "apply": "compensation",
     "compare": "comparison",
+    "correct": "correction",
     "demo": "song_qin",
     "fit": "fitting",
     "load": "calibration",
+    "load_regression": "regression",
     "normal_gravity": "units",
+    "over_temperature": "temperature",
     "read_readings": "readings",
     "read_scheme": "scheme",
+    "regress": "regressing",
     "schemes": "designs",
 }
 
@@ -44,17 +49,22 @@ __all__ = [
     "MultiposError",
     "RankError",
     "Readings",
+    "Regression",
     "Scheme",
     "UsageError",
     "__version__",
     "apply",
     "compare",
+    "correct",
     "demo",
     "fit",
     "load",
+    "load_regression",
     "normal_gravity",
+    "over_temperature",
     "read_readings",
     "read_scheme",
+    "regress",
     "schemes",
 ]
 
@@ -62,13 +72,17 @@ if TYPE_CHECKING:
     from multipos.calibration import Calibration, load
     from multipos.comparison import compare
     from multipos.compensation import apply
+    from multipos.correction import correct
     from multipos.designs import schemes
     from multipos.errors import ConvergenceError, MultiposError, RankError, UsageError
     from multipos.fitting import fit
     from multipos.model import Model
     from multipos.readings import Readings, read_readings
+    from multipos.regressing import regress
+    from multipos.regression import Regression, load_regression
     from multipos.scheme import Scheme, read_scheme
     from multipos.song_qin import demo
+    from multipos.temperature import over_temperature
     from multipos.units import normal_gravity
 
 

@@ -37,6 +37,7 @@ _EXTRA = (
     "group_rotation_deg",
     "level_sd_deg",
     "level_tilt_deg",
+    "selection",
     "budget",
 )  # what some estimators and budgets add
 
@@ -177,7 +178,7 @@ class Calibration:
     def rms(self) -> float:
         """Root mean square of what is left after compensation [g].
 
-        Of |f| − |reference| for unknown orientation, of the vector f − reference otherwise.
+        Of ``|f| − |reference|`` for unknown orientation, of the vector f − reference otherwise.
         """
         force = self.compensate(self.readings.values, self.readings.environment)
         if self.estimator == "unknown-orientation":
@@ -213,7 +214,7 @@ class Calibration:
 
         Parameters
         ----------
-        raw : (n, M) or (M,) array
+        raw : (n, M) or (M,) array, or (n,) for a single output
             In the unit of the readings.
         environment : mapping of str to (n,) array, optional
             Columns that the model uses beside the components, such as temperature.
@@ -224,7 +225,9 @@ class Calibration:
             On the K axes that the sensor has, in the calibration's convention; NaN where no
             force explains the reading.
         """
-        values = np.array(raw, dtype=np.float64, ndmin=2)
+        values = np.array(raw, dtype=np.float64)
+        if values.ndim < 2:  # one reading of all outputs, or many of the only one
+            values = values.reshape(-1, 1) if len(self.outputs) == 1 else values[None]
         if values.ndim != 2 or values.shape[1] != len(self.outputs):
             raise MultiposError(
                 f"`raw` must have shape (n, {len(self.outputs)}), got {np.shape(raw)}; "
@@ -280,6 +283,7 @@ class Calibration:
             "dof": dict(zip(self.outputs, self.dof, strict=True)),
             "readings": readings.values,
             "reference": self.reference,
+            "reference_environment": dict.fromkeys(self.model.environment, 0.0) or None,
             **{name: value for name, value in optional.items() if value is not None},
             "rms": self.rms,
             "linearity": self.linearity,
@@ -376,13 +380,19 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
     }
     model: Model = load_expression(content) if "expression" in content else build_model(
         content["model"], outputs, tuple(content["axes"]), tuple(content["inputs"]),
-        content["unit"],
+        str(content["unit"]),
     )  # fmt: skip
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
+    selection = content.get("selection")
+    if selection is not None:
+        terms = [(output, term) for output in outputs for term in selection[output]["terms"]]
+        model = model.keeping(terms)
     convention = content["convention"]
     reference = _numbers(content["reference"])
     size = np.linalg.norm(reference, axis=1)
+    if not (np.isfinite(size) & (size > 0.0)).all():
+        raise ValueError("its reference is zero or not finite")
     up = reference / size[:, None] * (-1.0 if convention == "gravity" else 1.0) + 0.0
     sd_deg = content.get("orientation_sd_deg")
     readings = Readings(
@@ -398,7 +408,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         orientation_sd=None if sd_deg is None else np.radians(_numbers(sd_deg)),
         group=content.get("group"),
         environment=environment,
-        unit=content["unit"],
+        unit=model.unit,
         source=content["input"]["file"],
         sha256=content["input"]["sha256"],
     )
@@ -421,13 +431,16 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         gravity=None if content["gravity"] is None else Gravity(**content["gravity"]),
         estimator=content["estimator"],
         criterion=content["criterion"],
-        confidence=content["confidence"],
+        confidence=float(content["confidence"]),
         diagnostics=Diagnostics(
             rank=found["rank"],
             parameters=found["parameters"],
-            condition=found["condition"],
+            condition=float(_numbers([found["condition"]])[0]),
             leverage=_numbers(found["leverage"]),
-            lack_of_fit=found["lack_of_fit"],
+            lack_of_fit={
+                output: {key: test[key] for key in ("F", "dof", "p")}
+                for output, test in found["lack_of_fit"].items()
+            },
             outliers=tuple(found["outliers"]),
             unidentifiable=tuple(found["unidentifiable"]),
             warnings=tuple(found["warnings"]),
@@ -435,13 +448,33 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         status=Status(**content["status"]),
         created=content["created"],
         version=content["multipos_version"],
-        cross_check=None if cross_check is None else cross_check["closed_form_max_difference"],
+        cross_check=None
+        if cross_check is None
+        else float(cross_check["closed_form_max_difference"]),
         extra={key: content[key] for key in _EXTRA if key in content},
     )
-    p, shape = len(calibration.parameters), readings.values.shape
-    if calibration.covariance.shape != (p, p) or calibration.residuals.shape != shape:
-        raise ValueError("its arrays do not fit together")
+    _check(calibration)
     return calibration
+
+
+def _check(c: Calibration) -> None:
+    p, (n, m) = len(c.parameters), c.readings.values.shape
+    shapes = (
+        c.covariance.shape,
+        c.residuals.shape,
+        c.reference.shape,
+        c.diagnostics.leverage.shape,
+    )
+    if shapes != ((p, p), (n, m), (n, 3), (n, m)):
+        raise ValueError("its arrays do not fit together")
+    columns = [c.readings.environment.get(name, np.nan) for name in c.model.environment]
+    if not all(np.isfinite(column).all() for column in columns):
+        raise ValueError("its readings lack a column of its model, or a number in it")
+    if not np.isfinite(c.parameters).all() or not 0.0 < c.confidence < 1.0:
+        raise ValueError("its parameters or its confidence are no usable numbers")
+    # NaN is right where nothing was left to estimate an uncertainty from
+    if (np.diag(c.covariance) < 0.0).any() or not (c.parameter_dof >= 0.0).all():
+        raise ValueError("its covariance or degrees of freedom are negative")
 
 
 def _numbers(value: Any) -> Any:

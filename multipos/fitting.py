@@ -44,7 +44,8 @@ from multipos.model import (
     formula_columns,
     linear_term,
 )
-from multipos.readings import Readings, orient, read_readings
+from multipos.model_selection import select_terms, with_selection
+from multipos.readings import Readings, orient, read_readings, stated_sd
 from multipos.scheme import Scheme
 from multipos.uncertain import Placement, place, solve_uncertain
 from multipos.uncertainty import with_budget
@@ -56,7 +57,7 @@ CONVENTIONS = ("specific-force", "gravity")
 GAUGES = ("lower", "symmetric")
 _CONTRADICT = {
     "--closed-form": (
-        "--unknown-orientation", "--orientation-sd", "--level-sd", "--robust",
+        "--unknown-orientation", "--orientation-sd", "--level-sd", "--robust", "--stepwise",
     ),
     "--unknown-orientation": ("--orientation-sd", "--level-sd"),
 }  # fmt: skip
@@ -78,6 +79,7 @@ def fit(
     gauge: str = "lower",
     robust: str | None = None,
     pool: bool = False,
+    stepwise: bool = False,
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
@@ -115,6 +117,8 @@ def fit(
         'huber', 'soft-l1' or 'cauchy': the loss that lets bad positions count less.
     pool : bool
         Use one residual variance for all outputs.
+    stepwise : bool
+        Keep of the model's terms only those that the readings support.
     reading_sd : float or M floats, optional
         Standard uncertainty of an averaged reading, in reading units.
     gravity, gravity_u : float [m/s²], optional
@@ -150,7 +154,7 @@ def fit(
     JCGM 100:2008, clauses 5.1, 6.2 and annex G; Song and Qin 2009 for the six positions.
     """
     _check_options(convention, gauge, robust, confidence)
-    _check_together(closed_form, unknown_orientation, orientation_sd, level_sd, robust)
+    _check_together(closed_form, unknown_orientation, orientation_sd, level_sd, robust, stepwise)
     stated = None if budget is None else read_budget(budget)
     local = resolve_gravity(gravity, gravity_u, latitude, height)
     if stated is not None and stated.gravity is not None:
@@ -171,17 +175,36 @@ def fit(
         data = replace(
             data, orientation_sd=np.where(placement.spread < np.inf, placement.spread, np.nan)
         )
-    if closed_form:
-        solution = solve_closed_form(built, placement.reference, data, pool=pool)
-    elif placement.exact and robust is None and isinstance(model, str):
-        solution = solve_known(built, placement.reference, data, pool=pool)
-    else:
-        solution = solve_uncertain(built, data, placement, gauge=gauge, robust=robust)
+    if closed_form and not placement.exact:
+        raise MultiposError(
+            "--closed-form takes exact orientations, but the readings have groups or "
+            "orientation_sd_deg above 0; leave --closed-form out."
+        )
+
+    def solve(chosen: Model) -> Solution:
+        if closed_form:
+            return solve_closed_form(chosen, placement.reference, data, pool=pool)
+        if placement.exact and robust is None and isinstance(model, str):
+            return solve_known(chosen, placement.reference, data, pool=pool)
+        return solve_uncertain(chosen, data, placement, gauge=gauge, robust=robust)
+
+    selection = None
+    if stepwise and not isinstance(model, str):
+        raise UsageError("--stepwise chooses among the terms of a formula, not of an expression.")
+    if stepwise:
+        whole = None if placement.exact else solve(built)
+        built, selection = select_terms(
+            built if whole is None else whole.model,
+            placement.reference if whole is None else whole.reference,
+            data,
+        )
     calibration = complete(
-        solution, data, listed=placement.reference, convention=convention, gravity=local,
+        solve(built), data, listed=placement.reference, convention=convention, gravity=local,
         estimator=_estimator(placement, closed_form),
         criterion=_criterion(data, placement, closed_form, robust, model), confidence=confidence,
     )  # fmt: skip
+    if selection is not None:
+        calibration = with_selection(calibration, selection)
     return calibration if stated is None else with_budget(calibration, stated)
 
 
@@ -277,6 +300,7 @@ def _check_together(
     orientation_sd: float | str | None,
     level_sd: float,
     robust: str | None,
+    stepwise: bool,
 ) -> None:
     """Refuse options that contradict each other."""
     if isinstance(orientation_sd, str):
@@ -296,6 +320,7 @@ def _check_together(
         "--orientation-sd": orientation_sd is not None,
         "--level-sd": level_sd > 0.0,
         "--robust": robust is not None,
+        "--stepwise": stepwise,
     }
     for first, others in _CONTRADICT.items():
         clash = [other for other in others if given[other]]
@@ -339,8 +364,7 @@ def _add_gravity(
     model: Model, parameters: Array, covariance: Array, dof: Array, gravity: Gravity
 ) -> tuple[Array, Array]:
     """Return covariance and degrees of freedom with the common term of gravity, eqs. (1), (2)."""
-    degree = np.array([term.force_degree for _, term in model.keys])
-    sensitivity = -degree * parameters / gravity.value
+    sensitivity = -model.force_degrees * parameters / gravity.value
     combined = covariance + np.outer(sensitivity, sensitivity) * gravity.u**2
     before, after = np.diag(covariance), np.diag(combined)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -374,8 +398,10 @@ def _lack_of_fit(
     if len(set(groups)) == len(groups):
         return {}
     result: dict[str, dict[str, object]] = {}
-    for output, terms, column in zip(model.outputs, model.terms, residuals.T, strict=True):
-        tested = lack_of_fit(column, groups, len(terms))
+    stated = stated_sd(readings)
+    sd = np.ones_like(residuals) if stated is None else stated
+    for i, (output, terms) in enumerate(zip(model.outputs, model.terms, strict=True)):
+        tested = lack_of_fit(residuals[:, i], groups, len(terms), sd=sd[:, i])
         if tested is not None:
             f, lack, pure, p = tested
             result[output] = {"F": f, "dof": [lack, pure], "p": p}

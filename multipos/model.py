@@ -112,6 +112,14 @@ class Term:
 CONSTANT = Term()
 
 
+def evaluate_terms(terms: Sequence[Term], columns: Mapping[str, Array], n: int) -> Array:
+    """Return the design (n, q) of terms; powers by repeated multiplication, each rounded once."""
+    design = np.empty((n, len(terms)))
+    for column, term in enumerate(terms):
+        design[:, column] = term.evaluate(columns)
+    return design
+
+
 def linear_term(variable: str) -> Term:
     """Return the bare variable as a term."""
     return Term((Factor(variable, 1),))
@@ -167,6 +175,17 @@ class Model:
     def units(self) -> tuple[str, ...]:
         """Parameter units such as ``V/g``."""
         return tuple(unit_per(self.unit, t.force_degree, t.environment) for _, t in self.keys)
+
+    @cached_property
+    def own_scales(self) -> tuple[int, ...]:
+        """Where the own-axis scale factors stand in the parameter vector."""
+        axes = dict(zip(self.outputs, self.axes, strict=True))
+        return tuple(i for i, (output, term) in enumerate(self.keys) if str(term) == axes[output])
+
+    @cached_property
+    def force_degrees(self) -> NDArray[np.intp]:
+        """Degree in specific force of each parameter's term, (p,)."""
+        return np.array([term.force_degree for _, term in self.keys], dtype=np.intp)
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
@@ -309,6 +328,14 @@ class Model:
         )
         return replace(self, terms=terms, gauge=gauge)
 
+    def keeping(self, keys: Sequence[tuple[str, str]]) -> "Model":
+        """Return the model with only the parameters named, (output, term) each."""
+        terms = tuple(
+            tuple(term for term in own if (output, str(term)) in keys)
+            for output, own in zip(self.outputs, self.terms, strict=True)
+        )
+        return replace(self, terms=terms)
+
     def index(self, output: str, term: "str | Term") -> int:
         """Return the place of a parameter by output and term."""
         try:
@@ -401,6 +428,19 @@ def build_model(
     return model
 
 
+def parse_terms(text: str, *, highest: int = HIGHEST_POWER) -> tuple[Term, ...]:
+    """Return the terms of a formula over any columns, in order, each once.
+
+    Raises
+    ------
+    UsageError
+        The formula cannot be read, or a power is above `highest`.
+    """
+    # With 'own' for the own axis, a column of that name stays what it is.
+    parts = _split(text, text)
+    return tuple(dict.fromkeys(_parse_term(part, text, "own", highest) for part in parts))
+
+
 def formula_columns(text: str) -> tuple[str, ...]:
     """Return the columns other than x, y, z and own that a model's text uses."""
     name = text.strip()
@@ -413,7 +453,8 @@ def formula_columns(text: str) -> tuple[str, ...]:
 def default_axes(outputs: Sequence[str], axes: Sequence[str] | str | None) -> tuple[str, ...]:
     """Return the case axis of each output: as given, or x, y, z in order."""
     if axes is not None:
-        return tuple(axes.split(",")) if isinstance(axes, str) else tuple(axes)
+        named = axes.split(",") if isinstance(axes, str) else axes
+        return tuple(axis.strip() for axis in named)
     if len(outputs) > 3:
         raise UsageError(
             f"{len(outputs)} columns could be outputs: {', '.join(outputs)}; name them with "
@@ -497,7 +538,7 @@ def _check_axes(outputs: tuple[str, ...], axes: tuple[str, ...], inputs: tuple[s
         if axis not in inputs:
             raise UsageError(
                 f"output '{output}' senses axis {axis}, which is not among "
-                f"--inputs {','.join(inputs)}."
+                f"--inputs {','.join(inputs)}; name it there, or choose the outputs with --outputs."
             )
 
 
@@ -523,7 +564,7 @@ _FACTOR = re.compile(
 )
 
 
-def _parse_term(part: str, text: str, axis: str) -> Term:
+def _parse_term(part: str, text: str, axis: str, highest: int = HIGHEST_POWER) -> Term:
     """Parse ``x*|own|`` for the output whose own axis is given."""
     plain: dict[str, int] = {}
     modulus: dict[str, int] = {}
@@ -537,10 +578,9 @@ def _parse_term(part: str, text: str, axis: str) -> Term:
                 "1, x, y, z, own, |own| and column names, each with ^power."
             )
         power = int(match["power"] or 1)
-        if not 1 <= power <= HIGHEST_POWER:
+        if not 1 <= power <= highest:
             raise UsageError(
-                f"model '{text}': the power in '{factor.strip()}' must lie between 1 and "
-                f"{HIGHEST_POWER}."
+                f"model '{text}': the power in '{factor.strip()}' must lie between 1 and {highest}."
             )
         name = match["name"] or match["modulus"]
         counts = plain if match["name"] else modulus

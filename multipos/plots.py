@@ -1,8 +1,8 @@
 """Figures, each a function that draws on an axes it is given.
 
 Colours are those of Okabe and Ito, which colour-blind people can tell apart, and every series has
-a second cue: a marker, a hatch or a number. `new_figure` makes a figure that knows nothing of the
-screen, `to_svg` writes it so that the same drawing gives the same bytes.
+a second cue: a marker, a line style, a hatch or a number. `new_figure` makes a figure that knows
+nothing of the screen, `to_svg` writes it so that the same drawing gives the same bytes.
 """
 
 import re
@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 from multipos.calibration import Calibration, labels
 from multipos.comparison import Comparison
+from multipos.correction import correct
+from multipos.files import Source, read_table
 from multipos.model import COMPONENTS, CONSTANT, linear_term
+from multipos.regression import Regression
+from multipos.segment import Segment
+from multipos.temperature import Curve
 from multipos.uncertainty import Evaluation
 
 if TYPE_CHECKING:
@@ -284,3 +289,81 @@ def _name_positions(axes: "Axes", names: tuple[str, ...]) -> None:
     axes.set_xticks(at, [names[i] for i in at], rotation=90 if long else 0)
     axes.set_xlim(-0.6, len(names) - 0.4)
     axes.set_xlabel("position")
+
+
+# --- Temperature
+
+
+def draw_correction(
+    regression: Regression,
+    data: Source,
+    axes: "Axes",
+    *,
+    variable: str | None = None,
+    column: str | None = None,
+) -> None:
+    """Draw a column before and after its correction against a variable, with the segments.
+
+    Parameters
+    ----------
+    regression : Regression
+    data : path, mapping of columns, or data frame
+    axes : matplotlib Axes
+    variable : str, optional
+        What it is drawn against: the segment variable, or the first variable, by default.
+    column : str, optional
+        What is corrected; the response by default.
+    """
+    table = read_table(data, what="data")
+    name = variable or regression.range_variable
+    target = column or regression.response
+    x = table.number(name)
+    found = correct(regression, table, column=target)
+    before, after = table.number(target), np.asarray(found["corrected"])
+    for values, label, colour, marker in (
+        (before, "before", COLOURS[6], "x"),
+        (after, "after", COLOURS[0], "."),
+    ):
+        axes.plot(x, values, color=colour, marker=marker, linestyle="none", markersize=3.0,
+                  label=label)  # fmt: skip
+    if name == regression.segment_variable:
+        for edge in regression.edges:
+            axes.axvline(edge, color="black", linewidth=0.8, linestyle="--")
+    axes.axhline(0.0, color="black", linewidth=0.5)
+    axes.set(xlabel=name, ylabel=target)
+    axes.legend(frameon=False)
+
+
+def draw_curve(curve: Curve, axes: "Axes") -> None:
+    """Draw a parameter against temperature with its bands: U at one, and at all temperatures."""
+    t = curve.temperature
+    axes.fill_between(t, curve.value - curve.band, curve.value + curve.band, color=COLOURS[5],
+                      alpha=0.35, linewidth=0.0, label="band, all temperatures")  # fmt: skip
+    for sign in (-1.0, 1.0):
+        axes.plot(t, curve.value + sign * curve.U, color=COLOURS[0], linewidth=0.8, linestyle="--",
+                  label="U, one temperature" if sign > 0.0 else None)  # fmt: skip
+    axes.plot(t, curve.value, color=COLOURS[0], linewidth=1.2, label=curve.name)
+    axes.set(xlabel="temperature", ylabel=f"{curve.name} [{curve.unit}]")
+    axes.legend(frameon=False)
+
+
+def draw_path(segment: Segment, axes: "Axes") -> None:
+    """Draw the F of every step of a selection; a removal hangs open, the runner-up is a bar's mark.
+
+    F spans decades, so its axis is logarithmic; steps read downward as the path went.
+    """
+    steps = segment.path
+    for row, step in enumerate(steps):
+        added = step.action == "add"
+        axes.barh(row, step.F, color=COLOURS[0] if added else "none", edgecolor=COLOURS[0],
+                  hatch="" if added else "//")  # fmt: skip
+        if step.runner_up is not None and step.runner_up.F > 0.0:
+            axes.plot(step.runner_up.F, row, marker="D", color=COLOURS[1], linestyle="none")
+    axes.set_yticks(
+        range(len(steps)),
+        [f"{'+' if step.action == 'add' else '−'} {step.term}" for step in steps],
+    )
+    if steps:
+        axes.set_xscale("log")
+    axes.invert_yaxis()
+    axes.set(xlabel="F to enter or to remove; ◆ the runner-up")

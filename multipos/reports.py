@@ -198,6 +198,7 @@ def _summary(calibration: Calibration) -> str:
         f"model       {c.model.text}, inputs {', '.join(c.model.inputs)}",
         f"convention  {c.convention}",
         f"gravity     {gravity}",
+        *(f"at          {name} 0, where its terms vanish" for name in c.model.environment),
         f"estimator   {c.estimator}: {c.criterion}",
         f"created     {c.created}, multipos {c.version}",
     ]

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from multipos.calibration import Calibration, Status, labels
 from multipos.diagnostics import find_outlying_positions
 from multipos.errors import MultiposError
-from multipos.identifiability import condition, formal_only, own_scales
+from multipos.identifiability import condition, formal_only
 from multipos.inverse import parameter_jacobian
 from multipos.known import DENIED, Solution, reading_noise
 from multipos.likelihood import (
@@ -477,7 +477,7 @@ def _scale_bias(
     if not np.isinf(problem.spread).all():
         return ()
     said = []
-    for i in own_scales(problem.model):
+    for i in problem.model.own_scales:
         output = problem.model.outputs.index(problem.model.keys[i][0])
         bias = float(sd[output] ** 2 / (abs(theta[i]) * magnitude**2))
         if bias > _STATED_BIAS * u[i]:

@@ -5,15 +5,19 @@ import argparse
 from multipos.calibration import load
 from multipos.commands.options import add_output, warn
 from multipos.compensation import apply
-from multipos.files import format_csv, read_table, to_json, write_text
+from multipos.correction import correct
+from multipos.errors import UsageError
+from multipos.files import format_csv, read_schema, read_table, to_json, write_text
+from multipos.regression import SCHEMA, load_regression
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
-    add("calibration", metavar="CAL.json", help="calibration to apply")
+    add("calibration", metavar="CAL.json", help="calibration or regression to apply")
     add("data", metavar="DATA.csv", help="raw readings; every column is kept")
     add("--uncertainty", action="store_true", help="add the standard uncertainty u_f_x, …")
+    add("--correct", metavar="COLUMN", help="what a regression corrects (default its response)")
     add(
         "--outside",
         default="flag",
@@ -25,11 +29,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> str:
     """Return what the command prints."""
-    calibration = load(arguments.calibration)
     table = read_table(arguments.data, what="data")
-    columns = apply(
-        calibration, table, uncertainty=arguments.uncertainty, outside=arguments.outside
-    )
+    options = {"uncertainty": arguments.uncertainty, "outside": arguments.outside}
+    if read_schema(arguments.calibration) == SCHEMA:
+        regression = load_regression(arguments.calibration)
+        columns = correct(regression, table, column=arguments.correct, **options)
+    elif arguments.correct is not None:
+        raise UsageError("--correct goes with a regression; a calibration gives forces.")
+    else:
+        columns = apply(load(arguments.calibration), table, **options)
     text = format_csv(columns, table.delimiter)
     if arguments.output:
         write_text(arguments.output, text)

@@ -12,7 +12,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
     add("readings", metavar="READINGS", help="CSV file of averaged readings")
-    add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
+    add(
+        "--scheme",
+        metavar="S",
+        help="scheme name (see multipos schemes), names joined by +, or CSV file",
+    )
     add_model(parser)
     add(
         "--convention",
@@ -37,6 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--robust", metavar="LOSS", help="huber, soft-l1 or cauchy")
     add("--level-sd", type=float, default=0.0, metavar="DEG", help="tilt that positions share")
     add("--pool", action="store_true", help="one residual variance for all outputs")
+    add("--stepwise", action="store_true", help="keep the terms that the readings support")
     add(
         "--reading-sd",
         type=numbers,
@@ -61,7 +66,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def degrees_or_auto(text: str) -> float | str:
     """Return degrees, or 'auto'."""
-    return text if text == "auto" else float(text)
+    try:
+        return text if text == "auto" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is neither degrees nor 'auto'") from None
 
 
 def run(arguments: argparse.Namespace) -> str:
