@@ -26,11 +26,21 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
         (label, *(f"{value:+.3e}" for value in residual))
         for label, residual in zip(labels(c.readings), c.residuals.tolist(), strict=True)
     ]
+    paragraphs = [
+        tr("Residual = reading − model. The bars are ±2 standard deviations of each residual.")
+    ]
+    if c.estimator.endswith("orientation"):
+        paragraphs.append(
+            tr(
+                "The orientations were estimated with the parameters, so a residual shows only "
+                "what no turn of its position explains."
+            )
+        )
     rows.append(("s", *(number(value, 3) for value in c.residual_sd.tolist())))
     rows.append((tr("dof"), *(number(value) for value in c.dof.tolist())))
     return Section(
         tr("Residuals"),
-        (tr("Residual = reading − model. The bars are ±2 standard deviations of each residual."),),
+        tuple(paragraphs),
         (
             Figure(
                 tr("Residuals at every position"),

@@ -178,6 +178,8 @@ class _Draws:
         tables = c.extra.get("budget", {}).get("tables", {})
         stated = read_budget(tables).quantities
         contained = {r.quantity for r in evaluate_budget(c).rows if r.contained.all()}
+        if c.estimator == "unknown-orientation":
+            contained |= {"level", "index"}  # orientations that were not used cannot be wrong
         self.quantities = [
             quantity for name, quantity in stated.items()
             if name not in ("gravity", "third_order", *contained)

@@ -137,7 +137,7 @@ def draw_leverage(calibration: Calibration, axes: "Axes") -> None:
         at = np.arange(n) + (i - (m - 1) / 2.0) * width
         axes.bar(at, c.diagnostics.leverage[:, i], width, color=COLOURS[i % 6], label=output,
                  hatch=HATCHES[i % 8], edgecolor="#ffffff", linewidth=0.3)  # fmt: skip
-    axes.set_ylim(0.0, 1.02)
+    axes.set_ylim(0.0, min(1.02, 1.2 * float(c.diagnostics.leverage.max())))
     axes.set_ylabel("leverage")
     _name_positions(axes, labels(c.readings))
     _legend(axes, min(m, 4))
@@ -227,7 +227,8 @@ def draw_correlation(calibration: Calibration, axes: "Axes") -> None:
         for j in range(p):
             if i != j and abs(values[i, j]) >= 0.05 and p <= 20:
                 axes.text(j + 0.5, i + 0.5, f"{values[i, j]:.1f}".replace("0.", "."), ha="center",
-                          va="center", fontsize=6, color="#222222")  # fmt: skip
+                          va="center", fontsize=6,
+                          color="#ffffff" if abs(values[i, j]) > 0.6 else "#222222")  # fmt: skip
     axes.set_xticks(np.arange(p) + 0.5, list(c.names), rotation=90, fontsize=7)
     axes.set_yticks(np.arange(p) + 0.5, list(c.names), fontsize=7)
     axes.invert_yaxis()

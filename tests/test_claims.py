@@ -133,7 +133,8 @@ def test_numerical_tolerance_by_hand():
 
 
 def test_monte_carlo_of_an_unknown_orientation():
-    c = mp.fit(readings("fibonacci-24", sd=1e-4), reading_sd=1e-4, unknown_orientation=True)
+    c = mp.fit(readings("fibonacci-24", sd=1e-4), reading_sd=1e-4, unknown_orientation=True,
+               budget={"level": {"u_deg": 1.0}, "gain": {"u": 1e-6}})  # fmt: skip
     trials = 300
     found = simulate_budget(c, trials=trials, rng=2)
     assert found.trials == trials
