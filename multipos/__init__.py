@@ -19,6 +19,7 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "Calibration": "calibration",
+    "Check": "checks",
     "ConvergenceError": "errors",
     "Model": "model",
     "MultiposError": "errors",
@@ -26,10 +27,12 @@ _PUBLIC = {
     "Readings": "readings",
     "Regression": "regression",
     "Scheme": "scheme",
+    "Tumble": "single_axis",
     "UsageError": "errors",
     "apply": "compensation",
     "compare": "comparison",
     "correct": "correction",
+    "check": "checks",
     "demo": "song_qin",
     "fit": "fitting",
     "load": "calibration",
@@ -40,10 +43,14 @@ _PUBLIC = {
     "read_scheme": "scheme",
     "regress": "regressing",
     "schemes": "designs",
+    "state_bench": "turntable",
+    "table_errors": "turntable",
+    "tumble": "single_axis",
 }
 
 __all__ = [
     "Calibration",
+    "Check",
     "ConvergenceError",
     "Model",
     "MultiposError",
@@ -51,9 +58,11 @@ __all__ = [
     "Readings",
     "Regression",
     "Scheme",
+    "Tumble",
     "UsageError",
     "__version__",
     "apply",
+    "check",
     "compare",
     "correct",
     "demo",
@@ -66,10 +75,14 @@ __all__ = [
     "read_scheme",
     "regress",
     "schemes",
+    "state_bench",
+    "table_errors",
+    "tumble",
 ]
 
 if TYPE_CHECKING:
     from multipos.calibration import Calibration, load
+    from multipos.checks import Check, check
     from multipos.comparison import compare
     from multipos.compensation import apply
     from multipos.correction import correct
@@ -81,8 +94,10 @@ if TYPE_CHECKING:
     from multipos.regressing import regress
     from multipos.regression import Regression, load_regression
     from multipos.scheme import Scheme, read_scheme
+    from multipos.single_axis import Tumble, tumble
     from multipos.song_qin import demo
     from multipos.temperature import over_temperature
+    from multipos.turntable import state_bench, table_errors
     from multipos.units import normal_gravity
 
 

@@ -180,7 +180,11 @@ class Calibration:
 
         Of ``|f| − |reference|`` for unknown orientation, of the vector f − reference otherwise.
         """
-        force = self.compensate(self.readings.values, self.readings.environment)
+        # What no output senses is known here, so that it does not pass for an error.
+        force = inverse.invert(
+            self.model, self.parameters, self.readings.values, self.readings.environment,
+            unseen=self.reference,
+        )  # fmt: skip
         if self.estimator == "unknown-orientation":
             size = np.linalg.norm(self.reference, axis=1)
             return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
@@ -199,8 +203,12 @@ class Calibration:
 
     @cached_property
     def installation_deg(self) -> dict[str, derived.Value]:
-        """How far output i leans to axis j, θ_ij = atan2(M_ij, M_ii), in degrees."""
-        return derived.installation_deg(self.model, self.parameters, self.covariance, self._mean)
+        """How far output i leans to axis j, θ_ij = atan2(M_ij, M_ii), in degrees, with u and U."""
+        found = derived.installation_deg(self.model, self.parameters, self.covariance, self._mean)
+        own = dict(zip(self.model.axes, self.dof.tolist(), strict=True))
+        for pair, angle in found.items():
+            angle["U"] = coverage_factor(self.confidence, own[pair[0]]) * angle["u"]
+        return found
 
     def predict(self, reference: ArrayLike, environment: Mapping[str, ArrayLike] | None = None
                 ) -> Array:  # fmt: skip

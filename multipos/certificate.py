@@ -23,8 +23,7 @@ from multipos.evidence import (
     residuals_section,
 )
 from multipos.files import read_toml
-from multipos.monte_carlo import MonteCarlo
-from multipos.sections import (
+from multipos.findings import (
     Grid,
     Section,
     budget_section,
@@ -32,6 +31,7 @@ from multipos.sections import (
     sensor_section,
     sphere_section,
 )
+from multipos.monte_carlo import MonteCarlo
 from multipos.translations import Translator
 from multipos.uncertainty import evaluate_budget
 

@@ -6,6 +6,10 @@ covariance of the parameters and, beyond ±1 g, the third-order term that the bu
 ``outside``: 1 where a reading lies beyond what was calibrated, that is where |f| exceeds the
 largest reference or a column of the model leaves the range of the calibration's readings, 0
 elsewhere.
+
+With tilt the sensor is taken to be at rest (`multipos.tilt`): ``tilt_x_deg`` … are the angles of
+its axes above the horizon, and one axis that it does not have follows from |f| = g with that
+axis up. More outputs than axes leave a parity: ``parity`` and ``fault`` (`multipos.parity`).
 """
 
 from collections.abc import Mapping
@@ -18,6 +22,8 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files import Column, Source, Table, read_table
 from multipos.inverse import sensed_axes
 from multipos.model import COMPONENTS
+from multipos.parity import FAULT_LEVEL, parity
+from multipos.tilt import at_rest, reading_noise, tilt_at_rest
 from multipos.validity import force_covariance
 
 Array = NDArray[np.float64]
@@ -32,6 +38,7 @@ def apply(
     calibration: Calibration,
     data: Source,
     *,
+    tilt: bool = False,
     uncertainty: bool = False,
     outside: str = "flag",
 ) -> dict[str, Column]:
@@ -42,8 +49,10 @@ def apply(
     calibration : Calibration
     data : path, mapping of columns, or data frame
         Must have the calibration's outputs, and the columns its model uses.
+    tilt : bool
+        Add ``tilt_x_deg`` …, the angle of each axis above the horizon, for a sensor at rest.
     uncertainty : bool
-        Add ``u_f_x`` … [g].
+        Add ``u_f_x`` … [g], and with tilt ``u_tilt_x_deg`` …, the noise of a reading included.
     outside : str
         'flag' rows beyond what was calibrated, 'clamp' the model's other columns (such as
         temperature) to the calibrated range as well, or 'refuse' the table.
@@ -73,7 +82,13 @@ def apply(
     beyond, clamped = _environment_outside(calibration, table, environment)
     if outside == "clamp":
         environment = clamped
-    force = calibration.compensate(raw, environment)
+    axes = list(sensed_axes(calibration.model))
+    if tilt:
+        rest = at_rest(calibration, raw, environment)
+        force, found = rest[:, axes], tilt_at_rest(calibration, rest, environment)
+        beyond |= np.isnan(found.tilt).any(axis=1)
+    else:
+        force = calibration.compensate(raw, environment)
     beyond |= _force_outside(calibration, force)
     if outside == "refuse" and beyond.any():
         row = int(np.argmax(beyond))
@@ -81,14 +96,23 @@ def apply(
             f"{table.where(row, needed[0])}: the reading is outside what was calibrated "
             f"({int(beyond.sum())} of {table.rows} rows are); use --outside flag to see them."
         )
-    axes = [COMPONENTS[i] for i in sensed_axes(calibration.model)]
+    names = [COMPONENTS[i] for i in axes]
     added: dict[str, Column] = {
-        f"f_{axis}": force[:, column].tolist() for column, axis in enumerate(axes)
+        f"f_{axis}": force[:, column].tolist() for column, axis in enumerate(names)
     }
     if uncertainty:
         covariance = force_covariance(calibration, force, environment)
-        for column, axis in enumerate(axes):
+        for column, axis in enumerate(names):
             added[f"u_f_{axis}"] = np.sqrt(covariance[:, column, column]).tolist()
+    if tilt:
+        for column, axis in enumerate(names):
+            added[f"tilt_{axis}_deg"] = np.degrees(found.tilt[:, column]).tolist()
+        for column, axis in enumerate(names if uncertainty else ()):
+            added[f"u_tilt_{axis}_deg"] = np.degrees(found.u[:, column]).tolist()
+    if len(calibration.outputs) > len(axes):
+        odd = parity(calibration, raw, force, environment, reading_noise(calibration))
+        added["parity"] = odd.size.tolist()
+        added["fault"] = (odd.p < FAULT_LEVEL).astype(int).tolist()
     added["outside"] = beyond.astype(int).tolist()
     twice = [name for name in added if name in table]
     if twice:

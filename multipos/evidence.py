@@ -7,9 +7,9 @@ import numpy as np
 from multipos import plots
 from multipos.calibration import Calibration, labels
 from multipos.criticism import find_influence, fourier_residuals, judge_terms
+from multipos.findings import Figure, Grid, Section, draw_svg
 from multipos.formatting import number
 from multipos.monte_carlo import MonteCarlo
-from multipos.sections import Figure, Grid, Section, draw_svg
 from multipos.translations import Translator
 
 _WIDE = 16  # parameters beyond which the correlation matrix is only a figure

@@ -45,8 +45,9 @@ from multipos.model import (
     linear_term,
 )
 from multipos.model_selection import select_terms, with_selection
-from multipos.readings import Readings, orient, read_readings, stated_sd
+from multipos.readings import Readings, orient, read_readings, require_range, stated_sd
 from multipos.scheme import Scheme
+from multipos.turntable import roll_warnings
 from multipos.uncertain import Placement, place, solve_uncertain
 from multipos.uncertainty import with_budget
 from multipos.units import gravity_ratio, normal_gravity
@@ -88,6 +89,7 @@ def fit(
     level_sd: float = 0.0,
     budget: "BudgetSource | Budget | None" = None,
     unit: str | None = None,
+    range: Sequence[float] | None = None,
     confidence: float = 0.95,
 ) -> Calibration:
     """Calibrate an accelerometer from readings at static positions.
@@ -131,6 +133,8 @@ def fit(
         What is known of the measurement beside the readings (`multipos.budgets`).
     unit : str, optional
         Unit of the readings.
+    range : (low, high), optional
+        Readings outside these limits are an error.
     confidence : float
         Coverage probability of U.
 
@@ -164,6 +168,8 @@ def fit(
     used = formula_columns(model) if isinstance(model, str) else ()
     data = read_readings(readings, outputs=outputs, unit=unit, environment=used)
     data = _without_orientation(data, scheme) if unknown_orientation else orient(data, scheme)
+    if range is not None:
+        require_range(data, range)
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
     built = _build(model, data, axes, inputs)
@@ -245,7 +251,7 @@ def complete(
         warnings=tuple(warnings),
     )
     unknown = estimator == "unknown-orientation"
-    return Calibration(
+    calibration = Calibration(
         model=model,
         parameters=parameters,
         covariance=covariance,
@@ -267,6 +273,16 @@ def complete(
         cross_check=None if unknown else closed_form_difference(model, listed, readings),
         extra=solution.extra,
     )
+    return _with_roll_warnings(calibration)
+
+
+def _with_roll_warnings(calibration: Calibration) -> Calibration:
+    """Return the calibration of one or two axes with what its rolls warn of."""
+    said = roll_warnings(calibration) if len(calibration.outputs) < 3 else []
+    if not said:
+        return calibration
+    found = calibration.diagnostics
+    return replace(calibration, diagnostics=replace(found, warnings=(*found.warnings, *said)))
 
 
 def _build(

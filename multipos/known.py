@@ -27,7 +27,7 @@ from multipos.diagnostics import bartlett, find_outliers
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.identifiability import formal_only
 from multipos.least_squares import LinearFit, separability, solve
-from multipos.model import COMPONENTS, Model, build_model
+from multipos.model import COMPONENTS, Model, build_model, linear_term
 from multipos.quantiles import chi2_quantile
 from multipos.readings import Readings, stated_sd
 
@@ -365,7 +365,7 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     way_out = (
         f"x^2 + y^2 + z^2 = 1 at rest, so no static positions can; for {name} use '{formula}'"
         if model.text == "full-quadratic" and set(model.inputs) == set(COMPONENTS)
-        else f"add positions that differ more, or for {name} fit '{formula}'"
+        else f"add {_missing_positions(model, phi)}, or for {name} fit '{formula}'"
     )
     if len(design) < len(terms):
         return RankError(
@@ -377,3 +377,13 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
         f"{'; '.join(error.combinations)}; {way_out}.",
         rank=error.rank, parameters=error.parameters, combinations=error.combinations,
     )  # fmt: skip
+
+
+def _missing_positions(model: Model, phi: Array) -> str:
+    """Return what to add: for positions that never excite one input, a roll about another axis."""
+    components = [linear_term(axis) for axis in model.inputs]
+    seen = [model.basis_terms.index(term) for term in components if term in model.basis_terms]
+    silent = [column for column in seen if np.abs(phi[:, column]).max() <= FLOOR]
+    if len(silent) == 1 and len(seen) > 1:
+        return "a roll about another axis, as all positions lie in one plane"
+    return "positions that differ more"

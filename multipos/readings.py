@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos import attitudes
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
 from multipos.files import Source, Table, read_table
 from multipos.scheme import Scheme, read_scheme
 
@@ -292,6 +292,31 @@ def stated_sd(readings: Readings) -> Array | None:
     if readings.covariance is not None:
         return np.asarray(np.sqrt(np.diag(readings.covariance)).reshape(readings.values.shape))
     return readings.u
+
+
+def require_range(readings: Readings, limits: Sequence[float]) -> None:
+    """Refuse readings outside stated limits: a saturated or disconnected output.
+
+    Raises
+    ------
+    UsageError
+        The limits are not LOW,HIGH.
+    MultiposError
+        A reading is outside; the first is named, and how many there are.
+    """
+    if len(limits) != 2 or not limits[0] < limits[1]:
+        raise UsageError("--range takes LOW,HIGH in reading units, LOW below HIGH.")
+    low, high = limits
+    outside = (readings.values < low) | (readings.values > high)
+    if outside.any():
+        row, column = np.argwhere(outside)[0].tolist()
+        label = "" if readings.positions is None else f" (position {readings.positions[row]})"
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: row {row + 1}{label}, column "
+            f"'{readings.outputs[column]}': {readings.values[row, column]:g} is outside the range "
+            f"{low:g} to {high:g} ({int(outside.sum())} of {outside.size} readings are); measure "
+            "these positions again or leave them out."
+        )
 
 
 def _with_up(readings: Readings) -> Readings:

@@ -22,10 +22,10 @@ from multipos.calibration import Calibration, labels, parameter_rows
 from multipos.certificate import Content, build_content
 from multipos.errors import UsageError
 from multipos.files import write_text
+from multipos.findings import Figure, Grid
 from multipos.formatting import markdown_table, number, table
 from multipos.monte_carlo import MonteCarlo
-from multipos.plots import COLOURS
-from multipos.sections import Figure, Grid
+from multipos.plots.style import COLOURS
 
 _Table = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
 

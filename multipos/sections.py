@@ -1,245 +1,147 @@
-"""The sections of a report on what was found: parameters, sensor, uncertainty, compensation.
+"""Sections of reports on one- and two-axis sensors: (title, text) pairs, and plain text of them.
 
-A section is paragraphs, figures and tables; numbers are text here, with the digits that their
-uncertainty leaves. Figures are functions and drawn only where they are wanted.
+`draw` turns a header and rows into a table: `formatting.table` for plain text, or
+`formatting.markdown_table`.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from multipos import plots
-from multipos.budgets import KINDS
 from multipos.calibration import Calibration
-from multipos.derived import intrinsic_gradient
-from multipos.formatting import number, uncertain
-from multipos.model import COMPONENTS
-from multipos.quantiles import coverage_factor
-from multipos.translations import Translator
-from multipos.uncertainty import Evaluation
-from multipos.validity import sphere_uncertainty
+from multipos.checks import VERDICTS, Check, worst
+from multipos.formatting import number, table, uncertain
+from multipos.single_axis import Tumble
+from multipos.turntable import TableErrors
+
+Draw = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
 
 
-@dataclass(frozen=True)
-class Grid:
-    """A table: its caption, header and rows of text; the first `left` columns hold words."""
-
-    caption: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    left: int = 1
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure: caption, what it shows in words, and the function that draws it as SVG."""
-
-    caption: str
-    description: str
-    draw: Callable[[], str]
-
-
-@dataclass(frozen=True)
-class Section:
-    """A section of the report, in the order paragraphs, figures, tables."""
-
-    title: str
-    paragraphs: tuple[str, ...] = ()
-    figures: tuple[Figure, ...] = ()
-    tables: tuple[Grid, ...] = ()
-
-
-def draw_svg(tr: Translator, rows: int, height: float, draw: Callable[[Any], None]) -> str:
-    """Return a figure of so many axes as SVG with its words translated."""
-    figure, axes = plots.new_figure(rows, height=height)
-    draw(axes)
-    return tr.svg(plots.to_svg(figure))
-
-
-def parameters_section(c: Calibration, tr: Translator) -> Section:
-    """Return the parameters with their uncertainty."""
+def installation_sections(calibration: Calibration, draw: Draw = table) -> list[tuple[str, str]]:
+    """Return the section of a report on how the outputs are installed, θ_ij with u and U."""
     rows = []
-    for output, term in c.model.keys:
-        p = c[output, str(term)]
+    for pair, angle in calibration.installation_deg.items():
+        output = calibration.outputs[calibration.model.axes.index(pair[0])]
+        name = f"{output} towards {pair[1]}"
+        rows.append([name, uncertain(angle["value"], angle["u"]), number(angle["U"], 2)])
+    return [("Installation", draw(["theta", "value(u) [deg]", "U"], rows))] if rows else []
+
+
+def table_error_sections(found: TableErrors, draw: Draw = table) -> list[tuple[str, str]]:
+    """Return the sections of a report on the turntable."""
+    sections = []
+    rows = []
+    for error in found.errors:
+        told = error.value_deg is not None and error.u_deg is not None
         rows.append(
-            (p.name, p.symbol or "", tr.message(p.label), p.unit, uncertain(p.value, p.u),
-             number(p.u, 2), number(p.k, 3), number(p.U, 2), number(p.dof))
+            [error.plane, error.quantity.replace("_", " "),
+             uncertain(error.value_deg or 0.0, error.u_deg or 0.0) if told else "cannot be told",
+             number(error.U_deg, 2), ", ".join(error.confounded_with) or "nothing"]
         )  # fmt: skip
-    header = ("Parameter", "Symbol", "Meaning", "Unit", "Value(u)", "u", "k", "U", "dof")
-    symbols = any(row[1] for row in rows)
-    keep = [i for i in range(len(header)) if symbols or i != 1]
-    return Section(
-        tr("Results"),
-        (
-            tr(
-                "The model of output i is y_i = sum of coefficients times terms of the reference "
-                "in g; the terms of each output are in the table."
-            ),
-            tr(
-                "U = k u is the expanded uncertainty for a coverage probability of {percent} %, "
-                "with k from Student's t at the effective degrees of freedom (dof). It says how "
-                "well the coefficients of this model are known. Whether the model is right is "
-                "outside it; the residuals and checks below speak of that.",
-                percent=f"{100.0 * c.confidence:g}",
-            ),
-        ),
-        tables=(
-            Grid(
-                tr("Parameters with uncertainty"),
-                tuple(tr(header[i]) for i in keep),
-                tuple(tuple(row[i] for i in keep) for row in rows),
-                left=4 if symbols else 3,
-            ),
-        ),
-    )
+    if rows:
+        header = ["roll", "table error", "value(u) [deg]", "U", "does the same as"]
+        sections.append(("Turntable", draw(header, rows)))
+    shifts = [
+        [shift.plane, shift.output, f"{uncertain(shift.value, shift.u)} {shift.unit}",
+         number(shift.U, 2), f"{shift.p:.2g}"]
+        for shift in found.zero_shifts
+    ]  # fmt: skip
+    if shifts:
+        header = ["roll", "zero of", "shift(u)", "U", "p"]
+        sections.append(("Zero between rolls", draw(header, shifts)))
+    return sections
 
 
-def sensor_section(c: Calibration, budget: Evaluation, tr: Translator) -> Section:
-    """Return what the sensor is: sensitivities, offsets, angles, with U."""
+def tumble_sections(found: Tumble, draw: Draw = table) -> list[tuple[str, str]]:
+    """Return the sections of a report: coefficients, what is hidden, harmonics, turntable."""
     rows = []
-    if c.intrinsic is not None:
-        values, gradient = intrinsic_gradient(c.model, c.parameters, c._mean)
-        u, dof, _ = budget.combine(gradient)
-        m = len(c.outputs)
-        names = [
-            *((tr("Sensitivity of {output}", output=o), f"{c.model.unit}/g") for o in c.outputs),
-            *((tr("Offset of {output}", output=o), "g") for o in c.outputs),
-            *((tr("Angle between input axes {pair}", pair=p), "deg") for p in ("xy", "xz", "yz")),
-            *((tr("Mounting, rotation about {axis}", axis=a), "deg") for a in COMPONENTS),
+    for name, c in found.coefficients.items():
+        custom = c.customary
+        value = uncertain(custom["value"], custom["u"]) if "value" in custom else "-"
+        rows.append(
+            [name, uncertain(c.value, c.u), c.unit, value, number(custom["U"], 2), custom["unit"],
+             number(c.k), number(c.dof)]
+        )  # fmt: skip
+    header = ["coefficient", "value(u)", "unit", "value(u)", "U", "unit", "k", "dof"]
+    sections = [("Tumble", draw(header, rows))]
+    hidden = [*found.unidentifiable, *found.weak]
+    if found.taken_as_zero:
+        hidden.append(f"taken as zero: {', '.join(found.taken_as_zero)}")
+    if hidden:
+        text = "\n".join(f"- {line}" for line in hidden)
+        sections.append(("What the points cannot tell", text))
+    unit = found.calibration.model.unit
+    residual = {(h.plane, h.order): h for h in found.residual_harmonics}
+    rows = []
+    for h in found.harmonics:
+        left = residual[h.plane, h.order]
+        rows.append(
+            [h.plane, str(h.order), *(f"{v:.6g}" for v in (h.cos, h.sin, h.amplitude)),
+             f"{left.amplitude:.2g}", number(left.p, 2)]
+        )  # fmt: skip
+    if rows:
+        header = ["plane", "order", f"cos [{unit}]", "sin", "amplitude", "left by the model", "p"]
+        sections.append(("Harmonics", draw(header, rows)))
+    return [*sections, *table_error_sections(found.table_errors, draw)]
+
+
+def tumble_text(found: Tumble) -> str:
+    """Return the tumble as plain text."""
+    text = "\n".join(
+        f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in tumble_sections(found)
+    )
+    if found.fourier_max_difference is not None:
+        text += (
+            f"\nFourier against least squares: {found.fourier_max_difference:.1e} of a reading\n"
+        )
+    return text
+
+
+def check_sections(found: Check, draw: Draw = table) -> list[tuple[str, str]]:
+    """Return the sections of a report: the summary and the errors of every position."""
+    unit = found.unit
+    header = ["axis", f"max before [{unit}]", "max after", "rms before", "rms after",
+              "linearity before [%]", "after", "largest U", "verdict"]  # fmt: skip
+    rows = []
+    for axis in (*found.axes, None) if len(found.axes) > 1 else found.axes:
+        s = found.summary(axis)
+        values = [
+            number(s[when][key])
+            for key in ("maximum", "rms", "linearity_percent")
+            for when in ("before", "after")
         ]
-        for (name, unit), value, sd, nu in zip(
-            names, values.tolist(), u.tolist(), dof.tolist(), strict=True
-        ):
-            k = coverage_factor(c.confidence, nu)
-            shown = "1" if unit == "g/g" else unit
-            rows.append((name, shown, uncertain(value, sd), number(k * sd, 2), number(k, 3)))
-        assert len(names) == 2 * m + 6
-    for pair, found in c.installation_deg.items():
-        in_mrad = {key: np.pi / 0.18 * size for key, size in found.items()}
-        for unit, entry in (("deg", found), ("mrad", in_mrad)):
-            rows.append(
-                (tr("Output on {i} leans to {j}", i=pair[0], j=pair[1]), unit,
-                 uncertain(entry["value"], entry["u"]), "", "")
-            )  # fmt: skip
-    if not rows:
-        return Section(tr("The sensor"), (tr("The model has too few linear terms for it."),))
-    header = tuple(map(tr, ("Quantity", "Unit", "Value(u)", "U", "k")))
-    return Section(
-        tr("The sensor"),
-        (tr("Quantities derived from the parameters, with their full covariance."),),
-        tables=(Grid(tr("Sensitivity, offset and axes"), header, tuple(rows), left=2),),
+        rows.append(
+            [axis or "all", *values, number(s["after"]["largest_U"], 2), s["verdict"] or "-"]
+        )
+    parts = [("Errors before and after compensation", draw(header, rows))]
+    header = ["position"]
+    for axis in found.axes:
+        header += [f"{axis} [{unit}]", "before", "after", "U"]
+    rows = []
+    for row, label in enumerate(found.positions):
+        cells = [label]
+        for column in np.arange(len(found.axes)):
+            cells += [f"{found.reference[row, column]:.6g}"]
+            cells += [_signed(found.before[row, column]), _signed(found.after[row, column])]
+            cells += [number(float(found.U[row, column]), 2)]
+        rows.append([*cells, worst(found.verdicts[row]) or "-"])
+    parts.append(("Every position", draw([*header, "verdict"], rows)))
+    return parts
+
+
+def check_text(found: Check) -> str:
+    """Return the check as plain text."""
+    sections = check_sections(found)
+    text = "\n".join(f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in sections)
+    if found.limit is None:
+        return text
+    count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}
+    said = ", ".join(f"{count[name]} {name}" for name in VERDICTS)
+    return (
+        f"{text}\n{found.verdict} against {found.limit:g} {found.unit} with U "
+        f"({100 * found.confidence:g} %) as guard band: {said}\n"
     )
 
 
-def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Section:
-    """Return the budget: quantities and what each contributes."""
-    seen, lines = set(), []
-    for row in budget.rows:
-        if row.quantity in seen:
-            continue
-        seen.add(row.quantity)
-        lines.append(
-            (tr(row.text), row.evaluation, tr(row.distribution), number(row.u, 3), row.unit,
-             number(float(row.dof.min())), tr("yes") if row.common else tr("no"),
-             tr("in the scatter") if row.contained.all() else tr("added"))
-        )  # fmt: skip
-    stated = c.extra.get("budget", {}).get("tables", {})
-    absent = [
-        tr(kind.text) for name, kind in KINDS.items() if name not in seen and name not in stated
-    ]
-    names = list(dict.fromkeys(row.quantity for row in budget.rows))
-    contributions = [
-        (name, *(_contribution(budget, quantity, i) for quantity in names), number(c.u[i], 2))
-        for i, name in enumerate(budget.names)
-    ]
-    paragraphs = [
-        tr(
-            "Every input quantity enters by what it does to the parameters through this estimator "
-            "at these positions. Quantities marked as common are systematic: they are the same at "
-            "all positions and in repeated calibrations. What stands in brackets is independent at "
-            "every position, so the scatter of the residuals holds it already and it is not "
-            "added again."
-        )
-    ]
-    if absent:
-        paragraphs.append(tr("Not in the budget: {list}.", list=tr.listed(absent)))
-    return Section(
-        tr("Uncertainty budget"),
-        tuple(paragraphs),
-        (
-            Figure(
-                tr("Share of every input quantity in the variance of each parameter"),
-                tr("Stacked bars, one for each parameter; the numbers are in the table below."),
-                lambda: draw_svg(tr, 1, 0.9 + 0.2 * len(budget.names),
-                             lambda axes: plots.draw_budget(budget, axes[0])),
-            ),
-        ),
-        (
-            Grid(
-                tr("Input quantities"),
-                tuple(map(tr, ("Quantity", "Type", "Distribution", "u", "Unit", "dof", "Common",
-                               "Treatment"))),
-                tuple(lines),
-                left=3,
-            ),
-            Grid(
-                tr("Contributions to the standard uncertainty of each parameter"),
-                (tr("Parameter"), *(tr(name) for name in names), tr("combined u")),
-                tuple(contributions),
-            ),
-        ),
-    )  # fmt: skip
-
-
-def _contribution(budget: Evaluation, quantity: str, parameter: int) -> str:
-    """Return what a quantity contributes; in brackets what the scatter holds already."""
-    rows = [row for row in budget.rows if row.quantity == quantity]
-    size = float(np.sqrt(sum(max(row.covariance[parameter, parameter], 0.0) for row in rows)))
-    if not size > 1e-12 * float(np.sqrt(budget.covariance[parameter, parameter])):
-        return "0"  # rounding
-    contained = any(row.contained[parameter] for row in rows)
-    return f"({number(size, 2)})" if contained else number(size, 2)
-
-
-def sphere_section(c: Calibration, tr: Translator) -> Section:
-    """Return how well force and tilt are known, and where."""
-    rows = []
-    allowed = "third_order" in c.extra.get("budget", {}).get("tables", {})
-    for size in (1.0, 2.0, 5.0) if allowed else (1.0,):
-        for what, axes in sphere_uncertainty(c, size=size).items():
-            if what == "tilt_deg" and size > 1.0:
-                continue
-            for axis, entry in axes.items():
-                rows.append(
-                    (tr("force along {axis}", axis=axis) if what == "force"
-                     else tr("tilt of {axis}", axis=axis),
-                     f"{size:g} g" + ("" if size <= 1.0 else " *"),
-                     "g" if what == "force" else "deg",
-                     number(entry["rms"], 2), number(entry["worst"], 2), number(entry["k"], 3),
-                     number(entry["U"], 2), ", ".join(f"{v / size:.2f}" for v in entry["at"]))
-                )  # fmt: skip
-    paragraphs = [
-        tr(
-            "Uncertainty of compensated force and of tilt from the parameters, over all "
-            "directions; the noise of the reading that is compensated comes on top."
-        ),
-        tr(
-            "Lines marked * are beyond what was applied; U there grows with the third-order term "
-            "that the budget allows."
-        )
-        if allowed
-        else tr(
-            "The calibration holds within what was applied, up to {size} g. Beyond, terms that the "
-            "positions cannot show may grow without limit.",
-            size=f"{float(np.linalg.norm(c.reference, axis=1).max()):.4g}",
-        ),
-    ]
-    header = ("Quantity", "At", "Unit", "rms u", "worst u", "k", "U", "Worst direction")
-    return Section(
-        tr("Compensated force and tilt"),
-        tuple(paragraphs),
-        tables=(Grid(tr("Worst case and rms over the sphere"), tuple(map(tr, header)),
-                     tuple(rows), left=3),),
-    )  # fmt: skip
+def _signed(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:+.3g}"

@@ -25,12 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.budgets import read_budget
 from multipos.calibration import Calibration
-from multipos.inverse import (
-    inverse_covariance,
-    inverse_sensitivity,
-    parameter_jacobian,
-    sensed_axes,
-)
+from multipos.inverse import inverse_covariance, sensed_axes
+from multipos.inverse import sensitivities as inverse_sensitivities
 from multipos.model import COMPONENTS, linear_term
 from multipos.quantiles import coverage_factor
 from multipos.scheme import read_scheme
@@ -74,12 +70,16 @@ def sphere_uncertainty(
     """
     c = calibration
     sensed = list(sensed_axes(c.model))
-    force = size * read_scheme(directions).up[:, sensed]
+    everywhere = size * read_scheme(directions).up
+    force = everywhere[:, sensed]
     environment = {
         name: np.full(len(force), float(np.mean(c.readings.environment[name])))
         for name in c.model.environment
     }
-    gradient = inverse_sensitivity(c.model, c.parameters, force, environment)  # (n, K, p)
+    full = np.zeros_like(everywhere)
+    full[:, sensed] = force
+    inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)
+    gradient = -inverse @ by_parameter  # (n, K, p)
     extra = third_order_covariance(c, force, environment)
     turns = {"force": np.broadcast_to(np.eye(len(sensed)), extra.shape)}
     if len(sensed) == len(COMPONENTS):
@@ -134,10 +134,8 @@ def third_order_covariance(
         return total
     u = read_budget({"third_order": tables["third_order"]}).quantities["third_order"].u
     full = np.zeros((len(force), 3))
-    full[:, sensed] = force
-    jacobian = c.model.force_jacobian(c.parameters, full, environment)
-    inverse = np.linalg.pinv(jacobian[:, :, sensed])
-    by_parameter = parameter_jacobian(c.model, c.parameters, full, environment)
+    full[:, sensed] = np.where(np.isfinite(force), force, 0.0)  # NaN: no force explains it
+    inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)
     gain = estimator_gain(c)
     for output, axis in enumerate(c.model.axes):
         key = (c.outputs[output], linear_term(axis))

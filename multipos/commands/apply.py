@@ -16,6 +16,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("calibration", metavar="CAL.json", help="calibration or regression to apply")
     add("data", metavar="DATA.csv", help="raw readings; every column is kept")
+    add("--tilt", action="store_true", help="add tilt_x_deg, …, the angle above the horizon")
     add("--uncertainty", action="store_true", help="add the standard uncertainty u_f_x, …")
     add("--correct", metavar="COLUMN", help="what a regression corrects (default its response)")
     add(
@@ -32,12 +33,14 @@ def run(arguments: argparse.Namespace) -> str:
     table = read_table(arguments.data, what="data")
     options = {"uncertainty": arguments.uncertainty, "outside": arguments.outside}
     if read_schema(arguments.calibration) == SCHEMA:
+        if arguments.tilt:
+            raise UsageError("--tilt goes with a calibration; a regression corrects a column.")
         regression = load_regression(arguments.calibration)
         columns = correct(regression, table, column=arguments.correct, **options)
     elif arguments.correct is not None:
         raise UsageError("--correct goes with a regression; a calibration gives forces.")
     else:
-        columns = apply(load(arguments.calibration), table, **options)
+        columns = apply(load(arguments.calibration), table, tilt=arguments.tilt, **options)
     text = format_csv(columns, table.delimiter)
     if arguments.output:
         write_text(arguments.output, text)

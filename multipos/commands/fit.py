@@ -2,7 +2,7 @@
 
 import argparse
 
-from multipos.commands.options import add_model, add_output, names, numbers, warn
+from multipos.commands.options import add_model, add_output, add_range, names, numbers, warn
 from multipos.files import to_json
 from multipos.fitting import fit
 from multipos.reports import text_report
@@ -54,6 +54,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
     add("--budget", metavar="FILE", help="TOML file of what else is uncertain: level, voltmeter, …")
     add("--unit", metavar="UNIT", help="unit of the readings")
+    add_range(parser)
     add(
         "--confidence",
         type=float,

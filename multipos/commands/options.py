@@ -1,6 +1,7 @@
 """What several commands share: lists on the command line, the model's options, warnings."""
 
 import argparse
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,6 +23,19 @@ def numbers(text: str) -> tuple[float, ...]:
         return tuple(float(number) for number in text.split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is not a number or numbers") from None
+
+
+def accept_negative_lists(parser: argparse.ArgumentParser) -> None:
+    """Let an option take ``-2,2`` as its value: argparse knows negative numbers, not lists."""
+    parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)[\d.,eE+-]*$")
+
+
+def add_range(parser: argparse.ArgumentParser) -> None:
+    """Add ``--range``."""
+    accept_negative_lists(parser)
+    parser.add_argument(
+        "--range", type=numbers, metavar="LOW,HIGH", help="refuse readings outside these limits"
+    )
 
 
 def add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None:
