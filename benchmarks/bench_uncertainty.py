@@ -8,9 +8,9 @@ import multipos as mp
 from benchmarks.timing import Ratio, paired_ratio
 from multipos.certificate import build_content
 from multipos.derived import propagate
+from multipos.documents import html_report
 from multipos.least_squares import solve
 from multipos.monte_carlo import simulate_budget
-from multipos.reports import html_report
 from multipos.sensitivities import estimator_gain
 from multipos.uncertainty import evaluate_budget
 

@@ -2,7 +2,7 @@
 
 The sections are what a calibration certificate contains by clause 7.8 of ISO/IEC 17025:2017, as
 far as the data know it; what only the laboratory knows comes from its TOML file, and where that
-is silent a field stays open, marked as such. `reports` writes the content as HTML, Markdown or
+is silent a field stays open, marked as such. `documents` writes the content as HTML, Markdown or
 plain text.
 """
 

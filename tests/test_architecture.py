@@ -81,6 +81,7 @@ ORDER = (
     "findings",
     "evidence",
     "certificate",
+    "documents",
     "sections",
     "reports",
     "song_qin",

@@ -14,7 +14,7 @@ from multipos import plots
 from multipos.certificate import LAB_FIELDS, build_content
 from multipos.cli import main
 from multipos.comparison import compare
-from multipos.reports import html_report, write_report
+from multipos.documents import html_report, write_report
 from multipos.scheme import read_scheme
 from multipos.translations import Translator
 from multipos.uncertainty import evaluate_budget

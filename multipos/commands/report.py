@@ -4,10 +4,10 @@ import argparse
 
 from multipos.calibration import load
 from multipos.commands.options import add_output, progress_bar
+from multipos.documents import write_report
 from multipos.errors import UsageError
 from multipos.files import to_json
 from multipos.monte_carlo import simulate_budget
-from multipos.reports import write_report
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
