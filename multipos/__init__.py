@@ -30,6 +30,7 @@ _PUBLIC = {
     "Tumble": "single_axis",
     "UsageError": "errors",
     "apply": "compensation",
+    "compare": "comparison",
     "correct": "correction",
     "check": "checks",
     "demo": "song_qin",
@@ -64,6 +65,7 @@ __all__ = [
     "__version__",
     "apply",
     "check",
+    "compare",
     "correct",
     "demo",
     "design",
@@ -86,6 +88,7 @@ if TYPE_CHECKING:
     from multipos.assessment import schemes
     from multipos.calibration import Calibration, load
     from multipos.checks import Check, check
+    from multipos.comparison import compare
     from multipos.compensation import apply
     from multipos.correction import correct
     from multipos.designs import design

@@ -24,6 +24,7 @@ COMMANDS = {
     "fit": "calibrate from readings at static positions",
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
+    "compare": "compare repeated calibrations of one unit",
     "regress": "describe a column by others, in segments, with terms the data support",
     "check": "errors of an independent run at known positions, before and after",
     "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",

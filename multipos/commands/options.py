@@ -3,7 +3,8 @@
 import argparse
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 from multipos.model import NAMED
 
@@ -79,3 +80,18 @@ def warn(warnings: Sequence[str]) -> None:
     """Print warnings to stderr, a line each."""
     for warning in warnings:
         print(f"multipos: warning: {warning}", file=sys.stderr)
+
+
+@contextmanager
+def progress_bar(what: str, total: int) -> Iterator[Callable[[int], object]]:
+    """Show how much of a long task is done, on stderr and only on a terminal.
+
+    Yields the function that is told how much is done.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
+                  ) as progress:  # fmt: skip
+        task = progress.add_task(what, total=total)
+        yield lambda done: progress.update(task, completed=done)
