@@ -32,9 +32,11 @@ _PUBLIC = {
     "UsageError": "errors",
     "apply": "compensation",
     "average": "averaging",
+    "compare": "comparison",
     "correct": "correction",
     "check": "checks",
     "demo": "song_qin",
+    "design": "designs",
     "export": "exporters",
     "fit": "fitting",
     "load": "calibration",
@@ -44,13 +46,14 @@ _PUBLIC = {
     "read_readings": "readings",
     "read_scheme": "scheme",
     "regress": "regressing",
-    "schemes": "designs",
+    "schemes": "assessment",
     "simulate": "simulation",
     "simulate_log": "simulation",
-    "verify_export": "exporters",
     "state_bench": "turntable",
     "table_errors": "turntable",
     "tumble": "single_axis",
+    "verify_export": "exporters",
+    "worth": "prospects",
 }
 
 __all__ = [
@@ -70,8 +73,10 @@ __all__ = [
     "apply",
     "average",
     "check",
+    "compare",
     "correct",
     "demo",
+    "design",
     "export",
     "fit",
     "load",
@@ -88,20 +93,24 @@ __all__ = [
     "table_errors",
     "tumble",
     "verify_export",
+    "worth",
 ]
 
 if TYPE_CHECKING:
+    from multipos.assessment import schemes
     from multipos.averages import Averages
     from multipos.averaging import average
     from multipos.calibration import Calibration, load
     from multipos.checks import Check, check
+    from multipos.comparison import compare
     from multipos.compensation import apply
     from multipos.correction import correct
-    from multipos.designs import schemes
+    from multipos.designs import design
     from multipos.errors import ConvergenceError, MultiposError, RankError, UsageError
     from multipos.exporters import export, verify_export
     from multipos.fitting import fit
     from multipos.model import Model
+    from multipos.prospects import worth
     from multipos.readings import Readings, read_readings
     from multipos.regressing import regress
     from multipos.regression import Regression, load_regression

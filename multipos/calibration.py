@@ -38,7 +38,8 @@ _EXTRA = (
     "level_sd_deg",
     "level_tilt_deg",
     "selection",
-)  # what some estimators add
+    "budget",
+)  # what some estimators and budgets add
 
 
 class Parameter(NamedTuple):

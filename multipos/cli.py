@@ -24,6 +24,7 @@ COMMANDS = {
     "fit": "calibrate from readings at static positions",
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
+    "compare": "compare repeated calibrations of one unit",
     "regress": "describe a column by others, in segments, with terms the data support",
     "average": "average the rests of a raw log into readings",
     "export": "write a calibration as a C function or for another program",
@@ -32,6 +33,8 @@ COMMANDS = {
     "check": "errors of an independent run at known positions, before and after",
     "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",
     "schemes": "list schemes and what they can tell about a model",
+    "design": "find the best positions for a model, with proof",
+    "worth": "tell what one more position would bring to a calibration",
 }
 
 

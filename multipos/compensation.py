@@ -2,9 +2,10 @@
 
 Beside the columns that came in stand ``f_x``, ``f_y``, ``f_z`` [g] for the axes that the sensor
 has, in the calibration's convention, on request their standard uncertainties ``u_f_x`` … from the
-covariance of the parameters, and ``outside``: 1 where a reading lies beyond what was
-calibrated, that is where |f| exceeds the largest reference or a column of the model leaves the
-range of the calibration's readings, 0 elsewhere.
+covariance of the parameters and, beyond ±1 g, the third-order term that the budget allows, and
+``outside``: 1 where a reading lies beyond what was calibrated, that is where |f| exceeds the
+largest reference or a column of the model leaves the range of the calibration's readings, 0
+elsewhere.
 
 With tilt the sensor is taken to be at rest (`multipos.tilt`): ``tilt_x_deg`` … are the angles of
 its axes above the horizon, and one axis that it does not have follows from |f| = g with that
@@ -23,11 +24,12 @@ from numpy.typing import NDArray
 from multipos.calibration import Calibration
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Column, Source, Table, format_csv, read_table
-from multipos.inverse import inverse_covariance, sensed_axes
+from multipos.inverse import sensed_axes
 from multipos.logs import Log, Piece
 from multipos.model import COMPONENTS
 from multipos.parity import FAULT_LEVEL, parity
 from multipos.tilt import at_rest, reading_noise, tilt_at_rest
+from multipos.validity import force_covariance
 
 Array = NDArray[np.float64]
 
@@ -101,7 +103,7 @@ class AppliedLog:
     tilt: bool = False
     uncertainty: bool = False
     outside: str = "flag"
-    progress: Callable[[float], None] | None = None
+    progress: Callable[[float], object] | None = None
     rows: int = 0
     beyond: int = 0
 
@@ -163,7 +165,7 @@ def apply_log(
     tilt: bool = False,
     uncertainty: bool = False,
     outside: str = "flag",
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> AppliedLog:
     """Return a log with the compensated force beside its columns, to be written piece by piece.
 
@@ -197,9 +199,7 @@ def add_columns(
     beyond |= _force_outside(calibration, force)
     added = {f"f_{axis}": force[:, column] for column, axis in enumerate(names)}
     if uncertainty:
-        covariance = inverse_covariance(
-            calibration.model, calibration.parameters, calibration.covariance, force, environment
-        )
+        covariance = force_covariance(calibration, force, environment)
         for column, axis in enumerate(names):
             added[f"u_f_{axis}"] = np.sqrt(covariance[:, column, column])
     if tilt:

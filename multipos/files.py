@@ -377,3 +377,21 @@ def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
         raise MultiposError(f"{path}: the schema is {found!r}, but '{schema}' is needed here.")
     assert isinstance(value, dict)
     return value
+
+
+def read_toml(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises
+    ------
+    MultiposError
+        Missing, not UTF-8, or not TOML; the message names file, line and column.
+    """
+    import tomllib
+
+    try:
+        return tomllib.loads(read_bytes(path, what).decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise MultiposError(f"{path}: not UTF-8 text; save the {what} as UTF-8.") from None
+    except tomllib.TOMLDecodeError as error:
+        raise MultiposError(f"{path}: not valid TOML: {error}; correct the {what}.") from None

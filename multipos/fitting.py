@@ -27,6 +27,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos import __version__
+from multipos.budgets import Budget, read_budget
+from multipos.budgets import Source as BudgetSource
 from multipos.calibration import Calibration, Gravity
 from multipos.diagnostics import Diagnostics, lack_of_fit
 from multipos.errors import MultiposError, UsageError
@@ -47,6 +49,7 @@ from multipos.readings import Readings, orient, read_readings, require_range, st
 from multipos.scheme import Scheme
 from multipos.turntable import roll_warnings
 from multipos.uncertain import Placement, place, solve_uncertain
+from multipos.uncertainty import with_budget
 from multipos.units import gravity_ratio, normal_gravity
 
 Array = NDArray[np.float64]
@@ -84,6 +87,7 @@ def fit(
     latitude: float | None = None,
     height: float | None = None,
     level_sd: float = 0.0,
+    budget: "BudgetSource | Budget | None" = None,
     unit: str | None = None,
     range: Sequence[float] | None = None,
     confidence: float = 0.95,
@@ -125,6 +129,8 @@ def fit(
         Take gravity from the WGS 84 normal-gravity formula.
     level_sd : float [degrees]
         Standard deviation of a tilt that all positions share, about each level axis.
+    budget : path, tables or Budget, optional
+        What is known of the measurement beside the readings (`multipos.budgets`).
     unit : str, optional
         Unit of the readings.
     range : (low, high), optional
@@ -153,7 +159,12 @@ def fit(
     """
     _check_options(convention, gauge, robust, confidence)
     _check_together(closed_form, unknown_orientation, orientation_sd, level_sd, robust, stepwise)
+    stated = None if budget is None else read_budget(budget)
     local = resolve_gravity(gravity, gravity_u, latitude, height)
+    if stated is not None and stated.gravity is not None:
+        if local is not None:
+            raise UsageError("the options and the budget's [gravity] both state it; give one.")
+        local = Gravity(*stated.gravity)
     used = formula_columns(model) if isinstance(model, str) else ()
     data = read_readings(readings, outputs=outputs, unit=unit, environment=used)
     data = _without_orientation(data, scheme) if unknown_orientation else orient(data, scheme)
@@ -198,7 +209,9 @@ def fit(
         estimator=_estimator(placement, closed_form),
         criterion=_criterion(data, placement, closed_form, robust, model), confidence=confidence,
     )  # fmt: skip
-    return calibration if selection is None else with_selection(calibration, selection)
+    if selection is not None:
+        calibration = with_selection(calibration, selection)
+    return calibration if stated is None else with_budget(calibration, stated)
 
 
 def complete(

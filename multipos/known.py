@@ -279,18 +279,13 @@ def solve_closed_form(
             f"--closed-form solves the models own-quadratic and linear, got '{model.text}'; "
             "leave out --closed-form."
         )
-    rows = six_positions(reference)
-    if rows is None:
+    if six_positions(reference) is None:
         raise MultiposError(
             "--closed-form needs six readings, each axis once up and once down; "
             "leave it out and least squares takes any positions."
         )
     n, m = readings.values.shape
-    weights = np.zeros((len(model.keys), n * m))
-    for output, (axis, part) in enumerate(zip(model.axes, model.slices, strict=True)):
-        weights[part, output::m] = closed_form_weights(
-            reference, rows, COMPONENTS.index(axis), quadratic=model.text == "own-quadratic"
-        )
+    weights = closed_form_gain(model, reference)
     solution = solve_known(model, reference, readings, pool=pool)
     parameters = weights @ readings.values.ravel()
     noise = reading_noise(readings)
@@ -302,6 +297,32 @@ def solve_closed_form(
         covariance=weights @ full @ weights.T * np.outer(scale, scale),
         residuals=readings.values - model.predict(parameters, reference, readings.environment),
     )
+
+
+def closed_form_gain(model: Model, reference: Array) -> Array:
+    """Return how the six-position inversion makes the parameters of the readings.
+
+    Parameters
+    ----------
+    model : Model
+        Own-quadratic or linear.
+    reference : (6, 3) array [g]
+        The six positions in any order.
+
+    Returns
+    -------
+    (p, 6 M) array
+        Parameters = this matrix times the readings, output running fastest.
+    """
+    rows = six_positions(reference)
+    assert rows is not None
+    m = len(model.outputs)
+    weights = np.zeros((len(model.keys), len(reference) * m))
+    for output, (axis, part) in enumerate(zip(model.axes, model.slices, strict=True)):
+        weights[part, output::m] = closed_form_weights(
+            reference, rows, COMPONENTS.index(axis), quadratic=model.text == "own-quadratic"
+        )
+    return weights
 
 
 def closed_form_difference(model: Model, reference: Array, readings: Readings) -> float | None:

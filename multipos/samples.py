@@ -12,7 +12,7 @@ from multipos.logs import Log
 from multipos.rests import PIECE, Grid, Rest, Survey, Windows, choose_grid
 
 Array = NDArray[np.float64]
-Progress = Callable[[float], None]  # is told how much of the log has been read, 0 to 1
+Progress = Callable[[float], object]  # is told how much of the log has been read, 0 to 1
 
 _IN_MEMORY = 1 << 22  # bytes
 

@@ -5,7 +5,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 
 from multipos.calibration import load
-from multipos.commands.options import add_output, names, progress_bar, warn
+from multipos.commands.options import add_output, file_progress, names, warn
 from multipos.compensation import apply, apply_log
 from multipos.correction import correct
 from multipos.errors import UsageError
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> str | Iterator[str]:
     log = open_log(arguments.data, columns=arguments.columns)
     if arguments.json:
         return _finish(arguments, apply(calibration, read_log(log), **options))
-    with progress_bar(arguments.data, "applying") as progress:
+    with file_progress(arguments.data, "applying") as progress:
         applied = apply_log(calibration, log, progress=progress, **options)
         if arguments.output:
             write_text(arguments.output, applied)

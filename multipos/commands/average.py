@@ -4,7 +4,7 @@ import argparse
 
 from multipos.averages import averages_text
 from multipos.averaging import average
-from multipos.commands.options import add_output, names, progress_bar, warn
+from multipos.commands.options import add_output, file_progress, names, warn
 from multipos.files import to_json
 
 
@@ -38,7 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> str:
     """Return what the command prints."""
     options = {k: v for k, v in vars(arguments).items() if k not in ("log", "json", "output")}
-    with progress_bar(arguments.log, "reading") as progress:
+    with file_progress(arguments.log, "reading") as progress:
         found = average(arguments.log, progress=progress, **options)
     text = to_json(found.to_dict()) if arguments.json else averages_text(found)
     if arguments.output:

@@ -52,6 +52,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--gravity-u", type=float, metavar="U", help="its standard uncertainty [m/s^2]")
     add("--latitude", type=float, metavar="DEG", help="gravity by WGS 84 at this latitude")
     add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
+    add("--budget", metavar="FILE", help="TOML file of what else is uncertain: level, voltmeter, …")
     add("--unit", metavar="UNIT", help="unit of the readings")
     add_range(parser)
     add(

@@ -65,6 +65,20 @@ def add_model(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_orientation(parser: argparse.ArgumentParser) -> None:
+    """Add ``--unknown-orientation`` and ``--orientation-sd``, of which one can be given."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--unknown-orientation", action="store_true", help="orientations are unknown, |f| = g"
+    )
+    group.add_argument(
+        "--orientation-sd",
+        type=float,
+        metavar="DEG",
+        help="standard deviation of the orientation per axis [degrees]",
+    )
+
+
 def warn(warnings: Sequence[str]) -> None:
     """Print warnings to stderr, a line each."""
     for warning in warnings:
@@ -72,15 +86,25 @@ def warn(warnings: Sequence[str]) -> None:
 
 
 @contextmanager
-def progress_bar(path: str, what: str) -> Iterator[Callable[[float], None] | None]:
-    """Show on a terminal how much of a large file is done; yield who is to be told, or None."""
-    large = Path(path).is_file() and Path(path).stat().st_size > _LARGE
-    if not (large and sys.stderr.isatty()):
-        yield None
-        return
+def progress_bar(what: str, total: int) -> Iterator[Callable[[int], object]]:
+    """Show how much of a long task is done, on stderr and only on a terminal.
+
+    Yields the function that is told how much is done.
+    """
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=1.0)
-        yield lambda done: bar.update(task, completed=done)
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
+                  ) as progress:  # fmt: skip
+        task = progress.add_task(what, total=total)
+        yield lambda done: progress.update(task, completed=done)
+
+
+@contextmanager
+def file_progress(path: str, what: str) -> Iterator[Callable[[float], object] | None]:
+    """Show how much of a large file is read, a share from 0 to 1; yield who is told, or None."""
+    if not (Path(path).is_file() and Path(path).stat().st_size > _LARGE):
+        yield None
+        return
+    with progress_bar(what, 1000) as told:
+        yield lambda done: told(round(1000 * done))
