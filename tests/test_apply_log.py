@@ -79,6 +79,20 @@ def test_arrays_become_a_table(cal, saved, log, tmp_path):
     np.testing.assert_array_equal(found["f_x"], mp.apply(cal, log)["f_x"])
 
 
+def test_a_regression_keeps_the_form_of_the_table(tmp_path, capsys):
+    rows = "".join(f"{t},5;{(2.0 * (t + 0.5)):g}\n".replace(".", ",") for t in range(20))
+    path = tmp_path / "table.csv"
+    path.write_text(f"temperature;error\n{rows}")
+    regression = str(tmp_path / "regression.json")
+    argv = ["regress", str(path), "--response", "error", "--variables", "temperature"]
+    assert main([*argv, "-o", regression]) == 0
+    capsys.readouterr()
+    assert main(["apply", regression, str(path)]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == "temperature;error;predicted;corrected;outside"
+    assert out[1].startswith("0,5;1;")
+
+
 def test_json_has_every_column(saved, log, tmp_path, capsys):
     path = write_csv(tmp_path / "log.csv", log)
     assert main(["apply", saved, str(path), "--json"]) == 0

@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> str | Iterator[str]:
     }
     log = open_log(arguments.data, columns=arguments.columns)
     if arguments.json:
-        return _finish(arguments, apply(calibration, read_log(log), **options))
+        return _finish(arguments, apply(calibration, read_log(log), **options), log.delimiter)
     with file_progress(arguments.data, "applying") as progress:
         applied = apply_log(calibration, log, progress=progress, **options)
         if arguments.output:
@@ -63,18 +63,19 @@ def _correct(arguments: argparse.Namespace) -> str:
     """Apply a regression: whole, because a rate needs the rows before and after."""
     if arguments.tilt:
         raise UsageError("--tilt goes with a calibration; a regression corrects a column.")
+    table = read_table(arguments.data, what="data")
     columns = correct(
         load_regression(arguments.calibration),
-        read_table(arguments.data, what="data"),
+        table,
         column=arguments.correct,
         uncertainty=arguments.uncertainty,
         outside=arguments.outside,
     )
-    return _finish(arguments, columns)
+    return _finish(arguments, columns, table.delimiter)
 
 
-def _finish(arguments: argparse.Namespace, columns: Mapping[str, Column]) -> str:
-    text = format_csv(columns)
+def _finish(arguments: argparse.Namespace, columns: Mapping[str, Column], delimiter: str) -> str:
+    text = format_csv(columns, delimiter or ",")
     if arguments.output:
         write_text(arguments.output, text)
     rows = len(columns["outside"])
