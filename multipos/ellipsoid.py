@@ -9,8 +9,9 @@ algebraically to centred, scaled readings, so that neither a unit nor a guess is
 the matrix A and centre b, M M' = g² A^-1, and M is its lower-triangular (Cholesky) or symmetric
 square root: any other differs by a rotation, which no reading at rest can tell.
 
-Noise can make the quadric something else than an ellipsoid. Then the nearest sphere about the
-readings is the start, which any solver that descends can leave for the ellipsoid.
+Noise, or too few readings, can make the quadric something else than an ellipsoid. Then one
+without cross terms is tried, and last the nearest sphere about the readings, which any solver
+that descends can leave for the ellipsoid.
 """
 
 import numpy as np
@@ -54,9 +55,9 @@ def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[
             "all positions lie on one circle, so the readings are flat; add positions off it."
         )
     found = _quadric(scaled, crossed)
-    if found is None:
-        found = _sphere(scaled)
-    bias, square = found
+    if found is None and crossed:
+        found = _quadric(scaled, crossed=False)
+    bias, square = _sphere(scaled) if found is None else found
     lower = np.linalg.cholesky(square) / magnitude
     return centre + size * bias, size[:, None] * lower
 

@@ -44,7 +44,8 @@ from multipos.model import (
 )
 from multipos.readings import Readings, orient, read_readings
 from multipos.scheme import Scheme
-from multipos.uncertain import Placement, place, solve_uncertain
+from multipos.placement import Placement, place
+from multipos.uncertain import solve_uncertain
 from multipos.units import gravity_ratio, normal_gravity
 
 Array = NDArray[np.float64]
@@ -165,7 +166,9 @@ def fit(
     elif placement.exact and robust is None and isinstance(model, str):
         solution = solve_known(built, placement.reference, data, pool=pool)
     else:
-        solution = solve_uncertain(built, data, placement, gauge=gauge, robust=robust)
+        solution = solve_uncertain(
+            built, data, placement, gauge=gauge, robust=robust, pool=pool
+        )
     return complete(
         solution, data, listed=placement.reference, convention=convention, gravity=local,
         estimator=_estimator(placement, closed_form),

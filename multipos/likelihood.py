@@ -57,6 +57,8 @@ _DECREMENT = 1e-20  # of F: a step of 1e-10 of an uncertainty
 _DECREMENT_ROBUST = 1e-14  # weights that change with the step make convergence linear
 _XTOL = 1e-13  # relative step that is only rounding
 _DAMPING = 1e-4
+_STUCK = 1e12  # damping beyond which nothing moves
+_ROUNDING = 1e-8  # of F, or of theta: what the last digits of the readings can do
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,17 @@ class Problem:
     def shared(self) -> int:
         """Number of unknowns that positions share beside the parameters."""
         return 3 * self.groups + (2 if self.level_spread > 0.0 else 0)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of parameters and shared unknowns; a tilt, tied to zero, costs none."""
+        return len(self.model.keys) + 3 * self.groups
+
+    @property
+    def has_prior(self) -> bool:
+        """Whether orientations are tied to where they should be by a standard deviation."""
+        uncertain = np.isfinite(self.spread) & (self.spread > 0.0)
+        return bool(uncertain.any()) or self.level_spread > 0.0
 
 
 @dataclass(frozen=True)
@@ -200,22 +213,16 @@ def maximise(problem: Problem, state: State) -> Optimum:
     normal = linearise(problem, state, point)
     while iterations < _ITERATIONS and not converged:
         iterations += 1
-        scale = np.sqrt(np.diag(normal.information))
-        scale = np.where(scale > 0.0, scale, 1.0)
-        scaled = normal.information / np.outer(scale, scale)
         while True:
-            damped = scaled + damping * np.eye(len(scale))
-            step = np.linalg.solve(damped, normal.gradient / scale) / scale
+            step, decrement, last_step = _step(state, normal, damping)
             trial = _moved(problem, state, point, normal, step, damping)
             trial_point = evaluate(problem, trial)
-            if trial_point.objective <= point.objective or damping > 1e12:
+            if trial_point.objective <= point.objective or damping > _STUCK:
                 break
             damping = max(damping * 10.0, 1e-10)
-        decrement = float(step @ normal.gradient)
-        last_step = float(np.abs(step * scale).max() / max(float(np.abs(
-            state.theta * scale[: len(state.theta)]).max()), 1e-300))  # fmt: skip
-        if damping > 1e12:  # no descent is left: rounding, or a point that is no minimum
-            converged = decrement <= 1e-9 * max(point.objective, 1e-300)
+        if damping > _STUCK:  # no descent is left: rounding, or a point that is no minimum
+            _, decrement, last_step = _step(state, normal, 0.0)
+            converged = decrement <= _ROUNDING * point.objective or last_step <= _ROUNDING
             break
         state, point = _recentred(problem, trial), trial_point
         damping *= 0.1
@@ -224,6 +231,19 @@ def maximise(problem: Problem, state: State) -> Optimum:
     return Optimum(
         state, point, normal, converged, iterations, last_step, float(np.sqrt(max(decrement, 0.0)))
     )
+
+
+def _step(state: State, normal: Normal, damping: float) -> tuple[Array, float, float]:
+    """Return the damped step, what it should take off F, and its size relative to theta."""
+    scale = np.sqrt(np.diag(normal.information))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    damped = normal.information / np.outer(scale, scale)
+    # A ridge of rounding size, so that what the positions cannot tell is left where it is.
+    damped[np.diag_indices(len(scale))] += max(damping, 1e-15)
+    step = np.linalg.solve(damped, normal.gradient / scale) / scale
+    size = np.abs(state.theta * scale[: len(state.theta)]).max()
+    relative = float(np.abs(step * scale).max() / max(float(size), 1e-300))
+    return step, float(step @ normal.gradient), relative
 
 
 def evaluate(problem: Problem, state: State) -> Point:

@@ -1,9 +1,9 @@
 """Where the search for an uncertain or unknown orientation starts, and whether its end is sound.
 
-No guess is asked for. Least squares at the listed directions is one start; the ellipsoid on
-which readings at rest lie (`multipos.ellipsoid`), turned to the listed directions where some
-are, is the other. The second is tried where the first fails, or where positions may be further
-off than five degrees; the lower minimum wins.
+No guess is asked for. Least squares at the listed directions, where they are enough, is one
+start; the ellipsoid on which readings at rest lie (`multipos.ellipsoid`), turned to the listed
+directions where some are, is the other. The second is tried where the first fails, or where
+positions may be further off than five degrees; the lower minimum wins.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ from multipos.identifiability import (
     position_words,
     require_separable,
 )
-from multipos.inverse import parameter_jacobian
+from multipos.inverse import invert, parameter_jacobian
 from multipos.least_squares import solve
 from multipos.likelihood import (
     Normal,
@@ -35,6 +35,7 @@ from multipos.likelihood import (
     maximise,
     start_state,
 )
+from multipos.model import COMPONENTS
 from multipos.rotations import align
 
 Array = NDArray[np.float64]
@@ -97,19 +98,38 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
 
 
 def _listed_start(problem: Problem) -> State | None:
-    """Least squares at the listed directions, where all are listed."""
-    if not problem.listed.all():
+    """Least squares at the listed directions, where there are enough of them."""
+    model, rows = problem.model, problem.listed
+    if not rows.any():
         return None
-    model = problem.model
+    values, reference = problem.values[rows], problem.reference[rows]
+    environment = {name: column[rows] for name, column in problem.environment.items()}
     if isinstance(model, ExpressionModel):
-        return start_state(problem, model.first_guess(problem.values, problem.reference))
-    _, blocks = model.respond(np.zeros(len(model.keys)), problem.reference, problem.environment)
+        return _placed(problem, model.first_guess(values, reference))
     theta = np.zeros(len(model.keys))
+    _, blocks = model.respond(theta, reference, environment)
     for output, (places, design) in enumerate(blocks):
-        theta[places] = solve(
-            design, problem.values[:, output], names=[model.names[i] for i in places]
-        ).coefficients
-    return start_state(problem, theta)
+        names = [model.names[i] for i in places]
+        theta[places] = solve(design, values[:, output], names=names).coefficients
+    return _placed(problem, theta)
+
+
+def _placed(problem: Problem, theta: Array) -> State:
+    """Return the state at given parameters: unknown directions as the readings say, groups too."""
+    if problem.listed.all():
+        return start_state(problem, theta)
+    force = invert(problem.model, theta, problem.values, problem.environment)
+    length = np.linalg.norm(force, axis=1)
+    seen = length > 0.0  # not NaN: a force explains the reading
+    direction = np.where(seen[:, None], force / np.where(seen, length, 1.0)[:, None], [1.0, 0, 0])
+    return start_state(problem, theta, direction, _turns(problem, direction))
+
+
+def _turns(problem: Problem, direction: Array) -> Array:
+    """Return the rotation of each group that brings its listed directions nearest to others."""
+    groups = (problem.group == g for g in range(problem.groups))
+    turns = [align(problem.reference[rows], direction[rows]) for rows in groups]
+    return np.array(turns).reshape(-1, 3, 3)
 
 
 def _ellipsoid_start(problem: Problem) -> State | None:
@@ -126,15 +146,8 @@ def _ellipsoid_start(problem: Problem) -> State | None:
         matrix = symmetric_root(matrix)
     force = np.linalg.solve(matrix, (problem.values[:, order] - bias).T).T
     direction = force / np.linalg.norm(force, axis=1)[:, None]
-    if not problem.adrift:
-        turn = align(direction[problem.listed], problem.reference[problem.listed])
-        matrix, direction = matrix @ turn.T, direction @ turn.T
-    turns = np.array(
-        [
-            align(problem.reference[problem.group == g], direction[problem.group == g])
-            for g in range(problem.groups)
-        ]
-    ).reshape(-1, 3, 3)
+    turn = _hand(problem, direction)
+    matrix, direction = matrix @ turn.T, direction @ turn.T
     linear = np.empty((3, 4))
     linear[order] = np.column_stack([bias, matrix])
     theta = np.zeros(len(model.keys))
@@ -142,7 +155,28 @@ def _ellipsoid_start(problem: Problem) -> State | None:
         column = {"1": 0, "x": 1, "y": 2, "z": 3}.get(str(term))
         if column is not None:
             theta[i] = linear[model.outputs.index(output), column]
-    return start_state(problem, theta, direction, turns)
+    return start_state(problem, theta, direction, _turns(problem, direction))
+
+
+def _hand(problem: Problem, direction: Array) -> Array:
+    """Return the rotation or reflection that brings directions nearest to those listed.
+
+    The ellipsoid leaves both open. A reflection is that of a left-handed triad, or of a
+    convention which is not the readings' own; rows of a group can tell it as well.
+    """
+    known = [problem.listed, *(problem.group == g for g in range(problem.groups))]
+
+    def misfit(mirror: float) -> float:
+        turned = (mirror * direction[rows] @ align(mirror * direction[rows],
+                  problem.reference[rows]).T - problem.reference[rows]
+                  for rows in known if rows.any())  # fmt: skip
+        return float(sum(np.sum(left**2) for left in turned))
+
+    mirror = -1.0 if misfit(-1.0) < misfit(1.0) else 1.0
+    if problem.adrift:
+        return mirror * np.eye(3)
+    rows = problem.listed
+    return mirror * align(mirror * direction[rows], problem.reference[rows])
 
 
 def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tuple[Array, Array]:
@@ -163,23 +197,35 @@ def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tupl
 
 
 def _positive(problem: Problem, optimum: Optimum) -> Optimum:
-    """Return the mirrored optimum whose own-axis scale factors are positive."""
+    """Return the mirrored optimum whose own-axis scale factors are positive.
+
+    Rows of a group know left from right. Where they say that an odd number of axes is reversed,
+    all three are made negative: then the readings follow the other convention.
+    """
     model, state = problem.model, optimum.state
-    negative = {model.keys[i][1].factors[0].variable for i in own_scales(model)
-                if state.theta[i] < 0.0}  # fmt: skip
-    if not negative:
+    axes = {model.keys[i][1].factors[0].variable: state.theta[i] for i in own_scales(model)}
+    mirrored = {axis for axis, scale in axes.items() if scale < 0.0}
+    if problem.groups and len(mirrored) % 2 == 1:
+        mirrored = axes.keys() - mirrored
+    if not mirrored:
         return optimum
     odd = np.array(
         [
-            sum(f.power for f in term.factors if f.variable in negative) % 2 == 1
+            sum(f.power for f in term.factors if f.variable in mirrored) % 2 == 1
             for _, term in model.keys
         ]
     )
-    mirror = np.array([-1.0 if axis in negative else 1.0 for axis in ("x", "y", "z")])
+    mirror = np.array([-1.0 if axis in mirrored else 1.0 for axis in COMPONENTS])
+    # Exact under the lower gauge; under the symmetric one only near, hence the search again.
     theta = np.where(odd, -state.theta, state.theta)
-    return maximise(problem, start_state(problem, theta, optimum.point.force * mirror
-                                         / np.linalg.norm(optimum.point.force, axis=1)[:, None],
-                                         state.turns))  # fmt: skip
+    size = np.linalg.norm(optimum.point.force, axis=1)[:, None]
+    return maximise(
+        problem,
+        start_state(
+            problem, theta, optimum.point.force * mirror / size,
+            state.turns * mirror[:, None] if problem.groups else state.turns,
+        ),
+    )  # fmt: skip
 
 
 def _require_information(problem: Problem, optimum: Optimum) -> None:
@@ -197,6 +243,8 @@ def _require_information(problem: Problem, optimum: Optimum) -> None:
 def reduced_information(normal: Normal, p: int) -> Array:
     """Return the information of the parameters with the shared unknowns eliminated."""
     full = normal.information
+    if len(full) == p:
+        return full
     cross = full[:p, p:]
     return np.asarray(full[:p, :p] - cross @ np.linalg.pinv(full[p:, p:]) @ cross.T)
 
@@ -229,7 +277,7 @@ def too_few(problem: Problem) -> RankError:
     """Return the error of fewer positions than the parameters need, with what is out of reach."""
     model = problem.model
     n, p = len(problem.values), len(model.keys)
-    equations = int(problem.degrees.sum()) - problem.shared
+    equations = int(problem.degrees.sum()) - (problem.unknowns - p)
     said = f"{n} positions give {max(equations, 0)} equations for {p} parameters"
     if not np.isinf(problem.spread).all() or sorted(model.axes) != ["x", "y", "z"]:
         return RankError(f"{said}; add positions or choose a model with fewer terms.",
