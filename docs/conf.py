@@ -1,6 +1,11 @@
 """Sphinx settings: `sphinx-build -W docs docs/_build/html`."""
 
+import inspect
+import os
+from pathlib import Path
+
 import multipos
+from multipos.cli import COMMANDS, command_parser
 
 project = "multipos"
 author = "the multipos developers"
@@ -14,7 +19,7 @@ extensions = [
     "sphinx.ext.mathjax",
     "numpydoc",
 ]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "reference/generated"]
 html_theme = "furo"
 html_title = "multipos"
 
@@ -27,3 +32,27 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # numpydoc sections say shape and unit, which annotations cannot
 autosummary_generate = True
 numpydoc_show_class_members = False
+
+
+def write_generated(app):
+    """Write what the reference includes: the help of every command and all public names."""
+    folder = Path(app.srcdir) / "reference" / "generated"
+    folder.mkdir(exist_ok=True)
+    os.environ["COLUMNS"] = "100"  # the width of argparse's help
+    commands = [
+        f"### multipos {name}\n\n```text\n{command_parser(name).format_help()}```\n"
+        for name in COMMANDS
+    ]
+    names = sorted(set(multipos.__all__) - {"__version__"}, key=str.swapcase)
+    directives = []
+    for name in names:
+        kind = "class" if inspect.isclass(getattr(multipos, name)) else "function"
+        directives.append(
+            f".. auto{kind}:: multipos.{name}\n{'   :members:' * (kind == 'class')}\n"
+        )
+    (folder / "commands.md").write_text("\n".join(commands), encoding="utf-8")
+    (folder / "names.rst").write_text("\n".join(directives), encoding="utf-8")
+
+
+def setup(app):
+    app.connect("builder-inited", write_generated)

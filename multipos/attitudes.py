@@ -103,9 +103,10 @@ def from_up(up: ArrayLike, where: str = "`up`") -> Attitudes:
             "it must point somewhere."
         )
     scaled = vectors / largest[:, None]
-    unit = scaled / np.linalg.norm(scaled, axis=1)[:, None]
+    length = np.linalg.norm(scaled, axis=1)
+    unit = scaled / length[:, None]
     # What is a unit vector to rounding stays as it is, so that reading it back changes nothing.
-    already = np.abs(np.linalg.norm(vectors, axis=1) - 1.0) < 4.0 * np.finfo(float).eps
+    already = np.abs(largest * length - 1.0) < 4.0 * np.finfo(float).eps
     unit = np.where(already[:, None], vectors, unit) + 0.0
     return Attitudes(unit, np.full((len(unit), 3, 3), np.nan))
 

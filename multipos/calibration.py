@@ -176,7 +176,7 @@ class Calibration:
     def rms(self) -> float:
         """Root mean square of what is left after compensation [g].
 
-        Of |f| − |reference| for unknown orientation, of the vector f − reference otherwise.
+        Of ``|f| − |reference|`` for unknown orientation, of the vector f − reference otherwise.
         """
         force = self.compensate(self.readings.values, self.readings.environment)
         if self.estimator == "unknown-orientation":
@@ -212,7 +212,7 @@ class Calibration:
 
         Parameters
         ----------
-        raw : (n, M) or (M,) array
+        raw : (n, M) or (M,) array, or (n,) for a single output
             In the unit of the readings.
         environment : mapping of str to (n,) array, optional
             Columns that the model uses beside the components, such as temperature.
@@ -223,7 +223,9 @@ class Calibration:
             On the K axes that the sensor has, in the calibration's convention; NaN where no
             force explains the reading.
         """
-        values = np.array(raw, dtype=np.float64, ndmin=2)
+        values = np.array(raw, dtype=np.float64)
+        if values.ndim < 2:  # one reading of all outputs, or many of the only one
+            values = values.reshape(-1, 1) if len(self.outputs) == 1 else values[None]
         if values.ndim != 2 or values.shape[1] != len(self.outputs):
             raise MultiposError(
                 f"`raw` must have shape (n, {len(self.outputs)}), got {np.shape(raw)}; "
@@ -375,13 +377,15 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
     }
     model: Model = load_expression(content) if "expression" in content else build_model(
         content["model"], outputs, tuple(content["axes"]), tuple(content["inputs"]),
-        content["unit"],
+        str(content["unit"]),
     )  # fmt: skip
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
     convention = content["convention"]
     reference = _numbers(content["reference"])
     size = np.linalg.norm(reference, axis=1)
+    if not (np.isfinite(size) & (size > 0.0)).all():
+        raise ValueError("its reference is zero or not finite")
     up = reference / size[:, None] * (-1.0 if convention == "gravity" else 1.0) + 0.0
     sd_deg = content.get("orientation_sd_deg")
     readings = Readings(
@@ -397,7 +401,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         orientation_sd=None if sd_deg is None else np.radians(_numbers(sd_deg)),
         group=content.get("group"),
         environment=environment,
-        unit=content["unit"],
+        unit=model.unit,
         source=content["input"]["file"],
         sha256=content["input"]["sha256"],
     )
@@ -420,13 +424,16 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         gravity=None if content["gravity"] is None else Gravity(**content["gravity"]),
         estimator=content["estimator"],
         criterion=content["criterion"],
-        confidence=content["confidence"],
+        confidence=float(content["confidence"]),
         diagnostics=Diagnostics(
             rank=found["rank"],
             parameters=found["parameters"],
-            condition=found["condition"],
+            condition=float(_numbers([found["condition"]])[0]),
             leverage=_numbers(found["leverage"]),
-            lack_of_fit=found["lack_of_fit"],
+            lack_of_fit={
+                output: {key: test[key] for key in ("F", "dof", "p")}
+                for output, test in found["lack_of_fit"].items()
+            },
             outliers=tuple(found["outliers"]),
             unidentifiable=tuple(found["unidentifiable"]),
             warnings=tuple(found["warnings"]),
@@ -434,13 +441,33 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         status=Status(**content["status"]),
         created=content["created"],
         version=content["multipos_version"],
-        cross_check=None if cross_check is None else cross_check["closed_form_max_difference"],
+        cross_check=None
+        if cross_check is None
+        else float(cross_check["closed_form_max_difference"]),
         extra={key: content[key] for key in _EXTRA if key in content},
     )
-    p, shape = len(calibration.parameters), readings.values.shape
-    if calibration.covariance.shape != (p, p) or calibration.residuals.shape != shape:
-        raise ValueError("its arrays do not fit together")
+    _check(calibration)
     return calibration
+
+
+def _check(c: Calibration) -> None:
+    p, (n, m) = len(c.parameters), c.readings.values.shape
+    shapes = (
+        c.covariance.shape,
+        c.residuals.shape,
+        c.reference.shape,
+        c.diagnostics.leverage.shape,
+    )
+    if shapes != ((p, p), (n, m), (n, 3), (n, m)):
+        raise ValueError("its arrays do not fit together")
+    columns = [c.readings.environment.get(name, np.nan) for name in c.model.environment]
+    if not all(np.isfinite(column).all() for column in columns):
+        raise ValueError("its readings lack a column of its model, or a number in it")
+    if not np.isfinite(c.parameters).all() or not 0.0 < c.confidence < 1.0:
+        raise ValueError("its parameters or its confidence are no usable numbers")
+    # NaN is right where nothing was left to estimate an uncertainty from
+    if (np.diag(c.covariance) < 0.0).any() or not (c.parameter_dof >= 0.0).all():
+        raise ValueError("its covariance or degrees of freedom are negative")
 
 
 def _numbers(value: Any) -> Any:

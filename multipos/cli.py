@@ -8,10 +8,12 @@ one line that begins ``multipos: error:``.
 """
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from types import ModuleType
 from typing import NoReturn
 
 from multipos import __version__
@@ -39,23 +41,49 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _complain("interrupted.", 1)
     try:
-        sys.stdout.write(text)
-        sys.stdout.flush()
+        _print(text)
     except BrokenPipeError:  # the reader, `head` say, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _close_stdout()
+    except OSError as error:
+        _close_stdout()
+        return _complain(f"cannot write to stdout: {error.strerror}.", 1)
     return 0
+
+
+def _print(text: str) -> None:
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # What a terminal's encoding lacks is escaped, which in JSON is the same character.
+        sys.stdout.reconfigure(errors="backslashreplace")
+    sys.stdout.write(text)
+    sys.stdout.flush()
+
+
+def _close_stdout() -> None:
+    # What is still buffered goes nowhere, so that the interpreter does not try again at its end.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run(argv: list[str]) -> str:
     if not argv or argv[0] not in COMMANDS:
-        _top_parser().parse_args(argv)
+        parser = _top_parser()
+        parser.parse_args(argv)
+        parser.error("the command must come first")
     name, *rest = argv
-    command = import_module(f"multipos.commands.{name.replace('-', '_')}")
+    arguments = command_parser(name).parse_args(rest)
+    text: str = _command(name).run(arguments)
+    return text
+
+
+def command_parser(name: str) -> argparse.ArgumentParser:
+    """Return the parser of one command, which the documentation prints as well."""
     parser = _Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
-    command.add_options(parser)
-    text: str = command.run(parser.parse_args(rest))
-    return text
+    _command(name).add_options(parser)
+    return parser
+
+
+def _command(name: str) -> ModuleType:
+    return import_module(f"multipos.commands.{name.replace('-', '_')}")
 
 
 def _top_parser() -> argparse.ArgumentParser:

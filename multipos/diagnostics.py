@@ -61,6 +61,7 @@ def find_outliers(
     dof: Sequence[float],
     outputs: Sequence[str],
     labels: Sequence[str],
+    sd: Array | None = None,
 ) -> tuple[str, ...]:
     """Name the positions whose studentised residual, eq. (1), is beyond chance.
 
@@ -70,13 +71,16 @@ def find_outliers(
     dof : M numbers
         Residual degrees of freedom.
     outputs, labels : names of the columns and rows
+    sd : (n, M) array, optional
+        Stated standard uncertainty of each reading; all are alike if not given.
     """
     found = []
     n = residuals.size
     for column, output in enumerate(outputs):
         nu = dof[column]
         left = 1.0 - leverage[:, column]
-        error = residuals[:, column]
+        raw = residuals[:, column]
+        error = raw if sd is None else raw / sd[:, column]
         s2 = float(error @ error) / nu if nu > 0 else 0.0
         if nu < 2 or s2 == 0.0:
             continue
@@ -87,7 +91,7 @@ def find_outliers(
             t = np.inf if rest <= 0.0 else np.sqrt(r2[row] * (nu - 1.0) / rest)
             if t_tail(float(t), nu - 1.0) < OUTLIER_LEVEL / n:
                 found.append(
-                    f"position {labels[row]}: {output} is off by {error[row]:.3g}, "
+                    f"position {labels[row]}: {output} is off by {raw[row]:.3g}, "
                     f"{np.sqrt(r2[row]):.1f} times its standard deviation"
                 )
     return tuple(found)
@@ -180,7 +184,11 @@ def bartlett(rss: ArrayLike, dof: ArrayLike) -> float:
 
 
 def lack_of_fit(
-    residuals: ArrayLike, groups: Sequence[Hashable] | NDArray[np.generic], parameters: int
+    residuals: ArrayLike,
+    groups: Sequence[Hashable] | NDArray[np.generic],
+    parameters: int,
+    *,
+    sd: ArrayLike = 1.0,
 ) -> tuple[float, int, int, float] | None:
     """F test of the model's own error against the scatter of repeated rows.
 
@@ -190,10 +198,11 @@ def lack_of_fit(
     Parameters
     ----------
     residuals : (n,) array
-        Of equal variance within a group; whiten them where groups differ.
     groups : sequence of n labels
     parameters : int
         Number of coefficients fitted.
+    sd : float or (n,) array
+        Standard deviation of each row, up to a common factor.
 
     Returns
     -------
@@ -203,12 +212,13 @@ def lack_of_fit(
     r = np.asarray(residuals, dtype=np.float64)
     numbers: dict[Hashable, int] = {}
     index = np.array([numbers.setdefault(label, len(numbers)) for label in groups], dtype=np.intp)
-    count = np.bincount(index)
-    dof_lack, dof_pure = len(count) - parameters, len(r) - len(count)
+    weight = np.broadcast_to(np.asarray(sd, dtype=np.float64) ** -2.0, r.shape)
+    total = np.bincount(index, weights=weight)
+    dof_lack, dof_pure = len(total) - parameters, len(r) - len(total)
     if dof_lack <= 0 or dof_pure <= 0:
         return None
-    mean = np.bincount(index, weights=r) / count
-    pure = float(((r - mean[index]) ** 2).sum()) / dof_pure
-    lack = float((count * mean**2).sum()) / dof_lack
+    mean = np.bincount(index, weights=weight * r) / total
+    pure = float((weight * (r - mean[index]) ** 2).sum()) / dof_pure
+    lack = float((total * mean**2).sum()) / dof_lack
     f = lack / pure if pure > 0.0 else float("inf") if lack > 0.0 else float("nan")
     return f, dof_lack, dof_pure, f_tail(f, dof_lack, dof_pure)

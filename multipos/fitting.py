@@ -42,7 +42,7 @@ from multipos.model import (
     formula_columns,
     linear_term,
 )
-from multipos.readings import Readings, orient, read_readings
+from multipos.readings import Readings, orient, read_readings, stated_sd
 from multipos.scheme import Scheme
 from multipos.placement import Placement, place
 from multipos.uncertain import solve_uncertain
@@ -162,13 +162,16 @@ def fit(
             data, orientation_sd=np.where(placement.spread < np.inf, placement.spread, np.nan)
         )
     if closed_form:
+        if not placement.exact:
+            raise MultiposError(
+                "--closed-form takes exact orientations, but the readings have groups or "
+                "orientation_sd_deg above 0; leave --closed-form out."
+            )
         solution = solve_closed_form(built, placement.reference, data, pool=pool)
     elif placement.exact and robust is None and isinstance(model, str):
         solution = solve_known(built, placement.reference, data, pool=pool)
     else:
-        solution = solve_uncertain(
-            built, data, placement, gauge=gauge, robust=robust, pool=pool
-        )
+        solution = solve_uncertain(built, data, placement, gauge=gauge, robust=robust, pool=pool)
     return complete(
         solution, data, listed=placement.reference, convention=convention, gravity=local,
         estimator=_estimator(placement, closed_form),
@@ -330,8 +333,7 @@ def _add_gravity(
     model: Model, parameters: Array, covariance: Array, dof: Array, gravity: Gravity
 ) -> tuple[Array, Array]:
     """Return covariance and degrees of freedom with the common term of gravity, eqs. (1), (2)."""
-    degree = np.array([term.force_degree for _, term in model.keys])
-    sensitivity = -degree * parameters / gravity.value
+    sensitivity = -model.force_degrees * parameters / gravity.value
     combined = covariance + np.outer(sensitivity, sensitivity) * gravity.u**2
     before, after = np.diag(covariance), np.diag(combined)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -365,8 +367,10 @@ def _lack_of_fit(
     if len(set(groups)) == len(groups):
         return {}
     result: dict[str, dict[str, object]] = {}
-    for output, terms, column in zip(model.outputs, model.terms, residuals.T, strict=True):
-        tested = lack_of_fit(column, groups, len(terms))
+    stated = stated_sd(readings)
+    sd = np.ones_like(residuals) if stated is None else stated
+    for i, (output, terms) in enumerate(zip(model.outputs, model.terms, strict=True)):
+        tested = lack_of_fit(residuals[:, i], groups, len(terms), sd=sd[:, i])
         if tested is not None:
             f, lack, pure, p = tested
             result[output] = {"F": f, "dof": [lack, pure], "p": p}

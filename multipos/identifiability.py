@@ -71,25 +71,17 @@ def require_separable(information: Array, names: Sequence[str], way_out: str) ->
 
 def formal_only(model: Model, parameters: Array, u: Array, magnitude: float) -> tuple[str, ...]:
     """Name the parameters that are estimable only formally: their u exceeds what is plausible."""
-    own = [abs(parameters[i]) for i in own_scales(model)]
-    if not own or not np.isfinite(u).all():
+    if not model.own_scales or not np.isfinite(u).all():
         return ()
-    degree = np.array([term.force_degree for _, term in model.keys])
-    useless = u * magnitude**degree > _PLAUSIBLE * float(np.mean(own)) * magnitude
+    own = float(np.abs(parameters[list(model.own_scales)]).mean())
+    useless = u * magnitude**model.force_degrees > _PLAUSIBLE * own * magnitude
+    if not useless.any():
+        return ()
     return tuple(
         f"`{name}` is estimable only formally: its u = {sd:.2g} exceeds its plausible range"
         for name, sd, bad in zip(model.names, u.tolist(), useless.tolist(), strict=True)
         if bad
     )
-
-
-def own_scales(model: Model) -> list[int]:
-    """Return where the own-axis scale factors stand among the parameters."""
-    return [
-        i
-        for i, (output, term) in enumerate(model.keys)
-        if str(term) == model.axes[model.outputs.index(output)]
-    ]
 
 
 def least_determined(information: Array, rank: int) -> list[int]:

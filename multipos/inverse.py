@@ -106,7 +106,10 @@ def _apply_inverse(jacobian: Array, misfit: Array) -> Array:
         return np.asarray(np.linalg.solve(jacobian, misfit[:, :, None])[:, :, 0])
     except np.linalg.LinAlgError:
         # One singular row must not cost the others their answer.
-        return np.asarray((np.linalg.pinv(jacobian) @ misfit[:, :, None])[:, :, 0])
+        sound = np.linalg.matrix_rank(jacobian) == columns
+        step = np.full(misfit.shape, np.nan)
+        step[sound] = np.linalg.solve(jacobian[sound], misfit[sound][:, :, None])[:, :, 0]
+        return step
 
 
 def _solve_linear(model: Model, parameters: Array, raw: Array) -> Array:
@@ -116,8 +119,8 @@ def _solve_linear(model: Model, parameters: Array, raw: Array) -> Array:
     scale = np.abs(matrix).max()
     if not scale or np.linalg.matrix_rank(matrix / scale) < matrix.shape[1]:
         raise MultiposError(
-            "the scale factors and cross terms form a singular matrix, so readings cannot be "
-            "compensated; check the calibration."
+            "the scale factors and cross terms form a singular matrix, so no force can be found "
+            "from readings; every output needs its own axis in the model, and must respond to it."
         )
     inverse = np.linalg.pinv(matrix) if len(matrix) > len(sensed) else np.linalg.inv(matrix)
     force: Array = (raw - linear[:, 0]) @ inverse.T

@@ -29,7 +29,7 @@ from multipos.identifiability import formal_only
 from multipos.least_squares import LinearFit, separability, solve
 from multipos.model import COMPONENTS, Model, build_model
 from multipos.quantiles import chi2_quantile
-from multipos.readings import Readings
+from multipos.readings import Readings, stated_sd
 
 Array = NDArray[np.float64]
 
@@ -139,7 +139,12 @@ def solve_known(
         residual_sd=sd,
         leverage=fits.leverage,
         outliers=find_outliers(
-            fits.residuals, fits.leverage, residual_dof.tolist(), model.outputs, labels(readings)
+            fits.residuals,
+            fits.leverage,
+            residual_dof.tolist(),
+            model.outputs,
+            labels(readings),
+            stated_sd(readings),
         ),
         condition=fits.condition,
         warnings=tuple(warnings),
@@ -342,12 +347,6 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     name = model.outputs[output]
     terms = model.terms[output]
     design = phi[:, model.columns[output]]
-    if len(design) < len(terms):
-        return RankError(
-            f"{len(design)} readings cannot determine the {len(terms)} terms of {name}; "
-            "add positions or choose a model with fewer terms.",
-            rank=error.rank, parameters=error.parameters,
-        )  # fmt: skip
     kept: list[int] = []
     for column in range(len(terms)):
         trial = [*kept, column]
@@ -356,9 +355,14 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     formula = " + ".join(str(terms[column]) for column in kept)
     way_out = (
         f"x^2 + y^2 + z^2 = 1 at rest, so no static positions can; for {name} use '{formula}'"
-        if model.text == "full-quadratic"
+        if model.text == "full-quadratic" and set(model.inputs) == set(COMPONENTS)
         else f"add positions that differ more, or for {name} fit '{formula}'"
     )
+    if len(design) < len(terms):
+        return RankError(
+            f"{len(design)} readings cannot determine the {len(terms)} terms of {name}; {way_out}.",
+            rank=error.rank, parameters=error.parameters,
+        )  # fmt: skip
     return RankError(
         f"{error.rank} of {error.parameters} parameters of {name} can be separated: "
         f"{'; '.join(error.combinations)}; {way_out}.",

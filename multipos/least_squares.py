@@ -150,7 +150,7 @@ def solve(
     RankError
         The rows cannot separate the coefficients; the message names the combinations.
     MultiposError
-        A number is not finite, or the covariance is not positive definite.
+        A number is not finite, a shape does not fit, or the covariance is not positive definite.
     """
     X, y = _checked(design, response)
     n, p = X.shape
@@ -210,7 +210,7 @@ class _Covariance:
             self.inverse = np.linalg.inv(self.L)
             self.full = (V + V.T) / 2.0
         else:
-            raise ValueError(
+            raise MultiposError(
                 f"`covariance` must have shape ({n},) or ({n}, {n}), got {V.shape}; "
                 "give one variance per row, or the covariance of the rows."
             )
@@ -339,7 +339,7 @@ def _checked(design: ArrayLike, response: ArrayLike) -> tuple[Array, Array]:
     X = _matrix(design)
     y = np.asarray(response, dtype=np.float64)
     if y.ndim not in (1, 2) or len(y) != len(X):
-        raise ValueError(
+        raise MultiposError(
             f"`response` must have one row per row of `design`: {len(X)}, got {y.shape}."
         )
     if not np.isfinite(y).all():
@@ -350,7 +350,7 @@ def _checked(design: ArrayLike, response: ArrayLike) -> tuple[Array, Array]:
 def _matrix(design: ArrayLike) -> Array:
     X = np.asarray(design, dtype=np.float64)
     if X.ndim != 2 or X.shape[1] == 0:
-        raise ValueError(f"`design` must have shape (n, p) with p > 0, got {X.shape}.")
+        raise MultiposError(f"`design` must have shape (n, p) with p > 0, got {X.shape}.")
     if not np.isfinite(X).all():
         raise MultiposError("`design` has a number that is not finite.")
     return X

@@ -169,6 +169,17 @@ class Model:
         return tuple(unit_per(self.unit, t.force_degree, t.environment) for _, t in self.keys)
 
     @cached_property
+    def own_scales(self) -> tuple[int, ...]:
+        """Where the own-axis scale factors stand in the parameter vector."""
+        axes = dict(zip(self.outputs, self.axes, strict=True))
+        return tuple(i for i, (output, term) in enumerate(self.keys) if str(term) == axes[output])
+
+    @cached_property
+    def force_degrees(self) -> NDArray[np.intp]:
+        """Degree in specific force of each parameter's term, (p,)."""
+        return np.array([term.force_degree for _, term in self.keys], dtype=np.intp)
+
+    @cached_property
     def slices(self) -> tuple[slice, ...]:
         """Where each output's parameters stand in the parameter vector."""
         ends = np.cumsum([len(terms) for terms in self.terms]).tolist()
@@ -413,7 +424,8 @@ def formula_columns(text: str) -> tuple[str, ...]:
 def default_axes(outputs: Sequence[str], axes: Sequence[str] | str | None) -> tuple[str, ...]:
     """Return the case axis of each output: as given, or x, y, z in order."""
     if axes is not None:
-        return tuple(axes.split(",")) if isinstance(axes, str) else tuple(axes)
+        named = axes.split(",") if isinstance(axes, str) else axes
+        return tuple(axis.strip() for axis in named)
     if len(outputs) > 3:
         raise UsageError(
             f"{len(outputs)} columns could be outputs: {', '.join(outputs)}; name them with "
@@ -497,7 +509,7 @@ def _check_axes(outputs: tuple[str, ...], axes: tuple[str, ...], inputs: tuple[s
         if axis not in inputs:
             raise UsageError(
                 f"output '{output}' senses axis {axis}, which is not among "
-                f"--inputs {','.join(inputs)}."
+                f"--inputs {','.join(inputs)}; name it there, or choose the outputs with --outputs."
             )
 
 

@@ -229,7 +229,8 @@ def read_readings(
 def _names(outputs: Sequence[str] | str | None) -> tuple[str, ...] | None:
     if outputs is None:
         return None
-    return tuple(outputs.split(",")) if isinstance(outputs, str) else tuple(outputs)
+    names = outputs.split(",") if isinstance(outputs, str) else outputs
+    return tuple(name.strip() for name in names)
 
 
 def _with_outputs(readings: Readings, names: tuple[str, ...]) -> Readings:
@@ -284,6 +285,13 @@ def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
     return replace(
         readings, up=given.up[rows], rotation=given.rotation[rows], positions=positions, notes=notes
     )
+
+
+def stated_sd(readings: Readings) -> Array | None:
+    """Return the stated standard uncertainty of each reading (n, M), or None."""
+    if readings.covariance is not None:
+        return np.asarray(np.sqrt(np.diag(readings.covariance)).reshape(readings.values.shape))
+    return readings.u
 
 
 def _with_up(readings: Readings) -> Readings:

@@ -55,8 +55,7 @@ def judge_robustly(
             break
         misfit = float(np.sqrt(optimum.point.q[worst] / problem.degrees[worst]))
         said.append(
-            f"position {names[worst]} is set aside: it does not fit by {misfit:.3g} "
-            "times the noise"
+            f"position {names[worst]} is set aside: it does not fit by {misfit:.3g} times the noise"
         )
         problem = set_aside(problem, np.arange(len(limit)) == worst)
         optimum = maximise(problem, optimum.state)

@@ -83,7 +83,7 @@ def read_scheme(source: "Source | Scheme") -> Scheme:
     """
     if isinstance(source, Scheme):
         return source
-    if isinstance(source, str) and not Path(source).is_file():
+    if isinstance(source, str) and not _is_file(source):
         parts = [_named_or_file(part) for part in source.split("+")]
         return parts[0] if len(parts) == 1 else join(source, parts)
     return _from_table(source)
@@ -130,7 +130,7 @@ def _named_or_file(text: str) -> Scheme:
         if not 1 <= count <= LARGEST:
             raise UsageError(f"scheme '{name}': N must lie between 1 and {LARGEST}, got {count}.")
         return _scheme(name, _FAMILIES[family](count))
-    if Path(name).is_file():
+    if _is_file(name):
         return _from_table(name)
     if Path(name).suffix or os.sep in name:
         raise MultiposError(f"{name}: no such file; check the path of the scheme.")
@@ -138,6 +138,13 @@ def _named_or_file(text: str) -> Scheme:
         f"unknown scheme '{name}'; give a file or one of {', '.join(_FIXED)}, dual-axis-48, "
         "fibonacci-N, roll-x-N, roll-y-N, roll-z-N, tumble-N, joined by +."
     )
+
+
+def _is_file(path: str) -> bool:
+    try:
+        return Path(path).is_file()
+    except OSError:  # many names joined are too long to be the name of a file
+        return False
 
 
 def _from_table(source: Source) -> Scheme:

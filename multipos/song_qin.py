@@ -95,13 +95,20 @@ def demo_text(found: Demonstration) -> str:
     for i, printed in enumerate(PRINTED.ravel().tolist()):
         p = least_squares[least_squares.model.keys[i][0], str(least_squares.model.keys[i][1])]
         rows.append(
-            [p.symbol or "", p.name, f"{printed:.10f}", f"{found.closed_form.parameters[i]:.10f}",
-             f"{p.value:.10f}", number(p.u, 2), number(p.U, 2)]
+            [p.symbol or "", p.name, _as_printed(printed),
+             f"{found.closed_form.parameters[i]:.11f}", f"{p.value:.11f}",
+             number(p.u, 2), number(p.U, 2)]
         )  # fmt: skip
     return (
         "Table 2 of Song and Qin (2009), six positions, model own-quadratic [g]\n\n"
         f"{table(header, rows, left=2)}\n\n{_remarks(found)}"
     )
+
+
+def _as_printed(value: float) -> str:
+    """Return the digits of the paper, without zeros after them, the points below each other."""
+    text = f"{value:.11f}"
+    return text.rstrip("0").ljust(len(text))
 
 
 def demo_dict(found: Demonstration) -> dict[str, object]:

@@ -19,7 +19,6 @@ from multipos.identifiability import (
     condition,
     helpful_positions,
     least_determined,
-    own_scales,
     position_words,
     require_separable,
 )
@@ -85,7 +84,7 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
     """Refuse readings that scatter about their ellipsoid by a good part of its size."""
     if not np.isinf(problem.spread).all():
         return
-    scale = np.abs(optimum.state.theta[own_scales(problem.model)]).mean()
+    scale = np.abs(optimum.state.theta[list(problem.model.own_scales)]).mean()
     # the median, so that a few bad positions of a robust fit do not condemn the others
     size = np.linalg.norm(optimum.point.residuals, axis=1)
     scatter = float(np.median(size)) / max(float(scale), 1e-300)
@@ -203,7 +202,7 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
     all three are made negative: then the readings follow the other convention.
     """
     model, state = problem.model, optimum.state
-    axes = {model.keys[i][1].factors[0].variable: state.theta[i] for i in own_scales(model)}
+    axes = {model.keys[i][1].factors[0].variable: state.theta[i] for i in model.own_scales}
     mirrored = {axis for axis, scale in axes.items() if scale < 0.0}
     if problem.groups and len(mirrored) % 2 == 1:
         mirrored = axes.keys() - mirrored
@@ -291,7 +290,7 @@ def too_few(problem: Problem) -> RankError:
     length = np.linalg.norm(direction, axis=1)
     direction = direction / np.where(length > 0.0, length, 1.0)[:, None]
     theta = np.zeros(p)
-    theta[own_scales(model)] = 1.0
+    theta[list(model.own_scales)] = 1.0
     unit = replace(problem, precision=np.ones_like(values), reference=direction, robust=None)
     state = start_state(unit, theta, direction)
     marginal = linearise(unit, state, evaluate(unit, state)).marginal

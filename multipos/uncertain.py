@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from multipos.calibration import Status, labels
 from multipos.diagnostics import find_outlying_positions
 from multipos.errors import MultiposError
-from multipos.identifiability import condition, formal_only, own_scales
+from multipos.identifiability import condition, formal_only
 from multipos.inverse import parameter_jacobian
 from multipos.known import Solution, reading_noise
 from multipos.likelihood import Optimum, Problem, linearise
@@ -217,7 +217,7 @@ def _scale_bias(
 ) -> tuple[str, ...]:
     """State the second-order bias of the scale factors, eq. (1), where it matters."""
     model = problem.model
-    own = own_scales(model)
+    own = list(model.own_scales)
     if not problem.spread.any() or len(own) != 3 or len(model.outputs) != 3:
         return ()
     relative = (sd / (np.abs(theta[own]) * magnitude)) ** 2  # (3,), variances in g² per g²

@@ -61,8 +61,9 @@ def sin_deg(angle_deg: ArrayLike) -> NDArray[np.float64]:
     position, so the angle is reduced in degrees, where the reduction is exact.
     """
     angle = np.asarray(angle_deg, dtype=np.float64)
-    turn = np.remainder(angle, 360.0)
-    sign = np.where(turn >= 180.0, -1.0, 1.0)
+    # Of |angle|, where the remainder is exact; the sine is odd.
+    turn = np.remainder(np.abs(angle), 360.0)
+    sign = np.where((turn >= 180.0) == (angle < 0.0), 1.0, -1.0)
     half = np.where(turn >= 180.0, turn - 180.0, turn)
     acute = np.where(half > 90.0, 180.0 - half, half)
     # Above 45° the cosine of the complement makes sin 45° and cos 45° the same number.

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from multipos.diagnostics import bartlett, lack_of_fit
+from multipos.diagnostics import bartlett, find_outliers, lack_of_fit, linearity
 from multipos.least_squares import solve
+from multipos.model import build_model
 
 
 def test_bartlett_by_hand():
@@ -65,3 +66,51 @@ def test_lack_of_fit_splits_the_residual_sum():
     pure = sum(((y[x == v] - y[x == v].mean()) ** 2).sum() for v in np.unique(x)) / dof_pure
     assert f == pytest.approx((fit.rss - pure * dof_pure) / dof_lack / pure, rel=1e-10)
     assert p < 1e-6  # a parabola is not a line
+
+
+def test_lack_of_fit_with_unequal_variances_by_hand():
+    # two rows of sd 1 and 1/2 weigh 1 and 4: their mean of 0 and 5 is 4, scatter 16 + 4 = 20;
+    # the second pair, both −1, has none. Groups weigh 5 and 2: lack of fit 5·16 + 2·1 on 2 − 1
+    found = lack_of_fit([0.0, 5.0, -1.0, -1.0], ["a", "a", "b", "b"], 1, sd=[1, 0.5, 1, 1])
+    assert found is not None
+    assert found[:3] == (pytest.approx(82 / (20 / 2), rel=1e-14), 1, 2)
+
+
+def test_an_outlier_is_judged_by_its_own_stated_uncertainty():
+    rng = np.random.default_rng(5)
+    sd = np.where(np.arange(40) < 20, 1.0, 100.0)[:, None]
+    residuals = sd * rng.standard_normal((40, 1))
+    residuals[3] = 8.0  # far for a row of sd 1, nothing among rows of sd 100
+    labels = [str(row) for row in range(40)]
+    leverage = np.full((40, 1), 0.1)
+    found = find_outliers(residuals, leverage, [36.0], ["ax"], labels, sd)
+    assert [text.partition(":")[0] for text in found] == ["position 3"]
+    assert "ax is off by 8, " in found[0]
+    assert not any("position 3:" in t for t in
+                   find_outliers(residuals, leverage, [36.0], ["ax"], labels))  # fmt: skip
+
+
+def test_clean_data_have_an_outlier_as_rarely_as_said():
+    rng = np.random.default_rng(7)
+    design = rng.standard_normal((12, 4))
+    hat = design @ np.linalg.pinv(design)
+    runs, named = 3000, 0
+    for _ in range(runs):
+        noise = rng.standard_normal((12, 1))
+        residual = noise - hat @ noise
+        named += bool(
+            find_outliers(residual, np.diag(hat)[:, None], [8.0], ["a"], list("abcdefghijkl"))
+        )
+    # Bonferroni: at most 1 %, and hardly less; four standard deviations of the binomial law
+    assert 0.005 < named / runs < 0.01 + 4 * math.sqrt(0.01 * 0.99 / runs)
+
+
+def test_linearity_by_hand():
+    model = build_model("linear", ("ax",), ("x",))
+    reference = np.array([[-1.0, 0, 0], [0, 1, 0], [1, 0, 0]])
+    values = np.array([[-2.0], [0.3], [2.0]])  # line 2 x + 0.1, largest distance 0.2, span 4
+    found = linearity(model, reference, values, np.array([[0.01], [-0.04], [0.02]]))
+    assert found["ax"]["without_model_percent"] == pytest.approx(5.0)
+    assert found["ax"]["with_model_percent"] == pytest.approx(1.0)
+    level = linearity(model, np.array([[0.0, 1, 0], [0, 0, 1]]), values[:2], values[:2])
+    assert math.isnan(level["ax"]["without_model_percent"])

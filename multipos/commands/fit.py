@@ -12,7 +12,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
     add("readings", metavar="READINGS", help="CSV file of averaged readings")
-    add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
+    add(
+        "--scheme",
+        metavar="S",
+        help="scheme name (see multipos schemes), names joined by +, or CSV file",
+    )
     add_model(parser)
     add(
         "--convention",

@@ -4,6 +4,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+from multipos.model import NAMED
+
 
 def names(text: str) -> tuple[str, ...]:
     """Return names separated by commas."""
@@ -29,7 +31,12 @@ def add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None
 def add_model(parser: argparse.ArgumentParser) -> None:
     """Add ``--model``, ``--axes`` and ``--inputs``."""
     add = parser.add_argument
-    add("--model", default="linear", metavar="M", help="model or formula (default linear)")
+    add(
+        "--model",
+        default="linear",
+        metavar="M",
+        help=f"{', '.join(NAMED)}, or a formula (default linear)",
+    )
     add("--axes", type=names, metavar="x,y,z", help="case axis that each output senses")
     add(
         "--inputs",

@@ -1,0 +1,366 @@
+"""The command line: its promises on output, and one clear line for every kind of bad input."""
+
+import json
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import multipos as mp
+from multipos import cli
+from multipos.errors import MultiposError, UsageError
+
+MULTIPOS = str(Path(sysconfig.get_path("scripts")) / "multipos")
+
+SIX = """\
+position,direction,ax,ay,az
+1,E-U-S,0.0071,1.0029,-0.0016
+2,E-N-U,-0.0094,-0.0058,1.0008
+3,D-E-S,-0.9965,0.0064,0.0015
+4,W-D-S,-0.0076,-1.0030,0.0032
+5,U-W-S,0.9965,0.0073,0.0027
+6,S-W-D,0.0067,-0.0060,-1.0008
+"""
+# the same with semicolons and decimal commas, with tabs, and as a spreadsheet saves it
+FORMS = {
+    "comma": SIX.encode(),
+    "semicolon": SIX.replace(",", ";").replace(".", ",").encode(),
+    "tab": SIX.replace(",", "\t").encode(),
+    "BOM, CRLF and comments": b"\xef\xbb\xbf# bench 4\r\n" + SIX.replace("\n", "\r\n").encode(),
+    "Chinese": SIX.translate(str.maketrans(dict(zip("ENWSUD", "东北西南天地", strict=True))))
+    .replace("-南", "南").replace("东-", "东").encode(),
+}  # fmt: skip
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "six.csv").write_text(SIX, encoding="utf-8")
+    mp.fit("six.csv").save("cal.json")
+    return tmp_path
+
+
+def snapshot(folder):
+    return {path: (path.stat().st_mtime_ns, path.read_bytes())
+            for path in sorted(folder.rglob("*")) if path.is_file()}  # fmt: skip
+
+
+def run(capsys, *arguments):
+    """Run in this process; return status, stdout and stderr."""
+    try:
+        status = cli.main(arguments)
+    except SystemExit as leaving:  # --help and --version
+        status = leaving.code
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def refused(capsys, here, *arguments):
+    """Run what must fail; return its line. Nothing may be printed, written or touched."""
+    before = snapshot(here)
+    status, out, err = run(capsys, *arguments)
+    assert status in (1, 2)
+    assert out == ""
+    assert snapshot(here) == before
+    *others, line = err.splitlines()
+    assert line.startswith("multipos: error: ")
+    assert line.endswith(".")
+    assert not any(text.startswith("multipos: error: ") or "Traceback" in text for text in others)
+    if status == 1:
+        assert not others
+    return status, line.removeprefix("multipos: error: ")
+
+
+# --- bad input, line by line of what is promised
+
+FILES = {
+    "missing file": (None, 1, "bad.csv: no such file; check the path of the readings."),
+    "empty file": ("", 1, "bad.csv: the file is empty"),
+    "header only": ("ax,ay\n", 1, "bad.csv: only a header, no rows"),
+    "text in a number": (SIX.replace("0.0064", "0.0064 V"), 1,
+                         "bad.csv: row 3 (line 4), column 'ay': '0.0064 V' is not a number"),
+    "NaN in a number": (SIX.replace("0.0064", "NaN"), 1,
+                        "bad.csv: row 3 (line 4), column 'ay': 'NaN' is not finite"),
+    "inf in a number": (SIX.replace("0.0064", "-inf"), 1,
+                        "bad.csv: row 3 (line 4), column 'ay': '-inf' is not finite"),
+    "empty cell": (SIX.replace("0.0064", ""), 1,
+                   "bad.csv: row 3 (line 4), column 'ay': the cell is empty"),
+    "ragged row": (SIX.replace(",0.0015", ""), 1, "bad.csv: row 3 (line 4) has 4 cells where"),
+    "duplicate columns": (SIX.replace("ay", "ax"), 1, "bad.csv: column 'ax' appears twice"),
+    "left-handed direction": (SIX.replace("E-U-S", "E-U-N"), 1,
+                              "row 1 (line 2), column 'direction': direction 'E-U-N' is left"),
+    "impossible direction": (SIX.replace("E-U-S", "E-W-S"), 1, "'E-W-S' is impossible"),
+    "unknown direction": (SIX.replace("E-U-S", "E-U-Q"), 1, "'E-U-Q' is not a triple"),
+    "zero up vector": ("up_x,up_y,up_z,ax\n0,0,1,1\n0,0,0,1\n", 1,
+                       "bad.csv: the up vector of row 2 is zero"),
+    "no orientation": ("ax\n1\n", 1, "bad.csv: no orientation; give --scheme"),
+    "two orientations": (SIX.replace("ay", "up_x"), 1, "given as direction and as up vector"),
+    "fewer positions than terms": ("\n".join(SIX.splitlines()[:4]), 1,
+                                   "3 readings cannot determine the 4 terms of ax"),
+    "positions that do not separate": (
+        "up_x,up_y,up_z,ax\n0,0,1,0\n0,1,0,0\n0,0,-1,0\n0,-1,0,0\n", 1,
+        "3 of 4 parameters of ax can be separated: `scale_ax` has no effect at these positions"),
+    "negative sd": ("up_x,up_y,up_z,ax,sd_ax\n0,0,1,0,-1\n", 1, "'sd_ax': -1 is not 0 or more"),
+    "negative u": ("up_x,up_y,up_z,ax,u_ax\n0,0,1,0,-1\n", 1, "column 'u_ax': -1 is not above 0"),
+    "four outputs": (SIX.replace("position", "aw"), 2, "could be outputs: aw, ax, ay, az; name"),
+    "not text": (b"\x89PNG\r\n\x1a\n\x00", 1, "bad.csv: byte 0 is not UTF-8"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "status", "message"), FILES.values(), ids=FILES)
+def test_bad_readings_get_one_line(content, status, message, here, capsys):
+    if content is not None:
+        raw = content.encode() if isinstance(content, str) else content
+        (here / "bad.csv").write_bytes(raw)
+    found, line = refused(capsys, here, "fit", "bad.csv", "-o", "out.json")
+    assert found == status
+    assert message in line
+
+
+OPTIONS = {
+    "unknown column": (["--outputs", "ax,aq"], 1, "six.csv: no column 'aq'"),
+    "unknown model": (["--model", "cubic"], 2, "unknown model 'cubic'; give linear"),
+    "unknown term": (["--model", "1 + x + humidity"], 2, "unknown term 'humidity'"),
+    "code in a formula": (["--model", "__import__('os').remove('six.csv')"], 2, "cannot read"),
+    "unknown scheme": (["--scheme", "six"], 2, "unknown scheme 'six'; give a file or one of"),
+    "missing scheme file": (["--scheme", "none.csv"], 1, "none.csv: no such file"),
+    "labels that match nothing": (["--scheme", "tumble-3"], 1, "position '4', '5', '6' is not in"),
+    "terms not separable": (["--model", "own-cubic"], 1, "`scale_ax` cannot be told from"),
+    "too many terms": (["--model", "ieee"], 1, "6 readings cannot determine the 8 terms of ax"),
+    "never separable": (["--model", "full-quadratic"], 1, "for ax use '1 + x + y + z + x^2 + y^2'"),
+    "wrong confidence": (["--confidence", "95"], 2, "--confidence must lie between 0 and 1"),
+    "no number": (["--gravity", "g"], 2, "argument --gravity: invalid float value: 'g'"),
+    "no numbers": (["--reading-sd", "1,b"], 2, "'1,b' is not a number or numbers"),
+    "empty name": (["--outputs", "ax,"], 2, "'ax,' names nothing beside a comma"),
+    "gravity twice": (["--gravity", "9.8", "--latitude", "4"], 2, "give one"),
+    "unknown option": (["--color"], 2, "unrecognized arguments: --color"),
+    "abbreviated option": (["--mod", "linear"], 2, "unrecognized arguments: --mod"),
+    "unwritable output": (["-o", "none/out.json"], 1, "none/out.json: cannot write: No such file"),
+    "output is a folder": (["-o", "."], 1, ".: cannot write: it is a folder"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("options", "status", "message"), OPTIONS.values(), ids=OPTIONS)
+@pytest.mark.parametrize("as_json", [(), ("--json",)], ids=["text", "json"])
+def test_bad_options_get_one_line(options, status, message, as_json, here, capsys):
+    output = () if "-o" in options else ("-o", "out.json")
+    found, line = refused(capsys, here, "fit", "six.csv", *options, *output, *as_json)
+    assert found == status
+    assert message in line
+
+
+COMMANDS = {
+    "no command": ([], 2, "required: COMMAND; see 'multipos --help'"),
+    "unknown command": (["fitt"], 2, "invalid choice: 'fitt'"),
+    "option before the command": (["--json", "fit", "six.csv"], 2, "unrecognized arguments"),
+    "dashes before the command": (["--", "fit"], 2, "the command must come first"),
+    "no readings": (["fit"], 2, "required: READINGS; see 'multipos fit --help'"),
+    "truncated calibration": (["apply", "cut.json", "six.csv"], 1, "cut.json: line "),
+    "foreign JSON": (["apply", "other.json", "six.csv"], 1, "other.json: the schema is None"),
+    "a table for a calibration": (["apply", "six.csv", "six.csv"], 1, "six.csv: line 1, column 1"),
+    "missing calibration": (["apply", "no.json", "six.csv"], 1, "no.json: no such file"),
+    "missing data": (["apply", "cal.json", "no.csv"], 1, "no.csv: no such file"),
+    "data without the outputs": (["apply", "cal.json", "bare.csv"], 1, "bare.csv: no column 'ay'"),
+    "unknown rule": (["apply", "cal.json", "six.csv", "--outside", "drop"], 2, "--outside takes"),
+    "data outside": (["apply", "cal.json", "far.csv", "--outside", "refuse", "-o", "out.csv"], 1,
+                     "far.csv: row 2 (line 3), column 'ax': the reading is outside"),
+    "unknown scheme": (["schemes", "nine"], 2, "unknown scheme 'nine'"),
+    "term of a scheme": (["schemes", "--model", "1 + temperature"], 2, "unknown term"),
+    "sd of a scheme": (["schemes", "--reading-sd", "-1"], 2, "--reading-sd must be above 0"),
+    "report without file": (["report", "cal.json"], 2, "report needs -o"),
+    "unwritable report": (["report", "cal.json", "-o", "none/r.md"], 1, "none/r.md: cannot write"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("arguments", "status", "message"), COMMANDS.values(), ids=COMMANDS)
+def test_bad_commands_get_one_line(arguments, status, message, here, capsys):
+    (here / "cut.json").write_text((here / "cal.json").read_text()[:900])
+    (here / "other.json").write_text('{"type": "FeatureCollection"}')
+    (here / "bare.csv").write_text("ax\n1\n")
+    (here / "far.csv").write_text("ax,ay,az\n0,0,1\n0,0,3\n")
+    found, line = refused(capsys, here, *arguments)
+    assert found == status
+    assert message in line
+
+
+def test_an_existing_file_is_kept_on_errors_and_replaced_whole(here, capsys):
+    before = (here / "cal.json").read_bytes()
+    refused(capsys, here, "fit", "six.csv", "--model", "ieee", "-o", "cal.json")
+    assert (here / "cal.json").read_bytes() == before
+    assert run(capsys, "fit", "six.csv", "--model", "own-quadratic", "-o", "cal.json")[0] == 0
+    assert mp.load("cal.json").model.text == "own-quadratic"
+    assert sorted(path.name for path in here.iterdir()) == ["cal.json", "six.csv"]
+
+
+# --- what is printed
+
+
+def test_json_is_one_object_and_nothing_else(here, capsys):
+    for arguments in (
+        ["fit", "six.csv"], ["fit", "six.csv", "--convention", "gravity"], ["schemes"],
+        ["schemes", "all-26", "--model", "full-quadratic"], ["apply", "cal.json", "six.csv"],
+        ["demo", "-o", "demo"], ["report", "cal.json", "-o", "r.md"],
+    ):  # fmt: skip
+        status, out, _ = run(capsys, *arguments, "--json")
+        assert status == 0
+        assert out.endswith("}\n")
+        assert isinstance(json.loads(out, parse_constant=pytest.fail), dict)
+
+
+def test_warnings_go_to_stderr(here, capsys):
+    status, out, err = run(capsys, "fit", "six.csv", "--convention", "gravity", "--json")
+    assert status == 0
+    assert err.startswith("multipos: warning: every own-axis scale factor is negative")
+    assert json.loads(out)["diagnostics"]["warnings"]
+    _, _, err = run(capsys, "fit", "six.csv", "--outputs", "ax")
+    assert "column 'ay' is not among the outputs and is not used" in err
+
+
+def test_the_file_is_what_python_gives(here, capsys, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    options = ["--model", "own-quadratic", "--gravity", "9.81", "--gravity-u", "0.001", "--unit",
+               "V", "--reading-sd", "0.1,0.2,0.3", "--confidence", "0.9", "--pool"]  # fmt: skip
+    _, out, _ = run(capsys, "fit", "six.csv", *options, "--json", "-o", "out.json")
+    cal = mp.fit("six.csv", model="own-quadratic", gravity=9.81, gravity_u=0.001, unit="V",
+                 reading_sd=[0.1, 0.2, 0.3], confidence=0.9, pool=True)  # fmt: skip
+    assert json.loads(out) == cal.to_dict() == mp.load("out.json").to_dict()
+    assert json.loads(out)["input"]["file"] == "six.csv"
+    assert len(json.loads(out)["input"]["sha256"]) == 64
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_of_a_table_gives_the_same(form, here, capsys):
+    (here / "six.csv").write_bytes(FORMS[form])
+    _, out, err = run(capsys, "fit", "six.csv", "--json")
+    assert err == ""
+    found = json.loads(out)["parameters"]
+    assert [p["value"] for p in found] == list(mp.load("cal.json").parameters)
+
+
+def test_data_frames_and_dicts_work_wherever_a_file_does(here):
+    frame = pd.read_csv("six.csv")
+    columns = {name: frame[name].to_numpy() for name in frame}
+    cal = mp.load("cal.json")
+    for source in (frame, columns, mp.read_readings("six.csv"), Path("six.csv")):
+        np.testing.assert_array_equal(mp.fit(source).parameters, cal.parameters)
+    for source in (frame, columns):
+        assert mp.apply(cal, source)["f_x"] == mp.apply(cal, "six.csv")["f_x"]
+        assert mp.schemes(source)["schemes"][0]["identifiable"]
+
+
+def test_pandas_is_not_imported():
+    code = (
+        "import sys, multipos; multipos.read_readings({'ax': [1]}); print('pandas' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
+
+
+def test_apply_keeps_every_column_and_its_form(here, capsys):
+    (here / "raw.csv").write_text("note;ax;ay;az;when\nfirst;0,5;0,1;0,8;9:00\n;2;0;0;\n")
+    status, out, err = run(capsys, "apply", "cal.json", "raw.csv", "--uncertainty")
+    assert status == 0
+    header, first, second = (line.split(";") for line in out.splitlines())
+    assert header == ["note", "ax", "ay", "az", "when", "f_x", "f_y", "f_z", "u_f_x", "u_f_y",
+                      "u_f_z", "outside"]  # fmt: skip
+    assert first[:5] == ["first", "0,5", "0,1", "0,8", "9:00"]
+    assert (first[-1], second[-1]) == ("0", "1")
+    force = mp.load("cal.json").compensate([0.5, 0.1, 0.8])[0]
+    written = [float(cell.replace(",", ".")) for cell in first[5:8]]
+    assert written == pytest.approx(list(force), abs=1e-15)
+    assert err == "multipos: warning: 1 of 2 rows are outside what was calibrated\n"
+    status, out, _ = run(capsys, "apply", "cal.json", "raw.csv", "-o", "out.csv")
+    assert (status, out) == (0, "")
+    assert mp.read_readings("out.csv", outputs="f_x").values[0, 0] == written[0]
+
+
+def test_schemes_lists_all_and_shows_one(here, capsys):
+    found = json.loads(run(capsys, "schemes", "--json")[1])
+    assert found["model"] == "linear"
+    assert {s["name"]: s["positions"] for s in found["schemes"]}["all-26"] == 26
+    options = ["--json", "--model", "own-quadratic", "--reading-sd", "2"]
+    one, two = json.loads(run(capsys, "schemes", "faces-6", "faces-6+corners-8", *options)[1])[
+        "schemes"
+    ]
+    assert (one["positions"], two["positions"]) == (6, 14)
+    assert one["u"]["ax:1"] == pytest.approx(2 / 2)  # the bias is a mean of four
+    assert one["u"]["ax:x"] == pytest.approx(2 / np.sqrt(2))
+    bad = json.loads(run(capsys, "schemes", "faces-6", "--json", "--model", "ieee")[1])["schemes"][
+        0
+    ]
+    assert not bad["identifiable"]
+    assert bad["u"] is None
+    assert any("scale_ax" in text for text in bad["unidentifiable"])
+    text = run(capsys, "schemes", "song-qin-6")[1]
+    assert text.count("\n1 ") == 1
+    assert "log det" in text
+
+
+def test_help_and_version(capsys):
+    for arguments, words in ((["--help"], "commands:"), (["--version"], mp.__version__)):
+        status, out, err = run(capsys, *arguments)
+        assert (status, err) == (0, "")
+        assert words in out
+    for command in cli.COMMANDS:
+        status, out, _ = run(capsys, command, "--help")
+        assert status == 0
+        assert "--json" in out
+        assert "-o" in out
+
+
+# --- the process
+
+
+def process(*arguments, **options):
+    return subprocess.run([MULTIPOS, *arguments], capture_output=True, text=True, check=False,
+                          encoding="utf-8", **options)  # fmt: skip
+
+
+def test_the_program_ends_as_it_says(here):
+    good = process("fit", "six.csv")
+    assert good.returncode == 0
+    assert "scale_ax" in good.stdout
+    bad = process("fit", "none.csv")
+    assert (bad.returncode, bad.stdout) == (1, "")
+    assert (
+        bad.stderr == "multipos: error: none.csv: no such file; check the path of the readings.\n"
+    )
+
+
+def test_a_full_disk_and_a_closed_pipe(here):
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full on this system")
+    full = subprocess.run(f"{MULTIPOS} fit six.csv > /dev/full", shell=True, capture_output=True,
+                          text=True, check=False)  # fmt: skip
+    assert full.returncode == 1
+    assert full.stderr == "multipos: error: cannot write to stdout: No space left on device.\n"
+    head = subprocess.run(f"{MULTIPOS} schemes all-26 | head -n 1", shell=True, text=True,
+                          capture_output=True, check=True)  # fmt: skip
+    assert (head.stdout, head.stderr) == ("model linear\n", "")
+
+
+def test_a_terminal_without_chinese_gets_escapes(here, monkeypatch):
+    (here / "six.csv").write_text(SIX.replace("\n1,", "\n上,", 1), encoding="utf-8")
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    done = process("fit", "six.csv", "--json")
+    assert done.returncode == 0
+    assert "\\u4e0a" in done.stdout
+    assert json.loads(done.stdout)["positions"][0] == "上"
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [(MultiposError("two\nlines"), 1), (UsageError("two\nlines"), 2), (KeyboardInterrupt(), 1),
+     (MemoryError(), 1)],
+)  # fmt: skip
+def test_every_expected_end_is_one_line(error, status, capsys, monkeypatch):
+    def raising(argv):
+        raise error
+
+    monkeypatch.setattr(cli, "_run", raising)
+    assert cli.main(["fit"]) == status
+    assert capsys.readouterr().err.count("\n") == 1

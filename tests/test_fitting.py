@@ -1,0 +1,409 @@
+"""`fit`: weights, covariances, pooling, stated noise, gravity, options, and coverage."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
+
+import multipos as mp
+from multipos.errors import MultiposError, RankError, UsageError
+
+UP14 = mp.read_scheme("faces-corners-14").up
+LINEAR = np.column_stack([np.ones(14), UP14])
+
+
+def sensor(rng, up=UP14, noise=1e-3):
+    matrix = np.eye(3) + rng.uniform(-0.02, 0.02, (3, 3))
+    return 0.1 + up @ matrix.T + noise * rng.standard_normal((len(up), 3))
+
+
+def by_hand(X, y, V=None):
+    """Estimate and (X'V⁻¹X)⁻¹ by the normal equations, which is another route."""
+    W = np.eye(len(y)) if V is None else np.linalg.inv(V)
+    C = np.linalg.inv(X.T @ W @ X)
+    return C @ X.T @ W @ y, C
+
+
+# --- the estimate and its covariance
+
+
+def test_unweighted_fit_by_hand():
+    values = sensor(np.random.default_rng(0))
+    cal = mp.fit(mp.Readings(values, up=UP14))
+    for i in range(3):
+        b, C = by_hand(LINEAR, values[:, i])
+        r = values[:, i] - LINEAR @ b
+        mine = slice(4 * i, 4 * i + 4)
+        assert_allclose(cal.parameters[mine], b, rtol=1e-12, atol=1e-15)
+        assert_allclose(cal.covariance[mine, mine], C * (r @ r) / 10, rtol=1e-10, atol=1e-20)
+        assert cal.residual_sd[i] == pytest.approx(math.sqrt(r @ r / 10))
+        assert_allclose(cal.diagnostics.leverage[:, i], np.diag(LINEAR @ C @ LINEAR.T))
+    assert_array_equal(cal.dof, [10, 10, 10])
+    assert_array_equal(cal.covariance[:4, 4:], 0)
+    assert cal.k[0] == pytest.approx(stats.t.ppf(0.975, 10), rel=1e-12)
+    assert (cal.diagnostics.rank, cal.diagnostics.parameters) == (12, 12)
+
+
+def test_weighted_fit_by_hand():
+    rng = np.random.default_rng(1)
+    u = rng.uniform(0.5e-3, 2e-3, (14, 3))
+    values = sensor(rng, noise=0) + u * rng.standard_normal((14, 3))
+    cal = mp.fit(mp.Readings(values, up=UP14, u=u))
+    for i in range(3):
+        b, C = by_hand(LINEAR, values[:, i], np.diag(u[:, i] ** 2))
+        assert_allclose(cal.parameters[4 * i : 4 * i + 4], b, rtol=1e-12)
+        assert_allclose(cal.covariance[4 * i : 4 * i + 4, 4 * i : 4 * i + 4], C, rtol=1e-10,
+                        atol=1e-18)  # fmt: skip
+    assert np.isinf(cal.dof).all()
+    assert cal.k[0] == pytest.approx(1.959964, abs=1e-6)
+
+
+def test_full_covariance_by_hand():
+    """Outputs that move together: one problem of all readings."""
+    rng = np.random.default_rng(2)
+    root = np.kron(np.eye(14), np.array([[1, 0, 0], [0.8, 0.6, 0], [0.5, 0.5, 0.7]]))
+    V = 1e-6 * (root @ root.T + 0.3)  # and a part that all readings share
+    values = sensor(rng, noise=0) + (np.linalg.cholesky(V) @ rng.standard_normal(42)).reshape(14, 3)
+    cal = mp.fit(mp.Readings(values, up=UP14, covariance=V))
+    X = np.kron(LINEAR, np.eye(3))[:, np.arange(12).reshape(4, 3).T.ravel()]
+    b, C = by_hand(X, values.ravel(), V)
+    assert_allclose(cal.parameters, b, rtol=1e-9, atol=1e-12)
+    assert_allclose(cal.covariance, C, rtol=1e-8, atol=1e-14)
+    assert cal.covariance[0, 4] != 0  # biases of two outputs
+
+
+def test_a_diagonal_covariance_is_u():
+    rng = np.random.default_rng(3)
+    values, u = sensor(rng), np.full((14, 3), 1e-3)
+    one = mp.fit(mp.Readings(values, up=UP14, u=u))
+    other = mp.fit(mp.Readings(values, up=UP14, covariance=np.diag(u.ravel() ** 2)))
+    assert_array_equal(one.parameters, other.parameters)
+    assert_array_equal(one.covariance, other.covariance)
+    again = mp.fit(mp.Readings(values, up=UP14), reading_sd=1e-3)
+    assert_array_equal(one.covariance, again.covariance)
+
+
+def test_reading_sd_overrules_the_readings_and_says_so():
+    values = sensor(np.random.default_rng(4))
+    readings = mp.Readings(values, up=UP14, u=np.full((14, 3), 1e-6))
+    cal = mp.fit(readings, reading_sd=[1e-3, 2e-3, 3e-3])
+    assert_allclose(cal.u[[0, 4, 8]] / cal.u[0], [1, 2, 3])
+    assert any("--reading-sd is used" in text for text in cal.diagnostics.warnings)
+
+
+# --- a stated noise that the residuals deny
+
+
+def stated(factor, seed=5):
+    """A fit of readings whose noise is `factor` times what they claim."""
+    values = sensor(np.random.default_rng(seed), noise=factor * 1e-3)
+    return mp.fit(mp.Readings(values, up=UP14), reading_sd=1e-3)
+
+
+def test_a_denied_noise_is_scaled_up_and_said():
+    cal, believed = stated(5), stated(1)
+    r = cal.residuals
+    for i, output in enumerate(cal.outputs):
+        chi2 = float(r[:, i] @ r[:, i]) / 1e-6
+        assert chi2 > stats.chi2.ppf(0.999, 10)
+        mine = slice(4 * i, 4 * i + 4)
+        assert_allclose(cal.covariance[mine, mine],
+                        believed.covariance[mine, mine] * chi2 / 10, rtol=1e-10)  # fmt: skip
+        (said,) = (t for t in cal.diagnostics.warnings if f"residuals of {output} deny" in t)
+        assert f"multiplied by {chi2 / 10:.4g}" in said
+        assert "--orientation-sd" in said
+    assert_array_equal(cal.dof, [10, 10, 10])
+    assert np.isinf(believed.dof).all()
+    assert not believed.diagnostics.warnings
+
+
+def test_the_limit_is_the_99_9_percent_point():
+    values = sensor(np.random.default_rng(6))[:, :1]
+    readings = mp.Readings(values, up=UP14)
+    r = mp.fit(readings).residuals[:, 0]
+    limit = math.sqrt(float(r @ r) / stats.chi2.ppf(0.999, 10))
+    assert np.isinf(mp.fit(readings, reading_sd=limit * 1.0001).dof[0])
+    assert mp.fit(readings, reading_sd=limit * 0.9999).dof[0] == 10
+
+
+def test_an_overstated_noise_changes_nothing_but_is_said():
+    cal = stated(0.05)
+    assert np.isinf(cal.dof).all()
+    assert_allclose(cal.covariance, stated(1).covariance)
+    assert any("may be overstated" in text for text in cal.diagnostics.warnings)
+
+
+# --- pooling
+
+
+def test_pooling_by_hand():
+    values = sensor(np.random.default_rng(7))
+    readings = mp.Readings(values, up=UP14)
+    apart, pooled = mp.fit(readings), mp.fit(readings, pool=True)
+    s2 = (apart.residuals**2).sum() / 30
+    assert_array_equal(pooled.parameters, apart.parameters)
+    assert_array_equal(pooled.dof, [30, 30, 30])
+    _, C = by_hand(LINEAR, values[:, 0])
+    assert_allclose(pooled.covariance[4:8, 4:8], C * s2, rtol=1e-10, atol=1e-20)
+    assert not pooled.diagnostics.warnings
+
+
+def test_pooling_warns_where_equality_is_rejected():
+    values = sensor(np.random.default_rng(8))
+    values[:, 1] += 0.05 * np.random.default_rng(9).standard_normal(14)
+    cal = mp.fit(mp.Readings(values, up=UP14), pool=True)
+    assert any("residual variances differ" in text for text in cal.diagnostics.warnings)
+
+
+# --- gravity
+
+
+def test_gravity_scales_and_carries_its_uncertainty():
+    values = sensor(np.random.default_rng(10))
+    readings = mp.Readings(values, up=UP14, unit="V")
+    g, u_g = 9.7803, 0.002
+    plain, local = mp.fit(readings, model="own-cubic"), mp.fit(readings, model="own-cubic",
+                                                                gravity=g)  # fmt: skip
+    common = mp.fit(readings, model="own-cubic", gravity=g, gravity_u=u_g)
+    degree = np.array([term.force_degree for _, term in plain.model.keys])
+    ratio = g / 9.80665
+    assert_allclose(local.parameters, plain.parameters / ratio**degree, rtol=1e-9)
+    assert_allclose(np.linalg.norm(local.reference, axis=1), ratio)
+    c = degree * common.parameters * u_g / g  # one-for-one, twice, three times
+    assert_allclose(common.covariance, local.covariance + np.outer(c, c), rtol=1e-12)
+    bias = common["ax", "1"]
+    assert (bias.u, bias.dof) == (local["ax", "1"].u, local["ax", "1"].dof)
+
+
+def test_welch_satterthwaite_by_hand():
+    values = sensor(np.random.default_rng(11))
+    readings = mp.Readings(values, up=UP14)
+    g, u_g = 9.81, 0.002
+    local, common = (mp.fit(readings, gravity=g, gravity_u=u) for u in (None, u_g))
+    a, c = local["ax", "x"], common["ax", "x"]
+    b = c.value * u_g / g
+    # JCGM 100, G.2b: u_c⁴/(u_A⁴/10 + u_B⁴/∞)
+    assert c.u == pytest.approx(math.hypot(a.u, b))
+    assert c.dof == pytest.approx(c.u**4 / (a.u**4 / 10))
+    assert c.dof > 10
+    assert c.k == pytest.approx(stats.t.ppf(0.975, c.dof), rel=1e-9)
+
+
+def test_gravity_from_a_place():
+    readings = mp.Readings(sensor(np.random.default_rng(12)), up=UP14)
+    cal = mp.fit(readings, latitude=45, height=100)
+    assert cal.gravity == (mp.normal_gravity(45, 100), 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gravity": 9.81, "latitude": 45}, "--gravity and --latitude both state the gravity"),
+        ({"height": 100}, "--height needs --latitude"),
+        ({"gravity_u": 0.1}, "--gravity-u needs --gravity"),
+        ({"latitude": 45, "gravity_u": 0.1}, "--gravity-u needs --gravity"),
+        ({"gravity": 9.81, "gravity_u": -1}, "--gravity-u must be 0 or more"),
+        ({"gravity": 0.98}, "--gravity must be in m/s²"),
+        ({"gravity": math.nan}, "--gravity must be in m/s²"),
+        ({"latitude": 100}, "`latitude` must lie between -90 and 90"),
+        ({"convention": "down"}, "unknown convention 'down'"),
+        ({"confidence": 95}, "--confidence must lie between 0 and 1"),
+        ({"confidence": 0}, "--confidence must lie between 0 and 1"),
+        ({"reading_sd": 0}, "--reading-sd must be above 0"),
+        ({"reading_sd": [1, 2]}, "--reading-sd takes 1 or 3 values, got 2"),
+        ({"reading_sd": math.inf}, "--reading-sd must be above 0"),
+        ({"model": "quintic"}, "unknown model 'quintic'"),
+        ({"axes": "x,y"}, "--axes names 2 axes for 3 outputs"),
+        ({"inputs": "x,y"}, "not among --inputs x,y"),
+    ],
+)
+def test_faulty_options_are_refused(options, message):
+    readings = mp.Readings(sensor(np.random.default_rng(13)), up=UP14)
+    with pytest.raises(UsageError, match=message):
+        mp.fit(readings, **options)
+
+
+# --- conventions, outputs, inputs, other columns
+
+
+def test_conventions_differ_in_the_odd_terms():
+    readings = mp.Readings(sensor(np.random.default_rng(14)), up=UP14)
+    force, gravity = (mp.fit(readings, model="own-cubic", convention=c)
+                      for c in ("specific-force", "gravity"))  # fmt: skip
+    degree = np.array([term.force_degree for _, term in force.model.keys])
+    assert_allclose(gravity.parameters, force.parameters * (-1.0) ** degree, rtol=1e-12, atol=1e-15)
+    assert_array_equal(gravity.reference, -UP14)
+    assert not force.diagnostics.warnings
+    (said,) = gravity.diagnostics.warnings
+    assert "every own-axis scale factor is negative under --convention gravity" in said
+    assert "--convention specific-force" in said
+
+
+@pytest.mark.parametrize(
+    ("axes", "names"),
+    [("z", ("q",)), ("y,x", ("q", "r")), ("x,y,z,x", ("a", "b", "c", "d"))],
+)
+def test_one_two_and_four_outputs(axes, names):
+    own = ["xyz".index(axis) for axis in axes.split(",")]
+    values = 0.2 + 3.0 * UP14[:, own] + 0.1 * UP14[:, [0]]
+    cal = mp.fit(mp.Readings(values, outputs=names, up=UP14), axes=axes)
+    for name, axis in zip(names, own, strict=True):
+        b = np.array([0.2, 0.1, 0, 0])
+        b[1 + axis] += 3.0
+        assert_allclose([cal[name, t].value for t in "1xyz"], b, atol=1e-14)
+    if len(set(own)) == 3:
+        assert_allclose(cal.compensate(values), UP14, atol=1e-14)
+
+
+def test_inputs_restrict_the_model():
+    up = mp.read_scheme("roll-z-12").up
+    values = np.column_stack([0.1 + up[:, 0], -0.1 + 2 * up[:, 1]])
+    readings = mp.Readings(values, up=up)
+    with pytest.raises(RankError, match=r"`cross_ax_z` has no effect at these positions"):
+        mp.fit(readings)
+    cal = mp.fit(readings, inputs="x,y")
+    assert cal.names == ("bias_ax", "scale_ax", "cross_ax_y", "bias_ay", "cross_ay_x", "scale_ay")
+    assert_allclose(cal.parameters, [0.1, 1, 0, -0.1, 0, 2], atol=1e-15)
+
+
+def test_a_formula_with_temperature():
+    rng = np.random.default_rng(15)
+    t = rng.uniform(-40, 60, 28)
+    up = np.vstack([UP14, UP14])
+    values = 0.1 + 2e-4 * t + (1 + 3e-5 * t) * up[:, 0] + 0.01 * up[:, 0] ** 2
+    formula = "1 + x + y + z + own^2 + temperature + temperature*own"
+    columns = {"ax": values, "temperature": t, "up_x": up[:, 0], "up_y": up[:, 1], "up_z": up[:, 2]}
+    cal = mp.fit(columns, model=formula)
+    assert cal.names[-2:] == ("temperature_ax", "temperature*x_ax")
+    assert_allclose(cal.parameters, [0.1, 1, 0, 0, 0.01, 2e-4, 3e-5], atol=1e-13)
+    columns["humidity"] = rng.uniform(30, 60, 28)
+    assert mp.fit(columns, model=f"{formula} + humidity").outputs == ("ax",)
+    columns["temperature"][5] = math.nan
+    with pytest.raises(MultiposError, match="row 6, column 'temperature'"):
+        mp.fit(columns, model=formula)
+    readings = mp.Readings(values, up=up, environment={"temperature": columns["temperature"]})
+    with pytest.raises(MultiposError, match="row 6, column 'temperature' is empty or not finite"):
+        mp.fit(readings, model=formula)
+
+
+# --- what cannot be separated
+
+
+def refused(model, scheme, outputs=1):
+    n = len(mp.read_scheme(scheme))
+    with pytest.raises(RankError) as error:
+        mp.fit(mp.Readings(np.ones((n, outputs))), scheme=scheme, model=model)
+    formula = str(error.value).rpartition("'")[0].rpartition("'")[2]
+    return error.value, formula
+
+
+@pytest.mark.parametrize("scheme", ["faces-6", "icosahedron-12", "all-26", "fibonacci-200"])
+def test_full_quadratic_always_answers_with_the_formula_to_use(scheme):
+    error, formula = refused("full-quadratic", scheme, 3)
+    assert "x^2 + y^2 + z^2 = 1 at rest, so no static positions can" in str(error)
+    up = mp.read_scheme(scheme).up
+    cal = mp.fit(mp.Readings(0.1 + up), scheme=scheme, model=formula)
+    assert cal.diagnostics.rank == cal.diagnostics.parameters == 3 * len(formula.split(" + "))
+    if scheme == "fibonacci-200":
+        assert formula == "1 + x + y + z + x^2 + y^2 + x*y + x*z + y*z"
+        (named,) = error.combinations
+        assert named == "`bias_ax` cannot be told from `quad_ax + square_ax_y + square_ax_z`"
+
+
+def test_full_quadratic_of_two_inputs_can_be_separated():
+    up = mp.read_scheme("fibonacci-24").up
+    cal = mp.fit(mp.Readings(0.1 + up[:, :2]), scheme="fibonacci-24", model="full-quadratic",
+                 inputs="x,y")  # fmt: skip
+    assert cal.diagnostics.rank == 12
+
+
+@pytest.mark.parametrize(
+    ("model", "scheme", "words"),
+    [
+        ("own-cubic", "faces-6", "`scale_ax` cannot be told from `cubic_ax`"),
+        ("linear", "roll-x-24", "`scale_ax` has no effect at these positions"),
+        ("ieee", "faces-6", "6 readings cannot determine the 8 terms of ax"),
+        ("linear", "roll-x-3", "3 readings cannot determine the 4 terms of ax"),
+    ],
+)
+def test_what_cannot_be_separated_is_named_with_a_way_out(model, scheme, words):
+    error, formula = refused(model, scheme)
+    assert words in str(error)
+    up = mp.read_scheme(scheme).up
+    if "x" in formula.split(" + "):
+        mp.fit(mp.Readings(up[:, :1]), scheme=scheme, model=formula)
+
+
+# --- the claims, by simulation
+
+
+@pytest.mark.parametrize(
+    ("scheme", "model"), [("faces-6", "own-quadratic"), ("faces-6", "linear"),
+                          ("faces-corners-14", "ieee")]
+)  # fmt: skip
+def test_t_intervals_cover(scheme, model):
+    rng = np.random.default_rng(16)
+    up = mp.read_scheme(scheme).up
+    outputs = 300  # each an independent repetition of one calibration, own axis x
+    names = tuple(f"v{i}" for i in range(outputs))
+    axes = ("x",) * outputs
+    truth = mp.Readings(up[:, :1], up=up)
+    terms = mp.fit(truth, model=model).model.terms[0]
+    hits, runs = np.zeros(len(terms)), 0
+    for _ in range(4):
+        values = up[:, :1] + 0.01 * rng.standard_normal((len(up), outputs))
+        cal = mp.fit(mp.Readings(values, outputs=names, up=up), model=model, axes=axes,
+                     confidence=0.9)  # fmt: skip
+        error = cal.parameters.reshape(outputs, -1)
+        error = error - [1.0 if str(t) == "x" else 0.0 for t in terms]
+        hits += (np.abs(error) <= cal.U.reshape(outputs, -1)).sum(axis=0)
+        runs += outputs
+    # binomial at 0.9; 4.4 standard deviations leave 1e-5 to chance for each of the parameters
+    assert_allclose(hits / runs, 0.9, atol=4.4 * math.sqrt(0.09 / runs))
+
+
+def test_intervals_of_believed_noise_cover():
+    rng = np.random.default_rng(17)
+    runs = 400
+    u = np.where(np.arange(14) < 7, 1e-3, 5e-3)[:, None] * np.ones(3)
+    hits = np.zeros(12)
+    truth = np.concatenate([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    for _ in range(runs):
+        cal = mp.fit(mp.Readings(UP14 + u * rng.standard_normal((14, 3)), up=UP14, u=u))
+        hits += np.abs(cal.parameters - truth) <= cal.U
+    assert_allclose(hits / runs, 0.95, atol=4.4 * math.sqrt(0.0475 / runs))
+
+
+# --- complete at birth
+
+
+def test_diagnostics_are_there():
+    rng = np.random.default_rng(18)
+    up = np.vstack([UP14, UP14])
+    values = sensor(rng, up)
+    values[3, 0] += 0.05
+    cal = mp.fit(mp.Readings(values, up=up, positions=[f"p{i}" for i in range(28)]))
+    assert [t.partition(":")[0] for t in cal.diagnostics.outliers] == ["position p3"]
+    assert set(cal.diagnostics.lack_of_fit) == {"ax", "ay", "az"}
+    assert cal.diagnostics.lack_of_fit["ay"]["dof"] == [10, 14]
+    assert cal.diagnostics.lack_of_fit["ay"]["p"] > 0.001
+    squared = values + np.column_stack([0 * up[:, 0], 0.05 * up[:, 1] ** 2, 0 * up[:, 0]])
+    missing = mp.fit(mp.Readings(squared, up=up))
+    assert missing.diagnostics.lack_of_fit["ay"]["p"] < 1e-6
+    assert cal.diagnostics.condition >= 1
+    assert cal.status.converged
+    assert cal.version == mp.__version__
+
+
+def test_badly_separated_parameters_warn():
+    rng = np.random.default_rng(19)
+    up = np.array([0, 0, 1]) + 1e-5 * rng.standard_normal((20, 3))
+    cal = mp.fit(mp.Readings(up[:, :1], up=up))
+    assert any("separate the parameters badly" in text for text in cal.diagnostics.warnings)
+
+
+def test_the_time_is_that_of_the_source_date_epoch(monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    assert mp.fit(mp.Readings(UP14, up=UP14)).created == "1970-01-01T00:00:00+00:00"

@@ -1,0 +1,114 @@
+"""What must hold of any calibration: order, units and the naming of the axes do not matter."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+import multipos as mp
+
+SCHEMES = {
+    "linear": ("faces-6", "tetrahedron", "fibonacci-11"),
+    "own-quadratic": ("faces-6", "faces-corners-14", "fibonacci-11"),
+    "ieee": ("faces-corners-14", "all-26", "fibonacci-30"),
+}
+TETRAHEDRON = {"up_x": [1, 1, -1, -1, 1], "up_y": [1, -1, 1, -1, 0.5], "up_z": [1, -1, -1, 1, -2]}
+
+
+@st.composite
+def problems(draw, models=tuple(SCHEMES)):
+    """A model that its scheme can separate, and readings with noise."""
+    model = draw(st.sampled_from(models))
+    name = draw(st.sampled_from(SCHEMES[model]))
+    up = mp.read_scheme(TETRAHEDRON if name == "tetrahedron" else name).up
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    matrix = np.eye(3) + rng.uniform(-0.05, 0.05, (3, 3))
+    values = rng.uniform(-0.1, 0.1, 3) + up @ matrix.T + 0.03 * up**2
+    return model, up, values + 1e-3 * rng.standard_normal(values.shape), rng
+
+
+def close(found, expected, scale=1.0):
+    # ten digits: condition below 1e3, and a covariance takes it squared
+    assert_allclose(found, expected, rtol=1e-9, atol=1e-10 * scale)
+
+
+@given(problems())
+def test_the_order_of_the_positions_does_not_matter(problem):
+    model, up, values, rng = problem
+    order = rng.permutation(len(up))
+    one = mp.fit(mp.Readings(values, up=up), model=model)
+    other = mp.fit(mp.Readings(values[order], up=up[order]), model=model)
+    close(other.parameters, one.parameters)
+    close(other.covariance, one.covariance, 1e-6)
+    close(other.residuals, one.residuals[order])
+    close(other.rms, one.rms)
+
+
+@given(problems(), st.sampled_from([1e-12, 1e-3, 9.80665, 16384.0, 1e15]))
+def test_a_change_of_units_scales_everything(problem, unit):
+    model, up, values, _ = problem
+    one = mp.fit(mp.Readings(values, up=up), model=model)
+    other = mp.fit(mp.Readings(unit * values, up=up), model=model)
+    close(other.parameters / unit, one.parameters)
+    close(other.covariance / unit**2, one.covariance, 1e-6)
+    close(other.residuals / unit, one.residuals)
+    close(other.rms, one.rms)  # in g
+    close(other.compensate(unit * values), one.compensate(values))
+    for output in one.outputs:
+        for key, value in one.linearity[output].items():
+            close(other.linearity[output][key], value)
+
+
+@given(problems(("linear",)))
+def test_a_rotation_of_the_case_rotates_the_answer(problem):
+    """The linear model names no axis of its own, so in a turned case M turns with the case."""
+    model, up, values, rng = problem
+    turn = Rotation.random(random_state=rng.integers(2**31)).as_matrix()
+    one = mp.fit(mp.Readings(values, up=up), model=model)
+    other = mp.fit(mp.Readings(values, up=up @ turn.T), model=model)
+    for before, after in zip(one.model.slices, other.model.slices, strict=True):
+        a, b = one.parameters[before], other.parameters[after]
+        close(b[0], a[0])
+        close(b[1:], turn @ a[1:])
+        whole = np.block([[np.eye(1), np.zeros((1, 3))], [np.zeros((3, 1)), turn]])
+        close(
+            other.covariance[after, after], whole @ one.covariance[before, before] @ whole.T, 1e-6
+        )
+    close(other.residuals, one.residuals)
+    close(other.compensate(values), one.compensate(values) @ turn.T)
+
+
+@given(problems(), st.permutations(range(3)))
+def test_renaming_the_axes_permutes_the_answer(problem, order):
+    """A quarter turn of the case with its outputs: any model names its axes alike."""
+    model, up, values, _ = problem
+    order = list(order)
+    one = mp.fit(mp.Readings(values, up=up), model=model)
+    other = mp.fit(mp.Readings(values[:, order], up=up[:, order]), model=model)
+    old = dict(zip("xyz", ("xyz"[i] for i in order), strict=True))
+    for i, output in enumerate(other.outputs):
+        for term in other.model.terms[i]:
+            renamed = "".join(old.get(letter, letter) for letter in str(term))
+            p, q = other[output, str(term)], one[one.outputs[order[i]], renamed]
+            close([p.value, p.u, p.dof], [q.value, q.u, q.dof], 1e-3)
+
+
+@given(problems(), st.integers(2, 4))
+def test_repeating_the_scheme_divides_the_covariance(problem, times):
+    model, up, values, _ = problem
+    sd = 1.0  # far above the scatter, so that it is believed
+    one = mp.fit(mp.Readings(values, up=up), model=model, reading_sd=sd)
+    again = mp.Readings(np.tile(values, (times, 1)), up=np.tile(up, (times, 1)))
+    many = mp.fit(again, model=model, reading_sd=sd)
+    close(many.parameters, one.parameters)
+    close(times * many.covariance, one.covariance)
+
+
+@given(problems(), st.floats(0.5, 2))
+def test_weights_count_only_by_their_ratios(problem, factor):
+    model, up, values, rng = problem
+    u = rng.uniform(1e-3, 3e-3, values.shape)
+    one = mp.fit(mp.Readings(values, up=up, u=u), model=model)
+    other = mp.fit(mp.Readings(values, up=up, u=factor * u), model=model)
+    close(other.parameters, one.parameters)

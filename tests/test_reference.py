@@ -1,0 +1,91 @@
+"""The page of formats and options says what the code does."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos import attitudes
+from multipos.calibration import _EXTRA
+from multipos.model import NAMED, build_model
+from multipos.readings import _RESERVED
+from multipos.scheme import named_schemes
+
+PAGE = (Path(__file__).resolve().parents[1] / "docs/reference/formats.md").read_text("utf-8")
+NAMES = {name.replace(r"\|", "|") for name in re.findall(r"`([^`\n]+)`", PAGE)}
+
+
+def rows(heading):
+    """Cells of the tables below a heading, the quotes and the escapes of bars taken off."""
+    section = PAGE.split(f"## {heading}\n")[1].split("\n## ")[0]
+    for line in section.splitlines():
+        if line.startswith("| `"):
+            cells = re.split(r"(?<!\\)\|", line)[1:-1]
+            yield [cell.replace(r"\|", "|").strip().strip("`") for cell in cells]
+
+
+def test_every_column_of_readings_is_described():
+    assert attitudes.COLUMNS | _RESERVED <= NAMES
+    assert {"temperature", "time", "u_<output>", "sd_<output>"} <= NAMES
+
+
+def test_every_scheme_is_described():
+    families = {re.sub(r"^(fibonacci|roll-.|tumble)-\d+$", r"\1-N", name)
+                for name in named_schemes()}  # fmt: skip
+    assert families <= NAMES
+
+
+def test_every_model_is_described_with_its_terms():
+    described = {row[0]: row[1] for row in rows("Models") if row[0] in NAMED}
+    assert set(described) == set(NAMED)
+    for name, text in described.items():
+        (terms,) = build_model(name, ("ax",), ("x",)).terms
+        assert text == " + ".join(map(str, terms))
+
+
+def test_names_and_units_of_parameters():
+    described = [row for row in rows("Models") if len(row) == 4]
+    assert len(described) == 10
+    for term, name, in_volts, in_g in described:
+        for unit, expected in (("V", in_volts), ("g", in_g)):
+            model = build_model(f"1*{term}", ("ax",), ("x",), unit=unit)
+            assert (model.names, model.units) == ((name,), (expected,))
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    """One that has every optional part."""
+    rng = np.random.default_rng(0)
+    up = np.tile(mp.read_scheme("song-qin-6").rotation[:, :, 2], (3, 1))
+    readings = mp.Readings(
+        up + 1e-3 * rng.standard_normal((18, 3)),
+        rotation=np.tile(mp.read_scheme("song-qin-6").rotation, (3, 1, 1)),
+        u=np.full((18, 3), 1e-3),
+        sd=np.ones((18, 3)),
+        samples=np.ones(18),
+        orientation_sd=np.zeros(18),
+        group=("g",) * 18,
+        environment={"temperature": np.full(18, 20.0)},
+    )
+    return mp.fit(readings, gravity=9.81)
+
+
+def test_every_key_of_a_calibration_is_described(calibration):
+    content = calibration.to_dict()
+    assert set(content) <= NAMES
+    assert set(content["parameters"][0]) <= NAMES
+    for key in ("input", "gravity", "status", "diagnostics", "intrinsic"):
+        assert set(content[key]) <= NAMES, key
+    assert set(content["linearity"]["ax"]) <= NAMES
+    repeated = mp.Readings(np.tile(np.eye(6)[:, :3], (2, 1)))
+    tested = mp.fit(repeated, scheme="faces-6+faces-6").diagnostics.lack_of_fit["ax"]
+    assert set(tested) <= NAMES
+
+
+def test_every_key_that_is_described_is_there(calibration):
+    known = set(calibration.to_dict()) | {"reading_covariance"}  # instead of reading_u
+    known |= set(_EXTRA) | set(calibration.to_dict()["parameters"][0])
+    described = {key for row in rows("Calibration (JSON)") for key in row[0].split("`, `")}
+    assert described == known
