@@ -42,9 +42,9 @@ from multipos.model import (
     formula_columns,
     linear_term,
 )
+from multipos.placement import Placement, place
 from multipos.readings import Readings, orient, read_readings, stated_sd
 from multipos.scheme import Scheme
-from multipos.placement import Placement, place
 from multipos.uncertain import solve_uncertain
 from multipos.units import gravity_ratio, normal_gravity
 
@@ -58,6 +58,7 @@ _CONTRADICT = {
     ),
     "--unknown-orientation": ("--orientation-sd", "--level-sd"),
 }  # fmt: skip
+_TIED = "the listed directions leave no rotation of the case to choose"
 _ILL_CONDITIONED = 1e4  # scaled condition at which four of the sixteen digits are gone
 
 
@@ -157,6 +158,8 @@ def fit(
     signed = gravity_ratio(None if local is None else local.value)
     signed = -signed if convention == "gravity" else signed
     placement = place(data, signed, orientation_sd, level_sd)
+    if gauge != GAUGES[0] and placement.listed.any():
+        data = replace(data, notes=(*data.notes, f"--gauge {gauge} has no effect: {_TIED}"))
     if orientation_sd is not None:
         data = replace(
             data, orientation_sd=np.where(placement.spread < np.inf, placement.spread, np.nan)
@@ -172,8 +175,14 @@ def fit(
         solution = solve_known(built, placement.reference, data, pool=pool)
     else:
         solution = solve_uncertain(built, data, placement, gauge=gauge, robust=robust, pool=pool)
+    if solution.orientation_sd is not None:
+        data = replace(
+            data, orientation_sd=np.where(np.isinf(solution.orientation_sd), np.nan,
+                                          solution.orientation_sd)
+        )  # fmt: skip
+    listed = np.where(placement.listed[:, None], placement.reference, np.nan)
     return complete(
-        solution, data, listed=placement.reference, convention=convention, gravity=local,
+        solution, data, listed=listed, convention=convention, gravity=local,
         estimator=_estimator(placement, closed_form),
         criterion=_criterion(data, placement, closed_form, robust, model), confidence=confidence,
     )  # fmt: skip
@@ -215,7 +224,6 @@ def complete(
         unidentifiable=solution.unidentifiable,
         warnings=tuple(warnings),
     )
-    unknown = estimator == "unknown-orientation"
     return Calibration(
         model=model,
         parameters=parameters,
@@ -235,7 +243,7 @@ def complete(
         status=solution.status,
         created=_now(),
         version=__version__,
-        cross_check=None if unknown else closed_form_difference(model, listed, readings),
+        cross_check=closed_form_difference(model, listed, readings),
         extra=solution.extra,
     )
 
@@ -400,7 +408,8 @@ def _criterion(
 def _without_orientation(readings: Readings, scheme: object) -> Readings:
     """Return readings of which no orientation is used, saying what is ignored."""
     notes = readings.notes
-    if readings.up is not None or readings.rotation is not None:
+    given = (readings.up, readings.rotation, readings.orientation_sd, readings.group)
+    if any(columns is not None for columns in given):
         notes += ("the orientation columns are ignored, the orientation is taken as unknown",)
     if scheme is not None:
         notes += ("--scheme is ignored, the orientation is taken as unknown",)

@@ -79,6 +79,20 @@ class Term:
         return sum(factor.degree for factor in self.factors if factor.variable in COMPONENTS)
 
     @property
+    def along(self) -> str | None:
+        """The component of specific force that it is proportional to, if it is to one."""
+        force = [factor for factor in self.factors if factor.variable in COMPONENTS]
+        if len(force) == 1 and force[0] == Factor(force[0].variable, 1):
+            return force[0].variable
+        return None
+
+    def turned(self, axis: str) -> "Term":
+        """Return the term that is along another axis."""
+        mine = next(factor for factor in self.factors if factor.variable == self.along)
+        rest = (factor for factor in self.factors if factor is not mine)
+        return Term(tuple(sorted((*rest, Factor(axis, 1)))))
+
+    @property
     def environment(self) -> tuple[tuple[str, int], ...]:
         """Other columns of the readings in the term, with their degrees."""
         return tuple((f.variable, f.degree) for f in self.factors if f.variable not in COMPONENTS)
@@ -299,7 +313,7 @@ class Model:
         result = np.zeros((len(self.outputs), 4, len(unit)))
         for column, term in enumerate(self.basis_terms):
             force = tuple(f for f in term.factors if f.variable in COMPONENTS)
-            if force and force != linear_term(force[0].variable).factors:
+            if force and term.along is None:
                 continue
             place = 1 + COMPONENTS.index(force[0].variable) if force else 0
             weight = Term(tuple(f for f in term.factors if f not in force)).evaluate(environment)
@@ -312,11 +326,13 @@ class Model:
         return replace(self, outputs=(output,), axes=(self.axes[i],), terms=(self.terms[i],))
 
     def with_gauge(self, gauge: str) -> "Model":
-        """Return the model without the linear terms that a gauge fixes: the upper triangle."""
-        fixed = [{linear_term(axis) for axis in self.axes[i + 1 :]} for i in range(3)]
+        """Return the model without the linear terms that a gauge fixes: the upper triangle.
+
+        Terms such as ``temperature*y`` go with ``y``: a rotation may change with temperature.
+        """
         terms = tuple(
-            tuple(term for term in own if term not in gone)
-            for own, gone in zip(self.terms, fixed, strict=True)
+            tuple(term for term in own if term.along not in self.axes[i + 1 :])
+            for i, own in enumerate(self.terms)
         )
         return replace(self, terms=terms, gauge=gauge)
 
@@ -340,13 +356,14 @@ class Model:
         if self.gauge != "symmetric":
             return ()
         mirrored = []
-        for i, (output, axis) in enumerate(zip(self.outputs, self.axes, strict=True)):
-            for j in range(i):
-                key = (output, linear_term(self.axes[j]))
-                if key not in self.keys:
-                    continue
-                source = self.keys.index(key)
-                mirrored.append((j, self.basis_terms.index(linear_term(axis)), source))
+        for source, (output, term) in enumerate(self.keys):
+            i = self.outputs.index(output)
+            if term.along is None or term.along not in self.axes[:i]:
+                continue
+            copy = term.turned(self.axes[i])
+            if copy in self.basis_terms:
+                target = self.axes.index(term.along)
+                mirrored.append((target, self.basis_terms.index(copy), source))
         return tuple(mirrored)
 
 

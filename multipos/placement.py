@@ -135,15 +135,19 @@ def state_problem(
     Raises
     ------
     MultiposError
-        All readings are the same, or positions are correlated with each other.
+        An output never changes, or positions are correlated with each other.
     """
     values = readings.values
     n, m = values.shape
+    still = np.ptp(values, axis=0) == 0.0
+    if still.any() and n > 1:
+        raise MultiposError(
+            f"the readings of {readings.outputs[int(np.argmax(still))]} never change; turn the "
+            "sensor between them, so that every axis points up, down and level."
+        )
     noise = reading_noise(readings)
     if noise is None:
         size = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2))
-        if not size > 0.0:
-            raise MultiposError("all readings are the same; turn the sensor between them.")
         precision = np.full((n, m), 1.0 / (_RELATIVE_NOISE * size) ** 2)
     elif noise.ndim == 1:
         precision = 1.0 / noise.reshape(n, m)

@@ -2,7 +2,10 @@
 
 The noise, where it is not stated, is scaled until the median misfit is that of the normal law.
 Positions that are then beyond doubt are set aside one by one, the worst first: any loss but a
-constant one lets a gross error pull a little, and by more the fewer positions there are.
+constant one lets a gross error pull a little, and by more the fewer positions there are. Both
+are done under Huber's loss, whose minimum is the only one of a linear model; a loss that lets go
+of far positions would shrink the noise until the nearest ones alone fit. With the noise found,
+the search ends under the loss that was asked for.
 
 The covariance is the one without weights, times Huber's factor, with psi(z) = z rho'(z²),
 
@@ -38,9 +41,21 @@ _SMALLEST = 1e-12  # of the noise assumed at the start, where misfits vanish alt
 
 
 def judge_robustly(
-    problem: Problem, optimum: Optimum, names: Sequence[str], *, stated: bool
+    problem: Problem, optimum: Optimum, loss: str, names: Sequence[str], *, stated: bool
 ) -> tuple[Problem, Optimum, Worth]:
-    """Find the noise where it is not stated, and set aside what is beyond doubt, worst first."""
+    """Return problem and optimum under a robust loss, and what they are worth.
+
+    Parameters
+    ----------
+    problem, optimum
+        Under Huber's loss, with the stated noise, or with one of any size.
+    loss : str
+        Name of the loss to end with.
+    names : sequence of n str
+        Labels of the positions.
+    stated : bool
+        Whether the readings state their noise.
+    """
     limit = np.array([chi2_quantile(1.0 - _BEYOND_DOUBT, m) for m in problem.degrees])
     said = []
     # At most a quarter of the positions: beyond that it is the model that does not fit.
@@ -58,6 +73,9 @@ def judge_robustly(
             f"position {names[worst]} is set aside: it does not fit by {misfit:.3g} times the noise"
         )
         problem = set_aside(problem, np.arange(len(limit)) == worst)
+        optimum = maximise(problem, optimum.state)
+    if loss != problem.robust:
+        problem = replace(problem, robust=loss)
         optimum = maximise(problem, optimum.state)
     q, kept = optimum.point.q, problem.weight == 1.0
     weight = np.where(kept, loss_weight(problem.robust, q, problem.degrees), 0.0)

@@ -19,6 +19,7 @@ from multipos.identifiability import (
     condition,
     helpful_positions,
     least_determined,
+    plausible_range,
     position_words,
     require_separable,
 )
@@ -39,6 +40,7 @@ from multipos.rotations import align
 
 Array = NDArray[np.float64]
 
+_LEVER = 10.0  # how far above the information that noise pretends
 _PARTS = 50  # that a robust start leaves out in turn
 _SCATTER = 0.1  # of one g: a cloud of noise, not a sphere of positions
 _WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
@@ -46,14 +48,14 @@ _WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted
 
 def search(problem: Problem) -> Optimum:
     """Return the best optimum over the starts; the second is tried where the first may be poor."""
-    best: Optimum | None = None
+    best: tuple[State, Optimum] | None = None
     fault: MultiposError | None = None
     wide = bool((problem.spread[problem.listed] > _WIDE).any())
     for start in (_listed_start, _ellipsoid_start):
         try:
             state = start(problem)
         except MultiposError as error:
-            fault = error
+            fault = fault or error
             continue
         if state is None:
             continue
@@ -61,23 +63,62 @@ def search(problem: Problem) -> Optimum:
         if problem.adrift:
             found = _positive(problem, found)
         better = best is None or (found.converged, -found.point.objective) > (
-            best.converged, -best.point.objective
+            best[1].converged, -best[1].point.objective
         )  # fmt: skip
-        best = found if better else best
-        if best is not None and best.converged and not wide:
+        best = (state, found) if better else best
+        if best is not None and best[1].converged and not wide:
             break
     if best is None:
         raise fault or MultiposError("no start could be found; give the orientations.")
-    if not best.converged:
-        _require_information(problem, best)
-        raise ConvergenceError(
-            f"no convergence after {best.iterations} iterations; the last step moved the "
-            f"parameters by {best.last_step:.1e} of their size. Check the readings for blunders "
-            "(--robust huber names them), or choose a model with fewer terms."
-        )
-    _require_sphere(problem, best)
-    _require_information(problem, best)
-    return best
+    if not best[1].converged:
+        raise fault or _why_not(problem, *best)
+    _require_sphere(problem, best[1])
+    _require_information(problem, best[1])
+    return best[1]
+
+
+def _why_not(problem: Problem, start: State, optimum: Optimum) -> MultiposError:
+    """Return the error of a search that did not converge: what the positions do not tell."""
+    try:
+        _require_sphere(problem, optimum)
+        _require_information(problem, optimum)
+        _require_told(problem, start, optimum)
+    except MultiposError as error:
+        return error
+    return ConvergenceError(
+        f"no convergence after {optimum.iterations} iterations; the last step moved the "
+        f"parameters by {optimum.last_step:.1e} of their size. Check the readings for blunders "
+        "(--robust huber names them), or choose a model with fewer terms."
+    )
+
+
+def _require_told(problem: Problem, start: State, optimum: Optimum) -> None:
+    """Refuse what noise hides: combinations whose u is more than what is plausible of them.
+
+    A search wanders where the data say nothing, so that is judged where it began.
+    """
+    model, size = problem.model, float(np.linalg.norm(problem.reference, axis=1).mean())
+    limit = plausible_range(model, start.theta, size)
+    if limit is None:
+        return
+    plain = replace(problem, robust=None)
+    information = reduced_information(linearise(plain, start, evaluate(plain, start)), len(limit))
+    nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
+    relative = information * np.outer(limit, limit) * nu / optimum.point.objective
+    # Noise moves n positions by its own size, which passes for information of n and little more.
+    rank = int((np.linalg.eigvalsh(relative) > _LEVER * len(problem.values)).sum())
+    if rank == len(limit):
+        return
+    missing = [model.names[i] for i in sorted(least_determined(relative, rank))]
+    best = CANDIDATES[
+        helpful_positions(information, _candidate_gains(problem, start.theta), len(missing))
+    ]
+    raise RankError(
+        f"{rank} of {len(limit)} parameters can be told from the noise: "
+        f"{', '.join(f'`{name}`' for name in missing)} out of reach; add positions such as "
+        f"{position_words(best)}, or drop those terms.",
+        rank=rank, parameters=len(limit),
+    )  # fmt: skip
 
 
 def _require_sphere(problem: Problem, optimum: Optimum) -> None:

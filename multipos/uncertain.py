@@ -88,14 +88,16 @@ def solve_uncertain(
         model = model.with_gauge(gauge)
     elif np.isinf(placement.spread).any():
         _require_triad(model)
-    problem = state_problem(model, readings, placement, robust)
+    problem = state_problem(model, readings, placement, None if robust is None else "huber")
     nu = float(problem.degrees.sum()) - problem.unknowns
     if nu < 0:
         raise too_few(problem)
     optimum = search(problem)
     stated = reading_noise(readings) is not None
     if robust is not None:
-        problem, optimum, worth = judge_robustly(problem, optimum, labels(readings), stated=stated)
+        problem, optimum, worth = judge_robustly(
+            problem, optimum, robust, labels(readings), stated=stated
+        )
     else:
         problem, optimum, worth = judge_noise(
             problem, optimum, nu, stated=stated, estimate_spread=placement.estimate_spread

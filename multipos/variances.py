@@ -109,7 +109,7 @@ def maximise_restricted(linear: Linearised, start: Array, free: NDArray[np.bool_
     found = minimize(
         objective, start[free], jac=True, method="L-BFGS-B",
         bounds=[(centre - _RANGE, centre + _RANGE) for centre in start[free]],
-        options={"ftol": 1e-14, "gtol": 1e-7},
+        options={"ftol": 1e-13, "gtol": 1e-6},
     )  # fmt: skip
     return _at(start, free, np.asarray(found.x))
 

@@ -23,6 +23,7 @@ ORDER = (
     "readings",
     "logs",
     "model",
+    "instructions",
     "expressions",
     "extended",
     "least_squares",
