@@ -32,7 +32,8 @@ def loss(name: str | None, q: Array, degrees: Array) -> Array:
     if name == "huber":
         return np.where(q <= c2, q, 2.0 * np.sqrt(c2 * np.maximum(q, c2)) - c2)
     if name == "soft-l1":
-        return np.asarray(2.0 * c2 * (np.sqrt(1.0 + q / c2) - 1.0))
+        # as it stands in (2), small q would cancel
+        return np.asarray(2.0 * q / (1.0 + np.sqrt(1.0 + q / c2)))
     return np.asarray(c2 * np.log1p(q / c2))
 
 
