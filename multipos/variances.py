@@ -153,7 +153,8 @@ def _restricted(linear: Linearised, v: Array) -> tuple[float, Array, tuple[Array
     K = weighted @ np.linalg.inv(inner)
     K[exact] = 0.0
     W = P - K @ weighted.transpose(0, 2, 1)
-    # ln det V = M ln a + ln det H + 2 ln s²; where s is infinite, less a constant.
+    # ln det V = M ln a + ln det H + 2 ln s², less what does not depend on v: ln det Sigma, and
+    # 2 ln s² where s is infinite.
     log_det = n * m * v[0] + float(np.sum(np.where(exact, 0.0, np.log(np.linalg.det(inner)))))
     log_det += float(np.sum(2.0 * np.log(np.where(tied, spread2, 1.0))))
 
