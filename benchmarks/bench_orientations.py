@@ -7,7 +7,6 @@ Levenberg-Marquardt. Both start from the same ellipsoid.
 
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray

@@ -138,7 +138,8 @@ class ExpressionModel(Model):
         )
 
     @cached_property
-    def _compiled(self) -> tuple[Any, ...]:
+    def compiled(self) -> tuple[Any, ...]:
+        """CasADi functions (f, e, p) -> (y, dy/dp, dy/df), one for each output."""
         sizes = (len(COMPONENTS), len(self.columns_used), len(self.terms[0]))
         return tuple(_differentiated(program, sizes) for program in self.functions)
 
@@ -149,7 +150,7 @@ class ExpressionModel(Model):
         variables = self.variables(force, environment)
         columns = np.array([variables[name] for name in self.columns_used]).reshape(-1, n)
         result = []
-        for function, part in zip(self._compiled, self.slices, strict=True):
+        for function, part in zip(self.compiled, self.slices, strict=True):
             own = np.repeat(parameters[part][:, None], n, axis=1)
             y, by_parameter, by_force = function.map(n)(force.T, columns, own)
             result.append(
@@ -194,7 +195,14 @@ def build_expression(
     functions = []
     for axis in axes:
         given = {**values, "own": values[axis]}
-        y = casadi.SX(expression(**{a.name: given[a.name] for a in arguments}))
+        try:
+            y = casadi.SX(expression(**{a.name: given[a.name] for a in arguments}))
+        except (NotImplementedError, RuntimeError, TypeError) as error:
+            why = str(error).partition("\n")[0]
+            raise UsageError(
+                f"the model's function must return one value made of its arguments: {why}; for a "
+                "condition use casadi.if_else."
+            ) from None
         if y.shape != (1, 1):
             raise UsageError(f"the model's function must return one value, got shape {y.shape}.")
         functions.append(_program(y, [force, surroundings, unknown], expression))
@@ -248,9 +256,11 @@ def load_expression(content: Mapping[str, Any]) -> ExpressionModel:
     """Return the model that `expression_dict` described, from a calibration's file."""
     outputs, expression = tuple(content["outputs"]), content["expression"]
     symbols = tuple(Symbol(name=name) for name in expression["parameters"])
-    return ExpressionModel(
+    model = ExpressionModel(
         content["model"], outputs, tuple(content["axes"]), tuple(content["inputs"]),
         content["unit"], (symbols,) * len(outputs), None,
         tuple(tuple(map(tuple, program)) for program in expression["functions"]),
         tuple(expression["columns"]), (0.0,) * len(symbols),
     )  # fmt: skip
+    assert model.compiled  # what cannot be computed is refused now, not when it is used
+    return model

@@ -167,6 +167,7 @@ class Normal:
     jacobian: Array  # J_k, (n, M, 2)
     weighted: Array  # Sigma^-1 J, (n, M, 2)
     inverse: Array  # H^-1, (n, 2, 2)
+    curved: Array  # H^-1 with the curvature of the sphere in H, (n, 2, 2)
     pull: Array  # m_k, (n, 2)
     marginal: Array  # W_k, (n, M, M)
 
@@ -233,6 +234,12 @@ def maximise(problem: Problem, state: State) -> Optimum:
     )
 
 
+def resume(problem: Problem, optimum: Optimum) -> Optimum:
+    """Search on from an optimum, after the noise of the problem was changed."""
+    found = maximise(problem, optimum.state)
+    return replace(found, iterations=optimum.iterations + found.iterations)
+
+
 def _step(state: State, normal: Normal, damping: float) -> tuple[Array, float, float]:
     """Return the damped step, what it should take off F, and its size relative to theta."""
     scale = np.sqrt(np.diag(normal.information))
@@ -277,9 +284,14 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
     jacobian = by_force @ _force_by_step(problem, state)
     weighted = _weigh(problem.precision, jacobian)
     prior = _prior(problem.spread)
-    inverse = _inverse_2x2(jacobian.transpose(0, 2, 1) @ weighted, prior)
-    inverse[problem.spread == 0.0] = 0.0
+    gram = jacobian.transpose(0, 2, 1) @ weighted
+    inverse = _inverse_2x2(gram, prior)
     weighted_residuals = _weigh(problem.precision, point.residuals)
+    # A reading far outside the sphere is pulled to it harder than its tangent plane says, and
+    # would be thrown from side to side: d²f/dt² = -f.
+    outside = np.einsum("nm,nmi,ni->n", weighted_residuals, by_force, point.force)
+    curved = _inverse_2x2(gram, prior + np.maximum(outside, 0.0))
+    inverse[problem.spread == 0.0] = curved[problem.spread == 0.0] = 0.0
     pull = np.einsum("nmi,nm->ni", weighted, point.residuals) - prior[:, None] * state.step
     marginal = _full(problem.precision) - weighted @ inverse @ weighted.transpose(0, 2, 1)
     push = weighted_residuals - np.einsum("nmi,nij,nj->nm", weighted, inverse, pull)
@@ -292,7 +304,7 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
     if problem.level_spread > 0.0:
         information[-2:, -2:] += np.eye(2) / problem.level_spread**2
         right[-2:] -= state.tilt / problem.level_spread**2
-    return Normal(information, right, shared, jacobian, weighted, inverse, pull, marginal)
+    return Normal(information, right, shared, jacobian, weighted, inverse, curved, pull, marginal)
 
 
 def assemble(
@@ -336,7 +348,7 @@ def _moved(
         if problem.level_spread > 0.0:
             tilt = state.tilt + step[-2:]
     back = normal.pull - np.einsum("nmi,nm->ni", normal.weighted, outputs)
-    own = np.einsum("nij,nj->ni", normal.inverse, back)
+    own = np.einsum("nij,nj->ni", normal.curved, back)
     # Damped like the rest, so that a rejected step shrinks as a whole; half a turn at most.
     own = own / (1.0 + damping)
     length = np.hypot(own[:, 0], own[:, 1])

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.known import believe
-from multipos.likelihood import Optimum, Problem, maximise
+from multipos.likelihood import Optimum, Problem, resume
 from multipos.variances import Components, components, linearised, maximise_restricted
 
 Array = NDArray[np.float64]
@@ -86,7 +86,7 @@ def _estimate(
             first, precision=first.precision * np.exp(-v[0]),
             spread=first.spread * np.exp(v[1] / 2.0),
         )  # fmt: skip
-        optimum = maximise(problem, optimum.state)
+        optimum = resume(problem, optimum)
         if change < _SETTLED:
             break
     told = components(linearised(first, optimum), v, free)

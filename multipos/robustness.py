@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.known import believe
-from multipos.likelihood import Optimum, Problem, maximise
+from multipos.likelihood import Optimum, Problem, resume
 from multipos.losses import EFFICIENCY, loss_slope, loss_weight
 from multipos.noise import Worth
 from multipos.quantiles import chi2_quantile
@@ -73,10 +73,10 @@ def judge_robustly(
             f"position {names[worst]} is set aside: it does not fit by {misfit:.3g} times the noise"
         )
         problem = set_aside(problem, np.arange(len(limit)) == worst)
-        optimum = maximise(problem, optimum.state)
+        optimum = resume(problem, optimum)
     if loss != problem.robust:
         problem = replace(problem, robust=loss)
-        optimum = maximise(problem, optimum.state)
+        optimum = resume(problem, optimum)
     q, kept = optimum.point.q, problem.weight == 1.0
     weight = np.where(kept, loss_weight(problem.robust, q, problem.degrees), 0.0)
     extra = (("robust_weight", weight),)
@@ -107,7 +107,7 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
         ratio = float(np.median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
         ratio = max(ratio, _SMALLEST)
         problem = replace(problem, precision=problem.precision / ratio)
-        optimum = maximise(problem, optimum.state)
+        optimum = resume(problem, optimum)
         if abs(np.log(ratio)) < _SETTLED:
             break
     return problem, optimum

@@ -40,9 +40,11 @@ from multipos.rotations import align
 
 Array = NDArray[np.float64]
 
-_LEVER = 10.0  # how far above the information that noise pretends
+_LEVER = 2.0  # how far above the information that noise pretends
+_FEWEST = 4  # parameters that any turn of the sensor shows: a bias for each output, one scale
 _PARTS = 50  # that a robust start leaves out in turn
-_SCATTER = 0.1  # of one g: a cloud of noise, not a sphere of positions
+_MEDIAN = 0.6745  # of the modulus of a standard normal
+_SCATTER = 0.2  # of one g: a cloud of noise, not a sphere of positions
 _WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
 
 
@@ -55,6 +57,8 @@ def search(problem: Problem) -> Optimum:
         try:
             state = start(problem)
         except MultiposError as error:
+            if problem.listed.all() and not wide:
+                raise  # the listed directions are near enough to say what they cannot tell
             fault = fault or error
             continue
         if state is None:
@@ -74,6 +78,8 @@ def search(problem: Problem) -> Optimum:
         raise fault or _why_not(problem, *best)
     _require_sphere(problem, best[1])
     _require_information(problem, best[1])
+    if np.isinf(problem.spread).all():  # where lever arms come from the readings themselves
+        _require_told(problem, *best)
     return best[1]
 
 
@@ -109,6 +115,11 @@ def _require_told(problem: Problem, start: State, optimum: Optimum) -> None:
     rank = int((np.linalg.eigvalsh(relative) > _LEVER * len(problem.values)).sum())
     if rank == len(limit):
         return
+    if rank < _FEWEST:
+        raise MultiposError(
+            "the readings differ by little more than their noise. Turn the sensor to different "
+            "positions and hold it still."
+        )
     missing = [model.names[i] for i in sorted(least_determined(relative, rank))]
     best = CANDIDATES[
         helpful_positions(information, _candidate_gains(problem, start.theta), len(missing))
@@ -125,10 +136,12 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
     """Refuse readings that scatter about their ellipsoid by a good part of its size."""
     if not np.isinf(problem.spread).all():
         return
-    scale = np.abs(optimum.state.theta[list(problem.model.own_scales)]).mean()
-    # the median, so that a few bad positions of a robust fit do not condemn the others
-    size = np.linalg.norm(optimum.point.residuals, axis=1)
-    scatter = float(np.median(size)) / max(float(scale), 1e-300)
+    scale = float(np.abs(optimum.state.theta[list(problem.model.own_scales)]).mean())
+    # by the median, so that a few bad positions of a robust fit do not condemn the others
+    size = float(np.median(np.linalg.norm(optimum.point.residuals, axis=1)))
+    nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
+    spread = size / _MEDIAN * np.sqrt(len(problem.values) / nu)
+    scatter = spread / max(scale * float(np.linalg.norm(problem.reference[0])), 1e-300)
     if scatter > _SCATTER:
         raise MultiposError(
             f"the readings scatter by {100.0 * scatter:.0f} % about the ellipsoid that fits them "

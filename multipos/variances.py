@@ -35,7 +35,7 @@ from multipos.likelihood import Optimum, Problem
 Array = NDArray[np.float64]
 
 _H = 0.05  # step of the curvature in ln variance: the likelihood is smooth over factors of e
-_RANGE = 30.0  # ln variance may move this far from its start, thirteen powers of ten
+_LEAST, _MOST = 1e-8, 1e2  # of what either variance would be if all the error were its own
 _FLAT = 2.0 / 25.0  # curvature of a variance at its boundary: known to a factor e^5
 
 
@@ -106,9 +106,10 @@ def maximise_restricted(linear: Linearised, start: Array, free: NDArray[np.bool_
         value, slope, _ = _restricted(linear, _at(start, free, inner))
         return value, slope[free]
 
+    low, high = _bounds(linear)[free].T
     found = minimize(
-        objective, start[free], jac=True, method="L-BFGS-B",
-        bounds=[(centre - _RANGE, centre + _RANGE) for centre in start[free]],
+        objective, np.clip(start[free], low, high), jac=True, method="L-BFGS-B",
+        bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
         options={"ftol": 1e-13, "gtol": 1e-6},
     )  # fmt: skip
     return _at(start, free, np.asarray(found.x))
@@ -130,6 +131,17 @@ def components(linear: Linearised, v: Array, free: NDArray[np.bool_]) -> Compone
     spread = np.einsum("vp,vw,wp->p", slopes, covariance, slopes)
     dof = 2.0 * np.diag(C)[: linear.p] ** 2 / np.maximum(spread, 1e-300)
     return Components(covariance, np.minimum(dof, 1e9))
+
+
+def _bounds(linear: Linearised) -> Array:
+    """Return the range (2, 2) of ln a and ln b beyond which nothing changes any more."""
+    error, J, P = linear.error, linear.jacobian, linear.precision
+    tied = np.isfinite(linear.spread) & (linear.spread > 0.0)
+    whole = float(np.einsum("ni,nij,nj->", error, P, error))
+    gram = np.einsum("nia,nij,nja->n", J, P, J)[tied]
+    turned = float(np.sum(linear.spread[tied] ** 2 * gram))
+    largest = whole / np.array([error.size, turned if turned > 0.0 else 1.0])
+    return np.asarray(np.log(np.outer(np.maximum(largest, 1e-300), [_LEAST, _MOST])))
 
 
 def _at(start: Array, free: NDArray[np.bool_], inner: Array) -> Array:

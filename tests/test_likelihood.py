@@ -13,7 +13,11 @@ from multipos.model import COMPONENTS, NAMED, build_model
 from multipos.rotations import rotation_matrix
 
 OUTPUTS = ("ax", "ay", "az")
-FORMULAS = [*NAMED, "1 + own + x*|y| + temperature*x + temperature^2", "1 + x + y + z + own^9*|own|"]
+FORMULAS = [
+    *NAMED,
+    "1 + own + x*|y| + temperature*x + temperature^2",
+    "1 + x + y + z + own^9*|own|",
+]
 
 
 def a_model(text, gauge=None):
