@@ -14,7 +14,8 @@ from scipy.optimize import least_squares
 
 from benchmarks.timing import Ratio, paired_ratio
 from multipos.ellipsoid import ellipsoid_start
-from multipos.likelihood import Problem, State, maximise, start_state
+from multipos.likelihood import maximise
+from multipos.problem import Problem, State, start_state
 from multipos.model import COMPONENTS, build_model
 from multipos.scheme import read_scheme
 

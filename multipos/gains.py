@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from multipos.calibration import Calibration
 from multipos.inverse import parameter_jacobian
 from multipos.known import reading_noise
-from multipos.likelihood import evaluate, linearise, start_state
+from multipos.likelihood import evaluate, linearise
 from multipos.placement import place, state_problem
+from multipos.problem import start_state
 from multipos.robustness import set_aside
 
 Array = NDArray[np.float64]

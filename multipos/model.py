@@ -245,10 +245,10 @@ class Model:
     def basis(self, force: Array, environment: Mapping[str, ArrayLike]) -> Array:
         """Return phi (n, T) at force (n, 3) [g]."""
         variables = self.variables(force, environment)
-        phi = np.empty((len(force), len(self.basis_terms)))
+        phi = np.empty((len(self.basis_terms), len(force)))  # positions run fastest in memory
         for column, term in enumerate(self.basis_terms):
-            phi[:, column] = term.evaluate(variables)
-        return phi
+            phi[column] = term.evaluate(variables)
+        return phi.T
 
     def coefficients(self, parameters: Array) -> Array:
         """Return Theta (M, T) of eq. (1); a symmetric gauge mirrors its lower triangle."""
@@ -264,23 +264,32 @@ class Model:
     ) -> tuple[Array, tuple[Block, ...]]:
         """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i)."""
         phi = self.basis(force, environment)
-        blocks = tuple((places, phi[:, columns]) for columns, places in self.contributions)
-        return phi @ self.coefficients(parameters).T, blocks
+        blocks = tuple((places, phi.T[columns].T) for columns, places in self.contributions)
+        return (self.coefficients(parameters) @ phi.T).T, blocks
 
     def force_jacobian(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
     ) -> Array:
         """Return dy/df (n, M, 3) at force (n, 3) [g]."""
         theta = self.coefficients(parameters)
-        result = np.zeros((len(force), len(self.outputs), 3))
+        constant = np.zeros((len(self.outputs), 3))
+        varying = []
         variables = self.variables(force, environment)
         for column, term in enumerate(self.basis_terms):
             for factor in term.factors:
                 if factor.variable in COMPONENTS:
                     slope = term.derivative(variables, factor.variable)
                     axis = COMPONENTS.index(factor.variable)
-                    result[:, :, axis] += np.multiply.outer(slope, theta[:, column])
-        return result
+                    if np.ndim(slope) == 0:
+                        constant[:, axis] += slope * theta[:, column]
+                    else:
+                        varying.append((slope, axis, theta[:, column]))
+        result = np.empty((*constant.shape, len(force)))
+        result[:] = constant[:, :, None]
+        for slope, axis, coefficients in varying:
+            for output in np.flatnonzero(coefficients).tolist():
+                result[output, axis] += coefficients[output] * slope
+        return result.transpose(2, 0, 1)
 
     def predict(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.known import believe
-from multipos.likelihood import Optimum, Problem, resume
+from multipos.likelihood import resume
+from multipos.problem import Optimum, Problem
 from multipos.variances import Components, components, linearised, maximise_restricted
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from multipos.calibration import labels
 from multipos.errors import MultiposError
 from multipos.known import reading_noise
-from multipos.likelihood import Problem
 from multipos.model import Model
+from multipos.problem import Problem
 from multipos.readings import Readings
 
 Array = NDArray[np.float64]

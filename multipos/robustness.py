@@ -26,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.known import believe
-from multipos.likelihood import Optimum, Problem, resume
+from multipos.likelihood import resume
 from multipos.losses import EFFICIENCY, loss_slope, loss_weight
 from multipos.noise import Worth
+from multipos.problem import Optimum, Problem
 from multipos.quantiles import chi2_quantile
 
 Array = NDArray[np.float64]

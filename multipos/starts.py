@@ -25,17 +25,9 @@ from multipos.identifiability import (
 )
 from multipos.inverse import invert, parameter_jacobian
 from multipos.least_squares import solve
-from multipos.likelihood import (
-    Normal,
-    Optimum,
-    Problem,
-    State,
-    evaluate,
-    linearise,
-    maximise,
-    start_state,
-)
+from multipos.likelihood import evaluate, linearise, maximise
 from multipos.model import COMPONENTS
+from multipos.problem import Normal, Optimum, Problem, State, start_state
 from multipos.rotations import align
 
 Array = NDArray[np.float64]

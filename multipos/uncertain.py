@@ -33,10 +33,11 @@ from multipos.errors import MultiposError
 from multipos.identifiability import condition, formal_only
 from multipos.inverse import parameter_jacobian
 from multipos.known import Solution, reading_noise
-from multipos.likelihood import Optimum, Problem, linearise
+from multipos.likelihood import linearise
 from multipos.model import Model
 from multipos.noise import Worth, judge_noise
 from multipos.placement import Placement, state_problem
+from multipos.problem import Optimum, Problem
 from multipos.readings import Readings, read_readings
 from multipos.robustness import judge_robustly
 from multipos.rotations import rotation_vector

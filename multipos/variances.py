@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.inverse import parameter_jacobian
-from multipos.likelihood import Optimum, Problem
+from multipos.problem import Optimum, Problem
 
 Array = NDArray[np.float64]
 

@@ -37,6 +37,7 @@ ORDER = (
     "rotations",
     "ellipsoid",
     "losses",
+    "problem",
     "likelihood",
     "placement",
     "starts",

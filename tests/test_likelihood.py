@@ -8,8 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 from orientation_bench import BIAS, MATRIX
 
-from multipos.likelihood import Problem, evaluate, linearise, maximise, start_state
+from multipos.likelihood import evaluate, linearise, maximise
 from multipos.model import COMPONENTS, NAMED, build_model
+from multipos.problem import Problem, start_state
 from multipos.rotations import rotation_matrix
 
 OUTPUTS = ("ax", "ay", "az")
