@@ -101,7 +101,7 @@ def judge_terms(calibration: Calibration) -> list[TermTest]:
         n, p = len(c.readings), len(terms)
         if n <= p:
             continue
-        own = _rss(c, column, terms)
+        own = residual_sum(c, column, terms)
         formula = _CANDIDATES.replace(
             "OWN*OTHER", " + ".join(f"{axis}*{other}" for other in COMPONENTS if other != axis)
         )
@@ -111,10 +111,10 @@ def judge_terms(calibration: Calibration) -> list[TermTest]:
                 continue
             inside = term in terms
             changed = tuple(t for t in terms if t != term) if inside else (*terms, term)
-            if n - len(changed) < 1 or not set(_components(term)) <= set(c.model.inputs):
+            if n - len(changed) < 1 or not set(force_components(term)) <= set(c.model.inputs):
                 continue
             try:
-                other = _rss(c, column, changed)
+                other = residual_sum(c, column, changed)
             except RankError:
                 continue  # the positions cannot tell it
             small, large = (other, own) if inside else (own, other)
@@ -221,7 +221,8 @@ def _require_known(c: Calibration) -> None:
         )
 
 
-def _rss(c: Calibration, column: int, terms: tuple[Term, ...]) -> float:
+def residual_sum(c: Calibration, column: int, terms: tuple[Term, ...]) -> float:
+    """Return the weighted residual sum of squares of one output fitted by other terms."""
     variables = c.model.variables(c.reference, c.readings.environment)
     n = len(c.readings)
     design = np.column_stack([np.broadcast_to(t.evaluate(variables), (n,)) for t in terms])
@@ -234,5 +235,6 @@ def _rss(c: Calibration, column: int, terms: tuple[Term, ...]) -> float:
     return float(found.rss)
 
 
-def _components(term: Term) -> list[str]:
+def force_components(term: Term) -> list[str]:
+    """Return the components of the reference that a term uses."""
     return [factor.variable for factor in term.factors if factor.variable in COMPONENTS]

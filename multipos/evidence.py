@@ -7,8 +7,10 @@ import numpy as np
 from multipos import plots
 from multipos.calibration import Calibration, labels
 from multipos.criticism import find_influence, fourier_residuals, judge_terms
+from multipos.expressions import ExpressionModel
 from multipos.findings import Figure, Grid, Section, draw_svg
 from multipos.formatting import number
+from multipos.joint_tests import judge_jointly
 from multipos.monte_carlo import MonteCarlo
 from multipos.translations import Translator
 
@@ -189,8 +191,11 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
         )  # fmt: skip
     grids = [Grid(tr("Checks of the fit"), (tr("Check"), tr("Result")), tuple(rows))]
     paragraphs: list[str] = []
+    tests = _joint_tests(c, tr)
     if c.estimator in ("linear", "closed-form"):
-        grids += _criticism(c, tr)
+        tests += _criticism(c, tr)
+    if tests:
+        grids += tests
         paragraphs.append(
             tr(
                 "A small p says that chance alone would rarely do the same: that a term is needed, "
@@ -208,6 +213,19 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
             )
         )
     return Section(tr("Checks"), tuple(paragraphs), tables=tuple(grids))
+
+
+def _joint_tests(c: Calibration, tr: Translator) -> list[Grid]:
+    """Return tests of terms over all outputs; none of a robust fit or an expression."""
+    if "robust_weight" in c.extra or isinstance(c.model, ExpressionModel):
+        return []
+    rows = [
+        (t.terms, tr("in the model") if t.inside else tr("not in the model"), str(t),
+         number(t.p, 2))
+        for t in judge_jointly(c)
+    ]  # fmt: skip
+    header = tuple(map(tr, ("Terms", "Status", "Statistic", "p")))
+    return [Grid(tr("Tests of terms over all outputs"), header, tuple(rows), 2)] if rows else []
 
 
 def _simulated(found: MonteCarlo, tr: Translator) -> Grid:

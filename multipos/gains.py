@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 
 from multipos.calibration import Calibration
 from multipos.inverse import parameter_jacobian
-from multipos.known import reading_noise
 from multipos.likelihood import evaluate, linearise
-from multipos.placement import place, state_problem
 from multipos.problem import start_state
-from multipos.robustness import set_aside
+from multipos.restatement import restate
 
 Array = NDArray[np.float64]
 
@@ -33,19 +31,10 @@ def uncertain_gain(calibration: Calibration) -> Array:
     """
     readings, reference = calibration.readings, calibration.reference
     n, m = readings.values.shape
-    size = np.linalg.norm(reference, axis=1)
-    sign = -1.0 if calibration.convention == "gravity" else 1.0
-    level = float(calibration.extra.get("level_sd_deg", 0.0))
-    placement = place(readings, sign * float(size.mean()), None, level)
-    problem = state_problem(calibration.model, readings, placement, None)
-    if reading_noise(readings) is None:
-        problem = replace(problem, precision=np.tile(1.0 / calibration.residual_sd**2, (n, 1)))
-    if "robust_weight" in calibration.extra:
-        problem = set_aside(problem, np.asarray(calibration.extra["robust_weight"]) == 0.0)
-    turns = np.tile(np.eye(3), (problem.groups, 1, 1))
     # About the solution itself: its reference is the listed one, already turned and stepped.
-    problem = replace(problem, reference=reference)
-    state = start_state(problem, calibration.parameters, reference / size[:, None], turns)
+    problem = replace(restate(calibration), reference=reference)
+    direction = reference / np.linalg.norm(reference, axis=1)[:, None]
+    state = start_state(problem, calibration.parameters, direction)
     normal = linearise(problem, state, evaluate(problem, state))
     p = len(calibration.parameters)
     slopes = parameter_jacobian(calibration.model, state.theta, reference, readings.environment)

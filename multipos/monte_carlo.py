@@ -14,8 +14,10 @@ spread is the answer of JCGM 101, and U of JCGM 100 is valid where it agrees wit
   scale for all readings of an output; for ν ≤ 2 its u does not exist, and only the intervals are
   judged.
 
-With known orientations an estimate is one matrix product with the readings, however many trials;
-every other estimator runs in full in each trial.
+With known orientations an estimate is one matrix product with the readings, however many trials.
+With uncertain and unknown ones the likelihood is searched in every trial, with the noise of the fit
+as its weights; positions, and a table that is not level, are turned by what that likelihood allows
+them, so that their standard deviations, where they were estimated, are drawn like the noise.
 """
 
 import math
@@ -29,7 +31,9 @@ from numpy.typing import NDArray
 from multipos.budgets import Quantity, read_budget
 from multipos.calibration import Calibration
 from multipos.errors import UsageError
-from multipos.fitting import fit
+from multipos.likelihood import maximise
+from multipos.problem import start_state
+from multipos.restatement import noise_factor, restate, return_to_optimum
 from multipos.sensitivities import estimator_gain, reading_moves, turn_axes
 from multipos.uncertainty import evaluate_budget
 
@@ -190,14 +194,35 @@ class _Draws:
             self.quantities.append(Quantity("gravity", c.gravity.u, "m/s^2", law, dof))
         self.model_readings = c.model.predict(c.parameters, c.reference, c.readings.environment)
         scatter = [row for row in evaluate_budget(c).rows if row.quantity == "readings"]
-        self.noise = _noise_root(c, sum(row.covariance for row in scatter))
         self.joint = len(scatter) == 1 and self.m > 1
+        self.spread, self.level, self.spread_dof = np.zeros(self.n), 0.0, math.inf
+        if c.estimator.endswith("orientation"):
+            self._take_from_likelihood()
+        else:
+            self.noise = _noise_root(c, sum(row.covariance for row in scatter))
+
+    def _take_from_likelihood(self) -> None:
+        """Take noise and sds of positions from the likelihood of the fit."""
+        c, problem = self.c, restate(self.c)
+        root = math.sqrt(noise_factor(c, problem, return_to_optimum(c, problem)))
+        if problem.precision.ndim == 2:
+            self.noise = root / np.sqrt(problem.precision).ravel()
+        else:
+            blocks = np.linalg.cholesky(np.linalg.inv(problem.precision))
+            whole = np.zeros((self.n, self.m, self.n, self.m))
+            whole[np.arange(self.n), :, np.arange(self.n), :] = root * blocks
+            self.noise = whole.reshape(self.n * self.m, -1)
+        self.spread = np.where(np.isfinite(problem.spread), root * problem.spread, 0.0)
+        self.level, self.attitude = root * problem.level_spread, problem.attitude
+        estimated = c.extra.get("variance_components", {}).get("orientation_sd_deg")
+        if estimated is not None:  # u of ln s² is 2 u(s)/s, and of ln chi²_nu it is sqrt(2/nu)
+            self.spread_dof = 0.5 * (estimated["value"] / estimated["u"]) ** 2
 
     def __call__(self, trials: int) -> Array:
         """Return readings (trials, n, M) about the fitted model."""
         turned = [q for q in self.quantities if q.name in ("level", "orientation", "index")]
         scaled = [q for q in self.quantities if q.name == "gravity"]
-        if turned or scaled:
+        if turned or scaled or self.spread.any() or self.level:
             readings = self._acted(trials, turned, scaled)
         else:
             readings = np.broadcast_to(self.model_readings, (trials, self.n, self.m))
@@ -224,6 +249,7 @@ class _Draws:
             vectors += np.einsum(
                 "tq,nqi->tni", np.radians(self._law(quantity, (trials, axes.shape[1]))), axes
             )
+        vectors += self._allowed(trials)
         force = _rotate(np.broadcast_to(c.reference, vectors.shape), vectors)
         for quantity in scaled:
             assert c.gravity is not None
@@ -233,6 +259,19 @@ class _Draws:
             name: np.tile(c.readings.environment[name], trials) for name in c.model.environment
         }
         return c.model.predict(c.parameters, flat, environment).reshape(trials, self.n, self.m)
+
+    def _allowed(self, trials: int) -> Array:
+        """Turns of the positions (trials, n, 3) [rad] as the likelihood of the fit allows them."""
+        turns = np.zeros((trials, self.n, 3))
+        if self.spread.any():
+            turns += self.rng.standard_normal(turns.shape) * self.spread[:, None]
+            if math.isfinite(self.spread_dof):
+                drawn = self.rng.chisquare(self.spread_dof, (trials, 1, 1))
+                turns *= np.sqrt(self.spread_dof / drawn)
+        if self.level and self.attitude is not None:
+            tilt = self.level * self.rng.standard_normal((trials, 2))
+            turns += np.einsum("tq,niq->tni", tilt, self.attitude[:, :, :2])
+        return turns
 
     def _noise(self, trials: int) -> Array:
         drawn = self.rng.standard_normal((trials, self.n * self.m))
@@ -297,18 +336,15 @@ def _own_estimator(c: Calibration) -> Estimator:
     if c.estimator in ("linear", "closed-form"):
         gain = estimator_gain(c)
         return lambda readings: np.asarray(readings.reshape(len(readings), -1) @ gain.T)
-    if c.estimator != "unknown-orientation" or c.model.gauge is None:
-        raise UsageError(
-            f"give `estimator`, a function of the readings, for a calibration by {c.estimator}."
-        )
-    gauge = c.model.gauge
+    if "robust_weight" in c.extra:
+        raise UsageError("give `estimator`, a function of the readings, for a robust calibration.")
+    # About the solution itself: its reference is the listed one, already turned and stepped.
+    problem = replace(restate(c), reference=c.reference)
+    direction = c.reference / np.linalg.norm(c.reference, axis=1)[:, None]
 
     def estimate(values: Array) -> Array:
-        return fit(
-            replace(c.readings, values=values), model=c.model.text, convention=c.convention,
-            axes=c.model.axes, inputs=c.model.inputs, unknown_orientation=True, gauge=gauge,
-            gravity=None if c.gravity is None else c.gravity.value,
-        ).parameters  # fmt: skip
+        drawn = replace(problem, values=values)
+        return maximise(drawn, start_state(drawn, c.parameters.copy(), direction)).state.theta
 
     return lambda readings: np.array([estimate(one) for one in readings])
 

@@ -44,6 +44,8 @@ class Problem:
         s_level; 0 for a level table.
     robust : str or None
         Name of the loss; the thresholds of q count in `degrees` of freedom a position.
+    held : tuple of int
+        Parameters that the search leaves where they start.
     """
 
     model: Model
@@ -58,6 +60,7 @@ class Problem:
     attitude: Array | None = None
     level_spread: float = 0.0
     robust: str | None = None
+    held: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Let positions run fastest in memory: every operation is on all of them at once."""

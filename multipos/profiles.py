@@ -9,12 +9,9 @@ S_j(t) = min over p with p_j = t of S(p). Its interval is where
 For a linear fit that is p_j ± k u_j exactly; for a nonlinear one it bends with the model, is not
 symmetric, and does not depend on how the parameters are written.
 
-With unknown orientations the best the unknown can do for a reading leaves its distance from the
-model's surface |f| = g; with f = h⁻¹(y; p), J = dh/df and the noise σ of the outputs,
-
-    r_k = (|f_k| - g) / |σ ∘ J⁻ᵀ f_k/|f_k||,                                                (2)
-
-to first order in r_k σ over the size of the surface, which is thousands of times larger.
+For uncertain and unknown orientations S is the minimum F of `multipos.likelihood`, orientations
+fitted anew with the others, at the noise of the fit; where a stated noise was denied, k² is
+multiplied by F_min/ν. Where variances were estimated ν is the parameter's own, by Satterthwaite.
 
 References
 ----------
@@ -23,6 +20,7 @@ D. M. Bates, D. G. Watts, *Nonlinear Regression Analysis and Its Applications*, 
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,11 +28,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.calibration import Calibration
 from multipos.errors import ConvergenceError, MultiposError
-from multipos.inverse import invert
 from multipos.known import reading_noise
+from multipos.likelihood import maximise
 from multipos.quantiles import coverage_factor
+from multipos.restatement import estimated_variances, noise_factor, restate, return_to_optimum
+from multipos.variances import components, linearised
 
 Array = NDArray[np.float64]
+Profile = Callable[[float], float]  # how much a parameter's value costs, S_j(t) - S_min
 
 _FARTHEST = 50.0  # expanded uncertainties from the estimate; farther out the interval is open
 
@@ -78,24 +79,38 @@ def profile_interval(
     ConvergenceError
         `estimate` is not where the sum of squares is least.
     """
-    from scipy.optimize import brentq
-
     best = np.asarray(estimate, dtype=np.float64)
     smallest = float(np.sum(residuals(best) ** 2))
-    k = coverage_factor(confidence, dof)
-    ends = []
-    for side in (-1.0, 1.0):
+
+    def walk() -> Profile:
         start = np.delete(best, index)  # each point starts from its neighbour's answer
 
-        def excess(step: float, side: float = side) -> float:
+        def rise(value: float) -> float:
             nonlocal start
-            found, start = _profiled(residuals, start, index, best[index] + side * step)
-            if found < smallest - 1e-6 * k * k:
+            found, start = _profiled(residuals, start, index, value)
+            return found - smallest
+
+        return rise
+
+    return _search_ends(walk, float(best[index]), coverage_factor(confidence, dof), u)
+
+
+def _search_ends(walk: Callable[[], Profile], centre: float, k: float, u: float) -> Interval:
+    """Return where a profile has risen by k², each side on a walk of its own."""
+    from scipy.optimize import brentq
+
+    ends = []
+    for side in (-1.0, 1.0):
+        rise = walk()
+
+        def excess(step: float, side: float = side, rise: Profile = rise) -> float:
+            found = rise(centre + side * step)
+            if found < -1e-6 * k * k:
                 raise ConvergenceError(
-                    "the estimate is not where the sum of squares is least; fit again from "
-                    f"{np.insert(start, index, best[index] + side * step).tolist()}."
+                    "the estimate is not where the sum of squares is least; fit again from where "
+                    f"the parameter is {centre + side * step:.6g}."
                 )
-            return found - smallest - k * k
+            return found - k * k
 
         reach = k * u
         while excess(reach) < 0.0 and reach < _FARTHEST * k * u:
@@ -103,7 +118,7 @@ def profile_interval(
         ends.append(
             side * math.inf
             if reach >= _FARTHEST * k * u
-            else float(best[index]) + side * float(brentq(excess, 0.0, reach, xtol=1e-10 * k * u))
+            else centre + side * float(brentq(excess, 0.0, reach, xtol=1e-10 * k * u))
         )
     return Interval(*ends)
 
@@ -114,15 +129,18 @@ def calibration_interval(calibration: Calibration, output: str, term: str) -> In
     Raises
     ------
     MultiposError
-        The orientations were uncertain: neither known nor unknown.
+        The fit was robust: its loss is no likelihood.
+    ConvergenceError
+        As in `profile_interval`.
     """
     c = calibration
-    if c.estimator not in ("linear", "closed-form", "unknown-orientation"):
+    if "robust_weight" in c.extra:
         raise MultiposError(
-            f"no profile is written for the estimator '{c.estimator}'; give `profile_interval` "
-            "the residuals."
+            "a robust loss is no likelihood and has no profile; fit again without --robust."
         )
     index = c.model.index(output, term)
+    if c.estimator.endswith("orientation"):
+        return _likelihood_interval(c, index)
     dof = float(c.dof[c.outputs.index(output)])
     residuals = calibration_residuals(c)
     start = c.parameters
@@ -133,8 +151,40 @@ def calibration_interval(calibration: Calibration, output: str, term: str) -> In
     )
 
 
+def _likelihood_interval(c: Calibration, index: int) -> Interval:
+    """Return the interval of an uncertain or unknown orientation."""
+    problem = restate(c)
+    best = return_to_optimum(c, problem)
+    factor = noise_factor(c, problem, best)
+    held = replace(problem, held=(index,))
+    dof, free = float(c.dof[0]), estimated_variances(c)
+    if free.any():
+        dof = float(components(linearised(problem, best), np.zeros(2), free).dof[index])
+
+    def walk() -> Profile:
+        state = best.state  # each point starts from its neighbour's answer
+
+        def rise(value: float) -> float:
+            nonlocal state
+            theta = state.theta.copy()
+            theta[index] = value
+            found = maximise(held, replace(state, theta=theta))
+            if not found.converged:
+                raise ConvergenceError(
+                    f"no fit was found with `{c.names[index]}` held at {value:.6g}; choose a model "
+                    "with fewer terms."
+                )
+            state = found.state
+            return (found.point.objective - best.point.objective) / factor
+
+        return rise
+
+    k = coverage_factor(c.confidence, dof)
+    return _search_ends(walk, float(best.state.theta[index]), k, float(c.u[index]))
+
+
 def calibration_residuals(calibration: Calibration) -> Callable[[Array], Array]:
-    """Return the whitened residuals (n M,) or (n,) of a calibration as a function of (p,)."""
+    """Return the whitened residuals (n M,) at known orientations as a function of (p,)."""
     c = calibration
     noise = reading_noise(c.readings)
     n, m = c.readings.values.shape
@@ -143,19 +193,11 @@ def calibration_residuals(calibration: Calibration) -> Callable[[Array], Array]:
     if believed and noise is not None:
         sd = np.sqrt(noise).reshape(n, m)
 
-    def of_known(p: Array) -> Array:
+    def residuals(p: Array) -> Array:
         y = c.model.predict(p, c.reference, c.readings.environment)
         return np.asarray(((c.readings.values - y) / sd).ravel())
 
-    def of_unknown(p: Array) -> Array:
-        force = invert(c.model, p, c.readings.values, c.readings.environment)
-        size = np.linalg.norm(force, axis=1)
-        jacobian = c.model.force_jacobian(p, force, c.readings.environment)
-        normal = np.linalg.solve(jacobian.transpose(0, 2, 1), (force / size[:, None])[:, :, None])
-        spread = np.linalg.norm(sd * normal[:, :, 0], axis=1)
-        return np.asarray((size - np.linalg.norm(c.reference, axis=1)) / spread)
-
-    return of_unknown if c.estimator == "unknown-orientation" else of_known
+    return residuals
 
 
 def _profiled(

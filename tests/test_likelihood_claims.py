@@ -1,0 +1,378 @@
+"""Claims about uncertain and unknown orientations: profiles, joint tests, trials, sensitivities."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from logs import shared
+from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
+
+import multipos as mp
+from multipos.budgets import read_budget
+from multipos.documents import write_report
+from multipos.errors import MultiposError
+from multipos.joint_tests import judge_jointly
+from multipos.monte_carlo import simulate_budget
+from multipos.profiles import calibration_interval
+from multipos.quantiles import chi2_tail, coverage_factor
+from multipos.restatement import restate, return_to_optimum
+from multipos.rotations import rotation_matrix
+from multipos.scheme import read_scheme
+from multipos.sensitivities import estimator_gain, parameter_effects
+
+M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
+BIAS = np.array([0.01, -0.02, 0.015])
+GRAVITY = 9.81
+
+
+def sense(force, quad=0.0):
+    return force @ M.T + BIAS + quad * force**2
+
+
+def scattered(up, off_deg, rng):
+    turns = np.radians(off_deg) * rng.standard_normal(up.shape)
+    return np.array([rotation_matrix(turn) @ one for turn, one in zip(turns, up, strict=True)])
+
+
+def readings(n=24, *, sd=1e-3, off_deg=0.0, quad=0.0, seed=1, **more):
+    rng = np.random.default_rng(seed)
+    up = read_scheme(f"fibonacci-{n}").up
+    values = sense(scattered(up, off_deg, rng), quad) + sd * rng.standard_normal((n, 3))
+    return mp.Readings(values, unit="g", up=up, **more)
+
+
+# --- the problem, stated again
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"unknown_orientation": True}, {"unknown_orientation": True, "gauge": "symmetric"},
+     {"orientation_sd": 0.2}, {"orientation_sd": 0.2, "reading_sd": 1e-3},
+     {"orientation_sd": "auto"}, {"orientation_sd": 0.001, "reading_sd": 1e-5},
+     {"orientation_sd": 0.2, "convention": "gravity", "gravity": 9.7}],
+    ids=lambda options: " ".join(f"{key}={value}" for key, value in options.items()),
+)  # fmt: skip
+def test_a_file_is_enough_to_return_to_its_optimum(options, tmp_path):
+    c = mp.fit(readings(off_deg=0.2), **options)
+    c.save(tmp_path / "c.json")
+    again = mp.load(tmp_path / "c.json")
+    found = return_to_optimum(again, restate(again))
+    assert found.converged
+    # noise and solution were found in turn until ln variance moved by less than 1e-5
+    assert_allclose(found.state.theta, c.parameters, atol=1e-4 * c.u.min())
+
+
+def test_a_group_returns_to_its_optimum():
+    up = read_scheme("fibonacci-24").up
+    turn = rotation_matrix(np.array([0.3, -0.2, 0.5]))
+    group = ("",) * 12 + ("b",) * 12
+    rng = np.random.default_rng(2)
+    true = np.where(np.arange(24)[:, None] < 12, up, up @ turn.T)
+    values = sense(true) + 1e-4 * rng.standard_normal((24, 3))
+    c = mp.fit(mp.Readings(values, unit="g", up=up, group=group), reading_sd=1e-4)
+    found = return_to_optimum(c, restate(c))
+    assert_allclose(found.state.theta, c.parameters, atol=1e-6 * c.u.min())
+
+
+# --- profiles
+
+
+@pytest.mark.parametrize("noise", [{"reading_sd": 1e-3}, {}], ids=["stated", "estimated"])
+def test_profile_meets_the_linear_fit_where_orientations_are_certain(noise):
+    data = readings()
+    linear = mp.fit(data, pool=True, **noise)
+    certain = mp.fit(data, orientation_sd=1e-5, **noise)  # degrees: 2e-4 of the noise
+    for output, term in (("ax", "1"), ("ay", "x"), ("az", "z")):
+        p = linear[output, term]
+        ends = calibration_interval(certain, output, term)
+        assert_allclose(ends, [p.value - p.U, p.value + p.U], atol=1e-4 * p.U)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"unknown_orientation": True}, {"unknown_orientation": True, "reading_sd": 1e-3},
+     {"unknown_orientation": True, "gauge": "symmetric"}, {"orientation_sd": 0.2},
+     {"orientation_sd": 0.2, "reading_sd": 1e-3}, {"orientation_sd": "auto"},
+     {"orientation_sd": 0.02, "reading_sd": 1e-5}],
+    ids=lambda options: " ".join(f"{key}={value}" for key, value in options.items()),
+)  # fmt: skip
+def test_profile_is_the_t_interval_where_nearly_linear(options):
+    c = mp.fit(readings(off_deg=0.2), **options)
+    for output, term in (("ax", "1"), ("ay", "y"), ("az", "x")):
+        p = c[output, term]
+        low, high = calibration_interval(c, output, term)
+        # noise of 1e-3 on a sphere of radius 1: 1 % of U, with a little room
+        assert_allclose([low, high], [p.value - p.U, p.value + p.U], atol=0.03 * p.U)
+
+
+def test_profile_bends_where_the_noise_is_large():
+    """At both ends, every unknown fitted anew by SciPy, the fit is worse by exactly k²."""
+    c = mp.fit(readings(15, sd=0.05), unknown_orientation=True, reading_sd=0.05)
+    index = c.model.index("ax", "x")
+    low, high = calibration_interval(c, "ax", "x")
+    k = coverage_factor(0.95, math.inf)
+
+    def cost(theta, angles):
+        lat, lon = angles.reshape(2, 15)
+        force = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]).T
+        return ((c.readings.values - c.model.predict(theta, force, {})) / 0.05).ravel()
+
+    f = c.reference
+    start = np.concatenate([np.arcsin(f[:, 2]), np.arctan2(f[:, 1], f[:, 0])])
+    others = np.delete(c.parameters, index)
+    least = np.sum(cost(c.parameters, start) ** 2)
+    for end in (low, high):
+        found = least_squares(
+            lambda v, end=end: cost(np.insert(v[:8], index, end), v[8:]),
+            np.concatenate([others, start]), x_scale="jac", xtol=1e-13, ftol=1e-13, gtol=1e-13,
+        )  # fmt: skip
+        assert 2 * found.cost - least == pytest.approx(k * k, rel=1e-6)
+    p = c["ax", "x"]
+    assert abs((low + high) / 2 - p.value) > 0.02 * p.U  # it is not the symmetric interval
+
+
+def test_a_robust_fit_has_no_profile_and_no_joint_tests():
+    c = mp.fit(readings(off_deg=0.2), orientation_sd=0.2, reading_sd=1e-3, robust="huber")
+    with pytest.raises(MultiposError, match="a robust loss is no likelihood"):
+        calibration_interval(c, "ax", "1")
+    with pytest.raises(MultiposError, match="without --robust"):
+        judge_jointly(c)
+
+
+@pytest.mark.slow
+def test_coverage_of_profiles_of_an_uncertain_orientation():
+    runs, inside = 150, 0
+    truth = M[1, 0]
+    for seed in range(runs):
+        c = mp.fit(readings(12, sd=1e-3, off_deg=0.3, seed=seed), orientation_sd=0.3)
+        low, high = calibration_interval(c, "ay", "x")
+        inside += low <= truth <= high
+    assert inside / runs == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / runs))
+
+
+# --- joint tests
+
+
+@pytest.mark.parametrize(
+    ("name", "p"), [("innalabs_24", 0.07), ("pointer_ee_24", 1e-5), ("pointer_ab_24", 7e-4)]
+)
+@pytest.mark.parametrize("model", ["linear", "own-quadratic"])
+def test_second_order_of_real_recordings(name, p, model):
+    c = mp.fit(shared(f"{name}.csv"), unknown_orientation=True, model=model)
+    test = judge_jointly(c)[0]
+    assert (test.terms, test.dof) == ("own^2", (3.0, 12.0))
+    assert test.inside is (model == "own-quadratic")
+    assert float(f"{test.p:.1g}") == p
+
+
+def test_joint_test_of_an_unknown_orientation_against_two_fits():
+    data = readings(quad=2e-3)
+    fits = [mp.fit(data, unknown_orientation=True, model=model)
+            for model in ("linear", "own-quadratic")]  # fmt: skip
+    chi2 = [np.sum(c.residuals**2) for c in fits]
+    f = (chi2[0] - chi2[1]) / 3 / (chi2[1] / 12)
+    for c in fits:
+        test = judge_jointly(c)[0]
+        assert test.statistic == pytest.approx(f, rel=1e-6)
+
+
+def test_joint_test_of_an_uncertain_orientation_is_the_generalised_f():
+    """Linearised, with V = noise + placement: the F of generalised least squares."""
+    data = readings(quad=1e-3, off_deg=0.1)
+    c = mp.fit(data, orientation_sd=0.1, reading_sd=1e-3, model="own-quadratic")
+    up, chi2 = data.up, []
+    blocks = [np.radians(0.1) ** 2 * M @ (np.eye(3) - np.outer(u, u)) @ M.T + 1e-6 * np.eye(3)
+              for u in up]  # fmt: skip
+    root = [np.linalg.inv(np.linalg.cholesky(block)) for block in blocks]
+    for quadratic in (False, True):
+        rows = []
+        for u, whiten in zip(up, root, strict=True):
+            one = [[1.0, *u, *([u[i] ** 2] if quadratic else [])] for i in range(3)]
+            block = np.zeros((3, 3 * len(one[0])))
+            for i in range(3):
+                block[i, i * len(one[0]) : (i + 1) * len(one[0])] = one[i]
+            rows.append(whiten @ block)
+        y = np.concatenate([w @ row for w, row in zip(root, data.values, strict=True)])
+        chi2.append(float(np.linalg.lstsq(np.concatenate(rows), y, rcond=None)[1][0]))
+    f = (chi2[0] - chi2[1]) / 3 / (chi2[1] / (72 - 15))
+    test = judge_jointly(c)[0]
+    assert test.dof == (3.0, 57.0)
+    assert test.statistic == pytest.approx(f, rel=0.03)  # K2 and M of the fit, not of the truth
+
+
+def test_joint_test_of_known_orientations_combines_the_outputs():
+    c = mp.fit(readings(quad=1e-3), model="own-quadratic")
+    test = judge_jointly(c)[0]
+    p = [(c[f"a{axis}", f"{axis}^2"].value / c[f"a{axis}", f"{axis}^2"].u) ** 2 for axis in "xyz"]
+    from scipy.special import fdtrc
+
+    total = -2 * sum(math.log(fdtrc(1, 19, f)) for f in p)
+    assert test.statistic == pytest.approx(total, rel=1e-9)
+    assert test.dof == (6.0,)
+    assert test.p == pytest.approx(chi2_tail(total, 6))
+    assert str(test).startswith("chi2(6) = ")
+    alone = mp.fit(mp.Readings(c.readings.values[:, :1], unit="g", up=c.readings.up),
+                   model="own-quadratic")  # fmt: skip
+    assert judge_jointly(alone)[0].statistic == pytest.approx(p[0], rel=1e-9)
+
+
+def test_joint_test_of_correlated_readings():
+    rng = np.random.default_rng(7)
+    root = np.linalg.cholesky(np.kron(np.eye(24), 0.5 + 0.5 * np.eye(3)))
+    data = readings(sd=0.0)
+    values = data.values + 1e-3 * (root @ rng.standard_normal(72)).reshape(24, 3)
+    data = replace(data, values=values, covariance=1e-6 * root @ root.T)
+    found = judge_jointly(mp.fit(data))[0]
+    c = mp.fit(data, model="own-quadratic")
+    # the difference of chi² is Wald's quadratic form of the three terms
+    tested = [c.names.index(f"quad_a{axis}") for axis in "xyz"]
+    wald = c.parameters[tested] @ np.linalg.solve(
+        c.covariance[np.ix_(tested, tested)], c.parameters[tested]
+    )
+    r = c.residuals.ravel()
+    chi2 = r @ np.linalg.solve(data.covariance, r)
+    assert found.dof == (3.0, 57.0)
+    assert found.statistic == pytest.approx(wald / 3 / (chi2 / 57), rel=1e-6)
+
+
+def test_terms_that_the_positions_cannot_tell_are_left_out():
+    c = mp.fit(mp.Readings(sense(read_scheme("faces-6").up), unit="g"), scheme="faces-6")
+    assert [test.terms for test in judge_jointly(c)] == ["own^2"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options",
+    [{"unknown_orientation": True}, {"orientation_sd": 0.2, "reading_sd": 1e-3},
+     {"orientation_sd": 0.2}],
+    ids=["unknown", "stated", "estimated"],
+)  # fmt: skip
+def test_joint_tests_reject_as_often_as_they_say(options):
+    runs, level = 100, 0.05
+    p = [judge_jointly(mp.fit(readings(18, off_deg=0.2, seed=seed), **options))[0].p
+         for seed in range(runs)]  # fmt: skip
+    assert np.mean(np.array(p) < level) == pytest.approx(
+        level, abs=4 * math.sqrt(level * (1 - level) / runs)
+    )
+    assert np.mean(p) == pytest.approx(0.5, abs=4 * math.sqrt(1 / 12 / runs))  # uniform
+
+
+@pytest.mark.parametrize("options", [{"unknown_orientation": True}, {"orientation_sd": 0.2}, {}])
+def test_the_report_shows_joint_tests(options, tmp_path):
+    c = mp.fit(readings(quad=5e-3), **options)
+    write_report(c, tmp_path / "r.md")
+    said = (tmp_path / "r.md").read_text(encoding="utf-8")
+    assert "Tests of terms over all outputs" in said
+    test = judge_jointly(c)[0]
+    row = next(line for line in said.splitlines() if str(test) in line)
+    assert "own^2" in row
+    assert "not in the model" in row
+
+
+# --- Monte Carlo
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"orientation_sd": 0.2, "reading_sd": 1e-3}, {"orientation_sd": 0.2},
+     {"orientation_sd": "auto"}, {"orientation_sd": 0.02, "reading_sd": 1e-4}],
+    ids=["stated", "noise estimated", "both estimated", "denied"],
+)  # fmt: skip
+def test_monte_carlo_of_an_uncertain_orientation(options):
+    c = mp.fit(readings(off_deg=0.2), budget={"gain": {"u": 1e-5}}, **options)
+    trials = 400
+    found = simulate_budget(c, trials=trials, rng=2)
+    # t has a larger sd than its u; its degrees of freedom here are 20 and more
+    wider = 1.0 / np.sqrt(1.0 - 2.0 / c.parameter_dof)
+    assert_allclose(found.u, c.u * wider, rtol=4 / math.sqrt(2 * trials) + 0.02)
+    assert_allclose(found.mean, c.parameters, atol=4 * c.u.max() / math.sqrt(trials))
+
+
+def test_monte_carlo_of_a_table_that_is_not_level():
+    """Common tilt is most of it: the cross terms are as uncertain as the table."""
+    rng = np.random.default_rng(3)
+    up = read_scheme("dual-axis-48").up
+    values = sense(up) + 1e-5 * rng.standard_normal(up.shape)
+    c = mp.fit(mp.Readings(values, unit="g"), scheme="dual-axis-48", level_sd=0.1, reading_sd=1e-5)
+    found = simulate_budget(c, trials=400, rng=4)
+    assert_allclose(found.u, c.u, rtol=4 / math.sqrt(800))
+
+
+# --- sensitivities
+
+
+def world(c, name, step, component):
+    """Readings of a world where a quantity is off by a step, with no first order used."""
+    y = np.array(c.readings.values)
+    if name == "gravity":
+        return c.model.predict(c.parameters, c.reference * (1.0 + step / GRAVITY), {}) + c.residuals
+    if name == "gain":
+        return y * (1.0 + step)
+    if name == "offset":
+        return y + step
+    if name == "resolution":
+        y.flat[component] += step
+        return y
+    if name == "temperature":  # a scale factor of 1e-2 per degree
+        return y + 1e-2 * step * (y - c.residuals - at_rest(c))
+    tilt = rotation_matrix(math.radians(step) * np.eye(3)[component])
+    rotation = c.readings.rotation
+    turned = rotation @ tilt @ rotation.transpose(0, 2, 1)
+    force = np.einsum("nij,nj->ni", turned, c.reference)
+    return c.model.predict(c.parameters, force, {}) + c.residuals
+
+
+def at_rest(c):
+    return c.model.predict(c.parameters, np.zeros((1, 3)), {})
+
+
+ROLLS = "roll-x-12+roll-y-12+roll-z-12"
+TABLES = {
+    "gravity": {"value": GRAVITY, "u": 1e-5},
+    "gain": {"u": 1e-5},
+    "offset": {"u": 1e-5},
+    "resolution": {"step": 1e-5},
+    "temperature": {"u": 0.1, "scale_per_degC": 1e-2},
+    "level": {"u_deg": 1e-3},
+}
+
+
+@pytest.mark.parametrize("name", list(TABLES))
+@pytest.mark.parametrize(
+    "options",
+    [{"unknown_orientation": True}, {"unknown_orientation": True, "gauge": "symmetric"},
+     {"orientation_sd": 0.05}],
+    ids=["unknown", "symmetric", "uncertain"],
+)  # fmt: skip
+def test_sensitivities_of_the_likelihood_against_the_whole_estimator(name, options):
+    """Readings of a world where the quantity is off, calibrated as if it were not."""
+    uncertain = "orientation_sd" in options
+    if name == "level" and not uncertain:
+        pytest.skip("orientations that were not used cannot be wrong")
+    rng = np.random.default_rng(5)
+    given = read_scheme(ROLLS)
+    values = sense(given.up, 1e-3) + 1e-4 * rng.standard_normal(given.up.shape)
+    options = {"model": "own-quadratic", "gravity": GRAVITY, "reading_sd": 1e-4, **options}
+    if uncertain:
+        options["scheme"] = ROLLS
+    c = mp.fit(mp.Readings(values, unit="g", positions=given.labels), **options)
+    quantity = read_budget(TABLES).quantities[name]
+    # gravity acts through the calibration's own
+    c = replace(c, gravity=c.gravity._replace(u=1e-5))
+    effects = parameter_effects(c, estimator_gain(c), quantity)
+    step = {"gravity": 1e-2, "level": 1e-2, "temperature": 1e-1, "resolution": 1e-4}.get(name, 1e-3)
+    components = {"resolution": (0, 40, 100), "level": (0, 1)}.get(name, (0,))
+    for component in components:
+        moved = [
+            mp.fit(
+                mp.Readings(world(c, name, side * step, component), unit="g",
+                            positions=given.labels), **options,
+            ).parameters
+            for side in (1.0, -1.0)
+        ]  # fmt: skip
+        found = (moved[0] - moved[1]) / (2.0 * step)
+        # the gain leaves out second derivatives times residuals, 1e-4 of noise, some times over;
+        # against the largest effect, for a reading across the force hardly has one
+        assert_allclose(effects[:, component], found, atol=2e-3 * np.abs(effects).max())
