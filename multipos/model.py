@@ -273,20 +273,21 @@ class Model:
         """Return dy/df (n, M, 3) at force (n, 3) [g]."""
         theta = self.coefficients(parameters)
         constant = np.zeros((len(self.outputs), 3))
-        varying = []
         variables = self.variables(force, environment)
+        varying = []
         for column, term in enumerate(self.basis_terms):
             for factor in term.factors:
-                if factor.variable in COMPONENTS:
+                if factor.variable not in COMPONENTS:
+                    continue
+                axis = COMPONENTS.index(factor.variable)
+                if len(term.factors) == 1 and factor.degree == 1 and not factor.modulus:
+                    constant[:, axis] += theta[:, column]
+                else:
                     slope = term.derivative(variables, factor.variable)
-                    axis = COMPONENTS.index(factor.variable)
-                    if np.ndim(slope) == 0:
-                        constant[:, axis] += slope * theta[:, column]
-                    else:
-                        varying.append((slope, axis, theta[:, column]))
+                    varying.append((axis, slope, theta[:, column]))
         result = np.empty((*constant.shape, len(force)))
         result[:] = constant[:, :, None]
-        for slope, axis, coefficients in varying:
+        for axis, slope, coefficients in varying:
             for output in np.flatnonzero(coefficients).tolist():
                 result[output, axis] += coefficients[output] * slope
         return result.transpose(2, 0, 1)

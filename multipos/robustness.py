@@ -25,8 +25,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.descent import resume
 from multipos.known import believe
-from multipos.likelihood import resume
 from multipos.losses import EFFICIENCY, loss_slope, loss_weight
 from multipos.noise import Worth
 from multipos.problem import Optimum, Problem

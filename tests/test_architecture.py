@@ -39,6 +39,8 @@ ORDER = (
     "losses",
     "problem",
     "likelihood",
+    "sphere",
+    "descent",
     "placement",
     "starts",
     "variances",

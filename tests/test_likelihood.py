@@ -8,7 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 from orientation_bench import BIAS, MATRIX
 
-from multipos.likelihood import evaluate, linearise, maximise
+from multipos.descent import maximise
+from multipos.likelihood import evaluate, linearise
 from multipos.model import COMPONENTS, NAMED, build_model
 from multipos.problem import Problem, start_state
 from multipos.rotations import rotation_matrix
