@@ -37,12 +37,12 @@ def maximise(problem: Problem, state: State) -> Optimum:
         if SphereSearch.fits(problem):
             sphere = SphereSearch(problem)
             place, end = _descend(sphere, sphere.begin(state), problem.robust is not None)
-            state = sphere.end(place, state)
+            state, point = sphere.end(place, state)
         else:
             everywhere = _Search(problem)
             at, end = _descend(everywhere, everywhere.begin(state), problem.robust is not None)
-            state = at.state
-        return Optimum(state, evaluate(problem, state), *end)
+            state, point = at.state, at.point
+        return Optimum(state, point, *end)
 
 
 def resume(problem: Problem, optimum: Optimum) -> Optimum:

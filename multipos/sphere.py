@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from multipos.losses import loss, loss_weight
 from multipos.model import Model
-from multipos.problem import Problem, State
+from multipos.problem import Point, Problem, State
 from multipos.rotations import step_on_sphere, tangent_basis
 
 Array = NDArray[np.float64]
@@ -62,15 +62,6 @@ class SphereSearch:
         self.problem = problem
         self.values, self.precision = problem.values.T, problem.precision.T
         self.variance = 1.0 / self.precision
-        model = problem.model
-        outputs = np.repeat(np.arange(3), [len(columns) for columns, _ in model.contributions])
-        columns = np.concatenate([columns for columns, _ in model.contributions])
-        places = np.concatenate([places for _, places in model.contributions])
-        # One row of A' m for each parameter, then what a symmetric gauge copies of some.
-        _, first = np.unique(places, return_index=True)
-        self.outputs, self.columns = outputs[first], columns[first]
-        rest = np.setdiff1d(np.arange(len(places)), first)
-        self.copies = [(int(places[i]), int(outputs[i]), int(columns[i])) for i in rest]
 
     @staticmethod
     def fits(problem: Problem) -> bool:
@@ -88,13 +79,16 @@ class SphereSearch:
         direction = step_on_sphere(state.centre, state.basis, state.step)
         return self._at(state.theta, self.problem.magnitude * direction.T)
 
-    def end(self, place: Place, state: State) -> State:
-        """Return the state of a place, from the state of the beginning."""
+    def end(self, place: Place, state: State) -> tuple[State, Point]:
+        """Return state and point of a place, from the state of the beginning."""
         centre = (place.force / self.problem.magnitude).T
+        blocks = tuple(
+            (places, place.phi[columns].T) for columns, places in self.problem.model.contributions
+        )
         return replace(
             state, theta=place.theta, centre=centre, basis=tangent_basis(centre),
             step=np.zeros_like(state.step),
-        )  # fmt: skip
+        ), Point(place.force.T, blocks, place.residuals.T, place.q, place.objective)  # fmt: skip
 
     def linearise(self, place: Place) -> Surface:
         """Return the normal equations of eqs. (1), (2), weighted by the loss."""
@@ -110,9 +104,10 @@ class SphereSearch:
         excess = height / (determinant * problem.magnitude**2)
         root = 1.0 / np.sqrt(np.einsum("mn,mn->n", normal, across))
         normal = normal * root
-        rows = normal[self.outputs] * place.phi[self.columns]
-        for target, output, column in self.copies:
-            rows[target] += normal[output] * place.phi[column]
+        outputs, columns, copies = problem.model.rows
+        rows = normal[outputs] * place.phi[columns]
+        for parameter, output, column in copies:
+            rows[parameter] += normal[output] * place.phi[column]
         height = height * root
         weighted = rows
         if problem.robust is not None:
