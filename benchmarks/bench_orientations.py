@@ -191,7 +191,7 @@ def against_ceres(*sizes: int) -> list[Ratio]:
             f"unknown orientation, {n} positions",
             "Ceres (pyceres)",
             paired_ratio(ours(n), solver(n), repeats=7, inner=1),
-            2,
+            3,
         )
         for n in sizes
     ]
