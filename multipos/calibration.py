@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 SCHEMA = "multipos/calibration/1"
 _EXTRA = (
     "variance_components",
+    "robust_weight",
     "orientation_error_deg",
     "group_rotation_deg",
     "level_sd_deg",

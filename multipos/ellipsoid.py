@@ -4,13 +4,17 @@ With ``y = b + M d`` and |d| = g, the readings satisfy
 
     (y - b)' (M M')^-1 (y - b) = g²,                                                        (1)
 
-a quadric that is linear in nine coefficients (six where M is diagonal). It is fitted
-algebraically to centred, scaled readings, so that neither a unit nor a guess is needed. From
-the matrix A and centre b, M M' = g² A^-1, and M is its lower-triangular (Cholesky) or symmetric
-square root: any other differs by a rotation, which no reading at rest can tell.
+a quadric. With S a symmetric matrix of trace zero, it is one that is linear in its unknowns,
 
-Noise can make the quadric something else than an ellipsoid. Then the nearest sphere about the
-readings is the start, which any solver that descends can leave for the ellipsoid.
+    |y|² = y' S y + 2 v'y + w,      A = I − S,    b = A^-1 v,    r² = w + v' A^-1 v,        (2)
+
+and (y − b)' A (y − b) = r². It is fitted to centred, scaled readings by least squares, so that
+neither a unit nor a guess is needed. M M' = (r²/g²) A^-1 then, and M is its lower-triangular
+(Cholesky) or symmetric square root: any other differs by a rotation, which no reading at rest
+can tell.
+
+What the positions do not show stays zero in S, as on a sphere. Noise can make the quadric
+something else than an ellipsoid; then cross terms are left out of S, and last all of it.
 """
 
 import numpy as np
@@ -21,6 +25,7 @@ from multipos.errors import MultiposError
 Array = NDArray[np.float64]
 
 _FLAT = 0.005  # thickness of the cloud of readings below which it is a disc
+_SHOWN = 1e-3  # relative singular value below which a coefficient is not seen in the positions
 _FLATTEST = 0.02  # ratio of semi-axes below which the ellipsoid is not believed
 
 
@@ -53,9 +58,8 @@ def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[
         raise MultiposError(
             "all positions lie on one circle, so the readings are flat; add positions off it."
         )
-    found = _quadric(scaled, crossed)
-    if found is None:
-        found = _sphere(scaled)
+    found = _quadric(scaled, crossed) if crossed else None
+    found = found or _quadric(scaled, crossed=False) or _sphere(scaled)
     bias, square = found
     lower = np.linalg.cholesky(square) / magnitude
     return centre + size * bias, size[:, None] * lower
@@ -68,29 +72,31 @@ def symmetric_root(lower: Array) -> Array:
 
 
 def _quadric(points: Array, crossed: bool) -> tuple[Array, Array] | None:
-    """Return centre and M M' g² of the algebraic fit, None where it is no ellipsoid."""
+    """Return centre and r² A^-1 of eq. (2), None where it is no ellipsoid."""
     x, y, z = points.T
-    columns = [x * x, y * y, z * z, 2 * x, 2 * y, 2 * z]
+    columns = [x * x - z * z, y * y - z * z, 2 * x, 2 * y, 2 * z, np.ones_like(x)]
     if crossed:
         columns += [2 * x * y, 2 * x * z, 2 * y * z]
-    if len(points) < len(columns):
-        return None
-    design = np.column_stack(columns)
-    c = np.linalg.lstsq(design, np.ones(len(points)), rcond=1e-10)[0]
-    form = np.diag(c[:3])
+    c = _least_squares(columns, points)
+    form = np.diag([1.0 - c[0], 1.0 - c[1], 1.0 + c[0] + c[1]])
     if crossed:
-        form += np.array([[0, c[6], c[7]], [c[6], 0, c[8]], [c[7], c[8], 0]])
+        form -= np.array([[0, c[6], c[7]], [c[6], 0, c[8]], [c[7], c[8], 0]])
     eigenvalues = np.linalg.eigvalsh(form)
     if not eigenvalues[0] > _FLATTEST**2 * eigenvalues[-1]:
         return None
-    centre = -np.linalg.solve(form, c[3:6])
-    # x'Ax + 2 b'x = 1 about its centre: (x-c)'A(x-c) = 1 + c'Ac
-    radius2 = 1.0 + float(centre @ form @ centre)
-    return (centre, radius2 * np.linalg.inv(form)) if radius2 > 0.0 else None
+    inverse = np.linalg.inv(form)
+    radius2 = float(c[5] + c[2:5] @ inverse @ c[2:5])
+    return (inverse @ c[2:5], radius2 * inverse) if radius2 > 0.0 else None
 
 
 def _sphere(points: Array) -> tuple[Array, Array]:
-    design = np.column_stack([2.0 * points, np.ones(len(points))])
-    c = np.linalg.lstsq(design, np.einsum("ni,ni->n", points, points), rcond=1e-10)[0]
+    x, y, z = points.T
+    c = _least_squares([2 * x, 2 * y, 2 * z, np.ones_like(x)], points)
     radius2 = max(float(c[3] + c[:3] @ c[:3]), 1.0)
     return c[:3], radius2 * np.eye(3)
+
+
+def _least_squares(columns: list[Array], points: Array) -> Array:
+    """Return the coefficients of |y|², zero where the positions do not show them."""
+    square = np.einsum("ni,ni->n", points, points)
+    return np.asarray(np.linalg.lstsq(np.column_stack(columns), square, rcond=_SHOWN)[0])

@@ -14,7 +14,7 @@ starts where ``bias`` and ``scale`` are those of a straight line through the rea
 other parameter has its default, or zero.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import Parameter, signature
@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
+from multipos.instructions import Instruction, read_instructions, write_instructions
 from multipos.model import COMPONENTS, Block, Model, Term
 from multipos.units import unit_per
 
@@ -48,15 +49,15 @@ class ExpressionModel(Model):
 
     Attributes
     ----------
-    functions : tuple of M str
-        CasADi functions (f, e, p) -> (y, dy/dp, dy/df), serialised.
+    functions : tuple of M tuples
+        Instructions (`multipos.instructions`) of y(f, e, p).
     columns_used : tuple of str
         Columns of the readings, e.
     start : tuple of float
         Where the parameters of an output start, beside bias and scale.
     """
 
-    functions: tuple[str, ...] = ()
+    functions: tuple[tuple[Instruction, ...], ...] = ()
     columns_used: tuple[str, ...] = ()
     start: tuple[float, ...] = ()
 
@@ -137,10 +138,10 @@ class ExpressionModel(Model):
         )
 
     @cached_property
-    def _compiled(self) -> tuple[Any, ...]:
-        import casadi
-
-        return tuple(casadi.Function.deserialize(text) for text in self.functions)
+    def compiled(self) -> tuple[Any, ...]:
+        """CasADi functions (f, e, p) -> (y, dy/dp, dy/df), one for each output."""
+        sizes = (len(COMPONENTS), len(self.columns_used), len(self.terms[0]))
+        return tuple(_differentiated(program, sizes) for program in self.functions)
 
     def _evaluate(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
@@ -149,7 +150,7 @@ class ExpressionModel(Model):
         variables = self.variables(force, environment)
         columns = np.array([variables[name] for name in self.columns_used]).reshape(-1, n)
         result = []
-        for function, part in zip(self._compiled, self.slices, strict=True):
+        for function, part in zip(self.compiled, self.slices, strict=True):
             own = np.repeat(parameters[part][:, None], n, axis=1)
             y, by_parameter, by_force = function.map(n)(force.T, columns, own)
             result.append(
@@ -194,13 +195,17 @@ def build_expression(
     functions = []
     for axis in axes:
         given = {**values, "own": values[axis]}
-        y = casadi.SX(expression(**{a.name: given[a.name] for a in arguments}))
+        try:
+            y = casadi.SX(expression(**{a.name: given[a.name] for a in arguments}))
+        except (NotImplementedError, RuntimeError, TypeError) as error:
+            why = str(error).partition("\n")[0]
+            raise UsageError(
+                f"the model's function must return one value made of its arguments: {why}; for a "
+                "condition use casadi.if_else."
+            ) from None
         if y.shape != (1, 1):
             raise UsageError(f"the model's function must return one value, got shape {y.shape}.")
-        inputs = [force, surroundings, unknown]
-        slopes = [casadi.jacobian(y, unknown).T, casadi.jacobian(y, force).T]
-        dense = [casadi.densify(item) for item in (y, *slopes)]
-        functions.append(casadi.Function("output", inputs, dense).serialize())
+        functions.append(_program(y, [force, surroundings, unknown], expression))
     start = tuple(0.0 if a.default is Parameter.empty else float(a.default) for a in parameters)
     symbols = tuple(Symbol(name=a.name) for a in parameters)
     name = getattr(expression, "__name__", "expression")
@@ -208,6 +213,30 @@ def build_expression(
         f"expression {name}", outputs, axes, COMPONENTS, unit, (symbols,) * len(outputs), None,
         tuple(functions), columns, start,
     )  # fmt: skip
+
+
+def _program(y: Any, arguments: list[Any], expression: Expression) -> tuple[Instruction, ...]:
+    import casadi
+
+    try:
+        function = casadi.Function("output", arguments, [casadi.densify(y)])
+        return write_instructions(function)
+    except (RuntimeError, KeyError):
+        raise UsageError(
+            f"{getattr(expression, '__name__', 'the model')} uses an operation or a symbol that "
+            "a model cannot be made of; use arithmetic and elementary functions of its arguments."
+        ) from None
+
+
+def _differentiated(program: Sequence[Sequence[Any]], sizes: tuple[int, int, int]) -> Any:
+    """Return the CasADi function (f, e, p) -> (y, dy/dp, dy/df) of a program."""
+    import casadi
+
+    force, surroundings, unknown = (casadi.SX.sym("a", size) for size in sizes)
+    y = read_instructions(program, (force, surroundings, unknown))
+    slopes = (casadi.jacobian(y, unknown).T, casadi.jacobian(y, force).T)
+    dense = [casadi.densify(item) for item in (y, *slopes)]
+    return casadi.Function("output", [force, surroundings, unknown], dense)
 
 
 def expression_dict(model: Model) -> dict[str, Any]:
@@ -227,8 +256,11 @@ def load_expression(content: Mapping[str, Any]) -> ExpressionModel:
     """Return the model that `expression_dict` described, from a calibration's file."""
     outputs, expression = tuple(content["outputs"]), content["expression"]
     symbols = tuple(Symbol(name=name) for name in expression["parameters"])
-    return ExpressionModel(
+    model = ExpressionModel(
         content["model"], outputs, tuple(content["axes"]), tuple(content["inputs"]),
-        content["unit"], (symbols,) * len(outputs), None, tuple(expression["functions"]),
+        content["unit"], (symbols,) * len(outputs), None,
+        tuple(tuple(map(tuple, program)) for program in expression["functions"]),
         tuple(expression["columns"]), (0.0,) * len(symbols),
     )  # fmt: skip
+    assert model.compiled  # what cannot be computed is refused now, not when it is used
+    return model

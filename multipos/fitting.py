@@ -45,10 +45,11 @@ from multipos.model import (
     linear_term,
 )
 from multipos.model_selection import select_terms, with_selection
+from multipos.placement import Placement, place
 from multipos.readings import Readings, orient, read_readings, require_range, stated_sd
 from multipos.scheme import Scheme
 from multipos.turntable import roll_warnings
-from multipos.uncertain import Placement, place, solve_uncertain
+from multipos.uncertain import solve_uncertain
 from multipos.uncertainty import with_budget
 from multipos.units import gravity_ratio, normal_gravity
 
@@ -62,6 +63,7 @@ _CONTRADICT = {
     ),
     "--unknown-orientation": ("--orientation-sd", "--level-sd"),
 }  # fmt: skip
+_TIED = "the listed directions leave no rotation of the case to choose"
 _ILL_CONDITIONED = 1e4  # scaled condition at which four of the sixteen digits are gone
 
 
@@ -177,6 +179,8 @@ def fit(
     signed = gravity_ratio(None if local is None else local.value)
     signed = -signed if convention == "gravity" else signed
     placement = place(data, signed, orientation_sd, level_sd)
+    if gauge != GAUGES[0] and placement.listed.any():
+        data = replace(data, notes=(*data.notes, f"--gauge {gauge} has no effect: {_TIED}"))
     if orientation_sd is not None:
         data = replace(
             data, orientation_sd=np.where(placement.spread < np.inf, placement.spread, np.nan)
@@ -192,7 +196,7 @@ def fit(
             return solve_closed_form(chosen, placement.reference, data, pool=pool)
         if placement.exact and robust is None and isinstance(model, str):
             return solve_known(chosen, placement.reference, data, pool=pool)
-        return solve_uncertain(chosen, data, placement, gauge=gauge, robust=robust)
+        return solve_uncertain(chosen, data, placement, gauge=gauge, robust=robust, pool=pool)
 
     selection = None
     if stepwise and not isinstance(model, str):
@@ -204,8 +208,15 @@ def fit(
             placement.reference if whole is None else whole.reference,
             data,
         )
+    solution = solve(built)
+    if solution.orientation_sd is not None:
+        data = replace(
+            data, orientation_sd=np.where(np.isinf(solution.orientation_sd), np.nan,
+                                          solution.orientation_sd)
+        )  # fmt: skip
+    listed = np.where(placement.listed[:, None], placement.reference, np.nan)
     calibration = complete(
-        solve(built), data, listed=placement.reference, convention=convention, gravity=local,
+        solution, data, listed=listed, convention=convention, gravity=local,
         estimator=_estimator(placement, closed_form),
         criterion=_criterion(data, placement, closed_form, robust, model), confidence=confidence,
     )  # fmt: skip
@@ -250,7 +261,6 @@ def complete(
         unidentifiable=solution.unidentifiable,
         warnings=tuple(warnings),
     )
-    unknown = estimator == "unknown-orientation"
     calibration = Calibration(
         model=model,
         parameters=parameters,
@@ -270,7 +280,7 @@ def complete(
         status=solution.status,
         created=_now(),
         version=__version__,
-        cross_check=None if unknown else closed_form_difference(model, listed, readings),
+        cross_check=closed_form_difference(model, listed, readings),
         extra=solution.extra,
     )
     return _with_roll_warnings(calibration)
@@ -447,7 +457,8 @@ def _criterion(
 def _without_orientation(readings: Readings, scheme: object) -> Readings:
     """Return readings of which no orientation is used, saying what is ignored."""
     notes = readings.notes
-    if readings.up is not None or readings.rotation is not None:
+    given = (readings.up, readings.rotation, readings.orientation_sd, readings.group)
+    if any(columns is not None for columns in given):
         notes += ("the orientation columns are ignored, the orientation is taken as unknown",)
     if scheme is not None:
         notes += ("--scheme is ignored, the orientation is taken as unknown",)

@@ -69,17 +69,22 @@ def require_separable(information: Array, names: Sequence[str], way_out: str) ->
     )
 
 
+def plausible_range(model: Model, parameters: Array, magnitude: float) -> Array | None:
+    """Return the largest plausible size of each parameter's u (p,), None without scale factors."""
+    if not model.own_scales:
+        return None
+    own = float(np.abs(parameters[list(model.own_scales)]).mean())
+    return np.asarray(_PLAUSIBLE * own * magnitude ** (1.0 - model.force_degrees))
+
+
 def formal_only(model: Model, parameters: Array, u: Array, magnitude: float) -> tuple[str, ...]:
     """Name the parameters that are estimable only formally: their u exceeds what is plausible."""
-    if not model.own_scales or not np.isfinite(u).all():
-        return ()
-    own = float(np.abs(parameters[list(model.own_scales)]).mean())
-    useless = u * magnitude**model.force_degrees > _PLAUSIBLE * own * magnitude
-    if not useless.any():
+    limit = plausible_range(model, parameters, magnitude)
+    if limit is None or not np.isfinite(u).all() or (u <= limit).all():
         return ()
     return tuple(
         f"`{name}` is estimable only formally: its u = {sd:.2g} exceeds its plausible range"
-        for name, sd, bad in zip(model.names, u.tolist(), useless.tolist(), strict=True)
+        for name, sd, bad in zip(model.names, u.tolist(), (u > limit).tolist(), strict=True)
         if bad
     )
 

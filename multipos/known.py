@@ -63,6 +63,8 @@ class Solution:
     status : Status
     extra : mapping
         What else the estimator has to say, for the calibration's file.
+    orientation_sd : (n,) array [rad] or None
+        Where it was estimated; inf for unknown.
     """
 
     model: Model
@@ -81,6 +83,7 @@ class Solution:
     unidentifiable: tuple[str, ...] = ()
     status: Status = DIRECT
     extra: Mapping[str, Any] = field(default_factory=dict)
+    orientation_sd: Array | None = None
 
 
 def solve_known(
@@ -118,7 +121,7 @@ def solve_known(
                 "give --reading-sd or more positions"
             )
     else:
-        variance, dof, said = _believe(chi2, dof, model.outputs, pool)
+        variance, dof, said = believe(chi2, dof, model.outputs, pool)
         warnings += said
     scale = np.sqrt(_per_parameter(model, variance))
     square = np.einsum("nm,nm->m", fits.residuals, fits.residuals)
@@ -238,10 +241,19 @@ def reading_noise(readings: Readings) -> Array | None:
     return variances.copy() if not np.any(covariance - np.diag(variances)) else covariance
 
 
-def _believe(
-    chi2: Array, dof: Array, outputs: tuple[str, ...], pool: bool
+def believe(
+    chi2: Array, dof: Array, outputs: tuple[str, ...], pool: bool = False
 ) -> tuple[Array, Array, list[str]]:
-    """Return the factor on the stated covariance, the dof, and what is said about it."""
+    """Return the factor on the stated covariance, the dof, and what is said about it.
+
+    Parameters
+    ----------
+    chi2, dof : (M,) arrays
+        Of the residuals of each output under the stated noise.
+    outputs : tuple of M str
+    pool : bool
+        Judge all outputs together.
+    """
     names: tuple[str, ...] = outputs
     if pool:
         chi2, dof, names = chi2.sum(keepdims=True), dof.sum(keepdims=True), ("all outputs",)

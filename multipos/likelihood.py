@@ -33,14 +33,15 @@ K. Levenberg 1944, D. Marquardt 1963; B. Triggs and others, *Bundle adjustment: 
 synthesis*, 2000, section 6 (elimination); JCGM 102.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.losses import loss, loss_weight
-from multipos.model import Block, Model
+from multipos.model import Block
+from multipos.problem import Normal, Optimum, Point, Problem, State
 from multipos.rotations import (
     cross_matrix,
     left_jacobian,
@@ -57,136 +58,8 @@ _DECREMENT = 1e-20  # of F: a step of 1e-10 of an uncertainty
 _DECREMENT_ROBUST = 1e-14  # weights that change with the step make convergence linear
 _XTOL = 1e-13  # relative step that is only rounding
 _DAMPING = 1e-4
-
-
-@dataclass(frozen=True)
-class Problem:
-    """Readings and what is known of their positions, eqs. (1)–(3).
-
-    Attributes
-    ----------
-    model : Model
-    values : (n, M) array
-    environment : mapping of str to (n,) array
-    precision : (n, M) or (n, M, M) array
-        Inverse variances, or inverse covariances, of each reading.
-    reference : (n, 3) array [g]
-        Listed reference ±g u, of any direction where `spread` is infinite.
-    spread : (n,) array [rad]
-        s_k.
-    group : (n,) array of int
-        Number of the group, −1 for none.
-    weight : (n,) array
-        What the precision of each position has been multiplied by, 1 but for those set aside.
-    groups : int
-    attitude : (n, 3, 3) array or None
-        Level to case, where a tilt of the table is estimated.
-    level_spread : float [rad]
-        s_level; 0 for a level table.
-    robust : str or None
-        Name of the loss; the thresholds of q count in `degrees` of freedom a position.
-    """
-
-    model: Model
-    values: Array
-    environment: Mapping[str, Array]
-    precision: Array
-    reference: Array
-    spread: Array
-    group: NDArray[np.intp]
-    weight: Array
-    groups: int = 0
-    attitude: Array | None = None
-    level_spread: float = 0.0
-    robust: str | None = None
-
-    @property
-    def degrees(self) -> Array:
-        """Degrees of freedom that each position leaves, (n,): M, less two where s is infinite."""
-        return np.asarray(self.values.shape[1] - 2.0 * np.isinf(self.spread))
-
-    @property
-    def listed(self) -> NDArray[np.bool_]:
-        """Rows whose direction is listed in the world's axes."""
-        return np.isfinite(self.spread) & (self.group < 0)
-
-    @property
-    def adrift(self) -> bool:
-        """Whether nothing ties the readings to the directions of the world."""
-        return not self.listed.any()
-
-    @property
-    def shared(self) -> int:
-        """Number of unknowns that positions share beside the parameters."""
-        return 3 * self.groups + (2 if self.level_spread > 0.0 else 0)
-
-
-@dataclass(frozen=True)
-class State:
-    """A point of the search: parameters, steps on the sphere and shared rotations."""
-
-    theta: Array  # (p,)
-    centre: Array  # (n, 3) unit, from which `step` starts
-    basis: Array  # (n, 3, 2)
-    step: Array  # (n, 2) [rad]
-    turns: Array  # (G, 3, 3), Exp([rho_g]x)
-    tilt: Array  # (2,) [rad]
-
-
-@dataclass(frozen=True)
-class Point:
-    """The model and objective at a state."""
-
-    force: Array  # (n, 3) [g]
-    blocks: tuple[Block, ...]  # dh/dtheta, by output
-    residuals: Array  # (n, M)
-    q: Array  # (n,)
-    objective: float
-
-
-@dataclass(frozen=True)
-class Normal:
-    """The reduced normal equations at a point, eqs. (5), (6)."""
-
-    information: Array  # S, (p + shared, p + shared)
-    gradient: Array  # (p + shared,)
-    shared: Array  # (n, M, shared): dh/d(rho, tau)
-    jacobian: Array  # J_k, (n, M, 2)
-    weighted: Array  # Sigma^-1 J, (n, M, 2)
-    inverse: Array  # H^-1, (n, 2, 2)
-    pull: Array  # m_k, (n, 2)
-    marginal: Array  # W_k, (n, M, M)
-
-
-@dataclass(frozen=True)
-class Optimum:
-    """Where the search ended."""
-
-    state: State
-    point: Point
-    normal: Normal
-    converged: bool
-    iterations: int
-    last_step: float
-    gradient: float
-
-
-def start_state(
-    problem: Problem, theta: Array, direction: Array | None = None, turns: Array | None = None
-) -> State:
-    """Return a state: at the listed directions, or at others where nothing is known of them."""
-    listed = problem.reference / np.linalg.norm(problem.reference, axis=1)[:, None]
-    centre = listed if direction is None else np.where(
-        np.isinf(problem.spread)[:, None], direction, listed
-    )  # fmt: skip
-    return State(
-        theta=theta,
-        centre=centre,
-        basis=tangent_basis(centre),
-        step=np.zeros((len(centre), 2)),
-        turns=np.tile(np.eye(3), (problem.groups, 1, 1)) if turns is None else turns,
-        tilt=np.zeros(2),
-    )
+_STUCK = 1e12  # damping beyond which nothing moves
+_ROUNDING = 1e-8  # of F, or of theta: what the last digits of the readings can do
 
 
 def maximise(problem: Problem, state: State) -> Optimum:
@@ -200,22 +73,16 @@ def maximise(problem: Problem, state: State) -> Optimum:
     normal = linearise(problem, state, point)
     while iterations < _ITERATIONS and not converged:
         iterations += 1
-        scale = np.sqrt(np.diag(normal.information))
-        scale = np.where(scale > 0.0, scale, 1.0)
-        scaled = normal.information / np.outer(scale, scale)
         while True:
-            damped = scaled + damping * np.eye(len(scale))
-            step = np.linalg.solve(damped, normal.gradient / scale) / scale
+            step, decrement, last_step = _step(state, normal, damping)
             trial = _moved(problem, state, point, normal, step, damping)
             trial_point = evaluate(problem, trial)
-            if trial_point.objective <= point.objective or damping > 1e12:
+            if trial_point.objective <= point.objective or damping > _STUCK:
                 break
             damping = max(damping * 10.0, 1e-10)
-        decrement = float(step @ normal.gradient)
-        last_step = float(np.abs(step * scale).max() / max(float(np.abs(
-            state.theta * scale[: len(state.theta)]).max()), 1e-300))  # fmt: skip
-        if damping > 1e12:  # no descent is left: rounding, or a point that is no minimum
-            converged = decrement <= 1e-9 * max(point.objective, 1e-300)
+        if damping > _STUCK:  # no descent is left: rounding, or a point that is no minimum
+            _, decrement, last_step = _step(state, normal, 0.0)
+            converged = decrement <= _ROUNDING * point.objective or last_step <= _ROUNDING
             break
         state, point = _recentred(problem, trial), trial_point
         damping *= 0.1
@@ -226,26 +93,39 @@ def maximise(problem: Problem, state: State) -> Optimum:
     )
 
 
+def resume(problem: Problem, optimum: Optimum) -> Optimum:
+    """Search on from an optimum, after the noise of the problem was changed."""
+    found = maximise(problem, optimum.state)
+    return replace(found, iterations=optimum.iterations + found.iterations)
+
+
+def _step(state: State, normal: Normal, damping: float) -> tuple[Array, float, float]:
+    """Return the damped step, what it should take off F, and its size relative to theta."""
+    scale = np.sqrt(np.diag(normal.information))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    damped = normal.information / np.outer(scale, scale)
+    # A ridge of rounding size, so that what the positions cannot tell is left where it is.
+    damped[np.diag_indices(len(scale))] += max(damping, 1e-15)
+    step = np.linalg.solve(damped, normal.gradient / scale) / scale
+    size = np.abs(state.theta * scale[: len(state.theta)]).max()
+    relative = float(np.abs(step * scale).max() / max(float(size), 1e-300))
+    return step, float(step @ normal.gradient), relative
+
+
 def evaluate(problem: Problem, state: State) -> Point:
     """Return the force, residuals and objective at a state."""
-    size = np.linalg.norm(problem.reference, axis=1)
     direction = step_on_sphere(state.centre, state.basis, state.step)
     turn = _shared_rotation(problem, state)
     if turn is not None:
         direction = np.einsum("nij,nj->ni", turn, direction)
-    force = size[:, None] * direction
+    force = problem.magnitude[:, None] * direction
     outputs, blocks = problem.model.respond(state.theta, force, problem.environment)
     residuals = problem.values - outputs
     q = np.einsum("nm,nm->n", residuals, _weigh(problem.precision, residuals))
-    uncertain = np.isfinite(problem.spread) & (problem.spread > 0.0)
-    if uncertain.any():
-        q = q + np.where(
-            uncertain,
-            np.einsum("ni,ni->n", state.step, state.step)
-            / np.where(uncertain, problem.spread, 1.0) ** 2,
-            0.0,
-        )
-    objective = float(np.sum(loss(problem.robust, q, problem.degrees)))
+    if problem.prior.any():
+        q += problem.prior * np.einsum("ni,ni->n", state.step, state.step)
+    total = q if problem.robust is None else loss(problem.robust, q, problem.degrees)
+    objective = float(np.sum(total))
     if problem.level_spread > 0.0:
         objective += float(state.tilt @ state.tilt) / problem.level_spread**2
     return Point(force, blocks, residuals, q, objective)
@@ -254,15 +134,21 @@ def evaluate(problem: Problem, state: State) -> Point:
 def linearise(problem: Problem, state: State, point: Point) -> Normal:
     """Return the normal equations of eqs. (5), (6), weighted by the loss."""
     by_force = problem.model.force_jacobian(state.theta, point.force, problem.environment)
-    jacobian = by_force @ _force_by_step(problem, state)
+    jacobian = np.einsum("nmi,nij->nmj", by_force, _force_by_step(problem, state))
     weighted = _weigh(problem.precision, jacobian)
-    prior = _prior(problem.spread)
-    inverse = _inverse_2x2(jacobian.transpose(0, 2, 1) @ weighted, prior)
-    inverse[problem.spread == 0.0] = 0.0
+    gram = np.einsum("nmi,nmj->nij", jacobian, weighted)
+    inverse = _inverse_2x2(gram, problem.prior, problem.exact)
+    gain = np.einsum("nmi,nij->nmj", weighted, inverse)
+    marginal = _full(problem.precision) - np.einsum("nmi,nki->nmk", gain, weighted)
     weighted_residuals = _weigh(problem.precision, point.residuals)
-    pull = np.einsum("nmi,nm->ni", weighted, point.residuals) - prior[:, None] * state.step
-    marginal = _full(problem.precision) - weighted @ inverse @ weighted.transpose(0, 2, 1)
-    push = weighted_residuals - np.einsum("nmi,nij,nj->nm", weighted, inverse, pull)
+    pull = np.einsum("nmi,nm->ni", weighted, point.residuals)
+    pull -= problem.prior[:, None] * state.step
+    push = weighted_residuals - np.einsum("nmi,ni->nm", gain, pull)
+    # A reading far outside the sphere is pulled to it harder than its tangent plane says, and
+    # would be thrown from side to side: d²f/dt² = -f.
+    outside = np.einsum("nm,nmi,ni->n", weighted_residuals, by_force, point.force)
+    mean = (gram[:, 0, 0] + gram[:, 1, 1]) / 2.0 + problem.prior
+    ease = mean / (mean + np.maximum(outside, 0.0) + 1e-300)
     if problem.robust is not None:
         weight = loss_weight(problem.robust, point.q, problem.degrees)
         marginal = weight[:, None, None] * marginal
@@ -272,7 +158,7 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
     if problem.level_spread > 0.0:
         information[-2:, -2:] += np.eye(2) / problem.level_spread**2
         right[-2:] -= state.tilt / problem.level_spread**2
-    return Normal(information, right, shared, jacobian, weighted, inverse, pull, marginal)
+    return Normal(information, right, shared, jacobian, weighted, inverse, ease, pull, marginal)
 
 
 def assemble(
@@ -294,7 +180,8 @@ def assemble(
             information[places, p:] += cross
             information[p:, places] += cross.T
     if extra:
-        information[p:, p:] += np.einsum("nms,nmr->sr", shared, marginal @ shared)
+        weighted = np.einsum("nmk,nks->nms", marginal, shared)
+        information[p:, p:] += np.einsum("nms,nmr->sr", shared, weighted)
         right[p:] += np.einsum("nms,nm->s", shared, push)
     return information, right
 
@@ -305,10 +192,10 @@ def _moved(
     """Return the state after a step of the shared unknowns, each t_k following it."""
     p = len(state.theta)
     theta = state.theta + step[:p]
-    outputs = np.column_stack([slopes @ step[places] for places, slopes in point.blocks])
+    outputs = np.array([slopes @ step[places] for places, slopes in point.blocks]).T
     turns, tilt = state.turns, state.tilt
     if problem.shared:
-        outputs = outputs + normal.shared @ step[p:]
+        outputs = outputs + np.einsum("nms,s->nm", normal.shared, step[p:])
         turns = np.array(
             [rotation_matrix(step[p + 3 * g : p + 3 * g + 3]) @ turn
              for g, turn in enumerate(state.turns)]
@@ -317,24 +204,20 @@ def _moved(
             tilt = state.tilt + step[-2:]
     back = normal.pull - np.einsum("nmi,nm->ni", normal.weighted, outputs)
     own = np.einsum("nij,nj->ni", normal.inverse, back)
-    # Damped like the rest, so that a rejected step shrinks as a whole; half a turn at most.
-    own = own / (1.0 + damping)
-    length = np.hypot(own[:, 0], own[:, 1])
-    own = own * np.minimum(1.0, 1.5 / np.maximum(length, 1e-300))[:, None]
+    # Damped like the rest, so that a rejected step shrinks as a whole; a quarter turn at most.
+    length = np.sqrt(np.einsum("ni,ni->n", own, own))
+    own *= np.minimum(normal.ease / (1.0 + damping), 1.5 / (length + 1e-300))[:, None]
     return replace(state, theta=theta, step=state.step + own, turns=turns, tilt=tilt)
 
 
 def _recentred(problem: Problem, state: State) -> State:
     """Return the state with unknown directions as their own centres, which have no prior."""
-    unknown = np.isinf(problem.spread)
-    if not unknown.any():
+    if not problem.unknown.any():
         return state
+    keep = ~problem.unknown[:, None]
     moved = step_on_sphere(state.centre, state.basis, state.step)
-    centre = np.where(unknown[:, None], moved, state.centre)
-    basis = tangent_basis(centre)
-    return replace(
-        state, centre=centre, basis=basis, step=np.where(unknown[:, None], 0.0, state.step)
-    )
+    centre = np.where(keep, state.centre, moved) if keep.any() else moved
+    return replace(state, centre=centre, basis=tangent_basis(centre), step=keep * state.step)
 
 
 def _shared_rotation(problem: Problem, state: State) -> Array | None:
@@ -353,12 +236,13 @@ def _shared_rotation(problem: Problem, state: State) -> Array | None:
 
 def _force_by_step(problem: Problem, state: State) -> Array:
     """Return df/dt (n, 3, 2)."""
-    size = np.linalg.norm(problem.reference, axis=1)
-    moves = step_derivative(state.centre, state.basis, state.step)
+    moves = state.basis  # dE/dt where no step was made yet
+    if state.step.any():
+        moves = step_derivative(state.centre, state.basis, state.step)
     turn = _shared_rotation(problem, state)
     if turn is not None:
-        moves = turn @ moves
-    return np.asarray(size[:, None, None] * moves)
+        moves = np.einsum("nij,njk->nik", turn, moves)
+    return np.asarray(problem.magnitude[:, None, None] * moves)
 
 
 def _by_shared(problem: Problem, state: State, point: Point, by_force: Array) -> Array:
@@ -386,26 +270,27 @@ def _weigh(precision: Array, array: Array) -> Array:
         return precision * array if array.ndim == 2 else precision[:, :, None] * array
     if array.ndim == 2:
         return np.asarray(np.einsum("nij,nj->ni", precision, array))
-    return np.asarray(precision @ array)
+    return np.asarray(np.einsum("nij,njk->nik", precision, array))
 
 
 def _full(precision: Array) -> Array:
     if precision.ndim == 3:
         return precision
-    return np.asarray(precision[:, :, None] * np.eye(precision.shape[1]))
+    n, m = precision.shape
+    full = np.zeros((m, m, n))
+    full[np.arange(m), np.arange(m)] = precision.T
+    return full.transpose(2, 0, 1)
 
 
-def _prior(spread: Array) -> Array:
-    """Return 1/s²; exact positions get 0 here, their steps are held at zero instead."""
-    with np.errstate(divide="ignore"):
-        return np.where(spread > 0.0, 1.0 / spread**2, 0.0)
-
-
-def _inverse_2x2(matrix: Array, prior: Array) -> Array:
-    """Return (matrix + prior I)^-1; zero where it is singular, so that nothing is claimed."""
+def _inverse_2x2(matrix: Array, prior: Array, zero: NDArray[np.bool_]) -> Array:
+    """Return (matrix + prior I)^-1; zero where marked, or singular, so that nothing is claimed."""
     a, d = matrix[:, 0, 0] + prior, matrix[:, 1, 1] + prior
     b = matrix[:, 0, 1]
-    determinant = a * d - b * b
-    sound = determinant > 1e-28 * (a * d)
-    factor = np.where(sound, 1.0 / np.where(sound, determinant, 1.0), 0.0)
-    return np.array([[d, -b], [-b, a]]).transpose(2, 0, 1) * factor[:, None, None]
+    product = a * d
+    determinant = product - b * b
+    sound = (determinant > 1e-28 * product) & ~zero
+    factor = np.where(sound, 1.0, 0.0) / np.where(sound, determinant, 1.0)
+    inverse = np.empty((2, 2, len(prior)))
+    inverse[0, 0], inverse[1, 1] = d * factor, a * factor
+    inverse[0, 1] = inverse[1, 0] = -b * factor
+    return inverse.transpose(2, 0, 1)

@@ -79,6 +79,20 @@ class Term:
         return sum(factor.degree for factor in self.factors if factor.variable in COMPONENTS)
 
     @property
+    def along(self) -> str | None:
+        """The component of specific force that it is proportional to, if it is to one."""
+        force = [factor for factor in self.factors if factor.variable in COMPONENTS]
+        if len(force) == 1 and force[0] == Factor(force[0].variable, 1):
+            return force[0].variable
+        return None
+
+    def turned(self, axis: str) -> "Term":
+        """Return the term that is along another axis."""
+        mine = next(factor for factor in self.factors if factor.variable == self.along)
+        rest = (factor for factor in self.factors if factor is not mine)
+        return Term(tuple(sorted((*rest, Factor(axis, 1)))))
+
+    @property
     def environment(self) -> tuple[tuple[str, int], ...]:
         """Other columns of the readings in the term, with their degrees."""
         return tuple((f.variable, f.degree) for f in self.factors if f.variable not in COMPONENTS)
@@ -239,10 +253,10 @@ class Model:
     def basis(self, force: Array, environment: Mapping[str, ArrayLike]) -> Array:
         """Return phi (n, T) at force (n, 3) [g]."""
         variables = self.variables(force, environment)
-        phi = np.empty((len(force), len(self.basis_terms)))
+        phi = np.empty((len(self.basis_terms), len(force)))  # positions run fastest in memory
         for column, term in enumerate(self.basis_terms):
-            phi[:, column] = term.evaluate(variables)
-        return phi
+            phi[column] = term.evaluate(variables)
+        return phi.T
 
     def coefficients(self, parameters: Array) -> Array:
         """Return Theta (M, T) of eq. (1); a symmetric gauge mirrors its lower triangle."""
@@ -258,23 +272,32 @@ class Model:
     ) -> tuple[Array, tuple[Block, ...]]:
         """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i)."""
         phi = self.basis(force, environment)
-        blocks = tuple((places, phi[:, columns]) for columns, places in self.contributions)
-        return phi @ self.coefficients(parameters).T, blocks
+        blocks = tuple((places, phi.T[columns].T) for columns, places in self.contributions)
+        return (self.coefficients(parameters) @ phi.T).T, blocks
 
     def force_jacobian(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
     ) -> Array:
         """Return dy/df (n, M, 3) at force (n, 3) [g]."""
         theta = self.coefficients(parameters)
-        result = np.zeros((len(force), len(self.outputs), 3))
+        constant = np.zeros((len(self.outputs), 3))
+        varying = []
         variables = self.variables(force, environment)
         for column, term in enumerate(self.basis_terms):
             for factor in term.factors:
                 if factor.variable in COMPONENTS:
                     slope = term.derivative(variables, factor.variable)
                     axis = COMPONENTS.index(factor.variable)
-                    result[:, :, axis] += np.multiply.outer(slope, theta[:, column])
-        return result
+                    if np.ndim(slope) == 0:
+                        constant[:, axis] += slope * theta[:, column]
+                    else:
+                        varying.append((slope, axis, theta[:, column]))
+        result = np.empty((*constant.shape, len(force)))
+        result[:] = constant[:, :, None]
+        for slope, axis, coefficients in varying:
+            for output in np.flatnonzero(coefficients).tolist():
+                result[output, axis] += coefficients[output] * slope
+        return result.transpose(2, 0, 1)
 
     def predict(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
@@ -307,7 +330,7 @@ class Model:
         result = np.zeros((len(self.outputs), 4, len(unit)))
         for column, term in enumerate(self.basis_terms):
             force = tuple(f for f in term.factors if f.variable in COMPONENTS)
-            if force and force != linear_term(force[0].variable).factors:
+            if force and term.along is None:
                 continue
             place = 1 + COMPONENTS.index(force[0].variable) if force else 0
             weight = Term(tuple(f for f in term.factors if f not in force)).evaluate(environment)
@@ -320,11 +343,13 @@ class Model:
         return replace(self, outputs=(output,), axes=(self.axes[i],), terms=(self.terms[i],))
 
     def with_gauge(self, gauge: str) -> "Model":
-        """Return the model without the linear terms that a gauge fixes: the upper triangle."""
-        fixed = [{linear_term(axis) for axis in self.axes[i + 1 :]} for i in range(3)]
+        """Return the model without the linear terms that a gauge fixes: the upper triangle.
+
+        Terms such as ``temperature*y`` go with ``y``: a rotation may change with temperature.
+        """
         terms = tuple(
-            tuple(term for term in own if term not in gone)
-            for own, gone in zip(self.terms, fixed, strict=True)
+            tuple(term for term in own if term.along not in self.axes[i + 1 :])
+            for i, own in enumerate(self.terms)
         )
         return replace(self, terms=terms, gauge=gauge)
 
@@ -356,13 +381,14 @@ class Model:
         if self.gauge != "symmetric":
             return ()
         mirrored = []
-        for i, (output, axis) in enumerate(zip(self.outputs, self.axes, strict=True)):
-            for j in range(i):
-                key = (output, linear_term(self.axes[j]))
-                if key not in self.keys:
-                    continue
-                source = self.keys.index(key)
-                mirrored.append((j, self.basis_terms.index(linear_term(axis)), source))
+        for source, (output, term) in enumerate(self.keys):
+            i = self.outputs.index(output)
+            if term.along is None or term.along not in self.axes[:i]:
+                continue
+            copy = term.turned(self.axes[i])
+            if copy in self.basis_terms:
+                target = self.axes.index(term.along)
+                mirrored.append((target, self.basis_terms.index(copy), source))
         return tuple(mirrored)
 
 

@@ -26,17 +26,19 @@ def tangent_basis(direction: Array) -> Array:
     sign = np.copysign(1.0, z)
     a = -1.0 / (sign + z)
     b = x * y * a
-    basis = np.empty((len(direction), 3, 2))
-    basis[:, 0, 0], basis[:, 1, 0], basis[:, 2, 0] = 1.0 + sign * x * x * a, sign * b, -sign * x
-    basis[:, 0, 1], basis[:, 1, 1], basis[:, 2, 1] = b, sign + y * y * a, -y
-    return basis
+    basis = np.empty((3, 2, len(direction)))
+    basis[0, 0], basis[1, 0], basis[2, 0] = 1.0 + sign * x * x * a, sign * b, -sign * x
+    basis[0, 1], basis[1, 1], basis[2, 1] = b, sign + y * y * a, -y
+    return basis.transpose(2, 0, 1)
 
 
 def step_on_sphere(direction: Array, basis: Array, step: Array) -> Array:
     """Return E(u, t) of eq. (1): (n, 3) from directions (n, 3), bases (n, 3, 2), steps (n, 2)."""
-    angle = np.hypot(step[:, 0], step[:, 1])
-    along = basis[:, :, 0] * step[:, :1] + basis[:, :, 1] * step[:, 1:]
-    result = np.cos(angle)[:, None] * direction + np.sinc(angle / np.pi)[:, None] * along
+    angle = np.sqrt(np.einsum("ni,ni->n", step, step))
+    along = np.einsum("nij,nj->ni", basis, step)
+    # sin(a)/a, which is 1 to rounding below 1e-8
+    sinc = np.sin(angle) / np.maximum(angle, 1e-300) + (angle == 0.0)
+    result = np.cos(angle)[:, None] * direction + sinc[:, None] * along
     return np.asarray(result / np.sqrt(np.einsum("ni,ni->n", result, result))[:, None])
 
 

@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 from multipos.budgets import Quantity
 from multipos.calibration import Calibration
 from multipos.errors import MultiposError
+from multipos.gains import uncertain_gain
 from multipos.inverse import parameter_jacobian
 from multipos.known import closed_form_gain, reading_noise
 from multipos.model import COMPONENTS
-from multipos.uncertain import uncertain_gain
 
 Array = NDArray[np.float64]
 

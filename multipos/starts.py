@@ -1,9 +1,9 @@
 """Where the search for an uncertain or unknown orientation starts, and whether its end is sound.
 
-No guess is asked for. Least squares at the listed directions is one start; the ellipsoid on
-which readings at rest lie (`multipos.ellipsoid`), turned to the listed directions where some
-are, is the other. The second is tried where the first fails, or where positions may be further
-off than five degrees; the lower minimum wins.
+No guess is asked for. Least squares at the listed directions, where they are enough, is one
+start; the ellipsoid on which readings at rest lie (`multipos.ellipsoid`), turned to the listed
+directions where some are, is the other. The second is tried where the first fails, or where
+positions may be further off than five degrees; the lower minimum wins.
 """
 
 from dataclasses import replace
@@ -19,40 +19,39 @@ from multipos.identifiability import (
     condition,
     helpful_positions,
     least_determined,
+    plausible_range,
     position_words,
     require_separable,
 )
-from multipos.inverse import parameter_jacobian
+from multipos.inverse import invert, parameter_jacobian
 from multipos.least_squares import solve
-from multipos.likelihood import (
-    Normal,
-    Optimum,
-    Problem,
-    State,
-    evaluate,
-    linearise,
-    maximise,
-    start_state,
-)
+from multipos.likelihood import evaluate, linearise, maximise
+from multipos.model import COMPONENTS
+from multipos.problem import Normal, Optimum, Problem, State, start_state
 from multipos.rotations import align
 
 Array = NDArray[np.float64]
 
+_LEVER = 2.0  # how far above the information that noise pretends
+_FEWEST = 4  # parameters that any turn of the sensor shows: a bias for each output, one scale
 _PARTS = 50  # that a robust start leaves out in turn
-_SCATTER = 0.1  # of one g: a cloud of noise, not a sphere of positions
+_MEDIAN = 0.6745  # of the modulus of a standard normal
+_SCATTER = 0.2  # of one g: a cloud of noise, not a sphere of positions
 _WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
 
 
 def search(problem: Problem) -> Optimum:
     """Return the best optimum over the starts; the second is tried where the first may be poor."""
-    best: Optimum | None = None
+    best: tuple[State, Optimum] | None = None
     fault: MultiposError | None = None
     wide = bool((problem.spread[problem.listed] > _WIDE).any())
     for start in (_listed_start, _ellipsoid_start):
         try:
             state = start(problem)
         except MultiposError as error:
-            fault = error
+            if problem.listed.all() and not wide:
+                raise  # the listed directions are near enough to say what they cannot tell
+            fault = fault or error
             continue
         if state is None:
             continue
@@ -60,33 +59,81 @@ def search(problem: Problem) -> Optimum:
         if problem.adrift:
             found = _positive(problem, found)
         better = best is None or (found.converged, -found.point.objective) > (
-            best.converged, -best.point.objective
+            best[1].converged, -best[1].point.objective
         )  # fmt: skip
-        best = found if better else best
-        if best is not None and best.converged and not wide:
+        best = (state, found) if better else best
+        if best is not None and best[1].converged and not wide:
             break
     if best is None:
         raise fault or MultiposError("no start could be found; give the orientations.")
-    if not best.converged:
-        _require_information(problem, best)
-        raise ConvergenceError(
-            f"no convergence after {best.iterations} iterations; the last step moved the "
-            f"parameters by {best.last_step:.1e} of their size. Check the readings for blunders "
-            "(--robust huber names them), or choose a model with fewer terms."
+    if not best[1].converged:
+        raise fault or _why_not(problem, *best)
+    _require_sphere(problem, best[1])
+    _require_information(problem, best[1])
+    if np.isinf(problem.spread).all():  # where lever arms come from the readings themselves
+        _require_told(problem, *best)
+    return best[1]
+
+
+def _why_not(problem: Problem, start: State, optimum: Optimum) -> MultiposError:
+    """Return the error of a search that did not converge: what the positions do not tell."""
+    try:
+        _require_sphere(problem, optimum)
+        _require_information(problem, optimum)
+        _require_told(problem, start, optimum)
+    except MultiposError as error:
+        return error
+    return ConvergenceError(
+        f"no convergence after {optimum.iterations} iterations; the last step moved the "
+        f"parameters by {optimum.last_step:.1e} of their size. Check the readings for blunders "
+        "(--robust huber names them), or choose a model with fewer terms."
+    )
+
+
+def _require_told(problem: Problem, start: State, optimum: Optimum) -> None:
+    """Refuse what noise hides: combinations whose u is more than what is plausible of them.
+
+    A search wanders where the data say nothing, so that is judged where it began.
+    """
+    model, size = problem.model, float(np.linalg.norm(problem.reference, axis=1).mean())
+    limit = plausible_range(model, start.theta, size)
+    if limit is None:
+        return
+    plain = replace(problem, robust=None)
+    information = reduced_information(linearise(plain, start, evaluate(plain, start)), len(limit))
+    nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
+    relative = information * np.outer(limit, limit) * nu / optimum.point.objective
+    # Noise moves n positions by its own size, which passes for information of n and little more.
+    rank = int((np.linalg.eigvalsh(relative) > _LEVER * len(problem.values)).sum())
+    if rank == len(limit):
+        return
+    if rank < _FEWEST:
+        raise MultiposError(
+            "the readings differ by little more than their noise. Turn the sensor to different "
+            "positions and hold it still."
         )
-    _require_sphere(problem, best)
-    _require_information(problem, best)
-    return best
+    missing = [model.names[i] for i in sorted(least_determined(relative, rank))]
+    best = CANDIDATES[
+        helpful_positions(information, _candidate_gains(problem, start.theta), len(missing))
+    ]
+    raise RankError(
+        f"{rank} of {len(limit)} parameters can be told from the noise: "
+        f"{', '.join(f'`{name}`' for name in missing)} out of reach; add positions such as "
+        f"{position_words(best)}, or drop those terms.",
+        rank=rank, parameters=len(limit),
+    )  # fmt: skip
 
 
 def _require_sphere(problem: Problem, optimum: Optimum) -> None:
     """Refuse readings that scatter about their ellipsoid by a good part of its size."""
     if not np.isinf(problem.spread).all():
         return
-    scale = np.abs(optimum.state.theta[list(problem.model.own_scales)]).mean()
-    # the median, so that a few bad positions of a robust fit do not condemn the others
-    size = np.linalg.norm(optimum.point.residuals, axis=1)
-    scatter = float(np.median(size)) / max(float(scale), 1e-300)
+    scale = float(np.abs(optimum.state.theta[list(problem.model.own_scales)]).mean())
+    # by the median, so that a few bad positions of a robust fit do not condemn the others
+    size = float(np.median(np.linalg.norm(optimum.point.residuals, axis=1)))
+    nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
+    spread = size / _MEDIAN * np.sqrt(len(problem.values) / nu)
+    scatter = spread / max(scale * float(np.linalg.norm(problem.reference[0])), 1e-300)
     if scatter > _SCATTER:
         raise MultiposError(
             f"the readings scatter by {100.0 * scatter:.0f} % about the ellipsoid that fits them "
@@ -96,19 +143,38 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
 
 
 def _listed_start(problem: Problem) -> State | None:
-    """Least squares at the listed directions, where all are listed."""
-    if not problem.listed.all():
+    """Least squares at the listed directions, where there are enough of them."""
+    model, rows = problem.model, problem.listed
+    if not rows.any():
         return None
-    model = problem.model
+    values, reference = problem.values[rows], problem.reference[rows]
+    environment = {name: column[rows] for name, column in problem.environment.items()}
     if isinstance(model, ExpressionModel):
-        return start_state(problem, model.first_guess(problem.values, problem.reference))
-    _, blocks = model.respond(np.zeros(len(model.keys)), problem.reference, problem.environment)
+        return _placed(problem, model.first_guess(values, reference))
     theta = np.zeros(len(model.keys))
+    _, blocks = model.respond(theta, reference, environment)
     for output, (places, design) in enumerate(blocks):
-        theta[places] = solve(
-            design, problem.values[:, output], names=[model.names[i] for i in places]
-        ).coefficients
-    return start_state(problem, theta)
+        names = [model.names[i] for i in places]
+        theta[places] = solve(design, values[:, output], names=names).coefficients
+    return _placed(problem, theta)
+
+
+def _placed(problem: Problem, theta: Array) -> State:
+    """Return the state at given parameters: unknown directions as the readings say, groups too."""
+    if problem.listed.all():
+        return start_state(problem, theta)
+    force = invert(problem.model, theta, problem.values, problem.environment)
+    length = np.linalg.norm(force, axis=1)
+    seen = length > 0.0  # not NaN: a force explains the reading
+    direction = np.where(seen[:, None], force / np.where(seen, length, 1.0)[:, None], [1.0, 0, 0])
+    return start_state(problem, theta, direction, _turns(problem, direction))
+
+
+def _turns(problem: Problem, direction: Array) -> Array:
+    """Return the rotation of each group that brings its listed directions nearest to others."""
+    groups = (problem.group == g for g in range(problem.groups))
+    turns = [align(problem.reference[rows], direction[rows]) for rows in groups]
+    return np.array(turns).reshape(-1, 3, 3)
 
 
 def _ellipsoid_start(problem: Problem) -> State | None:
@@ -125,15 +191,8 @@ def _ellipsoid_start(problem: Problem) -> State | None:
         matrix = symmetric_root(matrix)
     force = np.linalg.solve(matrix, (problem.values[:, order] - bias).T).T
     direction = force / np.linalg.norm(force, axis=1)[:, None]
-    if not problem.adrift:
-        turn = align(direction[problem.listed], problem.reference[problem.listed])
-        matrix, direction = matrix @ turn.T, direction @ turn.T
-    turns = np.array(
-        [
-            align(problem.reference[problem.group == g], direction[problem.group == g])
-            for g in range(problem.groups)
-        ]
-    ).reshape(-1, 3, 3)
+    turn = _hand(problem, direction)
+    matrix, direction = matrix @ turn.T, direction @ turn.T
     linear = np.empty((3, 4))
     linear[order] = np.column_stack([bias, matrix])
     theta = np.zeros(len(model.keys))
@@ -141,7 +200,28 @@ def _ellipsoid_start(problem: Problem) -> State | None:
         column = {"1": 0, "x": 1, "y": 2, "z": 3}.get(str(term))
         if column is not None:
             theta[i] = linear[model.outputs.index(output), column]
-    return start_state(problem, theta, direction, turns)
+    return start_state(problem, theta, direction, _turns(problem, direction))
+
+
+def _hand(problem: Problem, direction: Array) -> Array:
+    """Return the rotation or reflection that brings directions nearest to those listed.
+
+    The ellipsoid leaves both open. A reflection is that of a left-handed triad, or of a
+    convention which is not the readings' own; rows of a group can tell it as well.
+    """
+    known = [problem.listed, *(problem.group == g for g in range(problem.groups))]
+
+    def misfit(mirror: float) -> float:
+        turned = (mirror * direction[rows] @ align(mirror * direction[rows],
+                  problem.reference[rows]).T - problem.reference[rows]
+                  for rows in known if rows.any())  # fmt: skip
+        return float(sum(np.sum(left**2) for left in turned))
+
+    mirror = -1.0 if misfit(-1.0) < misfit(1.0) else 1.0
+    if problem.adrift:
+        return mirror * np.eye(3)
+    rows = problem.listed
+    return mirror * align(mirror * direction[rows], problem.reference[rows])
 
 
 def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tuple[Array, Array]:
@@ -162,23 +242,35 @@ def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tupl
 
 
 def _positive(problem: Problem, optimum: Optimum) -> Optimum:
-    """Return the mirrored optimum whose own-axis scale factors are positive."""
+    """Return the mirrored optimum whose own-axis scale factors are positive.
+
+    Rows of a group know left from right. Where they say that an odd number of axes is reversed,
+    all three are made negative: then the readings follow the other convention.
+    """
     model, state = problem.model, optimum.state
-    negative = {model.keys[i][1].factors[0].variable for i in model.own_scales
-                if state.theta[i] < 0.0}  # fmt: skip
-    if not negative:
+    axes = {model.keys[i][1].factors[0].variable: state.theta[i] for i in model.own_scales}
+    mirrored = {axis for axis, scale in axes.items() if scale < 0.0}
+    if problem.groups and len(mirrored) % 2 == 1:
+        mirrored = axes.keys() - mirrored
+    if not mirrored:
         return optimum
     odd = np.array(
         [
-            sum(f.power for f in term.factors if f.variable in negative) % 2 == 1
+            sum(f.power for f in term.factors if f.variable in mirrored) % 2 == 1
             for _, term in model.keys
         ]
     )
-    mirror = np.array([-1.0 if axis in negative else 1.0 for axis in ("x", "y", "z")])
+    mirror = np.array([-1.0 if axis in mirrored else 1.0 for axis in COMPONENTS])
+    # Exact under the lower gauge; under the symmetric one only near, hence the search again.
     theta = np.where(odd, -state.theta, state.theta)
-    return maximise(problem, start_state(problem, theta, optimum.point.force * mirror
-                                         / np.linalg.norm(optimum.point.force, axis=1)[:, None],
-                                         state.turns))  # fmt: skip
+    size = np.linalg.norm(optimum.point.force, axis=1)[:, None]
+    return maximise(
+        problem,
+        start_state(
+            problem, theta, optimum.point.force * mirror / size,
+            state.turns * mirror[:, None] if problem.groups else state.turns,
+        ),
+    )  # fmt: skip
 
 
 def _require_information(problem: Problem, optimum: Optimum) -> None:
@@ -196,6 +288,8 @@ def _require_information(problem: Problem, optimum: Optimum) -> None:
 def reduced_information(normal: Normal, p: int) -> Array:
     """Return the information of the parameters with the shared unknowns eliminated."""
     full = normal.information
+    if len(full) == p:
+        return full
     cross = full[:p, p:]
     return np.asarray(full[:p, :p] - cross @ np.linalg.pinv(full[p:, p:]) @ cross.T)
 
@@ -228,7 +322,7 @@ def too_few(problem: Problem) -> RankError:
     """Return the error of fewer positions than the parameters need, with what is out of reach."""
     model = problem.model
     n, p = len(problem.values), len(model.keys)
-    equations = int(problem.degrees.sum()) - problem.shared
+    equations = int(problem.degrees.sum()) - (problem.unknowns - p)
     said = f"{n} positions give {max(equations, 0)} equations for {p} parameters"
     if not np.isinf(problem.spread).all() or sorted(model.axes) != ["x", "y", "z"]:
         return RankError(f"{said}; add positions or choose a model with fewer terms.",

@@ -2,37 +2,41 @@
 
 Linearised about a solution, the readings at the listed positions have residuals e_k (n, M) with
 
-    cov e_k = sigma² I + s_k² J_k J_k',     e = A theta + error,                            (1)
+    cov e_k = a Sigma_k + b s_k² J_k J_k',     e = A theta + error,                         (1)
 
-(J_k, A as in `multipos.likelihood`). What the parameters do not use up is judged by
+(Sigma_k, s_k, J_k, A as in `multipos.likelihood`), a and b factors on what is stated. What the
+parameters do not use up is judged by
 
     -2 l = sum ln det V_k + ln det(A'V⁻¹A) + e'Pe,   P = V⁻¹ − V⁻¹A (A'V⁻¹A)⁻¹ A'V⁻¹,       (2)
 
-maximised over ln sigma² and, where it is asked for, ln s² of all uncertain positions. The
-inverse of its curvature is the covariance of those logarithms, and carries over to degrees of
-freedom of each parameter by Satterthwaite's rule,
+maximised over ln a, ln b or both, with the gradient
 
-    nu_j = 2 C_jj² / (g_j' cov g_j),     g_j = dC_jj / d(ln sigma², ln s²).                 (3)
+    d(-2 l)/dv = tr(P dV) − e'P dV P e,       dV = a Sigma or b s² J J'.                    (3)
+
+Twice the inverse of its curvature is the covariance of those logarithms. It carries over to
+degrees of freedom of each parameter by Satterthwaite's rule,
+
+    nu_j = 2 C_jj² / (g_j' cov g_j),     g_j = dC_jj/dv,     dC/dv = C A'V⁻¹ dV V⁻¹A C.     (4)
 
 References
 ----------
-D. A. Harville 1977, J. Am. Stat. Assoc. 72, eq. (2); F. G. Giesbrecht and J. C. Burns 1985,
-Biometrics 41, eq. (3).
+D. A. Harville 1977, J. Am. Stat. Assoc. 72, eqs. (2), (3); F. G. Giesbrecht and J. C. Burns
+1985, Biometrics 41, eq. (4).
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.likelihood import Optimum, Problem, assemble
-from multipos.model import Block
+from multipos.inverse import parameter_jacobian
+from multipos.problem import Optimum, Problem
 
 Array = NDArray[np.float64]
 
 _H = 0.05  # step of the curvature in ln variance: the likelihood is smooth over factors of e
-_RANGE = 30.0  # ln variance may move this far from its start, ten powers of ten
+_LEAST, _MOST = 1e-8, 1e2  # of what either variance would be if all the error were its own
+_FLAT = 2.0 / 25.0  # curvature of a variance at its boundary: known to a factor e^5
 
 
 @dataclass(frozen=True)
@@ -40,149 +44,155 @@ class Linearised:
     """A solution as a linear model of its readings, eq. (1)."""
 
     error: Array  # (n, M), residuals at the listed positions
-    blocks: Sequence[Block]
-    shared: Array  # (n, M, q)
+    design: Array  # (n, M, p + q), A: parameters and shared unknowns
     jacobian: Array  # (n, M, 2)
-    spread: Array  # (n,) [rad], relative where the orientation sd is estimated
-    prior: Array  # (q,) information of the shared unknowns themselves
+    precision: Array  # (n, M, M), Sigma^-1
+    spread: Array  # (n,) [rad]
+    prior: Array  # (p + q,) information of the unknowns themselves
     p: int
 
 
 @dataclass(frozen=True)
 class Components:
-    """Estimated variances.
+    """How well the estimated variances are known.
 
     Attributes
     ----------
-    sigma2 : float
-        Variance of a reading.
-    factor : float
-        Factor on the listed orientation variances; 1 where they are given.
     log_covariance : (v, v) array
         Covariance of the logarithms of what was estimated.
     dof : (p,) array
-        Degrees of freedom of each parameter, eq. (3).
+        Degrees of freedom of each parameter, eq. (4).
     """
 
-    sigma2: float
-    factor: float
     log_covariance: Array
     dof: Array
 
 
 def linearised(problem: Problem, optimum: Optimum) -> Linearised:
-    """Return the linear model about an optimum."""
+    """Return the linear model about an optimum, with the variances that `problem` states."""
     normal, state = optimum.normal, optimum.state
-    moved = np.einsum("nmi,ni->nm", normal.jacobian, state.step)
-    prior = np.zeros(problem.shared)
+    p, m = len(state.theta), problem.values.shape[1]
+    slopes = parameter_jacobian(
+        problem.model, state.theta, optimum.point.force, problem.environment
+    )
+    prior = np.zeros(p + problem.shared)
     if problem.level_spread > 0.0:
         prior[-2:] = 1.0 / problem.level_spread**2
+    precision = problem.precision
     return Linearised(
-        error=optimum.point.residuals + moved,
-        blocks=optimum.point.blocks,
-        shared=normal.shared,
+        error=optimum.point.residuals + np.einsum("nmi,ni->nm", normal.jacobian, state.step),
+        design=np.concatenate([slopes, normal.shared], axis=2),
         jacobian=normal.jacobian,
+        precision=precision if precision.ndim == 3 else precision[:, :, None] * np.eye(m),
         spread=problem.spread,
         prior=prior,
-        p=len(state.theta),
+        p=p,
     )
 
 
-def estimate_components(linear: Linearised, sigma2: float, *, orientation: bool) -> Components:
-    """Maximise the restricted likelihood, eq. (2).
+def maximise_restricted(linear: Linearised, start: Array, free: NDArray[np.bool_]) -> Array:
+    """Return (ln a, ln b) that maximise the restricted likelihood, eq. (2).
 
     Parameters
     ----------
     linear : Linearised
-    sigma2 : float
-        Where to start.
-    orientation : bool
-        Estimate a common factor on the orientation variances as well.
+    start : (2,) array
+    free : (2,) array of bool
+        Which of the two to estimate; the other stays where it starts.
     """
     from scipy.optimize import minimize
 
-    start = np.array([np.log(sigma2), 0.0] if orientation else [np.log(sigma2)])
+    def objective(inner: Array) -> tuple[float, Array]:
+        value, slope, _ = _restricted(linear, _at(start, free, inner))
+        return value, slope[free]
 
-    def objective(v: Array) -> float:
-        if np.abs(v - start).max() > _RANGE:
-            return 1e300
-        return _restricted(linear, v)[0]
-
+    low, high = _bounds(linear)[free].T
     found = minimize(
-        objective, start, method="Nelder-Mead",
-        options={"xatol": 1e-6, "fatol": 1e-9, "maxiter": 500,
-                 "initial_simplex": _simplex(start)},
+        objective, np.clip(start[free], low, high), jac=True, method="L-BFGS-B",
+        bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
+        options={"ftol": 1e-13, "gtol": 1e-6},
     )  # fmt: skip
-    v = np.asarray(found.x)
-    covariance = _log_covariance(objective, v)
+    return _at(start, free, np.asarray(found.x))
 
-    def variances(at: Array) -> Array:
-        return np.diag(_restricted(linear, at)[1])
 
-    centre = variances(v)
-    steps = _H * np.eye(len(v))
-    slopes = np.array([(variances(v + h) - variances(v - h)) / (2.0 * _H) for h in steps]).T
-    spread = np.einsum("pv,vw,pw->p", slopes, covariance, slopes)
-    return Components(
-        sigma2=float(np.exp(v[0])),
-        factor=float(np.exp(v[1])) if orientation else 1.0,
-        log_covariance=covariance,
-        dof=2.0 * centre**2 / np.maximum(spread, 1e-300),
+def components(linear: Linearised, v: Array, free: NDArray[np.bool_]) -> Components:
+    """Return how well ln a and ln b are known, and with them the parameters."""
+    steps = _H * np.eye(2)[free]
+    curvature = np.array(
+        [
+            (_restricted(linear, v + h)[1] - _restricted(linear, v - h)[1])[free] / (2.0 * _H)
+            for h in steps
+        ]
     )
-
-
-def _simplex(start: Array) -> Array:
-    return np.vstack([start, start + 2.0 * np.eye(len(start))])
-
-
-def _log_covariance(objective: Callable[[Array], float], v: Array) -> Array:
-    """Return twice the inverse curvature of -2 l; infinite along a direction that is flat."""
-    size = len(v)
-    curvature = np.empty((size, size))
-    steps = _H * np.eye(size)
-    for i in range(size):
-        for j in range(size):
-            curvature[i, j] = (
-                objective(v + steps[i] + steps[j])
-                - objective(v + steps[i] - steps[j])
-                - objective(v - steps[i] + steps[j])
-                + objective(v - steps[i] - steps[j])
-            ) / (4.0 * _H * _H)
     eigenvalues, vectors = np.linalg.eigh((curvature + curvature.T) / 2.0)
-    # A variance at its boundary (nothing left for it) has no curvature: known to a factor e^5.
-    return np.asarray((vectors / np.maximum(eigenvalues, 2.0 / 25.0) * 2.0) @ vectors.T)
+    covariance = (vectors * 2.0 / np.maximum(eigenvalues, _FLAT)) @ vectors.T
+    _, _, (C, by_variance) = _restricted(linear, v)
+    slopes = np.array([np.diag(C @ change @ C)[: linear.p] for change in by_variance[free]])
+    spread = np.einsum("vp,vw,wp->p", slopes, covariance, slopes)
+    dof = 2.0 * np.diag(C)[: linear.p] ** 2 / np.maximum(spread, 1e-300)
+    return Components(covariance, np.minimum(dof, 1e9))
 
 
-def _restricted(linear: Linearised, v: Array) -> tuple[float, Array]:
-    """Return -2 l of eq. (2) and the covariance C of the parameters."""
+def _bounds(linear: Linearised) -> Array:
+    """Return the range (2, 2) of ln a and ln b beyond which nothing changes any more."""
+    error, J, P = linear.error, linear.jacobian, linear.precision
+    tied = np.isfinite(linear.spread) & (linear.spread > 0.0)
+    whole = float(np.einsum("ni,nij,nj->", error, P, error))
+    gram = np.einsum("nia,nij,nja->n", J, P, J)[tied]
+    turned = float(np.sum(linear.spread[tied] ** 2 * gram))
+    largest = whole / np.array([error.size, turned if turned > 0.0 else 1.0])
+    return np.asarray(np.log(np.outer(np.maximum(largest, 1e-300), [_LEAST, _MOST])))
+
+
+def _at(start: Array, free: NDArray[np.bool_], inner: Array) -> Array:
+    v = start.copy()
+    v[free] = inner
+    return v
+
+
+def _restricted(linear: Linearised, v: Array) -> tuple[float, Array, tuple[Array, Array]]:
+    """Return -2 l, its gradient, C = (A'V⁻¹A)⁻¹, and A'V⁻¹ dV V⁻¹A of both variances."""
     n, m = linear.error.shape
-    precision = float(np.exp(-v[0]))
-    spread2 = linear.spread**2 * (np.exp(v[1]) if len(v) > 1 else 1.0)
-    unknown = np.isinf(linear.spread)
-    exact = linear.spread == 0.0
-    gram = linear.jacobian.transpose(0, 2, 1) @ linear.jacobian * precision
-    with np.errstate(divide="ignore"):
-        prior = np.where(exact | unknown, 0.0, 1.0 / np.where(exact, 1.0, spread2))
-    inner = gram + prior[:, None, None] * np.eye(2)
+    a, b = np.exp(v)
+    P, J = linear.precision / a, linear.jacobian
+    exact, unknown = linear.spread == 0.0, np.isinf(linear.spread)
+    tied = ~(exact | unknown)
+    spread2 = np.where(tied, b * np.where(tied, linear.spread, 1.0) ** 2, 0.0)
+    weighted = P @ J
+    inner = J.transpose(0, 2, 1) @ weighted
+    inner += np.where(tied, 1.0 / np.where(tied, spread2, 1.0), 0.0)[:, None, None] * np.eye(2)
     inner[exact] = np.eye(2)
-    inverse = np.linalg.inv(inner)
-    inverse[exact] = 0.0
-    weighted = precision * linear.jacobian
-    marginal = precision * np.eye(m) - weighted @ inverse @ weighted.transpose(0, 2, 1)
-    push = np.einsum("nij,nj->ni", marginal, linear.error)
-    information, right = assemble(linear.p, linear.blocks, marginal, push, linear.shared)
-    q = len(linear.prior)
-    if q:
-        information[-q:, -q:] += np.diag(linear.prior)
-    # ln det V = -M ln precision + ln det H - ln det(prior); where s is infinite, less a constant.
-    log_inner = np.log(np.linalg.det(inner))
-    log_prior = np.where(prior > 0.0, 2.0 * np.log(np.where(prior > 0.0, prior, 1.0)), 0.0)
-    log_det = n * m * v[0] + float(np.sum(np.where(exact, 0.0, log_inner - log_prior)))
-    solved = np.linalg.solve(information, right)
+    K = weighted @ np.linalg.inv(inner)
+    K[exact] = 0.0
+    W = P - K @ weighted.transpose(0, 2, 1)
+    # ln det V = M ln a + ln det H + 2 ln s², less what does not depend on v: ln det Sigma, and
+    # 2 ln s² where s is infinite.
+    log_det = n * m * v[0] + float(np.sum(np.where(exact, 0.0, np.log(np.linalg.det(inner)))))
+    log_det += float(np.sum(2.0 * np.log(np.where(tied, spread2, 1.0))))
+
+    X = (W @ linear.design).reshape(n * m, -1)  # V⁻¹A
+    A = linear.design.reshape(n * m, -1)
+    information = A.T @ X + np.diag(linear.prior)
+    C = np.linalg.inv(information)
+    plain = np.einsum("nij,nj->ni", W, linear.error)
+    right = A.T @ plain.ravel()
+    left = plain - (X @ (C @ right)).reshape(n, m)  # P e
     value = (
-        log_det
-        + float(np.linalg.slogdet(information)[1])
-        + float(np.einsum("nm,nm->", linear.error, push))
-        - float(right @ solved)
-    )
-    return float(value), np.asarray(np.linalg.inv(information)[: linear.p, : linear.p])
+        log_det + float(np.linalg.slogdet(information)[1])
+        + float(np.einsum("nm,nm->", linear.error, plain)) - float(right @ C @ right)
+    )  # fmt: skip
+
+    noise = np.linalg.inv(P)  # a Sigma
+    by_noise = X.T @ (noise @ X.reshape(n, m, -1)).reshape(n * m, -1)
+    seen = J.transpose(0, 2, 1) * np.sqrt(spread2)[:, None, None]  # (n, 2, M)
+    Y = (seen @ X.reshape(n, m, -1)).reshape(2 * n, -1)
+    by_spread = Y.T @ Y
+    gradient = np.array(
+        [
+            np.einsum("nij,nji->", W, noise) - np.sum(C * by_noise)
+            - np.einsum("ni,nij,nj->", left, noise, left),
+            np.einsum("nai,nij,naj->", seen, W, seen) - np.sum(C * by_spread)
+            - np.sum(np.einsum("nai,ni->na", seen, left) ** 2),
+        ]
+    )  # fmt: skip
+    return float(value), gradient, (C, np.array([by_noise, by_spread]))

@@ -1,0 +1,256 @@
+"""The likelihood against CasADi, dense algebra and finite differences of the forward equation."""
+
+from dataclasses import replace
+
+import casadi
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from orientation_bench import BIAS, MATRIX
+
+from multipos.likelihood import evaluate, linearise, maximise
+from multipos.model import COMPONENTS, NAMED, build_model
+from multipos.problem import Problem, start_state
+from multipos.rotations import rotation_matrix
+
+OUTPUTS = ("ax", "ay", "az")
+FORMULAS = [
+    *NAMED,
+    "1 + own + x*|y| + temperature*x + temperature^2",
+    "1 + x + y + z + own^9*|own|",
+]
+
+
+def a_model(text, gauge=None):
+    model = build_model(text, OUTPUTS, COMPONENTS, known=("temperature",))
+    return model if gauge is None else model.with_gauge(gauge)
+
+
+def symbolic(model):
+    """Return the CasADi function (f, e, p) -> y, dy/dp, dy/df of the terms written once."""
+    f, e = casadi.SX.sym("f", 3), casadi.SX.sym("e", 1)
+    p = casadi.SX.sym("p", len(model.keys))
+    variables = dict(zip(COMPONENTS, casadi.vertsplit(f), strict=True)) | {"temperature": e}
+    outputs = []
+    for i, output in enumerate(model.outputs):
+        y = sum(
+            p[k] * term.evaluate(variables)
+            for k, (name, term) in enumerate(model.keys) if name == output
+        )  # fmt: skip
+        for target, column, source in model.mirrored:
+            if target == i:
+                y = y + p[source] * model.basis_terms[column].evaluate(variables)
+        outputs.append(y)
+    y = casadi.vertcat(*outputs)
+    return casadi.Function("h", [f, e, p], [y, casadi.jacobian(y, p), casadi.jacobian(y, f)])
+
+
+@pytest.mark.parametrize("gauge", [None, "lower", "symmetric"])
+@pytest.mark.parametrize("text", FORMULAS)
+def test_fast_derivatives_are_those_of_casadi(text, gauge):
+    model = a_model(text, gauge)
+    rng = np.random.default_rng(1)
+    force, t = rng.standard_normal((20, 3)), rng.standard_normal(20)
+    theta = rng.standard_normal(len(model.keys))
+    environment = {"temperature": t}
+    outputs, blocks = model.respond(theta, force, environment)
+    by_force = model.force_jacobian(theta, force, environment)
+    exact = symbolic(model)
+    for k in range(len(force)):
+        y, by_parameter, dy = (np.array(item) for item in exact(force[k], t[k], theta))
+        assert_allclose(outputs[k], y.ravel(), rtol=1e-13, atol=1e-13)
+        assert_allclose(by_force[k], dy, rtol=1e-12, atol=1e-12)
+        mine = np.zeros((3, len(theta)))
+        for i, (places, slopes) in enumerate(blocks):
+            np.add.at(mine[i], places, slopes[k])
+        assert_allclose(mine, by_parameter, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("gauge", [None, "lower", "symmetric"])
+def test_casadi_expression_meets_complex_step(gauge):
+    """The two independent derivatives of the forward equation, where no modulus is in it."""
+    model = a_model("ieee", gauge)
+    rng = np.random.default_rng(2)
+    force, theta = rng.standard_normal(3), rng.standard_normal(len(model.keys))
+    theta_matrix = model.coefficients(theta)
+    _, _, dy = symbolic(model)(force, 0.0, theta)
+    for i, axis in enumerate(COMPONENTS):
+        variables = dict(zip(COMPONENTS, force.astype(complex), strict=True))
+        variables[axis] += 1e-200j
+        phi = np.array([term.evaluate(variables) for term in model.basis_terms])
+        assert_allclose(np.array(dy)[:, i], (theta_matrix @ phi).imag / 1e-200, rtol=1e-13)
+
+
+# --- the objective and its reduced normal equations
+
+
+def a_problem(kind, *, robust=None, full=False):
+    """Return a problem of every kind of position, and a state that is no solution."""
+    rng = np.random.default_rng(11)
+    n = 17
+    up = rng.standard_normal((n, 3))
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    spread = np.full(n, 0.02)
+    group = np.full(n, -1)
+    level = 0.0
+    if kind in ("exact", "everything"):
+        spread[3:7] = 0.0
+    if kind in ("unknown", "everything"):
+        spread[8:10] = np.inf
+    if kind in ("groups", "everything"):
+        group[10:13], group[13:] = 0, 1
+    attitude = None
+    if kind in ("level", "everything"):
+        level = 0.01
+        attitude = np.array([rotation_matrix(v) for v in rng.standard_normal((n, 3))])
+        up = np.where(np.isinf(spread)[:, None], up, attitude[:, :, 2])
+    model = a_model("own-quadratic")
+    precision = rng.uniform(0.5, 2.0, (n, 3)) * 1e4
+    if full:
+        mix = rng.standard_normal((n, 3, 3))
+        precision = 1e4 * (mix @ mix.transpose(0, 2, 1) + np.eye(3))
+    problem = Problem(
+        model=model, values=rng.standard_normal((n, 3)), environment={}, precision=precision,
+        reference=-0.998 * up, spread=spread, group=group, weight=np.ones(n),
+        groups=int(group.max()) + 1, attitude=attitude, level_spread=level, robust=robust,
+    )  # fmt: skip
+    theta = np.zeros(len(model.keys))
+    for i in range(3):
+        theta[model.slices[i]] = [BIAS[i], *MATRIX[i], 0.01]
+    turns = np.array([rotation_matrix(v) for v in rng.standard_normal((problem.groups, 3))])
+    state = start_state(problem, theta, up, turns.reshape(-1, 3, 3))
+    step = np.where(spread[:, None] == 0.0, 0.0, 0.05 * rng.standard_normal((n, 2)))
+    state = replace(state, step=step, tilt=np.array([0.01, -0.02]) if level else np.zeros(2))
+    clean = problem.values * 0.01 + model.predict(theta, evaluate(problem, state).force, {})
+    return replace(problem, values=clean), state
+
+
+KINDS = ["uncertain", "exact", "unknown", "groups", "level", "everything"]
+
+
+def moved(problem, state, x):
+    """Return the state after adding x to all unknowns: parameters, shared ones, then steps."""
+    p, q = len(state.theta), problem.shared
+    turns = [
+        rotation_matrix(x[p + 3 * g : p + 3 * g + 3]) @ turn for g, turn in enumerate(state.turns)
+    ]
+    return replace(
+        state, theta=state.theta + x[:p], turns=np.array(turns).reshape(-1, 3, 3),
+        tilt=state.tilt + (x[p + q - 2 : p + q] if problem.level_spread else 0.0),
+        step=state.step + x[p + q :].reshape(-1, 2),
+    )  # fmt: skip
+
+
+def every_unknown(problem, state):
+    """Return the dense Jacobian of whitened residuals and priors by finite differences."""
+    p, q, n = len(state.theta), problem.shared, len(problem.values)
+    size = p + q + 2 * n
+    precision = problem.precision
+    if precision.ndim == 2:
+        precision = precision[:, :, None] * np.eye(3)
+    root = np.linalg.cholesky(precision).transpose(0, 2, 1)
+    tied = np.isfinite(problem.spread) & (problem.spread > 0.0)
+
+    def whitened(x):
+        at = moved(problem, state, x)
+        force = evaluate(problem, at).force
+        residuals = problem.values - problem.model.predict(at.theta, force, {})
+        parts = [np.einsum("nij,nj->ni", root, residuals).ravel()]
+        parts.append((at.step[tied] / problem.spread[tied][:, None]).ravel())
+        if problem.level_spread:
+            parts.append(at.tilt / problem.level_spread)
+        return np.concatenate(parts)
+
+    h = 1e-6
+    columns = [(whitened(h * e) - whitened(-h * e)) / (2.0 * h) for e in np.eye(size)]
+    held = np.repeat(problem.spread == 0.0, 2)
+    free = np.concatenate([np.ones(p + q, bool), ~held])
+    return np.array(columns).T[:, free], whitened(np.zeros(size))
+
+
+@pytest.mark.parametrize("full", [False, True], ids=["variances", "covariances"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_elimination_is_the_dense_normal_equations(kind, full):
+    problem, state = a_problem(kind, full=full)
+    point = evaluate(problem, state)
+    normal = linearise(problem, state, point)
+    jacobian, residual = every_unknown(problem, state)
+    assert_allclose(point.objective, residual @ residual, rtol=1e-12)
+    size = len(state.theta) + problem.shared
+    dense = jacobian.T @ jacobian
+    right = -jacobian.T @ residual
+    cross = dense[:size, size:]
+    inner = np.linalg.solve(dense[size:, size:], np.column_stack([cross.T, right[size:]]))
+    # finite differences are good to 1e-9 of the largest entry
+    scale = np.sqrt(np.diag(normal.information))
+    wanted = (dense[:size, :size] - cross @ inner[:, :-1]) / np.outer(scale, scale)
+    assert_allclose(normal.information / np.outer(scale, scale), wanted, atol=1e-7)
+    pull = right[:size] - cross @ inner[:, -1]
+    assert_allclose(normal.gradient / scale, pull / scale, atol=1e-6 * np.abs(pull / scale).max())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_reduced_weight_inverts_the_marginal_covariance(kind):
+    problem, state = a_problem(kind)
+    normal = linearise(problem, state, evaluate(problem, state))
+    J, finite = normal.jacobian, np.isfinite(problem.spread)
+    covariance = np.eye(3) / problem.precision[:, :, None]
+    spread = np.where(finite, problem.spread, 0.0)
+    covariance = covariance + spread[:, None, None] ** 2 * (J @ J.transpose(0, 2, 1))
+    product = normal.marginal @ covariance
+    assert_allclose(product[finite], np.tile(np.eye(3), (finite.sum(), 1, 1)), atol=1e-11)
+    # of an unknown direction nothing along the sphere is seen, and the rest in full
+    assert_allclose((normal.marginal @ J)[~finite], 0.0, atol=1e-9 * problem.precision.max())
+    seen = normal.marginal @ covariance @ normal.marginal
+    assert_allclose(seen[~finite], normal.marginal[~finite], atol=1e-11 * problem.precision.max())
+
+
+@pytest.mark.parametrize("robust", [None, "huber", "soft-l1", "cauchy"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_gradient_is_that_of_the_objective(kind, robust):
+    """Where the steps are at their own optimum the reduced gradient is the whole one."""
+    problem, state = a_problem(kind, robust=robust)
+    for _ in range(30):  # of the steps alone
+        point = evaluate(problem, state)
+        normal = linearise(problem, state, point)
+        step = state.step + np.einsum("nij,nj->ni", normal.inverse, normal.pull)
+        state = replace(state, step=step)
+    size = len(state.theta) + problem.shared
+    normal = linearise(problem, state, evaluate(problem, state))
+    h = 1e-6
+    for i in range(size):
+        x = np.zeros(size + 2 * len(problem.values))
+        x[i] = h
+        up, down = (evaluate(problem, moved(problem, state, s * x)).objective for s in (1, -1))
+        scale = np.sqrt(normal.information[i, i])
+        assert_allclose(-(up - down) / (4.0 * h) / scale, normal.gradient[i] / scale, atol=2e-4)
+
+
+@pytest.mark.parametrize("robust", [None, "huber", "soft-l1", "cauchy"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_search_ends_where_nothing_is_left_to_gain(kind, robust):
+    problem, state = a_problem(kind, robust=robust)
+    rng = np.random.default_rng(3)
+    truth = evaluate(problem, state).force
+    noise = rng.standard_normal(truth.shape) / np.sqrt(problem.precision)
+    problem = replace(problem, values=problem.model.predict(state.theta, truth, {}) + noise)
+    found = maximise(problem, state)
+    assert found.converged
+    assert found.iterations < 60
+    least = found.point.objective
+    size = len(state.theta) + problem.shared + 2 * len(truth)
+    free = np.concatenate(
+        [np.ones(len(state.theta) + problem.shared), np.repeat(problem.spread > 0.0, 2)]
+    )
+    for _ in range(50):
+        nudged = moved(problem, found.state, 1e-4 * free * rng.standard_normal(size))
+        assert evaluate(problem, nudged).objective >= least * (1.0 - 1e-12)
+
+
+def test_a_false_end_is_not_called_convergence():
+    """No descent from a point that is no minimum: the search says so."""
+    problem, state = a_problem("uncertain")
+    broken = replace(problem, values=problem.values + np.nan)
+    with np.errstate(invalid="ignore"):
+        found = maximise(broken, state)
+    assert not found.converged

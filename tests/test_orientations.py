@@ -1,0 +1,753 @@
+"""One fit from a perfect table to a hand-held sensor: its limits, its figures and what it says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from orientation_bench import (
+    BIAS,
+    MATRIX,
+    QUADRATIC,
+    Sensor,
+    lower,
+    readings_of,
+    scatter,
+)
+
+import multipos as mp
+from multipos.gains import uncertain_gain
+from multipos.identifiability import CANDIDATES
+from multipos.quantiles import chi2_quantile, f_tail
+from multipos.rotations import rotation_matrix, step_on_sphere, tangent_basis
+from multipos.scheme import read_scheme
+
+SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+UP = read_scheme("fibonacci-24").up
+SENSOR = Sensor()
+SPREAD = read_scheme("all-26+roll-x-24").up  # whole attitudes are not needed of these
+
+
+def rng():
+    return np.random.default_rng(24)
+
+
+def parts(cal):
+    """Return the bias and the matrix, gauge undone, of a linear model."""
+    linear = cal.model.linear_map({}) @ cal.parameters
+    return linear[:, 0], linear[:, 1:]
+
+
+def close(cal, truth, times=4.0):
+    """Each parameter within so many u of the truth: 4 u fail once in 16,000 draws."""
+    return bool((np.abs(cal.parameters - truth) < times * cal.u).all())
+
+
+# --- the limits of the one likelihood
+
+
+@pytest.mark.parametrize("model", ["linear", "own-quadratic"])
+def test_no_orientation_error_is_the_linear_fit_exactly(model):
+    readings = readings_of(SENSOR, UP, rng())
+    known = mp.fit(readings, model=model)
+    zero = mp.fit(readings, model=model, orientation_sd=0.0)
+    assert zero.estimator == "linear"
+    assert (zero.parameters == known.parameters).all()
+    assert (zero.covariance == known.covariance).all()
+
+
+@pytest.mark.parametrize("model", ["linear", "own-quadratic"])
+def test_small_orientation_error_tends_to_the_linear_fit(model):
+    readings = readings_of(SENSOR, UP, rng())
+    known = mp.fit(readings, model=model, reading_sd=1e-5)
+    for sd_deg in (1e-5, 1e-7, 1e-9):
+        # the prior's pull is (s/sigma)² of a residual
+        tolerance = 2.0 * (np.radians(sd_deg) / 1e-5) ** 2
+        small = mp.fit(readings, model=model, reading_sd=1e-5, orientation_sd=sd_deg)
+        assert small.estimator == "uncertain-orientation"
+        assert_allclose(small.parameters, known.parameters, rtol=0, atol=1e-5 * tolerance + 2e-15)
+        assert_allclose(small.u, known.u, rtol=tolerance + 1e-9)
+        assert_allclose(small.reference, known.reference, atol=1e-5 * tolerance + 1e-15)
+
+
+@pytest.mark.parametrize("scheme", ["fibonacci-24", "all-26"])
+def test_large_orientation_error_tends_to_unknown_orientation(scheme):
+    readings = readings_of(SENSOR, scheme, rng(), off_deg=1.0)
+    large = mp.fit(readings, reading_sd=1e-5, orientation_sd=170.0)
+    unknown = mp.fit(mp.Readings(readings.values), unknown_orientation=True, reading_sd=1e-5)
+    (b, M), (b0, M0) = parts(large), parts(unknown)
+    # the prior of 3 rad still pulls with (sigma/s)² = 1e-11 of a turn
+    assert_allclose(b, b0, rtol=0, atol=1e-9)
+    assert_allclose(M @ M.T, M0 @ M0.T, atol=1e-9)
+    force, force0 = (c.compensate(readings.values) for c in (large, unknown))
+    size, size0 = (np.linalg.norm(f, axis=1) for f in (force, force0))
+    assert_allclose(size, size0, atol=1e-9)
+    at = [c.names.index("bias_ax") for c in (large, unknown)]
+    assert large.u[at[0]] == pytest.approx(unknown.u[at[1]], rel=1e-4)
+
+
+def test_symmetric_and_lower_gauge_are_one_sensor():
+    readings = mp.Readings(readings_of(SENSOR, UP, rng()).values)
+    first = mp.fit(readings, unknown_orientation=True)
+    second = mp.fit(readings, unknown_orientation=True, gauge="symmetric")
+    assert (first.model.gauge, second.model.gauge) == ("lower", "symmetric")
+    (b, L), (b2, S) = parts(first), parts(second)
+    assert_allclose(L, np.tril(L), atol=0)
+    assert_allclose(S, S.T, atol=0)
+    assert_allclose(b2, b, rtol=0, atol=1e-12)
+    assert_allclose(S @ S.T, L @ L.T, atol=1e-12)
+    assert second.rms == pytest.approx(first.rms, rel=1e-9)
+    assert first.u[first.names.index("bias_ay")] == pytest.approx(
+        second.u[second.names.index("bias_ay")], rel=1e-6
+    )
+    assert {p["name"] for p in first.to_dict()["parameters"]}.isdisjoint(
+        {"cross_ax_y", "cross_ax_z", "cross_ay_z"}
+    )
+
+
+@pytest.mark.parametrize("gauge", ["lower", "symmetric"])
+@pytest.mark.parametrize("model", ["linear", "own-quadratic", "own-cubic"])
+def test_unknown_orientation_finds_the_sensor(model, gauge):
+    root = lower(MATRIX)
+    if gauge == "symmetric":
+        values, vectors = np.linalg.eigh(MATRIX @ MATRIX.T)
+        root = vectors * np.sqrt(values) @ vectors.T
+    sensor = Sensor(matrix=root, quadratic=QUADRATIC if model != "linear" else np.zeros(3))
+    readings = readings_of(sensor, "fibonacci-48", rng())
+    cal = mp.fit(mp.Readings(readings.values), unknown_orientation=True, model=model, gauge=gauge)
+    truth = sensor.truth(cal.model)
+    truth[[str(term)[1:] == "^3" for _, term in cal.model.keys]] = 0.0
+    assert close(cal, truth)
+    assert (cal.parameter_dof == 48 - len(truth)).all()
+    assert cal.criterion == "maximum likelihood of the readings, equal reading noise"
+
+
+def test_temperature_terms_go_with_the_gauge():
+    t = np.linspace(-10.0, 50.0, 48)
+    force = read_scheme("fibonacci-48").up
+    matrix = lower(MATRIX)
+    drift = 1e-4 * np.array([[1.0, 0, 0], [0.3, -2.0, 0], [0.1, 0.4, 1.5]])
+    values = BIAS + force @ matrix.T + t[:, None] * (force @ drift.T)
+    readings = mp.Readings(
+        values + 1e-5 * rng().standard_normal(values.shape), environment={"temperature": t}
+    )
+    model = "1 + x + y + z + temperature*x + temperature*y + temperature*z"
+    for gauge in ("lower", "symmetric"):
+        cal = mp.fit(readings, model=model, unknown_orientation=True, gauge=gauge)
+        assert len(cal.parameters) == 3 + 6 + 6
+        assert cal.rms < 3e-5
+    cal = mp.fit(readings, model=model, unknown_orientation=True)
+    assert abs(cal["ay", "temperature*x"].value - 3e-5) < 4.0 * cal["ay", "temperature*x"].u
+
+
+# --- real recordings
+
+
+def shared(name):
+    path = SHARED / name
+    if not path.exists():
+        pytest.skip(f"{path} is not here")
+    return mp.read_readings(path)
+
+
+def joint_f(readings):
+    """Return rms without and with K2, and the p value of the joint F-test of K2."""
+    without = mp.fit(readings, unknown_orientation=True)
+    with_k2 = mp.fit(readings, unknown_orientation=True, model="own-quadratic")
+    rss, rss2 = (float(np.sum(c.residuals**2)) for c in (without, with_k2))
+    nu = len(readings) - len(with_k2.parameters)
+    f = (rss - rss2) / 3.0 / (rss2 / nu)
+    return without.rms, with_k2.rms, f_tail(f, 3, nu)
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.0), (13107.0, 32768.25), (-0.66, 1.65)])
+@pytest.mark.parametrize("gauge", ["lower", "symmetric"])
+def test_innalabs_as_three_programs_found_it(gain, offset, gauge):
+    readings = shared("innalabs_24.csv")
+    readings = mp.Readings(offset + gain * readings.values, outputs=readings.outputs)
+    cal = mp.fit(readings, unknown_orientation=True, gauge=gauge)
+    bias = np.array([cal[output, "1"].value for output in cal.outputs])
+    # all printed digits of the maximum likelihood line
+    assert_allclose((bias - offset) / gain, [0.000856, -0.005183, 0.013553], atol=5.1e-7)
+    assert cal.rms == pytest.approx(425.62e-6, abs=5.1e-9)
+    assert (cal.parameters[list(cal.model.own_scales)] > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "without", "with_k2", "p"),
+    [
+        ("pointer_ee_24.csv", 583e-6, 205e-6, 1e-5),
+        ("pointer_ab_24.csv", 688e-6, 345e-6, 7e-4),
+        ("innalabs_24.csv", 426e-6, 319e-6, 0.07),
+    ],
+)
+def test_second_order_is_kept_by_the_pointers_only(name, without, with_k2, p):
+    found = joint_f(shared(name))
+    assert found[:2] == pytest.approx((without, with_k2), abs=0.51e-6)
+    assert found[2] == pytest.approx(p, rel=0.05)
+    assert (found[2] < 0.05) == name.startswith("pointer")
+
+
+# --- noise: stated, denied, estimated
+
+
+def test_stated_noise_weighs_unequal_axes_and_is_believed():
+    sd = np.array([1e-5, 1e-4, 3e-5])
+    sensor = Sensor(matrix=lower(MATRIX))
+    values = sensor.read(UP) + sd * rng().standard_normal(UP.shape)
+    cal = mp.fit(mp.Readings(values), unknown_orientation=True, reading_sd=sd)
+    assert close(cal, sensor.truth(cal.model))
+    assert np.isinf(cal.parameter_dof).all()
+    assert cal["ay", "1"].u > 2.0 * cal["ax", "1"].u
+    u = mp.fit(mp.Readings(values, u=np.tile(sd, (24, 1))), unknown_orientation=True)
+    assert (u.parameters == cal.parameters).all()
+
+
+@pytest.mark.parametrize("mode", ["unknown", "uncertain"])
+def test_denied_noise_is_scaled_up_and_said(mode):
+    readings = readings_of(Sensor(matrix=lower(MATRIX)), UP, rng(), sd=1e-4, off_deg=0.005)
+    how = {"unknown_orientation": True} if mode == "unknown" else {"orientation_sd": 0.005}
+    cal = mp.fit(mp.Readings(readings.values, up=readings.up), reading_sd=1e-6, **how)
+    honest = mp.fit(mp.Readings(readings.values, up=readings.up), **how)
+    said = [w for w in cal.diagnostics.warnings if "deny the stated reading noise" in w]
+    assert len(said) == 1
+    assert "--orientation-sd" in said[0]
+    factor = float(said[0].split("multiplied by ")[1].split(";")[0])
+    nu = 24 - 9 if mode == "unknown" else 72 - 12
+    assert (cal.parameter_dof == nu).all()
+    # across the direction the orientation error takes the blame, along it nothing does
+    assert factor == pytest.approx(1e4 if mode == "unknown" else 1e4 / 3.0, rel=0.6)
+    if mode == "unknown":
+        assert_allclose(cal.covariance, honest.covariance, rtol=1e-6)
+
+
+def test_nothing_left_is_said():
+    cal = mp.fit(mp.Readings(SENSOR.read(UP[::2][:9])), unknown_orientation=True)
+    assert np.isnan(cal.u).all()
+    assert any("nothing is left to estimate" in w for w in cal.diagnostics.warnings)
+    stated = mp.fit(
+        mp.Readings(SENSOR.read(UP[::2][:9])), unknown_orientation=True, reading_sd=1e-5
+    )
+    assert np.isfinite(stated.u).all()
+
+
+def test_both_standard_deviations_are_estimated_and_how_well():
+    readings = readings_of(SENSOR, UP, rng(), sd=2e-5, off_deg=0.02)
+    cal = mp.fit(readings, orientation_sd="auto")
+    found = cal.extra["variance_components"]
+    for name, truth in (("reading_sd", 2e-5), ("orientation_sd_deg", 0.02)):
+        assert abs(found[name]["value"] - truth) < 3.0 * found[name]["u"]
+        assert 0.05 < found[name]["u"] / found[name]["value"] < 0.35
+    said = [w for w in cal.diagnostics.warnings if "restricted maximum likelihood" in w]
+    assert "reading noise" in said[0]
+    assert "orientation error" in said[0]
+    assert "%" in said[0]
+    # what was estimated is what the calibration carries, so that others can go on with it
+    assert_allclose(
+        np.degrees(cal.readings.orientation_sd), found["orientation_sd_deg"]["value"], rtol=1e-12
+    )
+    given = mp.fit(
+        readings, orientation_sd=found["orientation_sd_deg"]["value"],
+        reading_sd=found["reading_sd"]["value"],
+    )  # fmt: skip
+    assert_allclose(cal.parameters, given.parameters, rtol=0, atol=1e-10)
+    assert_allclose(cal.u, given.u, rtol=1e-6)
+    assert (cal.parameter_dof < 200.0).all()
+    loaded = cal.to_dict()["variance_components"]
+    assert loaded["reading_sd"]["value"] == found["reading_sd"]["value"]
+
+
+def test_stated_noise_leaves_only_the_orientation_to_estimate():
+    readings = readings_of(SENSOR, UP, rng(), sd=2e-5, off_deg=0.02)
+    cal = mp.fit(readings, orientation_sd="auto", reading_sd=2e-5)
+    assert list(cal.extra["variance_components"]) == ["orientation_sd_deg"]
+
+
+def test_noise_beside_a_tilt_of_the_table_has_the_right_size():
+    """The prior of the tilt is absolute, so the noise cannot be any size."""
+    scheme = read_scheme("roll-x-24+roll-y-24+roll-z-24")
+    tilt = np.radians([0.2, -0.14])
+    turned = scheme.rotation @ rotation_matrix(np.array([*tilt, 0.0]))
+    values = SENSOR.read(turned[:, :, 2]) + 1e-5 * rng().standard_normal((72, 3))
+    cal = mp.fit(mp.Readings(values), scheme=scheme, level_sd=0.3)
+    assert_allclose(cal.residual_sd, 1e-5, rtol=0.2)
+    assert close(cal, SENSOR.truth(cal.model))
+    assert_allclose(cal.extra["level_tilt_deg"], np.degrees(tilt), atol=1e-3)
+    tied = mp.fit(mp.Readings(values), scheme=scheme)
+    assert tied.residual_sd.max() > 1e-3
+
+
+def test_bias_of_second_order_is_stated_where_it_matters():
+    noisy = readings_of(Sensor(matrix=np.eye(3)), "fibonacci-200", rng(), sd=0.03)
+    cal = mp.fit(mp.Readings(noisy.values), unknown_orientation=True)
+    said = [w for w in cal.diagnostics.warnings if "sigma^2/g^2" in w]
+    assert len(said) == 3
+    assert float(said[0].split("about ")[1].split(" ")[0]) == pytest.approx(0.03**2, rel=0.3)
+    quiet = mp.fit(mp.Readings(readings_of(SENSOR, UP, rng()).values), unknown_orientation=True)
+    assert not any("sigma^2" in w for w in quiet.diagnostics.warnings)
+
+
+def test_bias_of_second_order_is_what_is_stated():
+    """Scale factors of a thousand fits, against eq. (1) of multipos.uncertain, unequal noise."""
+    sd = np.array([0.02, 0.05, 0.03])
+    up = read_scheme("fibonacci-3000").up
+    generator = rng()
+    for spread, share in ((None, 1.0), (np.degrees(0.05), None)):
+        off = generator.standard_normal((3000, 2)) * (0.0 if spread is None else 0.05)
+        force = step_on_sphere(up, tangent_basis(up), off)
+        values = force + sd * generator.standard_normal(up.shape)
+        how = {"unknown_orientation": True} if spread is None else {"orientation_sd": spread}
+        cal = mp.fit(mp.Readings(values, up=up), reading_sd=sd, **how)
+        for axis, output in zip("xyz", cal.outputs, strict=True):
+            others = np.delete(sd, "xyz".index(axis))
+            mean = float(np.mean(sd**2))
+            part = 0.05**2 / (0.05**2 + mean) if share is None else share
+            bias = part * float(np.sum(others**2)) / 2.0
+            p = cal[output, axis]
+            # eq. (1) is exact where noise is equal; a third of the bias is left for the rest
+            assert abs(p.value - 1.0 - bias) < 3.0 * p.u + bias / 3.0
+
+
+# --- mixed information
+
+
+def test_known_uncertain_and_unknown_positions_together():
+    generator = rng()
+    sd_deg = np.full(24, 0.02)
+    sd_deg[:4], sd_deg[4:9] = 0.0, np.nan
+    force = np.where(sd_deg[:, None] == 0.0, UP, scatter(UP, 0.02, generator))
+    listed = np.where(np.isnan(sd_deg)[:, None], np.nan, UP)
+    values = SENSOR.read(force) + 1e-5 * generator.standard_normal(force.shape)
+    readings = mp.Readings(values, up=listed, orientation_sd=np.radians(sd_deg))
+    cal = mp.fit(readings, reading_sd=1e-5)
+    assert cal.estimator == "uncertain-orientation"
+    assert close(cal, SENSOR.truth(cal.model))
+    assert_allclose(cal.reference[:4], UP[:4], atol=1e-15)
+    # the unknown ones were found: as well as their two angles can be read
+    assert_allclose(cal.reference[4:9], force[4:9], atol=6e-5)
+    off = np.asarray(cal.extra["orientation_error_deg"])
+    assert np.isnan(off[4:9]).all()
+    assert (off[9:] > 0.0).all()
+    # unknown positions tell less than uncertain ones, but something
+    fewer = mp.fit(
+        mp.Readings(values[sd_deg >= 0], up=UP[sd_deg >= 0],
+                    orientation_sd=np.radians(sd_deg[sd_deg >= 0])), reading_sd=1e-5
+    )  # fmt: skip
+    assert (cal.u <= fewer.u * (1.0 + 1e-9)).all()
+
+
+def test_exact_positions_too_few_alone_are_helped_by_unknown_ones():
+    up = np.vstack([np.eye(3), UP])
+    sd = np.array([0.0, 0.0, 0.0, *[np.nan] * 24])
+    values = SENSOR.read(up) + 1e-5 * rng().standard_normal(up.shape)
+    listed = np.where(np.isnan(sd)[:, None], np.nan, up)
+    cal = mp.fit(mp.Readings(values, up=listed, orientation_sd=sd), reading_sd=1e-5)
+    assert cal.model.gauge is None
+    assert close(cal, SENSOR.truth(cal.model))
+
+
+def test_one_listed_position_does_not_fix_the_case():
+    up = np.vstack([np.eye(3)[:1], UP])
+    sd = np.array([0.0, *[np.nan] * 24])
+    values = SENSOR.read(up) + 1e-5 * rng().standard_normal(up.shape)
+    listed = np.where(np.isnan(sd)[:, None], np.nan, up)
+    with pytest.raises(mp.RankError, match="11 of 12 parameters can be separated") as caught:
+        mp.fit(mp.Readings(values, up=listed, orientation_sd=sd), reading_sd=1e-5)
+    assert "add positions such as up" in str(caught.value)
+
+
+TURN = rotation_matrix(np.array([0.7, -1.1, 0.4]))
+
+
+def test_a_group_shares_one_unknown_rotation():
+    """A cube with square faces, put down askew: up to a gauge, and no more."""
+    values = SENSOR.read(UP @ TURN.T) + 1e-5 * rng().standard_normal(UP.shape)
+    cal = mp.fit(mp.Readings(values, up=UP, group=("cube",) * 24), reading_sd=1e-5)
+    sensor = Sensor(matrix=lower(MATRIX))
+    assert cal.model.gauge == "lower"
+    assert close(cal, sensor.truth(cal.model))
+    # gauge: M T = L Q, so the rotation found is Q T
+    turned = np.linalg.solve(lower(MATRIX), MATRIX) @ TURN
+    found = rotation_matrix(np.radians(cal.extra["group_rotation_deg"]["cube"]))
+    assert_allclose(found, turned, atol=1e-4)
+    alone = mp.fit(mp.Readings(values), unknown_orientation=True, reading_sd=1e-5)
+    assert (cal.u < alone.u).all()
+
+
+def test_two_groups_and_listed_positions():
+    other = rotation_matrix(np.array([-0.2, 0.3, 2.5]))
+    force = np.vstack([UP @ TURN.T, UP @ other.T, np.eye(3)])
+    values = SENSOR.read(force) + 1e-5 * rng().standard_normal(force.shape)
+    readings = mp.Readings(
+        values, up=np.vstack([UP, UP, np.eye(3)]), group=["a"] * 24 + ["b"] * 24 + [""] * 3
+    )
+    cal = mp.fit(readings, reading_sd=1e-5)
+    assert close(cal, SENSOR.truth(cal.model))
+    for name, turn in (("a", TURN), ("b", other)):
+        found = rotation_matrix(np.radians(cal.extra["group_rotation_deg"][name]))
+        assert_allclose(found, turn, atol=1e-4)
+    assert mp.Calibration.__name__  # the result is complete: it can be written and read
+
+
+def test_groups_with_a_roll_about_an_unknown_direction():
+    """INTERFACE's example: rolls about a pointing direction which is not known."""
+    rolls = [read_scheme(f"roll-{axis}-12").up for axis in "xyz"]
+    turns = [rotation_matrix(v) for v in rng().standard_normal((3, 3))]
+    force = np.vstack([up @ turn.T for up, turn in zip(rolls, turns, strict=True)])
+    values = SENSOR.read(force) + 1e-5 * rng().standard_normal(force.shape)
+    readings = mp.Readings(values, up=np.vstack(rolls), group=["x"] * 12 + ["y"] * 12 + ["z"] * 12)
+    cal = mp.fit(readings, reading_sd=1e-5)
+    assert close(cal, Sensor(matrix=lower(MATRIX)).truth(cal.model))
+
+
+def test_a_group_tells_the_convention():
+    values = SENSOR.read(UP @ TURN.T) + 1e-5 * rng().standard_normal(UP.shape)
+    cal = mp.fit(mp.Readings(values, up=UP, group=("g",) * 24), convention="gravity")
+    assert any("look like --convention specific-force" in w for w in cal.diagnostics.warnings)
+
+
+def test_level_sd_needs_whole_attitudes():
+    with pytest.raises(mp.MultiposError, match="--level-sd needs the heading, and position '1'"):
+        mp.fit(readings_of(SENSOR, UP, rng()), level_sd=0.1)
+
+
+def test_level_sd_is_inside_every_u():
+    scheme = read_scheme("dual-axis-48")
+    readings = mp.Readings(SENSOR.read(scheme.up) + 1e-6 * rng().standard_normal((48, 3)))
+    plain = mp.fit(readings, scheme=scheme, reading_sd=1e-6)
+    level = mp.fit(readings, scheme=scheme, reading_sd=1e-6, level_sd=0.05)
+    assert (level.u >= plain.u * (1.0 - 1e-9)).all()
+    assert level.u.max() > 1.4 * plain.u.max()
+    assert level.extra["level_sd_deg"] == pytest.approx(0.05)
+
+
+# --- robust losses
+
+LOSSES = ["huber", "soft-l1", "cauchy"]
+MODES = {
+    "listed": {},
+    "uncertain": {"orientation_sd": 0.005},
+    "unknown": {"unknown_orientation": True},
+}
+
+
+@pytest.mark.parametrize("off", [0.01, -0.1, 1.0])
+@pytest.mark.parametrize("stated", [False, True], ids=["estimated", "stated"])
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("loss", LOSSES)
+def test_one_bad_reading_of_24_moves_nothing_and_is_named(loss, mode, stated, off):
+    sensor = Sensor(matrix=lower(MATRIX))
+    readings = readings_of(sensor, UP, rng(), sd=1e-4, off_deg=0.005 * (mode == "uncertain"))
+    clean = mp.Readings(readings.values, up=None if mode == "unknown" else UP)
+    how = MODES[mode] | ({"reading_sd": 1e-4} if stated else {})
+    # along the direction: across it an unknown orientation takes any error for a turn
+    worst = int(np.argmax(UP[:, 1]))
+    values = readings.values.copy()
+    values[worst, 1] += off
+    bad = mp.Readings(values, up=clean.up)
+    good = mp.fit(clean, robust=loss, **how)
+    found = mp.fit(bad, robust=loss, **how)
+    assert (np.abs(found.parameters - good.parameters) < found.u).all()
+    assert close(found, sensor.truth(found.model))
+    named = [w for w in found.diagnostics.warnings if "is set aside" in w]
+    assert any(f"position {worst + 1} is set aside" in w for w in named)
+    assert any(f"position {worst + 1}" in w for w in found.diagnostics.outliers)
+    weight = np.asarray(found.extra["robust_weight"])
+    assert (weight.reshape(24, -1)[worst].min()) == 0.0
+    assert loss in found.criterion
+
+
+def test_without_a_loss_the_same_reading_moves_a_lot():
+    readings = readings_of(SENSOR, UP, rng(), sd=1e-4)
+    values = readings.values.copy()
+    values[3, 1] += 0.1
+    clean, bad = mp.fit(readings), mp.fit(mp.Readings(values, up=UP))
+    assert (np.abs(bad.parameters - clean.parameters) / clean.u).max() > 10.0
+    assert any("position 4" in text for text in bad.diagnostics.outliers)
+
+
+def test_robust_outputs_are_fitted_alone_unless_pooled_or_correlated():
+    generator = rng()
+    values = SENSOR.read(UP) + np.array([1e-5, 1e-3, 1e-4]) * generator.standard_normal(UP.shape)
+    alone = mp.fit(mp.Readings(values, up=UP), robust="huber")
+    pooled = mp.fit(mp.Readings(values, up=UP), robust="huber", pool=True)
+    assert alone["ay", "1"].u > 20.0 * alone["ax", "1"].u
+    assert alone["ay", "1"].dof == 20
+    assert pooled["ay", "1"].u == pytest.approx(pooled["ax", "1"].u, rel=1e-6)
+    assert pooled["ay", "1"].dof == 60
+    mix = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]]) * 1e-8
+    joint = mp.fit(mp.Readings(values, up=UP, covariance=np.kron(np.eye(24), mix)), robust="huber")
+    at = [joint.names.index(name) for name in ("bias_ax", "bias_ay")]
+    assert joint.correlation[at[0], at[1]] == pytest.approx(0.9, abs=1e-6)
+
+
+# --- expressions
+
+
+def polynomial(own, x, y, z, bias, scale, cross_x=0.0, cross_y=0.0, cross_z=0.0, quad=0.0):
+    # own is among x, y, z: the linear cross terms of the others
+    return bias + scale * own + cross_x * x * (x - own) + cross_y * y * (y - own) + quad * own**2
+
+
+def asymmetric(own, x, y, z, bias, scale, cx=0.0, cy=0.0, cz=0.0, odd=0.0):
+    return bias + cx * x + cy * y + cz * z + odd * own * abs(own)
+
+
+def as_linear(x, y, z, bias=0.0, cx=0.5, cy=0.5, cz=0.5):
+    return bias + cx * x + cy * y + cz * z
+
+
+@pytest.mark.parametrize("how", [{}, {"orientation_sd": 0.02}, {"orientation_sd": "auto"}])
+def test_an_expression_is_the_polynomial_that_it_writes(how):
+    readings = readings_of(SENSOR, UP, rng(), sd=1e-4, off_deg=0.02 * bool(how))
+    known = mp.fit(readings, model="linear", **how)
+    found = mp.fit(readings, model=as_linear, **how)
+    assert_allclose(found.parameters, known.parameters, rtol=0, atol=1e-9)
+    assert_allclose(found.u, known.u, rtol=1e-5)
+    assert found.names[:4] == ("bias_ax", "cx_ax", "cy_ax", "cz_ax")
+
+
+def saturating(own, x, y, z, bias, scale, limit=0.0):
+    linear = bias + scale * own
+    return linear / (1 + limit * linear**2)
+
+
+def two_slopes(own, bias, scale, asymmetry=0.0):
+    import casadi
+
+    return bias + casadi.if_else(own > 0, (1 + asymmetry) * scale, (1 - asymmetry) * scale) * own
+
+
+def drifting(own, temperature, bias, scale, drift=0.0):
+    return bias + scale * own + drift * temperature
+
+
+@pytest.mark.parametrize(
+    ("model", "truth", "columns"),
+    [
+        (saturating, (0.02, 1.01, 0.03), ()),
+        (two_slopes, (0.02, 1.01, 0.004), ()),
+        (drifting, (0.02, 1.01, 5e-4), ("temperature",)),
+    ],
+)
+@pytest.mark.parametrize("how", [{}, {"orientation_sd": 0.01, "reading_sd": 1e-5}])
+def test_expressions_find_their_truth_and_survive_the_file(model, truth, columns, how, tmp_path):
+    generator = rng()
+    force = scatter(UP, 0.01 * bool(how), generator)
+    t = generator.uniform(10.0, 40.0, 24)
+
+    def output(own):
+        if model is two_slopes:
+            slope = np.where(own > 0, 1 + truth[2], 1 - truth[2])
+            return truth[0] + truth[1] * slope * own
+        if model is drifting:
+            return drifting(own, t, *truth)
+        return saturating(own, None, None, None, *truth)
+
+    values = np.column_stack([output(force[:, i]) for i in range(3)])
+    readings = mp.Readings(
+        values + 1e-5 * generator.standard_normal(values.shape), up=UP,
+        environment=dict.fromkeys(columns, t),
+    )  # fmt: skip
+    cal = mp.fit(readings, model=model, **how)
+    assert close(cal, np.tile(truth, 3))
+    cal.save(tmp_path / "cal.json")
+    loaded = mp.load(tmp_path / "cal.json")
+    assert_allclose(loaded.predict(force, readings.environment),
+                    cal.predict(force, readings.environment), rtol=0, atol=1e-15)  # fmt: skip
+    assert loaded.names == cal.names
+    assert_allclose(loaded.compensate(readings.values, readings.environment), force, atol=2e-4)
+
+
+def test_an_expression_survives_bad_readings():
+    values = saturating(UP, None, None, None, 0.02, 1.01, 0.03)
+    values = values + 1e-5 * rng().standard_normal(values.shape)
+    values[5, 0] += 0.3
+    cal = mp.fit(mp.Readings(values, up=UP), model=saturating, robust="soft-l1")
+    assert close(cal, np.tile((0.02, 1.01, 0.03), 3))
+
+
+def test_an_expression_with_a_few_unknown_positions():
+    sd = np.full(24, np.radians(0.01))
+    sd[4:7] = np.nan
+    generator = rng()
+    values = saturating(scatter(UP, 0.01, generator), None, None, None, 0.02, 1.01, 0.03)
+    values = values + 1e-5 * generator.standard_normal(values.shape)
+    cal = mp.fit(mp.Readings(values, up=UP, orientation_sd=sd), model=saturating, reading_sd=1e-5)
+    assert close(cal, np.tile((0.02, 1.01, 0.03), 3))
+
+
+def test_a_file_with_another_instruction_is_refused(tmp_path):
+    readings = readings_of(SENSOR, UP, rng())
+    cal = mp.fit(readings, model=as_linear)
+    path = tmp_path / "cal.json"
+    cal.save(path)
+    path.write_text(path.read_text().replace('"mul"', '"call"', 1))
+    with pytest.raises(mp.MultiposError, match="unknown instruction 'call'"):
+        mp.load(path)
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (lambda own, *rest: own, "must name each of its arguments"),
+        (lambda own, x: own + x, "has no parameter to fit"),
+        (lambda own, bias: [own, bias], "must return one value"),
+    ],
+)
+def test_expressions_that_are_none(model, message):
+    with pytest.raises(mp.UsageError, match=message):
+        mp.fit(readings_of(SENSOR, UP, rng()), model=model)
+
+
+def test_an_expression_has_no_gauge():
+    with pytest.raises(mp.UsageError, match="needs positions whose orientation is listed"):
+        mp.fit(mp.Readings(SENSOR.read(UP)), model=saturating, unknown_orientation=True)
+
+
+# --- what positions cannot tell
+
+
+def test_six_positions_leave_the_three_cross_terms_and_say_which_positions_reach_them():
+    faces = read_scheme("faces-6").up
+    values = SENSOR.read(faces) + 1e-4 * rng().standard_normal(faces.shape)
+    with pytest.raises(mp.RankError) as caught:
+        mp.fit(mp.Readings(values), unknown_orientation=True)
+    said = str(caught.value)
+    assert said.startswith("6 positions give 6 equations for 9 parameters: ")
+    assert "`cross_ay_x`, `cross_az_x`, `cross_az_y` out of reach" in said
+    named = [np.array(part.split(")")[0].split(","), float) for part in said.split("up (")[1:]]
+    assert len(named) == 3
+    added = np.vstack([faces, [CANDIDATES[np.argmax(CANDIDATES @ up)] for up in named]])
+    more = SENSOR.read(added) + 1e-4 * rng().standard_normal(added.shape)
+    cal = mp.fit(mp.Readings(more), unknown_orientation=True, reading_sd=1e-4)
+    assert not cal.diagnostics.unidentifiable
+    assert max(cal[f"a{i}", j].u for i, j in ("yx", "zx", "zy")) < 1e-3
+    # without cross terms six positions are enough
+    own = mp.fit(mp.Readings(values), unknown_orientation=True, model="1 + own", reading_sd=1e-4)
+    assert len(own.parameters) == 6
+
+
+def repeated(scheme, times=4, sd=1e-5, off_deg=0.0):
+    up = np.tile(read_scheme(scheme).up, (times, 1))
+    return mp.Readings(readings_of(SENSOR, up, rng(), sd=sd, off_deg=off_deg).values, up=up)
+
+
+@pytest.mark.parametrize(
+    ("readings", "message"),
+    [
+        (repeated("roll-x-24", 1), "all positions lie on one circle"),
+        (repeated("faces-6"), "6 of 9 parameters can be told from the noise: `cross_ay_x`, "),
+        (repeated("dual-axis-48", 1), "`cross_ay_x` out of reach; add positions such as up "),
+        (repeated("tumble-1", 24), "Turn the sensor to different positions"),
+        (mp.Readings(np.zeros((24, 3))), "the readings of ax never change; turn the sensor"),
+        (mp.Readings(SENSOR.read(UP[:5])), "5 positions give 5 equations for 9 parameters"),
+        (mp.Readings(SENSOR.read(UP)[:, :2]), "need three outputs, one along each axis"),
+    ],
+    ids=["circle", "faces", "two circles", "identical", "zero", "few", "two outputs"],
+)
+def test_unknown_orientation_names_the_need(readings, message):
+    with pytest.raises(mp.MultiposError, match=message):
+        mp.fit(mp.Readings(readings.values), unknown_orientation=True)
+
+
+@pytest.mark.parametrize(
+    ("readings", "message"),
+    [
+        (repeated("roll-x-24", 1), "`scale_ax` has no effect at these positions"),
+        (repeated("tumble-1", 24), "1 of 4 parameters can be separated"),
+        (mp.Readings(np.zeros((24, 3)), up=UP), "the readings of ax never change"),
+        (mp.Readings(SENSOR.read(UP[:3]), up=UP[:3]), "3 positions give 9 equations for 12"),
+    ],
+    ids=["circle", "identical", "zero", "few"],
+)
+def test_uncertain_orientation_names_the_need(readings, message):
+    with pytest.raises(mp.MultiposError, match=message):
+        mp.fit(readings, orientation_sd=0.1, reading_sd=1e-5)
+
+
+def test_parameters_that_are_estimable_only_formally_are_named():
+    badly = mp.fit(readings_of(SENSOR, UP, rng()), reading_sd=1e-6, orientation_sd=60.0)
+    assert any("cross_ax_y` is estimable only" in t for t in badly.diagnostics.unidentifiable)
+
+
+def test_bad_condition_is_a_warning():
+    cal = mp.fit(readings_of(SENSOR, UP, rng()), reading_sd=1e-6, orientation_sd=60.0)
+    assert cal.diagnostics.condition > 1e4
+    assert any("separate the parameters badly (condition" in w for w in cal.diagnostics.warnings)
+
+
+def test_convergence_is_reported():
+    cal = mp.fit(mp.Readings(SENSOR.read(UP) + 1e-4 * rng().standard_normal(UP.shape)),
+                 unknown_orientation=True)  # fmt: skip
+    status = cal.to_dict()["status"]
+    assert status["converged"]
+    assert 1 <= status["iterations"] < 20
+    assert status["last_step"] < 1e-6
+    assert status["gradient"] < 1e-6
+    assert status["message"] == f"converged in {status['iterations']} iterations"
+
+
+def test_noise_only_readings_are_refused():
+    for seed in range(5):
+        values = np.random.default_rng(seed).standard_normal((24, 3))
+        with pytest.raises(mp.MultiposError):
+            mp.fit(mp.Readings(values), unknown_orientation=True)
+
+
+# --- how parameters follow readings
+
+
+@pytest.mark.parametrize("mode", ["unknown", "uncertain", "mixed", "group", "level", "auto"])
+def test_gain_by_finite_differences(mode, tmp_path):
+    generator = rng()
+    scheme = read_scheme("roll-x-8+roll-y-8+roll-z-8")
+    up = scheme.up
+    sd = np.full(24, np.radians(0.02))
+    if mode == "mixed":
+        sd[:5], sd[5:9] = 0.0, np.nan
+    force = up @ TURN.T if mode == "group" else scatter(up, 0.02, generator)
+    values = SENSOR.read(force) + 1e-5 * generator.standard_normal(up.shape)
+    known = {"up": up, "rotation": scheme.rotation}
+    known |= {"group": ["g"] * 24} if mode == "group" else {}
+    known |= {"orientation_sd": sd} if mode in ("uncertain", "mixed") else {}
+    how = {
+        "unknown": {"unknown_orientation": True}, "level": {"level_sd": 0.1, "reading_sd": 1e-5},
+        "auto": {"orientation_sd": "auto"},
+    }.get(mode, {"reading_sd": 1e-5})  # fmt: skip
+    known = {} if mode == "unknown" else known
+
+    def solve(at):
+        return mp.fit(mp.Readings(at, **known), convention="specific-force", **fixed)
+
+    fixed = how
+    cal = solve(values)
+    if mode == "auto":  # variances are held where they are
+        found = cal.extra["variance_components"]
+        fixed = {
+            "orientation_sd": found["orientation_sd_deg"]["value"],
+            "reading_sd": found["reading_sd"]["value"],
+        }
+    cal.save(tmp_path / "cal.json")
+    gain = uncertain_gain(mp.load(tmp_path / "cal.json"))
+    h = 1e-6
+    scale = np.abs(gain).max()
+    for column in generator.choice(gain.shape[1], 12, replace=False).tolist():
+        step = h * (np.arange(values.size) == column).reshape(values.shape)
+        wanted = (solve(values + step).parameters - solve(values - step).parameters) / (2.0 * h)
+        # second order is left out: residuals of 1e-5 and steps of 3e-4 against one
+        assert_allclose(gain[:, column], wanted, rtol=0, atol=2e-3 * scale)
+
+
+def test_gain_of_a_position_set_aside_is_nothing():
+    readings = readings_of(SENSOR, UP, rng(), sd=1e-4, off_deg=0.005)
+    values = readings.values.copy()
+    values[7] += 0.2
+    cal = mp.fit(mp.Readings(values, up=UP), orientation_sd=0.005, robust="huber")
+    gain = uncertain_gain(cal).reshape(12, 24, 3)
+    assert np.abs(gain[:, 7]).max() < 1e-9 * np.abs(gain).max()
+
+
+def test_reference_chi2_is_where_denial_begins():
+    """The 99.9 % point itself, so that the rule is INTERFACE's."""
+    assert chi2_quantile(0.999, 15) == pytest.approx(37.697, abs=1e-3)
