@@ -38,7 +38,9 @@ _EXTRA = (
     "group_rotation_deg",
     "level_sd_deg",
     "level_tilt_deg",
-)  # what some estimators add
+    "selection",
+    "budget",
+)  # what some estimators and budgets add
 
 
 class Parameter(NamedTuple):
@@ -179,7 +181,11 @@ class Calibration:
 
         Of ``|f| − |reference|`` for unknown orientation, of the vector f − reference otherwise.
         """
-        force = self.compensate(self.readings.values, self.readings.environment)
+        # What no output senses is known here, so that it does not pass for an error.
+        force = inverse.invert(
+            self.model, self.parameters, self.readings.values, self.readings.environment,
+            unseen=self.reference,
+        )  # fmt: skip
         if self.estimator == "unknown-orientation":
             size = np.linalg.norm(self.reference, axis=1)
             return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
@@ -198,8 +204,12 @@ class Calibration:
 
     @cached_property
     def installation_deg(self) -> dict[str, derived.Value]:
-        """How far output i leans to axis j, θ_ij = atan2(M_ij, M_ii), in degrees."""
-        return derived.installation_deg(self.model, self.parameters, self.covariance, self._mean)
+        """How far output i leans to axis j, θ_ij = atan2(M_ij, M_ii), in degrees, with u and U."""
+        found = derived.installation_deg(self.model, self.parameters, self.covariance, self._mean)
+        own = dict(zip(self.model.axes, self.dof.tolist(), strict=True))
+        for pair, angle in found.items():
+            angle["U"] = coverage_factor(self.confidence, own[pair[0]]) * angle["u"]
+        return found
 
     def predict(self, reference: ArrayLike, environment: Mapping[str, ArrayLike] | None = None
                 ) -> Array:  # fmt: skip
@@ -282,6 +292,7 @@ class Calibration:
             "dof": dict(zip(self.outputs, self.dof, strict=True)),
             "readings": readings.values,
             "reference": self.reference,
+            "reference_environment": dict.fromkeys(self.model.environment, 0.0) or None,
             **{name: value for name, value in optional.items() if value is not None},
             "rms": self.rms,
             "linearity": self.linearity,
@@ -382,6 +393,10 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
     )  # fmt: skip
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
+    selection = content.get("selection")
+    if selection is not None:
+        terms = [(output, term) for output in outputs for term in selection[output]["terms"]]
+        model = model.keeping(terms)
     convention = content["convention"]
     reference = _numbers(content["reference"])
     size = np.linalg.norm(reference, axis=1)

@@ -1,17 +1,17 @@
 """The command line: find the command, parse, call, print.
 
 Every command lives in `multipos.commands` as a module with ``add_options(parser)`` and
-``run(arguments) -> str``, a thin layer over the function of the same name; only the one that is
-asked for is imported. Results go to stdout once everything has succeeded, messages to stderr;
-exit status 1 means the data or the fit is at fault, 2 the command line, and then stderr ends in
-one line that begins ``multipos: error:``.
+``run(arguments)``, which returns the text or its pieces, a thin layer over the function of the
+same name; only the one that is asked for is imported. Results go to stdout once everything has
+succeeded, messages to stderr; exit status 1 means the data or the fit is at fault, 2 the command
+line, and then stderr ends in one line that begins ``multipos: error:``.
 """
 
 import argparse
 import io
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from types import ModuleType
 from typing import NoReturn
@@ -24,7 +24,17 @@ COMMANDS = {
     "fit": "calibrate from readings at static positions",
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",
+    "compare": "compare repeated calibrations of one unit",
+    "regress": "describe a column by others, in segments, with terms the data support",
+    "average": "average the rests of a raw log into readings",
+    "export": "write a calibration as a C function or for another program",
+    "verify-export": "show what the consumer of an exported file will see",
+    "simulate": "make readings or a raw log of a calibrated sensor",
+    "check": "errors of an independent run at known positions, before and after",
+    "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",
     "schemes": "list schemes and what they can tell about a model",
+    "design": "find the best positions for a model, with proof",
+    "worth": "tell what one more position would bring to a calibration",
 }
 
 
@@ -50,11 +60,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _print(text: str) -> None:
+def _print(text: str | Iterable[str]) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # What a terminal's encoding lacks is escaped, which in JSON is the same character.
         sys.stdout.reconfigure(errors="backslashreplace")
-    sys.stdout.write(text)
+    sys.stdout.writelines([text] if isinstance(text, str) else text)
     sys.stdout.flush()
 
 
@@ -63,7 +73,7 @@ def _close_stdout() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _run(argv: list[str]) -> str:
+def _run(argv: list[str]) -> str | Iterable[str]:
     if not argv or argv[0] not in COMMANDS:
         parser = _top_parser()
         parser.parse_args(argv)

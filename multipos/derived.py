@@ -78,6 +78,34 @@ def _value(value: float, u: float) -> Value:
     return {"value": value, "u": u}
 
 
+def intrinsic_gradient(
+    model: Model, parameters: Array, environment: Mapping[str, float]
+) -> tuple[Array, Array]:
+    """Return the twelve intrinsic quantities in the order of `intrinsic`, and d/dp (12, p)."""
+    return _differentiate(_intrinsic_vector, model, parameters, environment)
+
+
+def propagate(
+    function: Callable[[Array], Array], values: Array, covariance: Array
+) -> tuple[Array, Array]:
+    """Return function(values) and its covariance to first order (JCGM 100, eq. (13); JCGM 102).
+
+    Parameters
+    ----------
+    function : callable
+        Takes values (batch, p), returns (batch, q).
+    values : (p,) array
+    covariance : (p, p) array
+
+    Returns
+    -------
+    (q,) array, (q, q) array
+    """
+    step = _STEP * np.where(values != 0.0, np.abs(values), np.abs(values).max())
+    result, gradient = _central(function, values, step)
+    return result, gradient @ covariance @ gradient.T
+
+
 def _propagate(
     function: Callable[[Array], Array],
     model: Model,
@@ -86,16 +114,33 @@ def _propagate(
     environment: Mapping[str, float],
 ) -> tuple[Array, Array]:
     """Return a function of the linear part (batch, M, 4) and its standard uncertainties."""
+    values, gradient = _differentiate(function, model, parameters, environment)
+    variance = np.einsum("qp,pr,qr->q", gradient, covariance, gradient)
+    return values, np.sqrt(np.maximum(variance, 0.0))
+
+
+def _differentiate(
+    function: Callable[[Array], Array],
+    model: Model,
+    parameters: Array,
+    environment: Mapping[str, float],
+) -> tuple[Array, Array]:
+    """Return a function of the linear part (batch, M, 4) and its derivative (q, p)."""
     to_linear = model.linear_map(environment)
     linear = to_linear @ parameters
-    size = linear.size
-    step = _STEP * np.abs(linear).max()
-    nudges = np.eye(size).reshape(size, *linear.shape) * step
-    batch = function(np.concatenate([linear[None], linear + nudges, linear - nudges]))
-    gradient = (batch[1 : size + 1] - batch[size + 1 :]) / (2.0 * step)  # (size, q)
-    by_parameter = gradient.T @ to_linear.reshape(size, -1)
-    variance = np.einsum("qp,pr,qr->q", by_parameter, covariance, by_parameter)
-    return batch[0], np.sqrt(np.maximum(variance, 0.0))
+    step = np.full(linear.size, _STEP * np.abs(linear).max())
+    values, gradient = _central(
+        lambda batch: function(batch.reshape(-1, *linear.shape)), linear.ravel(), step
+    )
+    return values, gradient @ to_linear.reshape(linear.size, -1)
+
+
+def _central(function: Callable[[Array], Array], values: Array, step: Array) -> tuple[Array, Array]:
+    """Return function(values) and its derivative (q, p) by central differences."""
+    nudges = np.diag(step)
+    batch = function(np.concatenate([values[None], values + nudges, values - nudges]))
+    size = len(values)
+    return batch[0], ((batch[1 : size + 1] - batch[size + 1 :]) / (2.0 * step[:, None])).T
 
 
 def _intrinsic_vector(linear: Array) -> Array:

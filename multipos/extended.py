@@ -6,15 +6,20 @@ numbers,
     f = y − r − X b,    g = c − X' r,
 
 and in plain double precision they are rounding noise just where they are needed. Here each sum is
-taken over exact parts and rounded once, at the end. The parts are error-free transformations: for
-doubles a and b
+taken over exact parts and rounded once, at the end. A product is split without error into its
+rounded value and the rest, which is a double as well,
 
-    a + b = s + e   (TwoSum, Knuth),    a b = p + e   (TwoProduct, Dekker, with Veltkamp's split),
+    a b = p + e                          (TwoProduct, Dekker, with Veltkamp's split),
 
-where s = fl(a + b), p = fl(a b), and e is a double as well. A sum is folded in halves with its
-errors carried beside it. The relative error of a sum s of n terms t is at most about
-ε + (n ε)² Σ|t| / |s| with ε = 1.1e-16: a sum that cancels to 1e-16 of its terms still has its
-leading digits (T. Ogita, S. M. Rump, S. Oishi, SIAM J. Sci. Comput. 26, 2005, algorithm Dot2).
+and n numbers t_k into a high part, all on one grid so coarse that their sum is exact in double
+precision, and a low part:
+
+    h_k = fl(fl(σ + t_k) − σ),   l_k = t_k − h_k exactly,   σ a power of two >= n max|t_k|
+
+(ExtractVector). What is left is of the size n ε max|t|, so that its plain sum is good to about
+ε + (n ε)² Σ|t| / |s| of the result s, ε = 1.1e-16: a sum that cancels to 1e-16 of its terms still
+has its leading digits (S. M. Rump, T. Ogita, S. Oishi, SIAM J. Sci. Comput. 31, 2008, algorithm
+ExtractVector; the same authors, 26, 2005, algorithm Dot2, for the bound).
 
 Rejected: `numpy.longdouble`, which is 80 bits on one platform, 64 on another and software on a
 third. The split overflows beyond 1e300, where there are no readings.
@@ -33,13 +38,6 @@ _SPLIT = 134217729.0  # 2^27 + 1: halves a significand so that products of halve
 _BLOCK = 1 << 15  # products held at once, in some ten arrays of this size
 
 
-def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
-    """The rounded sum and its error: a + b = s + e exactly."""
-    s = a + b
-    t = s - a
-    return s, (a - (s - t)) + (b - t)
-
-
 def split(a: Array) -> tuple[Array, Array]:
     """Two halves of 26 bits with a = high + low exactly."""
     t = _SPLIT * a
@@ -55,18 +53,12 @@ def two_product(a: Array, b: Array) -> tuple[Array, Array]:
     return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
 
 
-def fold(s: Array, e: Array) -> tuple[Array, Array]:
-    """Sum s + e along the first axis by halves; returns the sum and what rounding left of it."""
-    n = len(s)
-    while n > 1:
-        half = n // 2
-        t, d = two_sum(s[:half], s[half : 2 * half])
-        d += e[:half] + e[half : 2 * half]
-        if n % 2:
-            t = np.concatenate((t, s[-1:]))
-            d = np.concatenate((d, e[-1:]))
-        s, e, n = t, d, n - half
-    return s[0], e[0]
+def fold(t: Array, e: Array) -> tuple[Array, Array]:
+    """Sum t + e along the first axis: the exact sum of the high parts, and the rest."""
+    # frexp's exponent is that of a power of two above its argument: sigma is at most 4 n max|t|.
+    sigma = np.ldexp(1.0, np.frexp(len(t) * np.abs(t).max(axis=0))[1] + 1)
+    high = (sigma + t) - sigma
+    return high.sum(axis=0), ((t - high) + e).sum(axis=0)
 
 
 def residual(y: Array, X: Array, b: Array, r: Array, v: Array | None = None) -> Array:

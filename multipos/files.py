@@ -38,6 +38,7 @@ class Table:
     lines: Sequence[int] | None = None  # line of the file each row ends on
     sha256: str | None = None
     delimiter: str = ","
+    first: int = 0  # rows of the source that came before these, where it is read piece by piece
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -83,7 +84,7 @@ class Table:
     def where(self, row: int, name: str) -> str:
         """Return the place of a cell in words."""
         line = "" if self.lines is None else f" (line {self.lines[row]})"
-        return f"{self.source}: row {row + 1}{line}, column '{name}'"
+        return f"{self.source}: row {self.first + row + 1}{line}, column '{name}'"
 
     def _parse(self, cells: Column) -> NDArray[np.float64]:
         if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiub":
@@ -258,8 +259,10 @@ def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
         ) from None
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
+def write_text(path: str | os.PathLike[str], text: str | Iterable[str]) -> None:
     """Write a file whole or not at all: into a temporary neighbour that then takes its name.
+
+    The text may come in pieces; where making one fails, nothing is written.
 
     Raises
     ------
@@ -273,14 +276,15 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
         if target.exists() and not target.is_file():  # a device or a pipe has no neighbour
             if target.is_dir():
                 raise IsADirectoryError(None, "it is a folder")
-            target.write_text(text, encoding="utf-8")
+            with target.open("w", encoding="utf-8") as stream:
+                stream.writelines([text] if isinstance(text, str) else text)
             return
         target = target.resolve()  # a link stays, what it points to is written
         mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         try:
             with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-                stream.write(text)
+                stream.writelines([text] if isinstance(text, str) else text)
             Path(temporary).chmod(mode)
             Path(temporary).replace(target)
         except BaseException:
@@ -338,6 +342,16 @@ def plain(value: Any) -> Any:
     return value
 
 
+def read_schema(path: str | os.PathLike[str]) -> str | None:
+    """Return the schema that a JSON file names; None where it is not such a file, or not there."""
+    try:
+        value = json.loads(Path(path).read_bytes())
+    except (OSError, ValueError):
+        return None
+    found = value.get("schema") if isinstance(value, dict) else None
+    return found if isinstance(found, str) else None
+
+
 def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
     """Read a JSON object and check that its ``schema`` is the one expected.
 
@@ -363,3 +377,21 @@ def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
         raise MultiposError(f"{path}: the schema is {found!r}, but '{schema}' is needed here.")
     assert isinstance(value, dict)
     return value
+
+
+def read_toml(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises
+    ------
+    MultiposError
+        Missing, not UTF-8, or not TOML; the message names file, line and column.
+    """
+    import tomllib
+
+    try:
+        return tomllib.loads(read_bytes(path, what).decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise MultiposError(f"{path}: not UTF-8 text; save the {what} as UTF-8.") from None
+    except tomllib.TOMLDecodeError as error:
+        raise MultiposError(f"{path}: not valid TOML: {error}; correct the {what}.") from None

@@ -27,6 +27,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos import __version__
+from multipos.budgets import Budget, read_budget
+from multipos.budgets import Source as BudgetSource
 from multipos.calibration import Calibration, Gravity
 from multipos.diagnostics import Diagnostics, lack_of_fit
 from multipos.errors import MultiposError, UsageError
@@ -42,10 +44,13 @@ from multipos.model import (
     formula_columns,
     linear_term,
 )
+from multipos.model_selection import select_terms, with_selection
 from multipos.placement import Placement, place
-from multipos.readings import Readings, orient, read_readings, stated_sd
+from multipos.readings import Readings, orient, read_readings, require_range, stated_sd
 from multipos.scheme import Scheme
+from multipos.turntable import roll_warnings
 from multipos.uncertain import solve_uncertain
+from multipos.uncertainty import with_budget
 from multipos.units import gravity_ratio, normal_gravity
 
 Array = NDArray[np.float64]
@@ -54,7 +59,7 @@ CONVENTIONS = ("specific-force", "gravity")
 GAUGES = ("lower", "symmetric")
 _CONTRADICT = {
     "--closed-form": (
-        "--unknown-orientation", "--orientation-sd", "--level-sd", "--robust",
+        "--unknown-orientation", "--orientation-sd", "--level-sd", "--robust", "--stepwise",
     ),
     "--unknown-orientation": ("--orientation-sd", "--level-sd"),
 }  # fmt: skip
@@ -77,13 +82,16 @@ def fit(
     gauge: str = "lower",
     robust: str | None = None,
     pool: bool = False,
+    stepwise: bool = False,
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
     latitude: float | None = None,
     height: float | None = None,
     level_sd: float = 0.0,
+    budget: "BudgetSource | Budget | None" = None,
     unit: str | None = None,
+    range: Sequence[float] | None = None,
     confidence: float = 0.95,
 ) -> Calibration:
     """Calibrate an accelerometer from readings at static positions.
@@ -113,6 +121,8 @@ def fit(
         'huber', 'soft-l1' or 'cauchy': the loss that lets bad positions count less.
     pool : bool
         Use one residual variance for all outputs.
+    stepwise : bool
+        Keep of the model's terms only those that the readings support.
     reading_sd : float or M floats, optional
         Standard uncertainty of an averaged reading, in reading units.
     gravity, gravity_u : float [m/s²], optional
@@ -121,8 +131,12 @@ def fit(
         Take gravity from the WGS 84 normal-gravity formula.
     level_sd : float [degrees]
         Standard deviation of a tilt that all positions share, about each level axis.
+    budget : path, tables or Budget, optional
+        What is known of the measurement beside the readings (`multipos.budgets`).
     unit : str, optional
         Unit of the readings.
+    range : (low, high), optional
+        Readings outside these limits are an error.
     confidence : float
         Coverage probability of U.
 
@@ -146,11 +160,18 @@ def fit(
     JCGM 100:2008, clauses 5.1, 6.2 and annex G; Song and Qin 2009 for the six positions.
     """
     _check_options(convention, gauge, robust, confidence)
-    _check_together(closed_form, unknown_orientation, orientation_sd, level_sd, robust)
+    _check_together(closed_form, unknown_orientation, orientation_sd, level_sd, robust, stepwise)
+    stated = None if budget is None else read_budget(budget)
     local = resolve_gravity(gravity, gravity_u, latitude, height)
+    if stated is not None and stated.gravity is not None:
+        if local is not None:
+            raise UsageError("the options and the budget's [gravity] both state it; give one.")
+        local = Gravity(*stated.gravity)
     used = formula_columns(model) if isinstance(model, str) else ()
     data = read_readings(readings, outputs=outputs, unit=unit, environment=used)
     data = _without_orientation(data, scheme) if unknown_orientation else orient(data, scheme)
+    if range is not None:
+        require_range(data, range)
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
     built = _build(model, data, axes, inputs)
@@ -164,28 +185,44 @@ def fit(
         data = replace(
             data, orientation_sd=np.where(placement.spread < np.inf, placement.spread, np.nan)
         )
-    if closed_form:
-        if not placement.exact:
-            raise MultiposError(
-                "--closed-form takes exact orientations, but the readings have groups or "
-                "orientation_sd_deg above 0; leave --closed-form out."
-            )
-        solution = solve_closed_form(built, placement.reference, data, pool=pool)
-    elif placement.exact and robust is None and isinstance(model, str):
-        solution = solve_known(built, placement.reference, data, pool=pool)
-    else:
-        solution = solve_uncertain(built, data, placement, gauge=gauge, robust=robust, pool=pool)
+    if closed_form and not placement.exact:
+        raise MultiposError(
+            "--closed-form takes exact orientations, but the readings have groups or "
+            "orientation_sd_deg above 0; leave --closed-form out."
+        )
+
+    def solve(chosen: Model) -> Solution:
+        if closed_form:
+            return solve_closed_form(chosen, placement.reference, data, pool=pool)
+        if placement.exact and robust is None and isinstance(model, str):
+            return solve_known(chosen, placement.reference, data, pool=pool)
+        return solve_uncertain(chosen, data, placement, gauge=gauge, robust=robust, pool=pool)
+
+    selection = None
+    if stepwise and not isinstance(model, str):
+        raise UsageError("--stepwise chooses among the terms of a formula, not of an expression.")
+    if stepwise:
+        whole = None if placement.exact else solve(built)
+        built, selection = select_terms(
+            built if whole is None else whole.model,
+            placement.reference if whole is None else whole.reference,
+            data,
+        )
+    solution = solve(built)
     if solution.orientation_sd is not None:
         data = replace(
             data, orientation_sd=np.where(np.isinf(solution.orientation_sd), np.nan,
                                           solution.orientation_sd)
         )  # fmt: skip
     listed = np.where(placement.listed[:, None], placement.reference, np.nan)
-    return complete(
+    calibration = complete(
         solution, data, listed=listed, convention=convention, gravity=local,
         estimator=_estimator(placement, closed_form),
         criterion=_criterion(data, placement, closed_form, robust, model), confidence=confidence,
     )  # fmt: skip
+    if selection is not None:
+        calibration = with_selection(calibration, selection)
+    return calibration if stated is None else with_budget(calibration, stated)
 
 
 def complete(
@@ -224,7 +261,7 @@ def complete(
         unidentifiable=solution.unidentifiable,
         warnings=tuple(warnings),
     )
-    return Calibration(
+    calibration = Calibration(
         model=model,
         parameters=parameters,
         covariance=covariance,
@@ -246,6 +283,16 @@ def complete(
         cross_check=closed_form_difference(model, listed, readings),
         extra=solution.extra,
     )
+    return _with_roll_warnings(calibration)
+
+
+def _with_roll_warnings(calibration: Calibration) -> Calibration:
+    """Return the calibration of one or two axes with what its rolls warn of."""
+    said = roll_warnings(calibration) if len(calibration.outputs) < 3 else []
+    if not said:
+        return calibration
+    found = calibration.diagnostics
+    return replace(calibration, diagnostics=replace(found, warnings=(*found.warnings, *said)))
 
 
 def _build(
@@ -279,6 +326,7 @@ def _check_together(
     orientation_sd: float | str | None,
     level_sd: float,
     robust: str | None,
+    stepwise: bool,
 ) -> None:
     """Refuse options that contradict each other."""
     if isinstance(orientation_sd, str):
@@ -298,6 +346,7 @@ def _check_together(
         "--orientation-sd": orientation_sd is not None,
         "--level-sd": level_sd > 0.0,
         "--robust": robust is not None,
+        "--stepwise": stepwise,
     }
     for first, others in _CONTRADICT.items():
         clash = [other for other in others if given[other]]

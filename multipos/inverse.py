@@ -1,8 +1,9 @@
 """Compensation: the model's inverse, from raw readings back to specific force.
 
 The measurement equation `y = h(f)` of `multipos.model` is solved for the components that the
-sensor has (the own axes of its outputs; the others are taken as zero). Where h is linear the
-answer is one matrix product; otherwise Newton's iteration starts from it,
+sensor has (the own axes of its outputs; the others, unseen, are taken as zero unless they are
+known). Where h is linear the answer is one matrix product; otherwise Newton's iteration starts
+from it,
 
     f <- f + J(f)^+ (y - h(f)),    J = dh/df,                                              (1)
 
@@ -10,6 +11,12 @@ row by row in one vectorised pass. With more outputs than axes `J^+` is the leas
 inverse. To first order the parameters' covariance C reaches the answer through
 
     df/dp = -J^+ dh/dp,            cov(f) = (df/dp) C (df/dp)'.                             (2)
+
+At rest |f| = g, which gives one unseen component w up to its sign,
+
+    w = ±sqrt(max(0, g² - |f_seen|²)),                                                      (3)
+
+and (1), (3) are solved in turn: the error shrinks by about (cross term/scale factor) f/w a turn.
 """
 
 from collections.abc import Mapping
@@ -31,10 +38,27 @@ def sensed_axes(model: Model) -> tuple[int, ...]:
     return tuple(i for i, axis in enumerate(COMPONENTS) if axis in model.axes)
 
 
+def unseen_axes(model: Model) -> tuple[int, ...]:
+    """Return the components that no output senses as its own, as indices of x, y, z in order."""
+    return tuple(i for i, axis in enumerate(COMPONENTS) if axis not in model.axes)
+
+
 def invert(
-    model: Model, parameters: Array, raw: Array, environment: Mapping[str, ArrayLike]
+    model: Model,
+    parameters: Array,
+    raw: Array,
+    environment: Mapping[str, ArrayLike],
+    *,
+    unseen: Array | None = None,
 ) -> Array:
     """Return the force (n, K) [g] that explains raw readings (n, M); NaN where none does.
+
+    Parameters
+    ----------
+    model, parameters, raw, environment
+        Of the calibration, and the readings to compensate.
+    unseen : (n, 3) array, optional [g]
+        Force whose components that no output senses are taken as known; zero otherwise.
 
     Raises
     ------
@@ -42,9 +66,12 @@ def invert(
         The linear part cannot be inverted.
     """
     sensed = list(sensed_axes(model))
-    force = np.zeros((len(raw), 3))
     if model.is_linear:
-        return _solve_linear(model, parameters, raw)
+        return _solve_linear(model, parameters, raw, unseen)
+    force = np.zeros((len(raw), 3))
+    if unseen is not None:
+        others = list(unseen_axes(model))
+        force[:, others] = unseen[:, others]
     active = np.arange(len(raw))
     columns = {name: np.asarray(environment[name], dtype=np.float64) for name in model.environment}
     for _ in range(_STEPS):
@@ -65,6 +92,43 @@ def invert(
     return np.asarray(force[:, sensed])
 
 
+def invert_at_rest(
+    model: Model,
+    parameters: Array,
+    raw: Array,
+    environment: Mapping[str, ArrayLike],
+    *,
+    magnitude: float,
+    sign: ArrayLike,
+) -> Array:
+    """Return the force (n, 3) [g] of a sensor at rest, by eqs. (1) and (3).
+
+    Two axes leave one component unseen, which (3) gives; one axis leaves two, of which nothing is
+    known but their size, and they stay zero.
+
+    Parameters
+    ----------
+    model, parameters, raw, environment
+        As in `invert`.
+    magnitude : float [g]
+    sign : float or (n,) array
+        Of the unseen component.
+    """
+    sensed, others = list(sensed_axes(model)), list(unseen_axes(model))
+    force = np.zeros((len(raw), 3))
+    force[:, sensed] = invert(model, parameters, raw, environment)
+    if len(others) != 1:
+        return force
+    for _ in range(_STEPS):
+        before = force[:, others[0]].copy()
+        left = magnitude**2 - np.einsum("nk,nk->n", force[:, sensed], force[:, sensed])
+        force[:, others[0]] = np.sign(sign) * np.sqrt(np.maximum(left, 0.0))
+        if not (np.abs(force[:, others[0]] - before) > _XTOL).any():
+            break
+        force[:, sensed] = invert(model, parameters, raw, environment, unseen=force)
+    return force
+
+
 def inverse_covariance(
     model: Model,
     parameters: Array,
@@ -72,15 +136,34 @@ def inverse_covariance(
     force: Array,
     environment: Mapping[str, ArrayLike],
 ) -> Array:
-    """Return the covariance (n, K, K) [g²] of compensated force (n, K), by eq. (2)."""
-    sensed = list(sensed_axes(model))
+    """Return the covariance (n, K, K) [g²] of compensated force (n, K), by eq. (2); NaN as it."""
+    sound = np.isfinite(force.sum(axis=1))
     full = np.zeros((len(force), 3))
-    full[:, sensed] = force
-    jacobian = model.force_jacobian(parameters, full, environment)[:, :, sensed]
-    by_parameter = parameter_jacobian(model, parameters, full, environment)
-    sensitivity = np.linalg.pinv(jacobian) @ by_parameter
+    full[:, list(sensed_axes(model))] = np.where(sound[:, None], force, 0.0)
+    inverse, by_parameter = sensitivities(model, parameters, full, environment)
+    sensitivity = inverse @ by_parameter
     result: Array = sensitivity @ covariance @ sensitivity.transpose(0, 2, 1)
+    result[~sound] = np.nan
     return result
+
+
+def sensitivities(
+    model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+) -> tuple[Array, Array]:
+    """Return J^+ (n, K, M) and dh/dp (n, M, p) of eqs. (1), (2) at force (n, 3) [g]."""
+    jacobian = model.force_jacobian(parameters, force, environment)
+    inverse = np.linalg.pinv(jacobian[:, :, list(sensed_axes(model))])
+    return np.asarray(inverse), parameter_jacobian(model, parameters, force, environment)
+
+
+def unseen_leak(
+    model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    """Return J^+ dh/dw (n, K): what a unit of the one unseen component w does to the others."""
+    jacobian = model.force_jacobian(parameters, force, environment)
+    inverse = np.linalg.pinv(jacobian[:, :, list(sensed_axes(model))])
+    leak: Array = inverse @ jacobian[:, :, list(unseen_axes(model))]
+    return leak[:, :, 0]
 
 
 def parameter_jacobian(
@@ -112,7 +195,7 @@ def _apply_inverse(jacobian: Array, misfit: Array) -> Array:
         return step
 
 
-def _solve_linear(model: Model, parameters: Array, raw: Array) -> Array:
+def _solve_linear(model: Model, parameters: Array, raw: Array, unseen: Array | None) -> Array:
     sensed = [1 + axis for axis in sensed_axes(model)]
     linear = model.linear_map({}) @ parameters
     matrix = linear[:, sensed]
@@ -123,5 +206,9 @@ def _solve_linear(model: Model, parameters: Array, raw: Array) -> Array:
             "from readings; every output needs its own axis in the model, and must respond to it."
         )
     inverse = np.linalg.pinv(matrix) if len(matrix) > len(sensed) else np.linalg.inv(matrix)
-    force: Array = (raw - linear[:, 0]) @ inverse.T
+    known = linear[:, 0]
+    if unseen is not None:
+        others = list(unseen_axes(model))
+        known = known + unseen[:, others] @ linear[:, [1 + axis for axis in others]].T
+    force: Array = (raw - known) @ inverse.T
     return force

@@ -27,7 +27,7 @@ from multipos.diagnostics import bartlett, find_outliers
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.identifiability import formal_only
 from multipos.least_squares import LinearFit, separability, solve
-from multipos.model import COMPONENTS, Model, build_model
+from multipos.model import COMPONENTS, Model, build_model, linear_term
 from multipos.quantiles import chi2_quantile
 from multipos.readings import Readings, stated_sd
 
@@ -291,18 +291,13 @@ def solve_closed_form(
             f"--closed-form solves the models own-quadratic and linear, got '{model.text}'; "
             "leave out --closed-form."
         )
-    rows = six_positions(reference)
-    if rows is None:
+    if six_positions(reference) is None:
         raise MultiposError(
             "--closed-form needs six readings, each axis once up and once down; "
             "leave it out and least squares takes any positions."
         )
     n, m = readings.values.shape
-    weights = np.zeros((len(model.keys), n * m))
-    for output, (axis, part) in enumerate(zip(model.axes, model.slices, strict=True)):
-        weights[part, output::m] = closed_form_weights(
-            reference, rows, COMPONENTS.index(axis), quadratic=model.text == "own-quadratic"
-        )
+    weights = closed_form_gain(model, reference)
     solution = solve_known(model, reference, readings, pool=pool)
     parameters = weights @ readings.values.ravel()
     noise = reading_noise(readings)
@@ -314,6 +309,32 @@ def solve_closed_form(
         covariance=weights @ full @ weights.T * np.outer(scale, scale),
         residuals=readings.values - model.predict(parameters, reference, readings.environment),
     )
+
+
+def closed_form_gain(model: Model, reference: Array) -> Array:
+    """Return how the six-position inversion makes the parameters of the readings.
+
+    Parameters
+    ----------
+    model : Model
+        Own-quadratic or linear.
+    reference : (6, 3) array [g]
+        The six positions in any order.
+
+    Returns
+    -------
+    (p, 6 M) array
+        Parameters = this matrix times the readings, output running fastest.
+    """
+    rows = six_positions(reference)
+    assert rows is not None
+    m = len(model.outputs)
+    weights = np.zeros((len(model.keys), len(reference) * m))
+    for output, (axis, part) in enumerate(zip(model.axes, model.slices, strict=True)):
+        weights[part, output::m] = closed_form_weights(
+            reference, rows, COMPONENTS.index(axis), quadratic=model.text == "own-quadratic"
+        )
+    return weights
 
 
 def closed_form_difference(model: Model, reference: Array, readings: Readings) -> float | None:
@@ -356,7 +377,7 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     way_out = (
         f"x^2 + y^2 + z^2 = 1 at rest, so no static positions can; for {name} use '{formula}'"
         if model.text == "full-quadratic" and set(model.inputs) == set(COMPONENTS)
-        else f"add positions that differ more, or for {name} fit '{formula}'"
+        else f"add {_missing_positions(model, phi)}, or for {name} fit '{formula}'"
     )
     if len(design) < len(terms):
         return RankError(
@@ -368,3 +389,13 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
         f"{'; '.join(error.combinations)}; {way_out}.",
         rank=error.rank, parameters=error.parameters, combinations=error.combinations,
     )  # fmt: skip
+
+
+def _missing_positions(model: Model, phi: Array) -> str:
+    """Return what to add: for positions that never excite one input, a roll about another axis."""
+    components = [linear_term(axis) for axis in model.inputs]
+    seen = [model.basis_terms.index(term) for term in components if term in model.basis_terms]
+    silent = [column for column in seen if np.abs(phi[:, column]).max() <= FLOOR]
+    if len(silent) == 1 and len(seen) > 1:
+        return "a roll about another axis, as all positions lie in one plane"
+    return "positions that differ more"

@@ -128,6 +128,14 @@ class Term:
 CONSTANT = Term()
 
 
+def evaluate_terms(terms: Sequence[Term], columns: Mapping[str, Array], n: int) -> Array:
+    """Return the design (n, q) of terms; powers by repeated multiplication, each rounded once."""
+    design = np.empty((n, len(terms)))
+    for column, term in enumerate(terms):
+        design[:, column] = term.evaluate(columns)
+    return design
+
+
 def linear_term(variable: str) -> Term:
     """Return the bare variable as a term."""
     return Term((Factor(variable, 1),))
@@ -372,6 +380,14 @@ class Model:
         )
         return replace(self, terms=terms, gauge=gauge)
 
+    def keeping(self, keys: Sequence[tuple[str, str]]) -> "Model":
+        """Return the model with only the parameters named, (output, term) each."""
+        terms = tuple(
+            tuple(term for term in own if (output, str(term)) in keys)
+            for output, own in zip(self.outputs, self.terms, strict=True)
+        )
+        return replace(self, terms=terms)
+
     def index(self, output: str, term: "str | Term") -> int:
         """Return the place of a parameter by output and term."""
         try:
@@ -463,6 +479,19 @@ def build_model(
                     + "."
                 )
     return model
+
+
+def parse_terms(text: str, *, highest: int = HIGHEST_POWER) -> tuple[Term, ...]:
+    """Return the terms of a formula over any columns, in order, each once.
+
+    Raises
+    ------
+    UsageError
+        The formula cannot be read, or a power is above `highest`.
+    """
+    # With 'own' for the own axis, a column of that name stays what it is.
+    parts = _split(text, text)
+    return tuple(dict.fromkeys(_parse_term(part, text, "own", highest) for part in parts))
 
 
 def formula_columns(text: str) -> tuple[str, ...]:
@@ -588,7 +617,7 @@ _FACTOR = re.compile(
 )
 
 
-def _parse_term(part: str, text: str, axis: str) -> Term:
+def _parse_term(part: str, text: str, axis: str, highest: int = HIGHEST_POWER) -> Term:
     """Parse ``x*|own|`` for the output whose own axis is given."""
     plain: dict[str, int] = {}
     modulus: dict[str, int] = {}
@@ -602,10 +631,9 @@ def _parse_term(part: str, text: str, axis: str) -> Term:
                 "1, x, y, z, own, |own| and column names, each with ^power."
             )
         power = int(match["power"] or 1)
-        if not 1 <= power <= HIGHEST_POWER:
+        if not 1 <= power <= highest:
             raise UsageError(
-                f"model '{text}': the power in '{factor.strip()}' must lie between 1 and "
-                f"{HIGHEST_POWER}."
+                f"model '{text}': the power in '{factor.strip()}' must lie between 1 and {highest}."
             )
         name = match["name"] or match["modulus"]
         counts = plain if match["name"] else modulus

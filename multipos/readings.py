@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos import attitudes
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
 from multipos.files import Source, Table, read_table
 from multipos.scheme import Scheme, read_scheme
 
@@ -197,6 +197,10 @@ def read_readings(
                 f"the columns are {_listed(table.columns)}."
             )
         notes += [f"column '{name}' holds text and is not used" for name in text]
+        beside = _averaged_along(names, table)
+        names = tuple(name for name in names if name not in beside)
+        if beside:
+            notes.append(f"no sd_… beside column {_listed(beside)}, as outputs have; not used")
     else:
         _require(names, table.columns, table.source)
         notes += [
@@ -294,6 +298,31 @@ def stated_sd(readings: Readings) -> Array | None:
     return readings.u
 
 
+def require_range(readings: Readings, limits: Sequence[float]) -> None:
+    """Refuse readings outside stated limits: a saturated or disconnected output.
+
+    Raises
+    ------
+    UsageError
+        The limits are not LOW,HIGH.
+    MultiposError
+        A reading is outside; the first is named, and how many there are.
+    """
+    if len(limits) != 2 or not limits[0] < limits[1]:
+        raise UsageError("--range takes LOW,HIGH in reading units, LOW below HIGH.")
+    low, high = limits
+    outside = (readings.values < low) | (readings.values > high)
+    if outside.any():
+        row, column = np.argwhere(outside)[0].tolist()
+        label = "" if readings.positions is None else f" (position {readings.positions[row]})"
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: row {row + 1}{label}, column "
+            f"'{readings.outputs[column]}': {readings.values[row, column]:g} is outside the range "
+            f"{low:g} to {high:g} ({int(outside.sum())} of {outside.size} readings are); measure "
+            "these positions again or leave them out."
+        )
+
+
 def _with_up(readings: Readings) -> Readings:
     if readings.up is not None:
         return readings
@@ -329,6 +358,14 @@ def _may_be_output(name: str, table: Table) -> bool:
         return False
     stem = name.partition("_")[2]
     return not (name.startswith(("u_", "sd_")) and stem in table.columns)
+
+
+def _averaged_along(names: tuple[str, ...], table: Table) -> list[str]:
+    """Return columns that an average of a log carries beside its outputs."""
+    # Only an average has n and, for every output, sd_….
+    if "n" not in table or not any(f"sd_{name}" in table for name in names):
+        return []
+    return [name for name in names if f"sd_{name}" not in table and f"u_{name}" not in table]
 
 
 def is_environment(name: str) -> bool:

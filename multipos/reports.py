@@ -1,69 +1,31 @@
-"""Reports of a calibration, for people: plain text and Markdown.
+"""The summary that a fit prints; the whole report is `multipos.documents`.
 
-Both are the same sections: what was done, warnings first, the parameters as value(u) with U, k
-and degrees of freedom, the residuals of every position, and how the result was checked.
+What was done, warnings first, the parameters as value(u) with U, k and degrees of freedom, the
+residuals of every position, and how the result was checked.
 """
 
 import math
-import os
-from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from multipos.calibration import Calibration, labels, parameter_rows
-from multipos.errors import UsageError
-from multipos.files import write_text
-from multipos.formatting import markdown_table, number, table
-
-_Table = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
+from multipos.formatting import number, table
 
 
 def text_report(calibration: Calibration) -> str:
-    """Return the report as plain text."""
+    """Return the summary as plain text."""
     parts = []
-    for title, body in _sections(calibration, table):
+    for title, body in _sections(calibration):
         parts.append(f"{title}\n{'-' * len(title)}\n{body}\n")
     return "\n".join(parts)
 
 
-def markdown_report(calibration: Calibration) -> str:
-    """Return the report as Markdown."""
-    parts = ["# Calibration report\n"]
-    for title, body in _sections(calibration, markdown_table):
-        if "\n" in body and not body.startswith("|"):
-            body = body.replace("\n", "  \n")
-        parts.append(f"## {title}\n\n{body}\n")
-    return "\n".join(parts)
-
-
-def write_report(calibration: Calibration, path: str | os.PathLike[str]) -> None:
-    """Write the report in the form that the file's ending asks for: .txt or .md.
-
-    Raises
-    ------
-    UsageError
-        Another ending.
-    MultiposError
-        The file cannot be written.
-    """
-    suffix = Path(path).suffix.lower()
-    if suffix not in _FORMS:
-        raise UsageError(
-            f"the report's ending '{suffix}' is unknown; write it to a {' or '.join(_FORMS)} file."
-        )
-    write_text(path, _FORMS[suffix](calibration))
-
-
-_FORMS = {".txt": text_report, ".md": markdown_report}
-
-
-def _sections(calibration: Calibration, draw: _Table) -> list[tuple[str, str]]:
+def _sections(calibration: Calibration) -> list[tuple[str, str]]:
     sections = [("Calibration", _summary(calibration))]
     said = [*calibration.diagnostics.warnings, *calibration.diagnostics.outliers]
     if said:
         sections.append(("Warnings", "\n".join(f"- {line}" for line in said)))
     header, rows = parameter_rows(calibration)
-    sections.append(("Parameters", draw(header, rows)))
-    sections.append(("Residuals", _residuals(calibration, draw)))
+    sections.append(("Parameters", table(header, rows)))
+    sections.append(("Residuals", _residuals(calibration)))
     sections.append(("Checks", _checks(calibration)))
     return sections
 
@@ -80,13 +42,14 @@ def _summary(calibration: Calibration) -> str:
         f"model       {c.model.text}, inputs {', '.join(c.model.inputs)}",
         f"convention  {c.convention}",
         f"gravity     {gravity}",
+        *(f"at          {name} 0, where its terms vanish" for name in c.model.environment),
         f"estimator   {c.estimator}: {c.criterion}",
         f"created     {c.created}, multipos {c.version}",
     ]
     return "\n".join(lines)
 
 
-def _residuals(calibration: Calibration, draw: _Table) -> str:
+def _residuals(calibration: Calibration) -> str:
     c = calibration
     header = ["position", "x", "y", "z", *(f"{output} [{c.model.unit}]" for output in c.outputs)]
     rows = [
@@ -97,7 +60,7 @@ def _residuals(calibration: Calibration, draw: _Table) -> str:
     ]
     sd = ["s", "", "", "", *(number(value, 3) for value in c.residual_sd.tolist())]
     dof = ["dof", "", "", "", *(number(value) for value in c.dof.tolist())]
-    return draw(header, [*rows, sd, dof])
+    return table(header, [*rows, sd, dof])
 
 
 def _checks(calibration: Calibration) -> str:

@@ -8,7 +8,9 @@ import pytest
 
 import multipos as mp
 from multipos import attitudes
+from multipos.budgets import DIVISORS, KINDS
 from multipos.calibration import _EXTRA
+from multipos.certificate import LAB_FIELDS
 from multipos.model import NAMED, build_model
 from multipos.readings import _RESERVED
 from multipos.scheme import named_schemes
@@ -89,3 +91,21 @@ def test_every_key_that_is_described_is_there(calibration):
     known |= set(_EXTRA) | set(calibration.to_dict()["parameters"][0])
     described = {key for row in rows("Calibration (JSON)") for key in row[0].split("`, `")}
     assert described == known
+
+
+def test_every_table_of_a_budget_is_described():
+    described = {row[0]: row for row in rows("Budget (TOML)")}
+    assert set(described) == set(KINDS)
+    for name, kind in KINDS.items():
+        assert all(key in described[name][3] for key in kind.settings)
+    assert set(DIVISORS) <= NAMES
+
+
+def test_every_field_of_a_lab_file_is_described():
+    described = {row[0]: set(re.findall(r"\w+", row[1])) for row in rows("Lab file (TOML)")}
+    assert described == {section: set(keys) for section, keys in LAB_FIELDS.items()}
+
+
+def test_every_key_of_a_comparison_is_described(calibration):
+    found = mp.compare(calibration, calibration).to_dict()
+    assert set(found) | set(found["parameters"][0]) <= NAMES

@@ -2,7 +2,7 @@
 
 import argparse
 
-from multipos.commands.options import add_model, add_output, names, numbers, warn
+from multipos.commands.options import add_model, add_output, add_range, names, numbers, warn
 from multipos.files import to_json
 from multipos.fitting import fit
 from multipos.reports import text_report
@@ -41,6 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--robust", metavar="LOSS", help="huber, soft-l1 or cauchy")
     add("--level-sd", type=float, default=0.0, metavar="DEG", help="tilt that positions share")
     add("--pool", action="store_true", help="one residual variance for all outputs")
+    add("--stepwise", action="store_true", help="keep the terms that the readings support")
     add(
         "--reading-sd",
         type=numbers,
@@ -51,7 +52,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--gravity-u", type=float, metavar="U", help="its standard uncertainty [m/s^2]")
     add("--latitude", type=float, metavar="DEG", help="gravity by WGS 84 at this latitude")
     add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
+    add("--budget", metavar="FILE", help="TOML file of what else is uncertain: level, voltmeter, …")
     add("--unit", metavar="UNIT", help="unit of the readings")
+    add_range(parser)
     add(
         "--confidence",
         type=float,
@@ -64,7 +67,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def degrees_or_auto(text: str) -> float | str:
     """Return degrees, or 'auto'."""
-    return text if text == "auto" else float(text)
+    try:
+        return text if text == "auto" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is neither degrees nor 'auto'") from None
 
 
 def run(arguments: argparse.Namespace) -> str:

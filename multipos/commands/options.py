@@ -1,10 +1,15 @@
 """What several commands share: lists on the command line, the model's options, warnings."""
 
 import argparse
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 
 from multipos.model import NAMED
+
+_LARGE = 1 << 24  # bytes; a smaller file is read before a bar could be seen
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -21,6 +26,19 @@ def numbers(text: str) -> tuple[float, ...]:
         return tuple(float(number) for number in text.split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is not a number or numbers") from None
+
+
+def accept_negative_lists(parser: argparse.ArgumentParser) -> None:
+    """Let an option take ``-2,2`` as its value: argparse knows negative numbers, not lists."""
+    parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)[\d.,eE+-]*$")
+
+
+def add_range(parser: argparse.ArgumentParser) -> None:
+    """Add ``--range``."""
+    accept_negative_lists(parser)
+    parser.add_argument(
+        "--range", type=numbers, metavar="LOW,HIGH", help="refuse readings outside these limits"
+    )
 
 
 def add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None:
@@ -47,7 +65,46 @@ def add_model(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_orientation(parser: argparse.ArgumentParser) -> None:
+    """Add ``--unknown-orientation`` and ``--orientation-sd``, of which one can be given."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--unknown-orientation", action="store_true", help="orientations are unknown, |f| = g"
+    )
+    group.add_argument(
+        "--orientation-sd",
+        type=float,
+        metavar="DEG",
+        help="standard deviation of the orientation per axis [degrees]",
+    )
+
+
 def warn(warnings: Sequence[str]) -> None:
     """Print warnings to stderr, a line each."""
     for warning in warnings:
         print(f"multipos: warning: {warning}", file=sys.stderr)
+
+
+@contextmanager
+def progress_bar(what: str, total: int) -> Iterator[Callable[[int], object]]:
+    """Show how much of a long task is done, on stderr and only on a terminal.
+
+    Yields the function that is told how much is done.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
+                  ) as progress:  # fmt: skip
+        task = progress.add_task(what, total=total)
+        yield lambda done: progress.update(task, completed=done)
+
+
+@contextmanager
+def file_progress(path: str, what: str) -> Iterator[Callable[[float], object] | None]:
+    """Show how much of a large file is read, a share from 0 to 1; yield who is told, or None."""
+    if not (Path(path).is_file() and Path(path).stat().st_size > _LARGE):
+        yield None
+        return
+    with progress_bar(what, 1000) as told:
+        yield lambda done: told(round(1000 * done))

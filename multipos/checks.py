@@ -1,0 +1,367 @@
+"""Check: an independent run at known positions, before and after compensation.
+
+At each position and axis the error is what is said less what is known, of the force [g] or of the
+tilt [degrees]: before by the nominal conversion (raw − bias)/scale, after by the calibration,
+
+    e = f − f_ref,    u² = u²(f) + u²(f_ref),    U = k u,                                   (1)
+
+with u(f) of eq. (4) of `multipos.tilt`, the noise of the run's own readings in it, and u(f_ref)
+from ``orientation_sd_deg`` where the run states it. Against a limit L, U is the guard band:
+
+    pass where |e| + U <= L,    fail where |e| − U > L,    else undecided.                  (2)
+
+Linearity is the largest departure from the least-squares line against the reference, in percent of
+that line's span: from −1 to +1 g for force, over the angles of the run for tilt. The positions
+of the run are known, so a component that the sensor does not have is taken on its known side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.calibration import Calibration, labels
+from multipos.errors import MultiposError, UsageError
+from multipos.files import Source
+from multipos.inverse import sensed_axes
+from multipos.model import COMPONENTS
+from multipos.readings import Readings, orient, read_readings, require_range
+from multipos.scheme import Scheme
+from multipos.tilt import (
+    at_rest,
+    coverage_factors,
+    force_uncertainty,
+    magnitude_of,
+    reading_noise,
+    sign_of,
+    tilt_at_rest,
+    triad_tilt,
+    true_tilt,
+)
+
+Array = NDArray[np.float64]
+
+SCHEMA = "multipos/check/1"
+VERDICTS = ("pass", "undecided", "fail")  # from best to worst
+
+
+@dataclass(frozen=True)
+class Check:
+    """Errors of K axes at n positions, before and after compensation.
+
+    Attributes
+    ----------
+    quantity, unit : str
+        'force' in g or 'tilt' in degrees.
+    axes : tuple of K str
+    positions : tuple of n str
+    reference, before, after, u, U : (n, K) arrays
+        What is known, the errors, and the uncertainty of `after`; `after` is NaN where no tilt
+        explains the reading.
+    limit : float or None
+    verdicts : (n, K) array of str
+        By eq. (2); empty without a limit and where `counted` is false.
+    counted : (n, K) array of bool
+        Positions within `within` of level, which the summary and the verdict are about.
+    linearity_percent : {'before': (K,) array, 'after': (K,) array}
+    bias, scale : float
+        The nominal conversion.
+    confidence : float
+    source, sha256 : str or None
+    warnings : tuple of str
+    """
+
+    quantity: str
+    unit: str
+    axes: tuple[str, ...]
+    positions: tuple[str, ...]
+    reference: Array
+    before: Array
+    after: Array
+    u: Array
+    U: Array
+    limit: float | None
+    verdicts: NDArray[np.str_]
+    counted: NDArray[np.bool_]
+    linearity_percent: Mapping[str, Array]
+    bias: float
+    scale: float
+    confidence: float
+    source: str | None
+    sha256: str | None
+    warnings: tuple[str, ...]
+
+    @property
+    def verdict(self) -> str | None:
+        """The worst verdict of all positions, or None without a limit."""
+        return worst(self.verdicts)
+
+    def summary(self, axis: str | None = None) -> dict[str, Any]:
+        """Return maximum, rms and linearity before and after, of one axis or of all."""
+        columns = [self.axes.index(axis)] if axis else list(range(len(self.axes)))
+        found: dict[str, Any] = {}
+        for when, errors in (("before", self.before), ("after", self.after)):
+            part = errors[:, columns][self.counted[:, columns]]
+            part = part[np.isfinite(part)]
+            found[when] = {
+                "maximum": float(np.abs(part).max()) if len(part) else np.nan,
+                "rms": float(np.sqrt(np.mean(part**2))) if len(part) else np.nan,
+                "linearity_percent": float(self.linearity_percent[when][columns].max()),
+            }
+        widest = np.where(self.counted, self.U, -np.inf)[:, columns]
+        found["after"]["largest_U"] = float(widest.max())
+        found["verdict"] = worst(self.verdicts[:, columns])
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
+        rows = []
+        for row, label in enumerate(self.positions):
+            entry: dict[str, Any] = {"position": label}
+            for name in ("reference", "before", "after", "u", "U"):
+                entry[name] = dict(zip(self.axes, getattr(self, name)[row].tolist(), strict=True))
+            entry["verdict"] = worst(self.verdicts[row])
+            entry["counted"] = dict(zip(self.axes, self.counted[row].tolist(), strict=True))
+            rows.append(entry)
+        return {
+            "schema": SCHEMA,
+            "input": {"file": self.source, "sha256": self.sha256},
+            "quantity": self.quantity,
+            "unit": self.unit,
+            "limit": self.limit,
+            "confidence": self.confidence,
+            "nominal": {"bias": self.bias, "scale": self.scale},
+            "axes": self.axes,
+            "positions": rows,
+            **self.summary(),
+            "by_axis": {axis: self.summary(axis) for axis in self.axes},
+            "warnings": self.warnings,
+        }
+
+
+def check(
+    calibration: Calibration,
+    readings: Source | Readings,
+    *,
+    scheme: Source | Scheme | None = None,
+    tilt: bool = False,
+    limit_deg: float | None = None,
+    limit_g: float | None = None,
+    within_deg: float | None = None,
+    nominal: Sequence[float] = (0.0, 1.0),
+    reading_sd: ArrayLike | None = None,
+    range: Sequence[float] | None = None,
+) -> Check:
+    """Return the errors of a run at known positions, before and after compensation.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    readings : Readings, path, mapping of columns, or data frame
+        An independent run; its ``u_…`` are the uncertainty of its readings.
+    scheme : Scheme, name, path, mapping of columns, or data frame, optional
+        The positions; otherwise the readings' own columns say them.
+    tilt : bool
+        Compare tilt in degrees and not force in g; a limit in degrees does so by itself.
+    limit_deg, limit_g : float, optional
+        Largest error allowed.
+    within_deg : float, optional
+        Count only axes that stand within so many degrees of the horizon.
+    nominal : (bias, scale)
+        The conversion (raw − bias)/scale used before the calibration.
+    reading_sd : float or M floats, optional
+        Standard uncertainty of a reading of the run; by default that of the calibration's.
+    range : (low, high), optional
+        Readings outside it are an error.
+
+    Returns
+    -------
+    Check
+
+    Raises
+    ------
+    MultiposError
+        The data are at fault: an output missing, no orientation, a reading out of range.
+    UsageError
+        An option is at fault.
+    """
+    tilt = tilt or limit_deg is not None
+    _check_options(tilt, limit_deg, limit_g, within_deg, nominal)
+    data = read_readings(
+        readings, outputs=calibration.outputs, environment=calibration.model.environment
+    )
+    data = orient(data, scheme)
+    if range is not None:
+        require_range(data, range)
+    assert data.up is not None
+    axes = list(sensed_axes(calibration.model))
+    noise = _noise(calibration, data, reading_sd)
+    run = _tilt_errors if tilt else _force_errors
+    reference, before, after, u, U = run(calibration, data, data.up, nominal, noise)
+    level = np.degrees(true_tilt(data.up))[:, axes]
+    # A hair's breadth more, so that 60 degrees from a cosine is within 60.
+    counted = np.abs(level) <= (90.0 if within_deg is None else within_deg) + 1e-6
+    if not counted.any():
+        raise MultiposError(f"no position of the run is within {within_deg:g} degrees of level.")
+    limit = limit_deg if tilt else limit_g
+    return Check(
+        quantity="tilt" if tilt else "force",
+        unit="deg" if tilt else "g",
+        axes=tuple(COMPONENTS[i] for i in axes),
+        positions=labels(data),
+        reference=reference,
+        before=before,
+        after=after,
+        u=u,
+        U=U,
+        limit=limit,
+        verdicts=_judge(after, U, limit, counted),
+        counted=counted,
+        linearity_percent={
+            "before": _linearity(reference, before, counted, tilt),
+            "after": _linearity(reference, after, counted, tilt),
+        },
+        bias=float(nominal[0]),
+        scale=float(nominal[1]),
+        confidence=calibration.confidence,
+        source=data.source,
+        sha256=data.sha256,
+        warnings=data.notes,
+    )
+
+
+def _check_options(
+    tilt: bool,
+    limit_deg: float | None,
+    limit_g: float | None,
+    within_deg: float | None,
+    nominal: Sequence[float],
+) -> None:
+    if tilt and limit_g is not None:
+        raise UsageError("--limit-g is a limit of force; give --limit-deg for tilt.")
+    for name, value in (
+        ("--limit-deg", limit_deg), ("--limit-g", limit_g), ("--within-deg", within_deg)
+    ):  # fmt: skip
+        if value is not None and not 0.0 < value < np.inf:
+            raise UsageError(f"{name} must be above 0, got {value}.")
+    if len(nominal) != 2 or not np.isfinite(nominal).all() or nominal[1] == 0.0:
+        raise UsageError("--nominal takes BIAS,SCALE in reading units, with a scale that is not 0.")
+
+
+def _noise(calibration: Calibration, data: Readings, reading_sd: ArrayLike | None) -> Array:
+    """Return the standard uncertainty of the run's readings (n, M)."""
+    shape = data.values.shape
+    if reading_sd is not None:
+        sd = np.asarray(reading_sd, dtype=np.float64).ravel()
+        if len(sd) not in (1, shape[1]):
+            raise UsageError(f"--reading-sd takes 1 or {shape[1]} values, got {len(sd)}.")
+        if not (np.isfinite(sd).all() and (sd > 0.0).all()):
+            raise UsageError("--reading-sd must be above 0.")
+        return np.broadcast_to(sd, shape)
+    if data.u is not None:
+        return data.u
+    return np.broadcast_to(reading_noise(calibration), shape)
+
+
+_Errors = tuple[Array, Array, Array, Array, Array]
+
+
+def _force_errors(
+    calibration: Calibration, data: Readings, up: Array, nominal: Sequence[float], noise: Array
+) -> _Errors:
+    axes = list(sensed_axes(calibration.model))
+    reference = (sign_of(calibration) * magnitude_of(calibration) * up)[:, axes]
+    rest = at_rest(calibration, data.values, data.environment, up)
+    covariance, dof = force_uncertainty(calibration, rest, data.environment, noise)
+    across = np.sqrt(np.maximum(magnitude_of(calibration) ** 2 - reference**2, 0.0))
+    own = np.sqrt(np.einsum("nkk->nk", covariance))
+    u = np.hypot(own, across * _placement(data))
+    before = _nominal(calibration, data, nominal) - reference
+    return reference, before, rest[:, axes] - reference, u, _expanded(calibration, own, u, dof) * u
+
+
+def _tilt_errors(
+    calibration: Calibration, data: Readings, up: Array, nominal: Sequence[float], noise: Array
+) -> _Errors:
+    axes = list(sensed_axes(calibration.model))
+    reference = true_tilt(up)[:, axes]
+    rest = at_rest(calibration, data.values, data.environment, up)
+    found = tilt_at_rest(calibration, rest, data.environment, noise)
+    placed = _placement(data)
+    force = _nominal(calibration, data, nominal)
+    if len(axes) == 3:
+        before = triad_tilt(force, sign_of(calibration))
+    else:
+        before = np.arcsin(
+            np.clip(sign_of(calibration) * force / magnitude_of(calibration), -1.0, 1.0)
+        )
+    k = coverage_factors(calibration.confidence, np.full(found.u.shape, np.inf))
+    U = np.hypot(found.U, k * placed)
+    u = np.hypot(found.u, placed)
+    arrays = (reference, before - reference, found.tilt - reference, u, U)
+    degrees = [np.degrees(array) for array in arrays]
+    return degrees[0], degrees[1], degrees[2], degrees[3], degrees[4]
+
+
+def _nominal(calibration: Calibration, data: Readings, nominal: Sequence[float]) -> Array:
+    """Return the force (n, K) by the nominal conversion; outputs of one axis are averaged."""
+    converted = (data.values - nominal[0]) / nominal[1]
+    own = np.array(calibration.model.axes)
+    axes = [COMPONENTS[i] for i in sensed_axes(calibration.model)]
+    return np.column_stack([converted[:, own == axis].mean(axis=1) for axis in axes])
+
+
+def _placement(data: Readings) -> Array:
+    """Return how well each position of the run is known (n, 1) [rad]; exact where not stated."""
+    if data.orientation_sd is None:
+        return np.zeros((len(data), 1))
+    return np.nan_to_num(data.orientation_sd)[:, None]
+
+
+def _expanded(calibration: Calibration, own: Array, u: Array, dof: Array) -> Array:
+    """Return k of a sum of which only the part `own` has finite degrees of freedom."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        effective = np.where(own > 0.0, dof * (u / own) ** 4, np.inf)
+    return coverage_factors(calibration.confidence, effective)
+
+
+def _judge(
+    after: Array, U: Array, limit: float | None, counted: NDArray[np.bool_]
+) -> NDArray[np.str_]:
+    verdicts = np.full(after.shape, "", dtype="<U9")
+    if limit is None:
+        return verdicts
+    error = np.abs(after)
+    verdicts[:] = "undecided"
+    verdicts[error + U <= limit] = "pass"
+    verdicts[(error - U > limit) | np.isnan(after)] = "fail"
+    verdicts[~counted] = ""
+    return verdicts
+
+
+def worst(verdicts: NDArray[np.str_]) -> str | None:
+    """Return the worst of some verdicts, None where there is none."""
+    given = [VERDICTS.index(name) for name in set(verdicts.ravel().tolist()) if name]
+    return VERDICTS[max(given)] if given else None
+
+
+def _linearity(reference: Array, error: Array, counted: NDArray[np.bool_], tilt: bool) -> Array:
+    """Return the largest departure from the least-squares line (K,), in percent of its span."""
+    result = np.full(reference.shape[1], np.nan)
+    for column, (known, wrong, used) in enumerate(
+        zip(reference.T, error.T, counted.T, strict=True)
+    ):
+        rows = used & np.isfinite(wrong)
+        x, y = known[rows], (known + wrong)[rows]
+        if not len(x) or np.ptp(x) < 1e-9:
+            continue
+        centred = x - x.mean()
+        slope = float(centred @ y) / float(centred @ centred)
+        span = abs(slope) * (float(np.ptp(x)) if tilt else 2.0)
+        left = y - y.mean() - slope * centred
+        result[column] = 100.0 * float(np.abs(left).max()) / span
+    return result

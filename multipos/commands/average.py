@@ -1,0 +1,47 @@
+"""``multipos average``."""
+
+import argparse
+
+from multipos.averages import averages_text
+from multipos.averaging import average
+from multipos.commands.options import add_output, file_progress, names, warn
+from multipos.files import to_json
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add = parser.add_argument
+    add("log", metavar="LOG", help="raw log: CSV, white space, .npy, .npz, .mat")
+    add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
+    add("--columns", type=names, metavar="a,b,c,…", help="names of all columns of the log")
+    add("--time-column", metavar="T", help="column with the time [s] (default time)")
+    add("--rate", type=float, metavar="HZ", help="sample rate, where no column tells the time")
+    add("--min-duration", type=float, metavar="S", help="shortest rest [s] (default 2)")
+    add(
+        "--threshold",
+        type=float,
+        metavar="V",
+        help="standard deviation above which it moves (default: learnt from the log)",
+    )
+    add("--sections", metavar="FILE", help="JSON or CSV of the rows where rests begin and end")
+    add("--only", type=names, metavar="LABEL,…", help="rests to average")
+    add("--scheme", metavar="S", help="match the rests to a scheme, by direction")
+    add(
+        "--convention",
+        default="specific-force",
+        metavar="C",
+        help="for matching: specific-force (up reads +1, default) or gravity (down reads +1)",
+    )
+    add_output(parser, "READINGS.csv", "write the readings to READINGS.csv")
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Return what the command prints."""
+    options = {k: v for k, v in vars(arguments).items() if k not in ("log", "json", "output")}
+    with file_progress(arguments.log, "reading") as progress:
+        found = average(arguments.log, progress=progress, **options)
+    text = to_json(found.to_dict()) if arguments.json else averages_text(found)
+    if arguments.output:
+        found.save(arguments.output)
+    warn(found.warnings)
+    return text

@@ -1,0 +1,70 @@
+"""``multipos design``."""
+
+import argparse
+
+from multipos.commands.options import add_model, add_orientation, add_output, numbers, warn
+from multipos.designs import design, design_csv, design_text
+from multipos.errors import UsageError
+from multipos.files import to_json, write_text
+from multipos.information import nothing_to_weigh
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add = parser.add_argument
+    add_model(parser)
+    add("--positions", type=int, required=True, metavar="N", help="how many, --include counted")
+    add(
+        "--criterion",
+        default="D",
+        metavar="C",
+        help="D, A, G, I or u:OUTPUT:TERM such as u:ax:x^2 (default D)",
+    )
+    add("--candidates", metavar="S", help="bench or scheme that can be reached (default any)")
+    add("--include", metavar="S", help="scheme of positions already measured, which stay")
+    add("--region", metavar="S", help="directions that criterion I averages over (default all)")
+    add_orientation(parser)
+    add(
+        "--reading-sd",
+        type=float,
+        default=1.0,
+        metavar="SD",
+        help="standard uncertainty of a reading (default 1); in g beside --orientation-sd",
+    )
+    add(
+        "--move-time",
+        type=numbers,
+        metavar="S,S",
+        help="seconds that a position takes, and that turning takes per degree",
+    )
+    add("--seed", type=int, default=0, metavar="K", help="of the random starts (default 0)")
+    add_output(parser, "SCHEME.csv", "write the positions to SCHEME.csv")
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Return what the command prints."""
+    move_time = arguments.move_time
+    if move_time is not None and (len(move_time) != 2 or min(move_time) < 0.0):
+        raise UsageError("--move-time takes two times of 0 or more: per position, per degree.")
+    if arguments.seed < 0:
+        raise UsageError(f"--seed must be 0 or more, got {arguments.seed}.")
+    found = design(
+        arguments.model,
+        arguments.positions,
+        criterion=arguments.criterion,
+        axes=arguments.axes or ("x", "y", "z"),
+        inputs=arguments.inputs,
+        candidates=arguments.candidates,
+        include=arguments.include,
+        region=arguments.region,
+        unknown_orientation=arguments.unknown_orientation,
+        orientation_sd=arguments.orientation_sd,
+        reading_sd=arguments.reading_sd,
+        move_time=move_time,
+        seed=arguments.seed,
+    )
+    text = to_json(found) if arguments.json else design_text(found)
+    if arguments.output:
+        write_text(arguments.output, design_csv(found))
+    warn(nothing_to_weigh(arguments.orientation_sd, arguments.reading_sd))
+    return text

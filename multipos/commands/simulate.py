@@ -1,0 +1,75 @@
+"""``multipos simulate``."""
+
+import argparse
+
+from multipos.calibration import load
+from multipos.commands.options import add_output, numbers
+from multipos.errors import UsageError
+from multipos.files import format_csv, to_json, write_text
+from multipos.simulation import simulate, simulate_log
+
+# Options of each form, with what they are when not given.
+_BOTH = ("orientation_sd", "temperature", "seed")
+_READINGS = {"reading_sd": 0.0}
+_LOG = {"rate": 100.0, "rest": 5.0, "turn": 2.0, "sample_sd": 0.0, "correlation_time": 0.0}
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add = parser.add_argument
+    add("calibration", metavar="CAL.json", help="the sensor")
+    add("--scheme", required=True, metavar="S", help="scheme name, names joined by +, or CSV file")
+    add("--reading-sd", type=numbers, metavar="SD[,SD,SD]", help="noise of an averaged reading")
+    add(
+        "--orientation-sd",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="placement error per axis [degrees]",
+    )
+    add(
+        "--temperature",
+        type=numbers,
+        metavar="FROM,TO",
+        help="temperature run [degC] (default: the mean at calibration)",
+    )
+    add("--log", action="store_true", help="a raw log of the session instead of readings")
+    add("--rate", type=float, metavar="HZ", help="sample rate of the log (default 100)")
+    add("--rest", type=float, metavar="S", help="duration of a rest (default 5)")
+    add("--turn", type=float, metavar="S", help="duration of a turn (default 2)")
+    add("--sample-sd", type=numbers, metavar="SD[,SD,SD]", help="noise of a sample of the log")
+    add(
+        "--correlation-time",
+        type=float,
+        metavar="S",
+        help="how long that noise remembers (default 0: white)",
+    )
+    add("--seed", type=int, metavar="K", help="seed of the random numbers")
+    add_output(parser, "READINGS.csv", "file to write (default: the table goes to stdout)")
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Return what the command prints."""
+    mine, other = (_LOG, _READINGS) if arguments.log else (_READINGS, _LOG)
+    for name in other:
+        if getattr(arguments, name) is not None:
+            option = f"--{name.replace('_', '-')}"
+            raise UsageError(
+                f"{option} is for {'averaged readings' if arguments.log else 'a log'}; "
+                f"{'leave out' if arguments.log else 'add'} --log."
+            )
+    options = {name: getattr(arguments, name) for name in _BOTH}
+    options |= {
+        name: default if getattr(arguments, name) is None else getattr(arguments, name)
+        for name, default in mine.items()
+    }
+    if options["seed"] is not None and options["seed"] < 0:
+        raise UsageError(f"--seed must be 0 or more, got {options['seed']}.")
+    made = simulate_log if arguments.log else simulate
+    columns = made(load(arguments.calibration), arguments.scheme, **options)
+    text = format_csv(columns)
+    if arguments.output:
+        write_text(arguments.output, text)
+    if arguments.json:
+        return to_json({"columns": columns})
+    return "" if arguments.output else text

@@ -1,0 +1,50 @@
+"""``multipos tumble``."""
+
+import argparse
+
+from multipos.commands.options import add_output, add_range, names, numbers, warn
+from multipos.files import to_json, write_text
+from multipos.sections import tumble_text
+from multipos.single_axis import tumble
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add = parser.add_argument
+    add("readings", metavar="READINGS", help="CSV file of averaged readings of a tumble")
+    add("--outputs", type=names, metavar="A", help="the output, where there are several columns")
+    add("--axes", type=names, default=("x",), metavar="x", help="input axis (default x)")
+    add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
+    add("--model", metavar="M", help="model or formula (default: ieee-odd, less what is hidden)")
+    add(
+        "--convention",
+        default="specific-force",
+        metavar="C",
+        help="specific-force (up reads +1, default) or gravity (down reads +1)",
+    )
+    add("--reading-sd", type=numbers, metavar="SD", help="standard uncertainty of a reading")
+    add("--gravity", type=float, metavar="G", help="local gravity [m/s^2]")
+    add("--gravity-u", type=float, metavar="U", help="its standard uncertainty [m/s^2]")
+    add("--latitude", type=float, metavar="DEG", help="gravity by WGS 84 at this latitude")
+    add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
+    add("--unit", metavar="UNIT", help="unit of the readings")
+    add_range(parser)
+    add(
+        "--confidence",
+        type=float,
+        default=0.95,
+        metavar="P",
+        help="coverage probability of U (default 0.95)",
+    )
+    add_output(parser, "FILE", "write the result as JSON to FILE")
+
+
+def run(arguments: argparse.Namespace) -> str:
+    """Return what the command prints."""
+    options = {k: v for k, v in vars(arguments).items() if k not in ("readings", "json", "output")}
+    found = tumble(arguments.readings, **options)
+    text = to_json(found.to_dict())
+    if arguments.output:
+        write_text(arguments.output, text)
+    warn(found.warnings)
+    return text if arguments.json else tumble_text(found)

@@ -1,0 +1,98 @@
+"""Write a calibration in the form that a target takes."""
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from multipos.calibration import Calibration
+from multipos.errors import UsageError
+from multipos.exporters.c_source import c_source, c_test
+from multipos.exporters.laws import loss_text
+from multipos.exporters.parameters import write_ardupilot, write_px4, write_ros
+from multipos.files import write_text
+
+TARGETS = ("c", "ros-imu-calib", "px4", "ardupilot")
+_PARAMETER_WRITERS = {
+    "ros-imu-calib": write_ros,
+    "px4": write_px4,
+    "ardupilot": write_ardupilot,
+}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A calibration in the form of a target.
+
+    Attributes
+    ----------
+    target : str
+    text : str
+        Content of the file.
+    test : str or None
+        C program that checks the function, for a file beside it.
+    notes : tuple of str
+        What is lost or doubtful, in words.
+    """
+
+    target: str
+    text: str
+    test: str | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def save(self, path: str | os.PathLike[str]) -> tuple[str, ...]:
+        """Write the file, for C also ``…_test.c`` beside it; return the names written."""
+        written = [str(path)]
+        if self.test is not None:
+            beside = Path(path).with_name(f"{Path(path).stem}_test{Path(path).suffix}")
+            write_text(beside, self.test)
+            written.append(str(beside))
+        write_text(path, self.text)
+        return tuple(written)
+
+
+def export(
+    calibration: Calibration,
+    to: str,
+    *,
+    name: str = "multipos",
+    float: bool = False,
+    allow_lossy: bool = False,
+) -> Exported:
+    """Return a calibration in the form of a target.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    to : str
+        'c', 'ros-imu-calib', 'px4' or 'ardupilot'.
+    name : str
+        The C function is called ``NAME_compensate``.
+    float : bool
+        Single instead of double precision, in C.
+    allow_lossy : bool
+        Let go of terms that the target cannot express; the rest is fitted again.
+
+    Returns
+    -------
+    Exported
+
+    Raises
+    ------
+    MultiposError
+        The target cannot express the model, or its inverse does not converge in fixed steps.
+    UsageError
+        An unknown target, a name that is no C identifier, or an option of another target.
+    """
+    if to == "c":
+        text = c_source(calibration, name, single=float)
+        return Exported(to, text, c_test(calibration, name, single=float))
+    if to not in TARGETS:
+        raise UsageError(f"--to takes {', '.join(TARGETS)}, got '{to}'.")
+    if float:
+        raise UsageError(f"--float is for --to c; {to} has a precision of its own.")
+    text, law, notes = _PARAMETER_WRITERS[to](calibration, allow_lossy=allow_lossy)
+    if law.lost:
+        notes = [loss_text(calibration, law, to), *notes]
+    if calibration.convention == "gravity":
+        notes.append(f"the force is turned from gravity to specific force, which {to} works in")
+    return Exported(to, text, notes=tuple(notes))

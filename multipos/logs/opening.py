@@ -1,0 +1,99 @@
+"""Which reader serves which log."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.files import Column, Source, read_table
+from multipos.logs.arrays import log_of_columns, read_mat, read_npy, read_npz, refuse_hdf
+from multipos.logs.table import Log
+from multipos.logs.text import HEAD, open_text, split_rows
+
+
+class Reader(NamedTuple):
+    """How one kind of file is told from others, and opened."""
+
+    kind: str
+    suffixes: tuple[str, ...]
+    magic: bytes
+    columns: Callable[[Path], Mapping[str, Any]]
+
+
+def open_log(source: "Source | Log", *, columns: Sequence[str] | None = None) -> Log:
+    """Return a log from a file, a mapping of columns, or a data frame.
+
+    Parameters
+    ----------
+    source : path, mapping of name to (n,) array, data frame, or Log
+    columns : names, optional
+        Names of the columns, instead of those the file gives.
+
+    Returns
+    -------
+    Log
+
+    Raises
+    ------
+    MultiposError
+        The file is missing, empty, or of a kind that is not read.
+    UsageError
+        `columns` does not name each column once.
+    """
+    if isinstance(source, Log):
+        return source
+    if not isinstance(source, str | os.PathLike):
+        table = read_table(source, what="log")
+        return log_of_columns(table.source, table.columns, columns)
+    path = Path(source)
+    head = _read_head(path)
+    by_content = [reader for reader in READERS if head.startswith(reader.magic)]
+    by_suffix = [reader for reader in READERS if path.suffix.lower() in reader.suffixes]
+    for reader in by_content or (by_suffix if b"\0" in head else ()):
+        return log_of_columns(str(path), reader.columns(path), columns)
+    return open_text(path, head, columns)
+
+
+def read_log(log: Log) -> dict[str, Column]:
+    """Return all columns of a log at once: numbers, NaN where a cell is none, and texts."""
+    columns: dict[str, list[Any]] = {name: [] for name in log.columns}
+    texts = [name for name in log.columns if name not in log.numeric]
+    for piece in log.read((), log.numeric):
+        for name in log.numeric:
+            columns[name].append(piece.table.columns[name])
+        rows = split_rows(piece.lines, log.delimiter) if piece.lines and texts else []
+        for name in texts:
+            place = log.columns.index(name)
+            columns[name] += [row[place] for row in rows]
+    return {
+        name: np.concatenate(column) if name in log.numeric else column
+        for name, column in columns.items()
+        if column
+    }
+
+
+def _read_head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEAD)
+    except FileNotFoundError:
+        raise MultiposError(f"{path}: no such file; check the path of the log.") from None
+    except OSError as error:
+        raise MultiposError(
+            f"{path}: cannot read the log: {error.strerror or error}; "
+            "check the path and its permissions."
+        ) from None
+    if not head.strip():
+        raise MultiposError(f"{path}: the file is empty; a log needs rows of samples.")
+    return head
+
+
+READERS = (
+    Reader("NumPy .npy", (".npy",), b"\x93NUMPY", read_npy),
+    Reader("NumPy .npz", (".npz",), b"PK\x03\x04", read_npz),
+    Reader("MATLAB .mat up to v7", (".mat",), b"MATLAB 5.0 MAT-file", read_mat),
+    Reader("HDF5", (".h5", ".hdf5"), b"\x89HDF", refuse_hdf),
+)

@@ -1,0 +1,194 @@
+"""Figures of a calibration: residuals, positions, budget, correlation."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.calibration import Calibration, labels
+from multipos.model import COMPONENTS, linear_term
+from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series
+from multipos.uncertainty import Evaluation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+_TICKS = 26  # labels that fit below a figure
+
+
+def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> None:
+    """Draw the residuals of an output at every position, with ±2 standard deviations of each.
+
+    The band is that of the residuals themselves, s sqrt(1 − h), narrow where the leverage h is
+    large.
+    """
+    c = calibration
+    column = c.outputs.index(output)
+    left = np.maximum(1.0 - c.diagnostics.leverage[:, column], 0.0)
+    band = 2.0 * _noise(c)[:, column] * np.sqrt(left)
+    at = np.arange(len(c.readings))
+    axes.axhline(0.0, color="#000000", linewidth=0.6)
+    if np.isfinite(band).all():
+        axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label="±2 sd")
+    axes.plot(at, c.residuals[:, column], MARKERS[column % 8], color=COLOURS[column % 6],
+              label=output)  # fmt: skip
+    _name_positions(axes, labels(c.readings))
+    axes.set_ylabel(f"{output} [{c.model.unit}]")
+    axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+    name_series(axes, 2)
+
+
+def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
+    """Draw which way was up at every position, on the two halves of the sphere.
+
+    Equal-area: the left disc is seen from +z, the right one from −z; the rim is the xy plane.
+    """
+    c = calibration
+    up = c.reference / np.linalg.norm(c.reference, axis=1)[:, None]
+    if c.convention == "gravity":
+        up = -up
+    circle = np.linspace(0.0, 2.0 * np.pi, 181)
+    for side, centre in ((1.0, -1.2), (-1.0, 1.2)):
+        axes.plot(centre + np.cos(circle), np.sin(circle), color="#000000", linewidth=0.8)
+        for elevation in (30.0, 60.0):
+            r = np.sqrt(1.0 - np.sin(np.radians(elevation)))
+            axes.plot(centre + r * np.cos(circle), r * np.sin(circle), color=COLOURS[6],
+                      linewidth=0.4)  # fmt: skip
+        on = side * up[:, 2] >= -1e-12  # positions on the rim belong to both discs
+        height = np.clip(side * up[on, 2], 0.0, 1.0)
+        radius = np.sqrt(1.0 - height) / np.maximum(np.hypot(up[on, 0], up[on, 1]), 1e-300)
+        x, y = up[on, 0] * radius, up[on, 1] * radius
+        axes.plot(centre + x, y, MARKERS[0] if side > 0 else MARKERS[1], linestyle="none",
+                  color=COLOURS[0] if side > 0 else COLOURS[1])  # fmt: skip
+        axes.text(centre, -1.24, "+z" if side > 0 else "-z", ha="center", va="center")
+        for name, px, py in (("+x", 1.13, 0.0), ("+y", 0.0, 1.1)):
+            axes.text(centre + px, py, name, ha="center", va="center", fontsize=7)
+    axes.set_aspect("equal")
+    axes.set_xlim(-2.4, 2.5)
+    axes.set_ylim(-1.4, 1.25)
+    axes.set_axis_off()
+
+
+def draw_leverage(calibration: Calibration, axes: "Axes") -> None:
+    """Draw how far every position fixes its own fit, 0 … 1, for each output."""
+    c = calibration
+    n, m = c.readings.values.shape
+    width = 0.8 / m
+    for i, output in enumerate(c.outputs):
+        at = np.arange(n) + (i - (m - 1) / 2.0) * width
+        axes.bar(at, c.diagnostics.leverage[:, i], width, color=COLOURS[i % 6], label=output,
+                 hatch=HATCHES[i % 8], edgecolor="#ffffff", linewidth=0.3)  # fmt: skip
+    axes.set_ylim(0.0, min(1.02, 1.2 * float(c.diagnostics.leverage.max())))
+    axes.set_ylabel("leverage")
+    _name_positions(axes, labels(c.readings))
+    name_series(axes, min(m, 4))
+
+
+def draw_errors(calibration: Calibration, axes: "Axes") -> None:
+    """Draw the size of the error at every position before and after compensation [g].
+
+    Before: `nominal_error`, after: compensated force less reference.
+    """
+    c = calibration
+    before, after = nominal_error(c), compensated_error(c)
+    at = np.arange(len(before))
+    tiny = 1e-3 * max(float(np.nanmax(before)), 1e-12)
+    axes.plot(at, np.maximum(before, tiny), MARKERS[1], color=COLOURS[1], label="before")
+    axes.plot(at, np.maximum(after, tiny * 1e-3), MARKERS[0], color=COLOURS[0], label="after")
+    axes.set_yscale("log")
+    axes.set_ylabel("error [g]")
+    _name_positions(axes, labels(c.readings))
+    name_series(axes, 2)
+
+
+def nominal_error(calibration: Calibration) -> Array:
+    """Return the size (n,) [g] of the error with one nominal scale factor and no bias.
+
+    The nominal scale factor is 1 for readings in g, else the mean own-axis one.
+    """
+    c = calibration
+    own = [
+        c.parameters[c.model.keys.index((output, linear_term(axis)))]
+        for output, axis in zip(c.outputs, c.model.axes, strict=True)
+        if (output, linear_term(axis)) in c.model.keys
+    ]
+    scale = 1.0 if c.model.unit == "g" or not own else float(np.mean(own))
+    axes = [COMPONENTS.index(axis) for axis in c.model.axes]
+    error = c.readings.values / scale - c.reference[:, axes]
+    return np.asarray(np.linalg.norm(error, axis=1))
+
+
+def compensated_error(calibration: Calibration) -> Array:
+    """Return the size (n,) [g] of what is left after compensation."""
+    c = calibration
+    force = c.compensate(c.readings.values, c.readings.environment)
+    sensed = [i for i, axis in enumerate(COMPONENTS) if axis in c.model.axes]
+    return np.asarray(np.linalg.norm(force - c.reference[:, sensed], axis=1))
+
+
+def draw_budget(evaluation: Evaluation, axes: "Axes") -> None:
+    """Draw what share of each parameter's variance every input quantity has [%]."""
+    quantities, share = variance_shares(evaluation)
+    at = np.arange(len(evaluation.names))
+    left = np.zeros(len(at))
+    for i, (quantity, part) in enumerate(zip(quantities, share, strict=True)):
+        axes.barh(at, part, left=left, color=COLOURS[i % 8], hatch=HATCHES[i % 8], label=quantity,
+                  edgecolor="#ffffff", linewidth=0.3)  # fmt: skip
+        left = left + part
+    axes.set_yticks(at, list(evaluation.names))
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 100.0)
+    axes.set_xlabel("share of the variance [%]")
+    name_series(axes, 3)
+
+
+def variance_shares(evaluation: Evaluation) -> tuple[list[str], Array]:
+    """Return the quantities and their share (quantities, p) of each variance [%]."""
+    added = np.array([np.diag(row.added) for row in evaluation.rows])
+    names = list(dict.fromkeys(row.quantity for row in evaluation.rows))
+    total = np.maximum(added.sum(axis=0), np.finfo(float).tiny)
+    parts = [
+        sum(added[i] for i, row in enumerate(evaluation.rows) if row.quantity == name)
+        for name in names
+    ]
+    return names, 100.0 * np.array(parts) / total
+
+
+def draw_correlation(calibration: Calibration, axes: "Axes") -> None:
+    """Draw the correlation matrix of the parameters, with the size of each coefficient."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    c = calibration
+    p = len(c.names)
+    shades = LinearSegmentedColormap.from_list("signed", [COLOURS[1], "#ffffff", COLOURS[0]])
+    values = np.nan_to_num(c.correlation)
+    axes.pcolormesh(np.arange(p + 1), np.arange(p + 1), values, cmap=shades, vmin=-1.0, vmax=1.0,
+                    edgecolors="#999999", linewidth=0.2)  # fmt: skip
+    for i in range(p):
+        for j in range(p):
+            if i != j and abs(values[i, j]) >= 0.05 and p <= 20:
+                axes.text(j + 0.5, i + 0.5, f"{values[i, j]:.1f}".replace("0.", "."), ha="center",
+                          va="center", fontsize=6,
+                          color="#ffffff" if abs(values[i, j]) > 0.6 else "#222222")  # fmt: skip
+    axes.set_xticks(np.arange(p) + 0.5, list(c.names), rotation=90, fontsize=7)
+    axes.set_yticks(np.arange(p) + 0.5, list(c.names), fontsize=7)
+    axes.invert_yaxis()
+    axes.set_aspect("equal")
+
+
+def _noise(c: Calibration) -> Array:
+    """Standard deviation (n, M) of a reading: as stated and believed, or as the residuals show."""
+    if c.readings.u is not None and np.isinf(c.dof).all():
+        return c.readings.u
+    return np.broadcast_to(c.residual_sd, c.residuals.shape)
+
+
+def _name_positions(axes: "Axes", names: tuple[str, ...]) -> None:
+    step = -(-len(names) // _TICKS)
+    at = np.arange(0, len(names), step)
+    long = max(map(len, names)) > 3 and len(at) > 8
+    axes.set_xticks(at, [names[i] for i in at], rotation=90 if long else 0)
+    axes.set_xlim(-0.6, len(names) - 0.4)
+    axes.set_xlabel("position")

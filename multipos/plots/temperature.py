@@ -1,0 +1,90 @@
+"""Figures of a regression and of parameters over temperature."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multipos.correction import correct
+from multipos.files import Source, read_table
+from multipos.plots.style import COLOURS
+from multipos.regression import Regression
+from multipos.segment import Segment
+from multipos.temperature import Curve
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def draw_correction(
+    regression: Regression,
+    data: Source,
+    axes: "Axes",
+    *,
+    variable: str | None = None,
+    column: str | None = None,
+) -> None:
+    """Draw a column before and after its correction against a variable, with the segments.
+
+    Parameters
+    ----------
+    regression : Regression
+    data : path, mapping of columns, or data frame
+    axes : matplotlib Axes
+    variable : str, optional
+        What it is drawn against: the segment variable, or the first variable, by default.
+    column : str, optional
+        What is corrected; the response by default.
+    """
+    table = read_table(data, what="data")
+    name = variable or regression.range_variable
+    target = column or regression.response
+    x = table.number(name)
+    found = correct(regression, table, column=target)
+    before, after = table.number(target), np.asarray(found["corrected"])
+    for values, label, colour, marker in (
+        (before, "before", COLOURS[6], "x"),
+        (after, "after", COLOURS[0], "."),
+    ):
+        axes.plot(x, values, color=colour, marker=marker, linestyle="none", markersize=3.0,
+                  label=label)  # fmt: skip
+    if name == regression.segment_variable:
+        for edge in regression.edges:
+            axes.axvline(edge, color="black", linewidth=0.8, linestyle="--")
+    axes.axhline(0.0, color="black", linewidth=0.5)
+    axes.set(xlabel=name, ylabel=target)
+    axes.legend(frameon=False)
+
+
+def draw_curve(curve: Curve, axes: "Axes") -> None:
+    """Draw a parameter against temperature with its bands: U at one, and at all temperatures."""
+    t = curve.temperature
+    axes.fill_between(t, curve.value - curve.band, curve.value + curve.band, color=COLOURS[5],
+                      alpha=0.35, linewidth=0.0, label="band, all temperatures")  # fmt: skip
+    for sign in (-1.0, 1.0):
+        axes.plot(t, curve.value + sign * curve.U, color=COLOURS[0], linewidth=0.8, linestyle="--",
+                  label="U, one temperature" if sign > 0.0 else None)  # fmt: skip
+    axes.plot(t, curve.value, color=COLOURS[0], linewidth=1.2, label=curve.name)
+    axes.set(xlabel="temperature", ylabel=f"{curve.name} [{curve.unit}]")
+    axes.legend(frameon=False)
+
+
+def draw_path(segment: Segment, axes: "Axes") -> None:
+    """Draw the F of every step of a selection; a removal hangs open, the runner-up is a bar's mark.
+
+    F spans decades, so its axis is logarithmic; steps read downward as the path went.
+    """
+    steps = segment.path
+    for row, step in enumerate(steps):
+        added = step.action == "add"
+        axes.barh(row, step.F, color=COLOURS[0] if added else "none", edgecolor=COLOURS[0],
+                  hatch="" if added else "//")  # fmt: skip
+        if step.runner_up is not None and step.runner_up.F > 0.0:
+            axes.plot(step.runner_up.F, row, marker="D", color=COLOURS[1], linestyle="none")
+    axes.set_yticks(
+        range(len(steps)),
+        [f"{'+' if step.action == 'add' else '−'} {step.term}" for step in steps],
+    )
+    if steps:
+        axes.set_xscale("log")
+    axes.invert_yaxis()
+    axes.set(xlabel="F to enter or to remove; ◆ the runner-up")

@@ -1,0 +1,367 @@
+"""The front door of regression: from a table to a tested piecewise model.
+
+`regress` reads the columns, forms rates and the list of terms, cuts the rows into segments and
+branches, has every segment fitted (`multipos.piecewise`), and says what a reader should know before
+believing it.
+
+Where a rate is named, heating and cooling are modelled apart if they differ.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos import __version__
+from multipos.candidates import read_candidates
+from multipos.correlation import effective_size
+from multipos.errors import UsageError
+from multipos.files import Source, read_table
+from multipos.hysteresis import BRANCHES, branch_of, compare_branches
+from multipos.model import evaluate_terms
+from multipos.observations import Data, check_columns, read_observations
+from multipos.piecewise import (
+    METHODS,
+    ROBUST,
+    Plan,
+    fit_continuous,
+    fit_segment,
+)
+from multipos.regression import Regression, format_span
+from multipos.segment import Segment
+from multipos.segmentation import check_edges, find_edges, segment_of
+from multipos.selection import thresholds
+from multipos.subsets import CRITERIA
+from multipos.validation import check_by_blocks
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """How rows are cut: at edges of a variable, and by the sign of a rate."""
+
+    variable: str | None
+    edges: tuple[float, ...]
+    continuous: bool
+    branch_column: str | None
+
+
+def regress(
+    data: Source,
+    *,
+    response: str,
+    variables: Sequence[str] | str | None = None,
+    degree: int | None = None,
+    terms: str | None = None,
+    stepwise: bool = False,
+    backward: bool = False,
+    subsets: bool = False,
+    enter: float | None = None,
+    remove: float | None = None,
+    f_enter: float | None = None,
+    f_remove: float | None = None,
+    criterion: str = "aicc",
+    hierarchy: bool = False,
+    segment: str | None = None,
+    min_rows: int | None = None,
+    continuous: bool = False,
+    branches: str | None = None,
+    time: str | None = None,
+    rate_window: float | None = None,
+    robust: str = "hac",
+    cluster: str | None = None,
+    cross_validate: int | None = None,
+    confidence: float = 0.95,
+    drop_missing: bool = False,
+) -> Regression:
+    """Describe one column by others, in segments, with terms that the data support.
+
+    Parameters
+    ----------
+    data : path, mapping of columns, or data frame
+    response : str
+    variables : sequence of str, or comma-separated str, optional
+        Those the terms are made of; a name that ends `_rate` and is no column is formed from
+        the column without that ending. Not needed beside `terms`.
+    degree : int, optional
+        All products of variables up to this degree; 1 by default.
+    terms : str, optional
+        A formula instead, such as '1 + A + A^2 + A*B'; without 1 there is no intercept.
+    stepwise, backward, subsets : bool
+        Choose terms forward with removal, backward, or by the criterion over all subsets.
+    enter, remove, f_enter, f_remove : float, optional
+        Thresholds as p (.05 and .10) or as F.
+    criterion : str
+        'aicc', 'bic' or 'adjusted_r2', for subsets.
+    hierarchy : bool
+        T before T².
+    segment : str, optional
+        'VARIABLE:EDGE,EDGE' or 'VARIABLE:auto'.
+    min_rows : int, optional
+        Fewest rows of a segment that is found; twice the terms by default.
+    continuous : bool
+        No jump at the edges.
+    branches : str, optional
+        A rate; heating and cooling are modelled apart where they differ.
+    time : str, optional
+        The time column; `time` where there is one.
+    rate_window : float, optional
+        Width of the smoothed derivative, in the unit of time.
+    robust : str
+        'hac' or 'effective', for F_robust where rows are correlated in time.
+    cluster : str, optional
+        A column whose equal values mark rows that belong together.
+    cross_validate : int, optional
+        Check by leaving out this many blocks of time in turn.
+    confidence : float
+        Of the critical F.
+    drop_missing : bool
+        Leave out rows with an empty cell.
+
+    Returns
+    -------
+    Regression
+
+    Raises
+    ------
+    MultiposError
+        The data are at fault; the message says what, where, and the way out.
+    UsageError
+        An option is at fault.
+    """
+    method = _method(stepwise, backward, subsets)
+    limits = thresholds(enter, remove, f_enter, f_remove)
+    names, candidates = read_candidates(response, variables, degree, terms)
+    _check_options(
+        method, criterion, robust, confidence, cross_validate, response, branches, cluster
+    )
+    plan = Plan(candidates, names, method, limits, criterion, hierarchy, confidence, robust)
+    wanted, given = _parse_segment(segment, continuous)
+    table = read_table(data, what="data")
+    read = read_observations(
+        table, response, [*names, *(name for name in (wanted, branches) if name)], time=time,
+        rate_window=rate_window, cluster=cluster, drop_missing=drop_missing,
+    )  # fmt: skip
+    check_columns(table.source, read.data, names, constant=plan.constant)
+    said = list(read.notes)
+    edges = given
+    if wanted is not None and given is None:
+        edges = _find_edges(plan, read.data, wanted, min_rows)
+        if not edges:
+            said.append(f"no edge in {wanted} is worth its coefficients: one segment")
+    elif wanted is not None and edges is not None:
+        check_edges(wanted, edges, read.data.columns[wanted])
+    cut = _Cut(wanted, edges or (), continuous, branches)
+    hysteresis = None
+    if branches is not None:
+        hysteresis = compare_branches(
+            plan.terms, read.data, branches, wanted, cut.edges, plan.confidence
+        )
+        if not hysteresis["significant"]:
+            cut = replace(cut, branch_column=None)
+    segments = _fit_all(plan, read.data, cut)
+    validation = None
+    if cross_validate is not None:
+        validation = check_by_blocks(
+            read.data, cross_validate,
+            lambda some: _assemble(plan, response, _fit_all(plan, some, cut), cut),
+        )  # fmt: skip
+    result = _assemble(plan, response, segments, cut)
+    return replace(
+        result, time=read.time, rates=read.rates, n=len(read.data), dropped=read.dropped,
+        hysteresis=hysteresis, cross_validation=validation, source=table.source
+        if table.sha256 else None, sha256=table.sha256,
+        warnings=(*said, *_warnings(plan, segments, hysteresis, validation)),
+    )  # fmt: skip
+
+
+def _assemble(plan: Plan, response: str, segments: Sequence[Segment], cut: _Cut) -> Regression:
+    """Return the result of fitted segments, without what concerns the whole table."""
+    used = plan.limits.__dict__ if plan.method in ("stepwise", "backward") else {}
+    return Regression(
+        response=response, variables=plan.variables, candidates=tuple(map(str, plan.terms)),
+        method=plan.method, segments=tuple(segments), segment_variable=cut.variable,
+        edges=cut.edges, continuous=cut.continuous, branch_column=cut.branch_column, time=None,
+        rates={}, confidence=plan.confidence, n=0, dropped=0, hysteresis=None,
+        cross_validation=None, warnings=(), source=None, sha256=None, created=_now(),
+        version=__version__,
+        thresholds={name: value for name, value in used.items() if value is not None},
+    )  # fmt: skip
+
+
+# --- options
+
+
+def _method(stepwise: bool, backward: bool, subsets: bool) -> str:
+    asked = [
+        name for name, on in zip(METHODS[1:], (stepwise, backward, subsets), strict=True) if on
+    ]
+    if len(asked) > 1:
+        raise UsageError(f"--{asked[0]} and --{asked[1]} are two ways to choose terms; give one.")
+    return asked[0] if asked else "full"
+
+
+def _check_options(
+    method: str, criterion: str, robust: str, confidence: float, blocks: int | None,
+    response: str, branches: str | None, cluster: str | None,
+) -> None:  # fmt: skip
+    if criterion not in CRITERIA:
+        raise UsageError(f"--criterion takes {', '.join(CRITERIA)}, got '{criterion}'.")
+    if criterion != CRITERIA[0] and method != "subsets":
+        raise UsageError("--criterion chooses among --subsets; give both.")
+    if robust not in ROBUST:
+        raise UsageError(f"--robust takes {', '.join(ROBUST)}, got '{robust}'.")
+    if not 0.0 < confidence < 1.0:
+        raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
+    if blocks is not None and blocks < 2:
+        raise UsageError(f"--cross-validate takes 2 blocks or more, got {blocks}.")
+    for option, name in (("--branches", branches), ("--cluster", cluster)):
+        if name == response:
+            raise UsageError(f"{option} names the response '{response}'; give another column.")
+
+
+def _parse_segment(
+    text: str | None, continuous: bool
+) -> tuple[str | None, tuple[float, ...] | None]:
+    """Return the segment variable and its edges; None where they are to be found."""
+    if text is None:
+        if continuous:
+            raise UsageError("--continuous joins segments; give --segment VARIABLE:EDGE,….")
+        return None, None
+    variable, colon, rest = text.rpartition(":")
+    if not (colon and variable and rest):
+        raise UsageError(f"--segment takes VARIABLE:EDGE,EDGE or VARIABLE:auto, got '{text}'.")
+    if rest.strip() == "auto":
+        return variable, None
+    try:
+        edges = tuple(float(edge) for edge in rest.split(","))
+    except ValueError:
+        raise UsageError(f"--segment: '{rest}' is not a list of numbers, nor 'auto'.") from None
+    if any(b <= a for a, b in pairwise(edges)) or not np.isfinite(edges).all():
+        raise UsageError(f"--segment: edges must be finite and increase, got '{rest}'.")
+    return variable, edges
+
+
+# --- segments and branches
+
+
+def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> tuple[float, ...]:
+    p = len(plan.terms)
+    minimum = 2 * p if min_rows is None else min_rows
+    if minimum <= p and plan.method == "full":
+        raise UsageError(f"--min-rows must be above the number of terms, {p}; got {minimum}.")
+    design = evaluate_terms(plan.terms, data.columns, len(data))
+    values = data.columns[variable]
+    worth = 1.0
+    if data.order is not None:
+        # what five segments leave is close to noise alone, whatever the edges will be
+        bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
+        place = segment_of(values, bins.tolist())
+        left = np.empty(len(data))
+        for number in range(len(bins) + 1):
+            rows = np.flatnonzero(place == number)
+            X, y = design[rows], data.response[rows]
+            left[rows] = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
+        worth = effective_size(left, data.order) / len(data)
+    return find_edges(values, design, data.response, minimum=minimum, worth=worth)
+
+
+def _groups(data: Data, cut: _Cut) -> list[tuple[str | None, NDArray[np.intp], NDArray[np.intp]]]:
+    """Return (branch, rows, segment of each row), one for each branch."""
+    n = len(data)
+    place = np.zeros(n, dtype=np.intp)
+    if cut.variable is not None:
+        place = segment_of(data.columns[cut.variable], cut.edges)
+    if cut.branch_column is None:
+        return [(None, np.arange(n), place)]
+    sign = branch_of(data.columns[cut.branch_column])
+    return [(name, np.flatnonzero(sign == b), place[sign == b]) for b, name in enumerate(BRANCHES)]
+
+
+def _fit_all(plan: Plan, data: Data, cut: _Cut) -> list[Segment]:
+    variable = cut.variable or plan.variables[0]
+    v = data.columns[variable]
+    outer = [float(v.min()), *cut.edges, float(v.max())]
+    spans = list(pairwise(outer))
+    segments: list[Segment] = []
+    for branch, rows, place in _groups(data, cut):
+        if cut.continuous and cut.edges:
+            where = "the continuous model" if branch is None else f"the {branch} branch"
+            segments += fit_continuous(
+                plan, data.take(rows), variable, cut.edges, spans, branch, where
+            )
+            continue
+        for number, span in enumerate(spans):
+            where = "the table"
+            if cut.edges or branch:
+                where = f"segment {number + 1} ({format_span(variable, span, branch)})"
+            mine = rows[place == number]
+            some = data if len(mine) == len(data) else data.take(mine)
+            segments.append(fit_segment(plan, some, span, branch, where))
+    return segments
+
+
+# --- what is said
+
+
+def _warnings(
+    plan: Plan, segments: Sequence[Segment], hysteresis: Mapping[str, Any] | None,
+    validation: Mapping[str, Any] | None,
+) -> list[str]:  # fmt: skip
+    said = []
+    if not plan.constant:
+        said.append("no intercept: F and R² are about zero, not about the mean, dof n − k")
+    if plan.method != "full":
+        said.append(
+            "the terms were chosen by the same data that test them: F and p of the chosen model "
+            "are optimistic"
+            + ("" if validation else "; --cross-validate checks it by blocks of time")
+        )
+    if hysteresis is not None and not hysteresis["significant"]:
+        p = hysteresis["p"]
+        said.append(
+            f"heating and cooling do not differ (p = {p:.2g}): one model for both"
+            if p == p
+            else "too few independent rows to tell heating from cooling: one model for both"
+        )
+    for number, segment in enumerate(segments, start=1):
+        where = f"segment {number}" if len(segments) > 1 else "the model"
+        said += _segment_warnings(plan, segment, where)
+    return said
+
+
+def _segment_warnings(plan: Plan, segment: Segment, where: str) -> list[str]:
+    said = []
+    k, nu = segment.dof
+    if k == 0:
+        said.append(f"{where}: no term is supported by the data, the model is the mean alone")
+    elif nu == 0:
+        said.append(f"{where}: as many terms as rows, nothing is left to test it with")
+    elif not segment.significant:
+        said.append(f"{where} means nothing: F = {segment.F:.3g} is below {segment.F_critical:.4g}")
+    if segment.collinear:
+        said.append(
+            f"{where}: {', '.join(segment.collinear)} cannot be told from the terms in the model"
+        )
+    robust = segment.robust
+    if robust is not None and robust.kind != "cluster":
+        said.append(
+            f"{where}: neighbouring rows are correlated ({robust.lag_one:.2f}); {segment.n} rows "
+            f"are worth about {robust.n_effective:.3g}, see F_robust"
+        )
+    if robust is not None and segment.significant and not robust.p < 1.0 - plan.confidence:
+        said.append(f"{where}: significant by F, not by F_robust (p = {robust.p:.2g})")
+    return said
+
+
+def _now() -> str:
+    """Return the time in UTC; SOURCE_DATE_EPOCH, where set, makes results reproducible."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    moment = datetime.now(UTC) if epoch is None else datetime.fromtimestamp(int(epoch), UTC)
+    return moment.isoformat(timespec="seconds")

@@ -1,0 +1,169 @@
+"""`apply` on logs: the same numbers piece by piece, columns kept, nothing written on errors."""
+
+import json
+import tracemalloc
+
+import numpy as np
+import pytest
+from logs import sensor, write_csv
+
+import multipos as mp
+from multipos.cli import main
+from multipos.compensation import apply_log
+from multipos.files import write_text
+from multipos.logs import open_log
+
+
+@pytest.fixture(scope="module")
+def cal():
+    return sensor("own-quadratic")
+
+
+@pytest.fixture
+def saved(cal, tmp_path):
+    cal.save(tmp_path / "cal.json")
+    return str(tmp_path / "cal.json")
+
+
+@pytest.fixture(scope="module")
+def log(cal):
+    return mp.simulate_log(cal, "faces-6", rate=50.0, rest=2.0, sample_sd=1e-3, seed=1)
+
+
+def read(path):
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+def test_a_log_is_applied_as_a_table_is(cal, saved, log, tmp_path, monkeypatch):
+    monkeypatch.setattr("multipos.logs.text._PIECE", 5000)  # many pieces
+    path = write_csv(tmp_path / "log.csv", log)
+    out = tmp_path / "out.csv"
+    assert main(["apply", saved, str(path), "--uncertainty", "-o", str(out)]) == 0
+    whole = mp.apply(cal, log, uncertainty=True)
+    found = read(out)
+    assert found.dtype.names == tuple(whole)
+    for name, column in whole.items():
+        np.testing.assert_array_equal(found[name], column)
+
+
+def test_columns_are_kept_as_they_stand(cal, saved, tmp_path, capsys):
+    text = '\ufeff# a log\nnote;ax;ay;az\n"a; b";0,10;0,20;0,90\n\n# more\nlast;1,0000;0,0;0,0\n'
+    path = tmp_path / "log.csv"
+    path.write_text(text, encoding="utf-8")
+    assert main(["apply", saved, str(path)]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == "note;ax;ay;az;f_x;f_y;f_z;outside"
+    assert out[1].startswith('"a; b";0,10;0,20;0,90;')
+    assert out[2].startswith("last;1,0000;0,0;0,0;")
+    first = cal.compensate([0.10, 0.20, 0.90])[0]
+    assert [float(c.replace(",", ".")) for c in out[1].split(";")[5:8]] == first.tolist()
+
+
+def test_white_space_and_no_header(cal, saved, log, tmp_path, capsys):
+    path = write_csv(tmp_path / "log.txt", log, header=False, delimiter="  ")
+    assert main(["apply", saved, str(path), "--columns", "time,ax,ay,az"]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == "time,ax,ay,az,f_x,f_y,f_z,outside"
+    assert len(out) == 1 + len(log["time"])
+    np.testing.assert_array_equal(
+        [float(cell) for cell in out[1].split(",")[:4]], [log[name][0] for name in log]
+    )
+
+
+def test_arrays_become_a_table(cal, saved, log, tmp_path):
+    np.savez(tmp_path / "log.npz", **log)
+    out = tmp_path / "out.csv"
+    assert main(["apply", saved, str(tmp_path / "log.npz"), "-o", str(out)]) == 0
+    found = read(out)
+    assert found.dtype.names == ("time", "ax", "ay", "az", "f_x", "f_y", "f_z", "outside")
+    np.testing.assert_array_equal(found["f_x"], mp.apply(cal, log)["f_x"])
+
+
+def test_a_regression_keeps_the_form_of_the_table(tmp_path, capsys):
+    rows = "".join(f"{t},5;{(2.0 * (t + 0.5)):g}\n".replace(".", ",") for t in range(20))
+    path = tmp_path / "table.csv"
+    path.write_text(f"temperature;error\n{rows}")
+    regression = str(tmp_path / "regression.json")
+    argv = ["regress", str(path), "--response", "error", "--variables", "temperature"]
+    assert main([*argv, "-o", regression]) == 0
+    capsys.readouterr()
+    assert main(["apply", regression, str(path)]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == "temperature;error;predicted;corrected;outside"
+    assert out[1].startswith("0,5;1;")
+
+
+def test_json_has_every_column(saved, log, tmp_path, capsys):
+    path = write_csv(tmp_path / "log.csv", log)
+    assert main(["apply", saved, str(path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["rows"] == len(log["time"])
+    assert list(found["columns"]) == ["time", "ax", "ay", "az", "f_x", "f_y", "f_z", "outside"]
+
+
+def test_rows_outside_are_counted_to_the_end(saved, log, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("multipos.logs.text._PIECE", 5000)
+    far = {name: column.copy() for name, column in log.items()}
+    far["ax"][[10, -1]] = 3.0
+    path = write_csv(tmp_path / "log.csv", far)
+    out = tmp_path / "out.csv"
+    options = ["apply", saved, str(path), "-o", str(out), "--outside", "refuse"]
+    assert main(options) == 1
+    printed, error = capsys.readouterr()
+    assert printed == ""
+    assert "row 11 (line 12), column 'ax'" in error
+    count = int(np.sum(mp.apply(mp.load(saved), far)["outside"]))
+    assert f"{count} of {len(far['ax'])} rows are" in error
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,ax,ay\n1,2,3\n", "no column 'az', which this calibration needs"),
+        ("ax,ay,az,f_x\n1,2,3,4\n", "column 'f_x' is there already"),
+        ("ax,ay,az\n1,2,3\n1,,3\n", "row 2 (line 3), column 'ay': the cell is empty"),
+        ("ax,ay,az\n1,2,3\n1,2\n", "row 2 (line 3) has 2 cells"),
+        ("1,2,3\n1,2,3\n", "the columns are 1, 2, 3"),
+    ],
+)
+def test_bad_logs(saved, text, message, tmp_path, capsys):
+    path, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    path.write_text(text)
+    assert main(["apply", saved, str(path), "-o", str(out)]) == 1
+    printed, error = capsys.readouterr()
+    assert printed == ""
+    assert message in error.splitlines()[-1]
+    assert not out.exists()
+
+
+def test_an_error_half_way_leaves_the_old_file(saved, log, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("multipos.logs.text._PIECE", 5000)
+    path, out = write_csv(tmp_path / "log.csv", log), tmp_path / "out.csv"
+    with path.open("a") as stream:
+        stream.write("1,2,x,4\n")
+    out.write_text("old")
+    assert main(["apply", saved, str(path), "-o", str(out)]) == 1
+    assert out.read_text() == "old"
+    assert [each.name for each in tmp_path.iterdir() if each.name.startswith(".")] == []
+    assert main(["apply", saved, str(path)]) == 1
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_log(cal, log, tmp_path):
+    row = [",".join(map(str, cells)) + "\n" for cells in zip(*log.values(), strict=True)]
+    peaks = []
+    for times in (200, 400):
+        path = tmp_path / "log.csv"
+        with path.open("w") as stream:
+            stream.write(",".join(log) + "\n")
+            for _ in range(times):
+                stream.writelines(row)
+        tracemalloc.start()
+        applied = apply_log(cal, open_log(path))
+        write_text(tmp_path / "out.csv", applied)
+        assert applied.rows == times * len(row)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0]

@@ -1,0 +1,427 @@
+"""From a raw log to readings: formats, labels, faults, and what the command prints."""
+
+import json
+import tracemalloc
+
+import numpy as np
+import pytest
+from logs import sensor, shared, write_csv
+
+import multipos as mp
+from multipos.averaging import average
+from multipos.cli import main
+from multipos.logs import open_log, read_log
+
+FERRARIS = ("acc_x", "acc_y", "acc_z")
+
+
+def columns_of(cal=None, scheme="faces-6", **options):
+    options = {"sample_sd": 1e-3, "seed": 1, "rest": 4.0} | options
+    return mp.simulate_log(cal or sensor(), scheme, **options)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return columns_of()
+
+
+def failing(capsys, *argv):
+    """Run a command that must fail; return its exit status and error line, stdout being empty."""
+    status = main([*map(str, argv)])
+    out, err = capsys.readouterr()
+    assert out == ""
+    last = err.strip().splitlines()[-1]
+    assert last.startswith("multipos: error: ")
+    return status, last
+
+
+# --- formats
+
+
+@pytest.mark.parametrize(
+    "form", ["comma", "semicolon", "tab", "space", "bare", "npz", "npy", "mat"]
+)
+def test_every_format_gives_the_same(form, log, tmp_path):
+    matrix = np.column_stack(list(log.values()))
+    names = tuple(log)
+    path = tmp_path / f"log.{form if form in ('npz', 'npy', 'mat') else 'txt'}"
+    columns = None
+    if form == "npz":
+        np.savez(path, time=log["time"], a=matrix[:, 1:4], rate=100.0)
+        columns = names
+    elif form == "npy":
+        np.save(path, matrix)
+        columns = names
+    elif form == "mat":
+        from scipy.io import savemat
+
+        savemat(path, {"t": log["time"], "a": matrix[:, 1:4]})
+        columns = ("time", "ax", "ay", "az")
+    elif form == "semicolon":
+        text = "time;ax;ay;az\n" + "\n".join(
+            ";".join(repr(float(cell)).replace(".", ",") for cell in row) for row in matrix
+        )
+        path.write_bytes(b"\xef\xbb\xbf# made by hand\r\n" + text.replace("\n", "\r\n").encode())
+    else:
+        mark = {"comma": ",", "tab": "\t", "space": "   ", "bare": " "}[form]
+        write_csv(path, log, header=form != "bare", delimiter=mark)
+        columns = names if form == "bare" else None
+    found = average(path, columns=columns)
+    expected = average(log)
+    np.testing.assert_allclose(found.readings.values, expected.readings.values, rtol=1e-12)
+    assert found.sample_rate == pytest.approx(100.0)
+    assert [rest.rows for rest in found.rests] == [rest.rows for rest in expected.rests]
+
+
+def test_without_header_columns_are_numbers(log, tmp_path):
+    path = write_csv(tmp_path / "log.csv", {n: c for n, c in log.items() if n != "time"}, False)
+    found = average(path, rate=100.0)
+    assert found.outputs == ("1", "2", "3")
+    assert found.rests[0].time == (0.0, pytest.approx((found.rests[0].rows.end - 1) / 100.0))
+
+
+def test_content_decides_before_the_suffix(log, tmp_path):
+    with (tmp_path / "log.csv").open("wb") as stream:
+        np.savez(stream, **log)
+    assert average(tmp_path / "log.csv").readings.values.shape == (6, 3)
+
+
+def test_other_columns_are_averaged_along(tmp_path, capsys):
+    log = dict(columns_of())
+    n = len(log["time"])
+    log["temperature"] = np.linspace(20.0, 30.0, n)
+    log["wx"] = np.full(n, 0.5)
+    path = write_csv(tmp_path / "log.csv", log)
+    text = path.read_text().splitlines()
+    # A slow sensor leaves cells empty, and a text column is of no use.
+    rows = [f"{row.rsplit(',', 2)[0]},,0.5,ok" if i % 3 else f"{row},ok"
+            for i, row in enumerate(text[1:])]  # fmt: skip
+    path.write_text("\n".join([f"{text[0]},status", *rows]) + "\n")
+    out = tmp_path / "readings.csv"
+    assert main(["average", str(path), "--outputs", "ax,ay,az", "-o", str(out)]) == 0
+    assert "column 'status' holds text and is not used" in capsys.readouterr().err
+    readings = mp.read_readings(out)
+    assert readings.outputs == ("ax", "ay", "az")  # wx has no sd_… and is no output
+    middle = np.interp(readings.environment["time"], log["time"], log["temperature"])
+    np.testing.assert_allclose(readings.environment["temperature"], middle, atol=0.01)
+    assert readings.u is not None
+    assert (readings.u > 0.0).all()
+    np.testing.assert_allclose(np.genfromtxt(out, delimiter=",", names=True)["wx"], 0.5, rtol=1e-12)
+    assert mp.fit(out, scheme="faces-6").outputs == ("ax", "ay", "az")
+
+
+def test_read_log_keeps_texts(tmp_path):
+    (tmp_path / "log.csv").write_text('a,b\n1,"x, y"\n,z\n3,w\n')
+    found = read_log(open_log(tmp_path / "log.csv"))
+    np.testing.assert_array_equal(found["a"], [1.0, np.nan, 3.0])
+    assert found["b"] == ["x, y", "z", "w"]
+
+
+# --- rests
+
+
+def test_the_mean_is_that_of_the_samples(log):
+    found = average(log)
+    for rest in found.rests:
+        rows = slice(*rest.rows)
+        samples = np.column_stack([log[name][rows] for name in ("ax", "ay", "az")])
+        np.testing.assert_allclose(rest.found.mean, samples.mean(axis=0), rtol=1e-13)
+        np.testing.assert_allclose(rest.found.sd, samples.std(axis=0, ddof=1), rtol=1e-10)
+
+
+def test_means_lie_within_their_uncertainties():
+    """Errors of the means over their u, of a sensor whose noise remembers 0.1 s: χ² of 126."""
+    cal = sensor()
+    z = []
+    for seed in range(3):
+        log = columns_of(cal, "faces-corners-14", seed=seed, correlation_time=0.1, rest=20.0)
+        found = average(log)
+        truth = cal.predict(mp.read_scheme("faces-corners-14").up)
+        z.append((found.readings.values - truth) / found.readings.u)
+    # 99.9 % of χ²(126)/126 lies within 0.63 and 1.47; u itself is known to about 15 %.
+    assert 0.6 < np.mean(np.square(z)) < 1.6
+
+
+def test_sections_of_the_real_session():
+    """The means by sections and by detection are the same within their uncertainties."""
+    path = shared("ferraris_session.csv")
+    sections = shared("ferraris_session_sections.json")
+    samples = np.loadtxt(path, delimiter=",", skiprows=1)[:, 4:]
+    known = average(path, outputs=FERRARIS, rate=102.4, sections=sections)
+    for rest in known.rests:
+        np.testing.assert_allclose(
+            rest.found.mean, samples[slice(*rest.rows)].mean(axis=0), rtol=1e-12
+        )
+    moving = [rest.position for rest in known.rests if any("motion" in n for n in rest.notes)]
+    assert moving == ["x_rot", "y_rot", "z_rot"]
+    found = average(path, outputs=FERRARIS, rate=102.4, scheme="faces-6")
+    order = ["x_p", "x_a", "y_p", "y_a", "z_p", "z_a"]
+    labels = dict(zip(order, "123456", strict=True))
+    for rest in known.rests[:6]:
+        start, end = rest.rows
+        same = [other for other in found.rests if other.rows.start < end > start < other.rows.end]
+        assert [other.position for other in same] == [labels[rest.position]]
+        u = np.hypot(rest.found.u, same[0].found.u)
+        # 18 differences at 3.5 sd: a false alarm in 120; common samples only make it safer.
+        assert (np.abs(rest.found.mean - same[0].found.mean) < 3.5 * u).all()
+
+
+def test_the_real_session_gives_the_figures_known_for_it():
+    path = shared("ferraris_session.csv")
+    order = "x_p,x_a,y_p,y_a,z_p,z_a"
+    found = average(
+        path, outputs=FERRARIS, rate=102.4, only=order, scheme="faces-6",
+        sections=shared("ferraris_session_sections.json"),
+    )  # fmt: skip
+    values = found.readings.values
+    cal = mp.fit(mp.Readings(values, outputs=FERRARIS, up=found.scheme_up))
+    bias = [cal[name, "1"].value for name in FERRARIS]
+    np.testing.assert_allclose(bias, [0.551, -0.620, 0.386], atol=6e-4)
+    np.testing.assert_allclose(cal.residual_sd, [0.032, 0.014, 0.018], atol=6e-4)
+
+
+def test_the_real_log_gives_the_figures_known_for_it():
+    """Nine parameters by a small independent least squares on |f| − 1."""
+    from scipy.optimize import least_squares
+
+    path = shared("mpu9150_imu0.log")
+    found = average(path, columns="ax,ay,az,wx,wy,wz", outputs="ax,ay,az", rate=100.0)
+    assert len(found.rests) == 23
+    y = found.readings.values
+
+    def residuals(p):
+        lower = np.zeros((3, 3))
+        lower[np.tril_indices(3)] = p[3:]
+        return np.linalg.norm(np.linalg.solve(lower, (y - p[:3]).T), axis=0) - 1.0
+
+    start = np.array([0.0, 0.0, 0.0, 9.8, 0.0, 9.8, 0.0, 0.0, 9.8])
+    solved = least_squares(residuals, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    # The figures known are of another program's rests: a tenth of a milli-g, and 5 % of the rms.
+    np.testing.assert_allclose(solved.x[:3], [0.1024, 0.0966, 0.3435], atol=1.5e-3)
+    assert np.sqrt(np.mean(solved.fun**2)) == pytest.approx(188e-6, rel=0.05)
+
+
+def test_the_real_log_by_unknown_orientation():
+    import inspect
+
+    if "unknown_orientation" not in inspect.signature(mp.fit).parameters:
+        pytest.skip("fit has no unknown_orientation yet")
+    path = shared("mpu9150_imu0.log")
+    found = average(path, columns="ax,ay,az,wx,wy,wz", outputs="ax,ay,az", rate=100.0)
+    readings = mp.Readings(found.readings.values)
+    cal = mp.fit(readings, unknown_orientation=True)
+    bias = [cal[name, "1"].value for name in ("ax", "ay", "az")]
+    np.testing.assert_allclose(bias, [0.1024, 0.0966, 0.3435], atol=1.5e-3)
+    assert cal.rms == pytest.approx(188e-6, rel=0.05)
+
+
+def test_sections_from_csv_and_only(log, tmp_path):
+    path = write_csv(tmp_path / "log.csv", log)
+    (tmp_path / "s.csv").write_text("position,start,end\na,10,300\nb,650,900\nc,0,390\n")
+    found = average(path, sections=tmp_path / "s.csv", only=["a", "b"])
+    assert [rest.position for rest in found.rests] == ["a", "b"]
+    assert [rest.found.n for rest in found.rests] == [290, 250]
+
+
+# --- matching
+
+
+@pytest.mark.parametrize("name", ["faces-6", "faces-corners-14", "song-qin-6", "roll-z-12"])
+@pytest.mark.parametrize("convention", ["specific-force", "gravity"])
+def test_rests_find_their_positions(name, convention):
+    scheme = mp.read_scheme(name)
+    rng = np.random.default_rng(4)
+    order = rng.permutation(len(scheme))
+    sign = -1.0 if convention == "gravity" else 1.0
+    cal = sensor(bias=0.1)
+    parts = []
+    for k in order:
+        still = np.repeat(cal.predict(sign * scheme.up[k : k + 1]), 400, axis=0)
+        parts += [still + 1e-3 * rng.normal(size=still.shape), 0.3 * rng.normal(size=(150, 3))]
+    samples = np.concatenate(parts)
+    data = dict(zip(("ax", "ay", "az"), samples.T, strict=True))
+    found = average(data, rate=100.0, scheme=name, convention=convention)
+    assert [rest.position for rest in found.rests] == [scheme.labels[k] for k in order]
+    assert max(rest.distance_deg for rest in found.rests) < 10.0
+    np.testing.assert_array_equal(found.scheme_up, scheme.up[order])
+
+
+def test_readings_of_a_matched_log_need_no_scheme(log, tmp_path, capsys):
+    path = write_csv(tmp_path / "log.csv", log)
+    out = tmp_path / "r.csv"
+    assert main(["average", str(path), "--scheme", "faces-6", "-o", str(out), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    first = found["positions"][0]
+    assert {"position", "t_start", "t_end", "n", "mean", "sd", "u"} <= set(first)
+    assert set(first["mean"]) == {"ax", "ay", "az"}
+    assert found["sample_rate"] == pytest.approx(100.0)
+    assert found["threshold"] > 0.0
+    cal, truth = mp.fit(out), sensor()
+    z = (cal.parameters - truth.parameters) / cal.u
+    assert np.abs(z).max() < 4.5  # 12 of them
+
+
+def test_twins_are_named(log):
+    twice = {name: np.concatenate([c, c[:400]]) for name, c in log.items() if name != "time"}
+    found = average(twice, rate=100.0)
+    assert any("nearly the same position" in text and "1 and 7" in text for text in found.warnings)
+
+
+def test_drift_motion_and_gaps_are_named(log):
+    changed = {name: column.copy() for name, column in log.items()}
+    changed["ax"][600:1000] += np.linspace(0.0, 5e-3, 400)
+    changed["time"][1500:] += 0.5
+    found = average(changed)
+    assert any("'ax' drifts by" in note for note in found.rests[1].notes)
+    assert any("a gap in the time" in note for note in found.rests[2].notes)
+    moved = average(log, sections={"a": {"start": 0, "end": 400}, "b": {"start": 300, "end": 700}})
+    assert any("in motion during" in note for note in moved.rests[1].notes)
+    assert moved.rests[0].notes == ()
+
+
+# --- bad input: clear words, nothing written
+
+
+def clipped(log):
+    return log | {"az": np.clip(log["az"], -0.9, 0.9)}
+
+
+def stuck(log):
+    az = log["az"].copy()
+    az[600:1000] = az[600]
+    return log | {"az": az}
+
+
+def backwards(log):
+    time = log["time"].copy()
+    time[700] = 1.0
+    return log | {"time": time}
+
+
+def mixed(log):
+    return log | {"ay": log["ay"] * 9.80665}
+
+
+BAD = {
+    "saturated": (clipped, [], 1, "output 'az' is saturated at"),
+    "stuck": (stuck, [], 1, "output 'az' is stuck at"),
+    "backwards": (backwards, [], 1, "row 701 (line 702), column 'time': the time runs backwards"),
+    "mixed units": (mixed, [], 1, "mixed units?"),
+    "named units": (
+        lambda log: {"time": log["time"], "ax [g]": log["ax"], "ay [m/s^2]": log["ay"]},
+        [], 1, "have mixed units",
+    ),
+    "one long rest": (lambda log: {n: c[:390] for n, c in log.items()}, [], 1, "one rest only"),
+    "no rest": (
+        lambda log: log | {n: np.sin(np.arange(len(log["time"])) / 100.0 + i)
+                           for i, n in enumerate(("ax", "ay", "az"))},
+        [], 1, "the log has no rest",
+    ),
+    "too short": (lambda log: {n: c[:50] for n, c in log.items()}, [], 1, "fewer than one rest"),
+    "no such output": (lambda log: log, ["--outputs", "bx"], 1, "no column 'bx'"),
+    "too many outputs": (lambda log: log | {"wx": log["ax"]}, [], 2, "--outputs"),
+    "two clocks": (lambda log: log, ["--rate", "5", "--time-column", "time"], 2, "give one"),
+    "threshold": (lambda log: log, ["--threshold", "-1"], 2, "--threshold must be above 0"),
+    "columns": (lambda log: log, ["--columns", "a,b"], 2, "names 2 columns, but"),
+    "only": (lambda log: log, ["--only", "9"], 1, "--only names '9', but the rests are 1, 2"),
+    "wrong scheme": (lambda log: log, ["--scheme", "corners-8"], 1, "match no position"),
+    "unknown scheme": (lambda log: log, ["--scheme", "faces"], 2, "unknown scheme"),
+    "no sections": (lambda log: log, ["--sections", "none.json"], 1, "no such file"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD, ids=str)
+def test_bad_logs(case, log, tmp_path, capsys):
+    change, options, status, message = BAD[case]
+    path = write_csv(tmp_path / "log.csv", change(dict(log)))
+    out = tmp_path / "readings.csv"
+    found, error = failing(capsys, "average", path, "-o", out, *options)
+    assert message in error
+    assert found == status
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "the file is empty"),
+        ("time,ax\n", "only a header, no rows"),
+        ("ax,ax\n1,2\n", "column 'ax' appears twice"),
+        ("ax,\n1,2\n", "column 2 has no name"),
+        ("ax,ay\n1,2\n3\n", "row 2 (line 3) has 1 cells where there are 2 columns"),
+        ("ax,ay\n1,2\n3,x\n", "row 2 (line 3), column 'ay': 'x' is not a number"),
+        ("ax,ay\n1,2\n\n# gone\n3,nan\n", "row 2 (line 5), column 'ay': 'nan' is not finite"),
+        ("name\nfoo\nbar\n", "no numeric column can be an output"),
+        ("ax\0ay\n", "neither text nor a format that is read"),
+    ],
+)
+def test_bad_files(text, message, tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    status, error = failing(capsys, "average", path)
+    assert message in error
+    assert status == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("log.csv", b"ax\n\xff\xfe1\n", "is not UTF-8"),
+        ("log.mat", b"\x89HDF\r\n\x1a\n\0\0", "save it in MATLAB with -v7"),
+        ("log.npz", b"PK\x03\x04 broken", "cannot read the log"),
+        ("log.npy", b"\x93NUMPY\x01\x00broken", "cannot read the log"),
+    ],
+)
+def test_bad_bytes(name, content, message, tmp_path, capsys):
+    (tmp_path / name).write_bytes(content)
+    status, error = failing(capsys, "average", tmp_path / name)
+    assert message in error
+    assert status == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[1, 2]", "got another form"),
+        ("{", "not valid JSON"),
+        ("{}", "no sections"),
+        ('{"a": {"start": 5, "end": 5}}', "at least two rows after"),
+        ('{"a": {"start": 0.5, "end": 5}}', "whole numbers of rows"),
+        ('{"a": {"start": 1}}', "whole numbers of rows"),
+        ('{"a": {"start": 0, "end": 100000}}', "but the log has"),
+    ],
+)
+def test_bad_sections(content, message, log, tmp_path, capsys):
+    path = write_csv(tmp_path / "log.csv", log)
+    (tmp_path / "s.json").write_text(content)
+    status, error = failing(capsys, "average", path, "--sections", tmp_path / "s.json")
+    assert message in error
+    assert status == 1
+
+
+def test_two_outputs_show_no_direction(log, tmp_path, capsys):
+    path = write_csv(tmp_path / "log.csv", {n: log[n] for n in ("time", "ax", "ay")})
+    _, error = failing(capsys, "average", path, "--scheme", "faces-6")
+    assert "2 outputs do not show a direction" in error
+
+
+# --- length
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_log(tmp_path):
+    rng = np.random.default_rng(0)
+    one = np.repeat(mp.read_scheme("faces-6").up, 20_000, axis=0)
+    peaks = []
+    for times in (4, 8):
+        path = tmp_path / f"{times}.csv"
+        with path.open("w") as stream:
+            stream.write("ax,ay,az\n")
+            for _ in range(times):
+                samples = one + 1e-3 * rng.normal(size=one.shape)
+                np.savetxt(stream, samples, fmt="%.6f", delimiter=",")
+        tracemalloc.start()
+        assert len(average(path, rate=1000.0).rests) == 6 * times
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0]

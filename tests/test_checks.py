@@ -1,0 +1,184 @@
+"""`check`: errors before and after, verdicts with a guard band, for pairs and for triads."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos import cli
+from multipos.scheme import read_scheme
+from multipos.sections import check_text
+
+FACES = read_scheme("faces-corners-14").up
+SD = 1e-4
+
+
+def triad(seed=0, sd=SD, scheme="faces-corners-14", **options):
+    up = read_scheme(scheme).up
+    matrix = np.array([[1.01, 0.002, 0.0], [0.0, 0.99, 0.001], [0.003, 0.0, 1.0]])
+    raw = [0.01, -0.02, 0.005] + up @ matrix.T
+    raw += sd * np.random.default_rng(seed).standard_normal(raw.shape)
+    return dict(zip(("ax", "ay", "az"), raw.T, strict=True)), scheme
+
+
+@pytest.fixture
+def calibration():
+    columns, scheme = triad()
+    return mp.fit(columns, scheme=scheme, unit="g")
+
+
+def test_triad_before_and_after(calibration):
+    columns, scheme = triad(seed=1)
+    found = mp.check(calibration, columns, scheme=scheme, limit_g=0.002)
+    raw = np.column_stack(list(columns.values()))
+    assert_allclose(found.before, raw - FACES)
+    assert_allclose(found.after, calibration.compensate(raw) - FACES, rtol=0, atol=1e-14)
+    summary = found.summary()
+    assert_allclose(summary["before"]["maximum"], np.abs(raw - FACES).max())
+    assert_allclose(summary["after"]["rms"], np.sqrt(np.mean(found.after**2)))
+    assert found.verdict == "pass"
+    assert summary["before"]["maximum"] > 10 * summary["after"]["maximum"]
+
+
+def test_nominal_conversion(calibration):
+    columns, scheme = triad(seed=1)
+    found = mp.check(calibration, columns, scheme=scheme, nominal=(0.5, 2.0))
+    assert_allclose(found.before[:, 0], (columns["ax"] - 0.5) / 2.0 - FACES[:, 0])
+    assert found.limit is None
+    assert found.verdict is None
+
+
+def test_verdict_has_the_uncertainty_as_guard_band(calibration):
+    columns, scheme = triad(seed=1)
+    worst = mp.check(calibration, columns, scheme=scheme)
+    size = np.abs(worst.after)
+    for limit, verdict in (
+        (float((size + worst.U).max()) * 1.001, "pass"),
+        (float((size + worst.U).max()) * 0.999, "undecided"),
+        (float((size - worst.U).max()) * 1.001, "undecided"),
+    ):
+        if limit > 0:
+            assert mp.check(calibration, columns, scheme=scheme, limit_g=limit).verdict == verdict
+    columns["ay"][3] += 0.01
+    assert mp.check(calibration, columns, scheme=scheme, limit_g=0.002).verdict == "fail"
+
+
+def test_u_covers_the_error_of_an_independent_run():
+    """u has the calibration and the run's noise in it: normalised errors have unit variance."""
+    z = []
+    for seed in range(150):
+        columns, scheme = triad(seed=2 * seed)
+        cal = mp.fit(columns, scheme=scheme, reading_sd=SD)
+        found = mp.check(cal, triad(seed=2 * seed + 1)[0], scheme=scheme)
+        z.append(np.mean((found.after / found.u) ** 2))
+    # each run's mean of 42 squares scatters by less than sqrt(2/20)
+    assert abs(np.mean(z) - 1.0) < 4 * math.sqrt(2 / 20) / math.sqrt(150)
+
+
+def test_run_states_its_own_noise_and_placement(calibration):
+    columns, scheme = triad(seed=1)
+    plain = mp.check(calibration, columns, scheme=scheme)
+    louder = mp.check(calibration, columns, scheme=scheme, reading_sd=1e-3)
+    assert_allclose(louder.u, 1e-3, rtol=0.02)
+    placed = columns | {"orientation_sd_deg": np.full(14, 0.1)}
+    turned = mp.check(calibration, placed, scheme=scheme)
+    across = np.sqrt(1 - FACES**2) * np.radians(0.1)
+    assert_allclose(turned.u, np.hypot(plain.u, across), rtol=1e-12)
+    stated = columns | {f"u_{name}": np.full(14, 1e-3) for name in columns}
+    assert_allclose(mp.check(calibration, stated, scheme=scheme).u, louder.u)
+
+
+def test_tilt_of_a_triad(calibration):
+    columns, scheme = triad(seed=1)
+    found = mp.check(calibration, columns, scheme=scheme, limit_deg=0.05)
+    assert found.quantity == "tilt"
+    assert_allclose(found.reference, np.degrees(np.arcsin(FACES)), rtol=0, atol=1e-12)
+    assert np.abs(found.after).max() < 0.05
+
+
+def test_linearity_by_hand():
+    t = np.radians(np.arange(0, 360, 30))
+    up = np.column_stack([np.cos(t), np.sin(t), 0 * t])
+    values = 0.1 + 2.0 * up[:, 0] + 0.02 * up[:, 0] ** 2
+    cal = mp.fit({"E": values}, scheme="tumble-12", inputs="x")
+    found = mp.check(cal, {"E": values}, scheme="tumble-12")
+    # the parabola 0.02 c² about its mean 0.01 departs by 0.01; the span is 4 (line), 2 (force)
+    assert_allclose(found.linearity_percent["before"], [100 * 0.01 / 4])
+    assert_allclose(found.linearity_percent["after"], [100 * 0.005 / 2], rtol=1e-6)
+
+
+def test_temperature_model_is_checked_at_its_temperatures():
+    rng = np.random.default_rng(3)
+    up = np.tile(read_scheme("faces-6").up, (3, 1))
+    temperature = np.repeat([-20.0, 20.0, 60.0], 6)
+    values = 0.01 + 1e-4 * temperature + up[:, 0] + 1e-5 * rng.standard_normal(18)
+    columns = {"up_x": up[:, 0], "up_y": up[:, 1], "up_z": up[:, 2], "ax": values,
+               "temperature": temperature}  # fmt: skip
+    cal = mp.fit(columns, model="1 + x + y + z + temperature")
+    found = mp.check(cal, columns, limit_g=1e-4)
+    assert found.verdict == "pass"
+    assert found.summary()["before"]["maximum"] > 0.01
+
+
+def test_within_counts_only_the_axes_near_level(calibration):
+    columns, scheme = triad(seed=1)
+    columns["ax"][0] += 0.01  # x up: 90 degrees from level
+    found = mp.check(calibration, columns, scheme=scheme, limit_g=0.002, within_deg=60.0)
+    assert found.verdict == "pass"
+    assert not found.counted[0, 0]
+    assert found.counted[0, 1]
+
+
+def test_json_and_text(tmp_path, capsys, calibration):
+    calibration.save(tmp_path / "cal.json")
+    columns, scheme = triad(seed=1)
+    path = tmp_path / "run.csv"
+    rows = zip(*(c.tolist() for c in columns.values()), strict=True)
+    path.write_text("ax,ay,az\n" + "\n".join(",".join(map(str, r)) for r in rows) + "\n")
+    arguments = ["check", str(tmp_path / "cal.json"), str(path), "--scheme", scheme]
+    assert cli.main([*arguments, "--limit-g", "0.002", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["schema"] == "multipos/check/1"
+    assert found["verdict"] == "pass"
+    assert set(found["before"]) == {"maximum", "rms", "linearity_percent"}
+    assert set(found["by_axis"]) == {"x", "y", "z"}
+    row = found["positions"][0]
+    assert set(row) == {"position", "reference", "before", "after", "u", "U", "verdict", "counted"}
+    assert row["verdict"] == "pass"
+    assert cli.main([*arguments, "--limit-g", "0.002"]) == 0
+    text = capsys.readouterr().out
+    assert "pass against 0.002 g with U (95 %) as guard band: 42 pass" in text
+    assert text == check_text(mp.check(calibration, str(path), scheme=scheme, limit_g=0.002))
+    assert cli.main([*arguments, "--nominal", "-0.1,1"]) == 0  # a list that begins with a minus
+
+
+def fails(capsys, arguments, status, *words):
+    assert cli.main(arguments) == status
+    said = capsys.readouterr()
+    assert said.out == ""
+    last = said.err.strip().splitlines()[-1]
+    assert last.startswith("multipos: error: ")
+    for word in words:
+        assert word in last
+
+
+def test_bad_input(tmp_path, capsys, calibration):
+    calibration.save(tmp_path / "cal.json")
+    path = tmp_path / "run.csv"
+    path.write_text("up_x,up_y,up_z,ax,ay,az\n1,0,0,1,0,0\n0,1,0,0,1,7\n")
+    start = ["check", str(tmp_path / "cal.json"), str(path)]
+    fails(capsys, [*start, "--tilt", "--limit-g", "1"], 2, "--limit-deg")
+    fails(capsys, [*start, "--limit-deg", "1", "--limit-g", "1"], 2, "not allowed with")
+    fails(capsys, [*start, "--limit-deg", "0"], 2, "--limit-deg must be above 0")
+    fails(capsys, [*start, "--nominal", "1"], 2, "--nominal takes BIAS,SCALE")
+    fails(capsys, [*start, "--nominal", "1,0"], 2, "scale that is not 0")
+    fails(capsys, [*start, "--reading-sd", "1,2"], 2, "--reading-sd takes 1 or 3 values")
+    fails(capsys, [*start, "--range", "-2,2"], 1, "row 2", "'az'", "7")
+    path.write_text("ax,ay,az\n1,0,0\n")
+    fails(capsys, start, 1, "no orientation")
+    path.write_text("up_x,up_y,up_z,ax,ay\n1,0,0,1,0\n")
+    fails(capsys, start, 1, "no column 'az'")
+    fails(capsys, [*start[:2], str(tmp_path / "none.csv")], 1, "no such file")

@@ -1,0 +1,292 @@
+"""Checks of the claim: Monte Carlo, profiles, influence, and every estimator's own gain."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.criticism import aicc, find_influence, fourier_residuals, judge_terms
+from multipos.errors import ConvergenceError, MultiposError, UsageError
+from multipos.monte_carlo import numerical_tolerance, simulate_budget
+from multipos.profiles import calibration_interval, profile_interval
+from multipos.scheme import read_scheme
+from multipos.sensitivities import estimator_gain
+from multipos.uncertainty import evaluate_budget
+from multipos.validity import sphere_uncertainty
+
+M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
+BIAS = np.array([0.01, -0.02, 0.015])
+
+
+def readings(scheme="icosahedron-12", sd=1e-3, seed=1, quad=0.0, **more):
+    up = read_scheme(scheme).up
+    values = up @ M.T + BIAS + quad * up**2
+    values = values + sd * np.random.default_rng(seed).standard_normal(values.shape)
+    return mp.Readings(values, unit="g", **more)
+
+
+# --- gains of the likelihood
+
+
+@pytest.mark.parametrize(
+    ("options", "tolerance"),
+    [({"unknown_orientation": True}, 2e-3), ({"orientation_sd": 0.2}, 2e-3),
+     ({"unknown_orientation": True, "gauge": "symmetric"}, 2e-3)],
+    ids=["unknown", "uncertain", "symmetric gauge"],
+)  # fmt: skip
+def test_gain_of_the_likelihood_against_the_whole_estimator(options, tolerance):
+    scheme = None if "unknown_orientation" in options else "fibonacci-24"
+    data = readings("fibonacci-24", sd=2e-4)
+    options = {"scheme": scheme, "reading_sd": 2e-4, **options}
+    c = mp.fit(data, **options)
+    gain = estimator_gain(c)
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        step = 1e-4 * rng.standard_normal(data.values.shape)
+        moved = [
+            mp.fit(replace(data, values=data.values + side * step), **options).parameters
+            for side in (1.0, -1.0)
+        ]
+        found = (moved[0] - moved[1]) / 2.0
+        assert_allclose(gain @ step.ravel(), found, atol=tolerance * np.abs(found).max())
+
+
+@pytest.mark.parametrize("options", [{"unknown_orientation": True}, {"orientation_sd": 0.2}])
+def test_budget_of_uncertain_and_unknown_orientations(options):
+    scheme = None if "unknown_orientation" in options else "fibonacci-24"
+    budget = {"gravity": {"value": 9.81, "u": 1e-4}, "gain": {"u": 1e-4},
+              "orientation": {"u_deg": 0.01}}  # fmt: skip
+    c = mp.fit(readings("fibonacci-24"), scheme=scheme, budget=budget, **options)
+    rows = {row.quantity: row for row in evaluate_budget(c).rows}
+    # a gain common to all readings is a gain of every parameter, whatever the estimator: but for
+    # the prior of an uncertain orientation, which is in radians and does not know it
+    assert_allclose(rows["gain"].contribution, np.abs(c.parameters) * 1e-4, atol=2e-7)
+    assert rows["orientation"].contained.all()
+    plain = mp.fit(readings("fibonacci-24"), scheme=scheme, gravity=9.81, **options)
+    assert_allclose(rows["readings"].covariance, plain.covariance, rtol=1e-6, atol=1e-18)
+    assert (c.u >= plain.u * (1 - 1e-9)).all()
+    assert sphere_uncertainty(c)["force"]["x"]["worst"] > 0.0
+
+
+# --- Monte Carlo
+
+
+def test_monte_carlo_validates_a_linear_budget():
+    budget = {"gravity": {"value": 9.81, "u": 3e-4}, "gain": {"half_width": 2e-4},
+              "resolution": {"step": 1e-3}, "offset": {"u": 1e-4, "each_output": True}}  # fmt: skip
+    c = mp.fit(readings(), scheme="icosahedron-12", reading_sd=1e-3, budget=budget)
+    found = simulate_budget(c, rng=3)
+    assert found.stable
+    assert found.valid.all()
+    # of a standard deviation of so many trials, four standard deviations
+    assert_allclose(found.u, c.u, rtol=4 / math.sqrt(2 * found.trials) + 1e-3)
+    assert_allclose(np.diff(found.symmetric)[:, 0] / 2, c.U, rtol=0.02)
+    assert (np.diff(found.shortest) <= np.diff(found.symmetric) + 1e-15).all()
+    assert found.to_dict()["trials"] == found.trials
+
+
+def test_monte_carlo_draws_students_t():
+    c = mp.fit(readings("faces-6"), scheme="faces-6", pool=True)  # six degrees of freedom
+    found = simulate_budget(c, trials=60_000, rng=5)
+    assert_allclose(found.u, c.u * math.sqrt(6 / 4), rtol=0.03)  # sd of t on 6
+    assert_allclose(np.diff(found.symmetric)[:, 0] / 2, c.U, rtol=0.02)
+
+
+def test_monte_carlo_with_two_degrees_of_freedom_has_intervals_only():
+    c = mp.fit(readings("faces-6"), scheme="faces-6")
+    found = simulate_budget(c, trials=60_000, rng=5)
+    assert np.isnan(found.u).all()
+    assert_allclose(np.diff(found.symmetric)[:, 0] / 2, c.U, rtol=0.05)
+
+
+def test_monte_carlo_finds_what_first_order_misses():
+    """Placement of ten degrees: the cosine shortens the scale factor, and U does not know it."""
+    exact = replace(readings(sd=0.0))
+    for half_width, valid in ((0.02, True), (10.0, False)):
+        budget = {"level": {"half_width_deg": half_width}}
+        c = mp.fit(exact, scheme=attitudes(), reading_sd=1e-5, budget=budget)
+        found = simulate_budget(c, trials=40_000, rng=6)
+        scales = [c.names.index(f"scale_a{axis}") for axis in "xyz"]
+        assert bool(found.valid[scales].all()) is valid
+        if not valid:
+            assert (found.mean[scales] < c.parameters[scales] - 1e-3).all()
+
+
+def attitudes():
+    """The twelve directions of the icosahedron with a heading each."""
+    up = read_scheme("icosahedron-12").up
+    columns = {name: [] for name in ("roll_deg", "pitch_deg", "yaw_deg")}
+    for x, y, z in up:
+        columns["pitch_deg"].append(math.degrees(math.asin(x)))
+        columns["roll_deg"].append(math.degrees(math.atan2(-y, -z)))
+        columns["yaw_deg"].append(30.0)
+    return columns
+
+
+def test_numerical_tolerance_by_hand():
+    # JCGM 101, 7.9.2, examples: u = 0.35 to two digits is 35 × 10⁻², δ = 0.005; 2e-5 to one digit
+    assert_allclose(numerical_tolerance(np.array([0.35]), 2), [0.005])
+    assert_allclose(numerical_tolerance(np.array([2e-5]), 1), [0.5e-5])
+
+
+def test_monte_carlo_of_an_unknown_orientation():
+    c = mp.fit(readings("fibonacci-24", sd=1e-4), reading_sd=1e-4, unknown_orientation=True,
+               budget={"level": {"u_deg": 1.0}, "gain": {"u": 1e-6}})  # fmt: skip
+    trials = 300
+    found = simulate_budget(c, trials=trials, rng=2)
+    assert found.trials == trials
+    # nine standard deviations, each of 300 trials
+    assert_allclose(found.u, c.u, rtol=4 / math.sqrt(2 * trials))
+
+
+def test_another_estimator_can_be_simulated():
+    uncertain = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd=0.1)
+    with pytest.raises(UsageError, match="give `estimator`"):
+        simulate_budget(uncertain, trials=100)
+    c = mp.fit(readings("fibonacci-24", sd=1e-4), reading_sd=1e-4, unknown_orientation=True)
+    gain = estimator_gain(c)
+    found = simulate_budget(
+        c, trials=40_000, rng=2, estimator=lambda y: y.reshape(len(y), -1) @ gain.T
+    )
+    assert_allclose(found.u, c.u, rtol=0.03)
+
+
+def test_progress_and_limits():
+    c = mp.fit(readings(), scheme="icosahedron-12")
+    seen = []
+    simulate_budget(c, trials=25_000, progress=seen.append)
+    assert seen == [10_000, 20_000, 25_000]
+    for options in ({"trials": 3}, {"digits": 5}):
+        with pytest.raises(UsageError):
+            simulate_budget(c, **options)
+    assert_allclose(simulate_budget(c, trials=1000, rng=1).mean,
+                    simulate_budget(c, trials=1000, rng=1).mean)  # fmt: skip
+
+
+# --- profiles
+
+
+@pytest.mark.parametrize("options", [{}, {"reading_sd": 1e-3}, {"closed_form": True}])
+def test_profile_of_a_linear_fit_is_its_interval(options):
+    scheme = "faces-6" if "closed_form" in options else "icosahedron-12"
+    c = mp.fit(readings(scheme), scheme=scheme, **options)
+    for output, term in (("ax", "1"), ("ay", "x"), ("az", "z")):
+        p = c[output, term]
+        low, high = calibration_interval(c, output, term)
+        assert_allclose([low, high], [p.value - p.U, p.value + p.U], atol=1e-6 * p.U)
+
+
+def test_profile_of_an_unknown_orientation():
+    c = mp.fit(readings("fibonacci-24", sd=1e-3), unknown_orientation=True)
+    for output, term in (("ax", "1"), ("ay", "y"), ("az", "x")):
+        p = c[output, term]
+        low, high = calibration_interval(c, output, term)
+        assert (low + high) / 2 == pytest.approx(p.value, abs=0.1 * p.U)
+        assert (high - low) / 2 == pytest.approx(p.U, rel=0.1)
+
+
+def test_profile_of_an_uncertain_orientation_is_refused():
+    c = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd=0.1)
+    with pytest.raises(MultiposError, match="no profile is written"):
+        calibration_interval(c, "ax", "1")
+
+
+def test_profile_needs_the_least_sum_of_squares():
+    with pytest.raises(ConvergenceError, match="fit again"):
+        profile_interval(lambda p: np.array([p[0], 0.5]), [10.0], 0, u=1.0)
+
+
+def test_profile_may_be_open():
+    # a response that flattens: beyond some size no larger one is worse
+    low, high = profile_interval(
+        lambda p: np.array([math.tanh(p[0]) - 0.9]) / 0.2, [math.atanh(0.9)], 0, u=0.3
+    )
+    assert low < math.atanh(0.9)
+    assert math.isinf(high)
+
+
+# --- criticism
+
+
+def test_terms_are_judged_by_the_nested_f():
+    data = readings("faces-corners-14", quad=5e-3)
+    c = mp.fit(data, scheme="faces-corners-14", model="own-quadratic")
+    linear = mp.fit(data, scheme="faces-corners-14")
+    found = {(t.output, t.term): t for t in judge_terms(c)}
+    test = found["ax", "x^2"]
+    rss = [np.sum(f.residuals[:, 0] ** 2) for f in (linear, c)]
+    assert test.inside
+    assert test.f == pytest.approx((rss[0] - rss[1]) / (rss[1] / 9), rel=1e-9)
+    # one term: F is t²
+    p = c["ax", "x^2"]
+    assert test.f == pytest.approx((p.value / p.u) ** 2, rel=1e-9)
+    assert test.p < 0.01
+    assert test.aicc == pytest.approx(aicc(rss[0], 14, 4))
+    cubic = found["ax", "x^3"]
+    assert not cubic.inside
+    wider = mp.fit(data, scheme="faces-corners-14", model="own-cubic")
+    p = wider["ax", "x^3"]
+    assert cubic.f == pytest.approx((p.value / p.u) ** 2, rel=1e-6)
+
+
+def test_aicc_by_hand():
+    # n = 10, rss = 10, p = 2, k = 3: 0 + 6 + 24/6
+    assert aicc(10.0, 10, 2) == pytest.approx(10.0)
+    assert math.isnan(aicc(1.0, 6, 5))
+
+
+def test_influence_against_leaving_positions_out():
+    scheme = read_scheme("faces-corners-14")
+    data = readings("faces-corners-14")
+    c = mp.fit(data, scheme="faces-corners-14")
+    found = find_influence(c)
+    for row in (0, 9):
+        keep = np.arange(14) != row
+        other = mp.fit(mp.Readings(data.values[keep], unit="g"), scheme={
+            f"up_{axis}": scheme.up[keep, i] for i, axis in enumerate("xyz")
+        })  # fmt: skip
+        predicted = other.predict(scheme.up[[row]])[0]
+        assert_allclose(found.left_out[row], data.values[row] - predicted, atol=1e-14)
+        moved = np.abs(other.parameters - c.parameters) / c.u
+        assert_allclose(found.shift[row], moved.reshape(3, 4).max(axis=1), rtol=1e-9)
+        # Cook: the shift of all fitted values over p s²
+        change = other.predict(c.reference) - c.predict(c.reference)
+        assert_allclose(found.cook[row], np.sum(change**2, axis=0) / 4 / c.residual_sd**2)
+        assert found.external[row] == pytest.approx(
+            (data.values[row] - predicted)
+            / other.residual_sd * np.sqrt(1 - c.diagnostics.leverage[row]), rel=1e-9
+        )  # fmt: skip
+
+
+def test_influence_where_a_position_decides_alone():
+    c = mp.demo().calibration
+    found = find_influence(c)
+    decided = c.diagnostics.leverage > 1 - 1e-9
+    assert decided.any()
+    assert np.isnan(found.left_out[decided]).all()
+    assert np.isnan(found.external).all()  # one degree of freedom
+
+
+def test_fourier_view_finds_an_index_error():
+    angle = np.arange(24) * math.tau / 24
+    up = read_scheme("roll-z-24").up
+    rng = np.random.default_rng(1)
+    values = up[:, :2] + 1e-3 * np.column_stack([np.cos(3 * angle), 0 * angle])
+    values = values + 1e-4 * rng.standard_normal(values.shape)
+    c = mp.fit(mp.Readings(values, unit="g"), scheme="roll-z-24", inputs="x,y", axes="x,y")
+    views = fourier_residuals(c)
+    assert [(v["roll"], v["output"]) for v in views] == [("z", "ax"), ("z", "ay")]
+    third = views[0]["harmonics"][2]
+    assert (third["order"], third["cos"]) == (3, pytest.approx(1e-3, abs=1e-4))
+    assert third["p"] < 0.01  # the harmonic is in the scatter it is judged by
+    assert views[1]["harmonics"][2]["p"] > 0.01
+
+
+def test_criticism_needs_known_orientations():
+    c = mp.fit(readings("fibonacci-24"), unknown_orientation=True)
+    for question in (judge_terms, find_influence, fourier_residuals):
+        with pytest.raises(MultiposError, match="needs known orientations"):
+            question(c)

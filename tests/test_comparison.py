@@ -1,0 +1,252 @@
+"""Repeated calibrations: the false-alarm rate, sums by hand, and what is refused."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.cli import main
+from multipos.errors import MultiposError, UsageError
+from multipos.quantiles import chi2_tail, f_tail
+from multipos.scheme import read_scheme
+
+SD = np.array([1e-3, 1e-2, 3e-3])  # the outputs differ
+
+
+def repeats(rng, count=4, *, scheme="faces-6", sd=SD, shift=None, **options):
+    up = read_scheme(scheme).up
+    found = []
+    for run in range(count):
+        values = up + sd * rng.standard_normal(up.shape)
+        if shift is not None:
+            values = values + run * np.asarray(shift)
+        options = {"model": "own-quadratic", **options}
+        found.append(mp.fit(mp.Readings(values, unit="g"), scheme=scheme, **options))
+    return found
+
+
+def within(hits, runs, level):
+    """Whether a count agrees with a binomial law, at four standard deviations."""
+    return abs(hits / runs - level) <= 4 * math.sqrt(level * (1 - level) / runs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("count", "options"),
+    [
+        (4, {}),
+        (2, {"model": "linear"}),
+        (4, {"pool": True, "sd": 1e-3}),
+        (3, {"reading_sd": SD}),
+        (5, {"scheme": "icosahedron-12"}),
+    ],
+    ids=["four six-position repeats", "two linear", "pooled", "noise known", "twelve positions"],
+)
+def test_false_alarms_come_as_often_as_said(count, options):
+    rng = np.random.default_rng(42)
+    runs = 500
+    found = [mp.compare(*repeats(rng, count, **options)) for _ in range(runs)]
+    p = np.array([c.p_total for c in found])
+    for level in (0.05, 0.2, 0.5):
+        assert within(np.sum(p < level), runs, level)
+    assert within(sum(not c.consistent for c in found), runs, 0.05)
+    single = np.array([c.p[0] for c in found])
+    assert within(np.sum(single < 0.05), runs, 0.05)
+    # Holm: any parameter named falsely at most as often as said
+    moved = sum(bool(c.moved) for c in found) / runs
+    assert moved <= 0.05 + 4 * math.sqrt(0.05 * 0.95 / runs)
+
+
+@pytest.mark.slow
+def test_plain_chi_square_would_cry_wolf():
+    """The reason for the F statistic: four repeats, one degree of freedom each."""
+    rng = np.random.default_rng(7)
+    runs, alarms = 500, 0
+    for _ in range(runs):
+        found = repeats(rng)
+        value = np.array([c.parameters[0] for c in found])
+        weight = np.array([c.u[0] for c in found]) ** -2.0
+        mean = weight @ value / weight.sum()
+        alarms += chi2_tail(float(weight @ (value - mean) ** 2), 3) < 0.05
+    assert alarms / runs > 0.35  # where 0.05 is meant
+
+
+def test_f_by_hand_for_equal_schemes():
+    found = repeats(np.random.default_rng(3), pool=False)
+    c = mp.compare(*found)
+    value = np.array([f.parameters[0] for f in found])
+    pooled = np.mean([f.u[0] ** 2 for f in found])  # one degree of freedom each
+    f = value.var(ddof=1) / pooled
+    assert c.chi2[0] / 3 == pytest.approx(f, rel=1e-9)
+    assert c.p[0] == pytest.approx(f_tail(f, 3, 4), rel=1e-9)
+    assert (c.dof[0], c.scatter_dof[0]) == (3, 4)
+    tails = []
+    for output in range(3):
+        part = found[0].model.slices[output]
+        values = np.array([f.parameters[part] for f in found])
+        covariance = np.mean([f.covariance[part, part] for f in found], axis=0)
+        left = values - values.mean(axis=0)
+        q = np.einsum("ri,ij,rj->", left, np.linalg.inv(covariance), left)
+        tails.append(f_tail(q / 15, 15, 4))
+    assert c.statistic == pytest.approx(-2 * sum(map(math.log, tails)), rel=1e-9)
+    assert c.dof_total == 6
+
+
+def test_chi_square_where_the_noise_is_known():
+    found = repeats(np.random.default_rng(5), 3, reading_sd=SD)
+    c = mp.compare(*found)
+    left = c.values - c.values.mean(axis=0)
+    inverse = np.linalg.inv(found[0].covariance)
+    assert c.statistic == pytest.approx(np.einsum("ri,ij,rj->", left, inverse, left), rel=1e-9)
+    assert c.dof_total == 30
+    assert c.p_total == pytest.approx(chi2_tail(c.statistic, 30), rel=1e-12)
+    assert "chi-square" in c.test
+
+
+def test_pooled_outputs_are_one_family():
+    c = mp.compare(*repeats(np.random.default_rng(5), pool=True, sd=1e-3))
+    assert c.dof_total == [45, 12]
+    assert c.test.startswith("F of the repeats")
+
+
+def test_gravity_and_other_common_quantities_do_not_enter():
+    rng = np.random.default_rng(9)
+    plain = repeats(rng, scheme="icosahedron-12", gravity=9.81)
+    budget = {"gravity": {"value": 9.81, "u": 0.1}, "gain": {"u": 0.01}}
+    rng = np.random.default_rng(9)
+    common = repeats(rng, scheme="icosahedron-12", budget=budget)
+    assert common[0].u[1] > 5 * plain[0].u[1]
+    one, two = mp.compare(*plain), mp.compare(*common)
+    assert_allclose(two.chi2, one.chi2, rtol=1e-6)
+    assert two.p_total == pytest.approx(one.p_total, rel=1e-6)
+
+
+def test_a_bias_that_moves_is_found_and_named():
+    found = repeats(np.random.default_rng(1), 4, scheme="icosahedron-12", shift=[0.02, 0, 0])
+    c = mp.compare(*found)
+    assert not c.consistent
+    assert c.moved == ("bias_ax",)
+    assert c.drift[0] == pytest.approx(0.02, abs=1e-3)
+    assert c.per == "run"
+    assert c.drift_p[0] < 0.01
+    assert c.bias_stability["ax"] == pytest.approx(0.02 * math.sqrt(5 / 3), rel=0.1)
+
+
+def test_drift_is_per_time_where_the_readings_know_it():
+    up = read_scheme("icosahedron-12").up
+    found = [
+        mp.fit(
+            mp.Readings(up + 3e-4 * hour, unit="g", environment={"time": np.full(12, hour)}),
+            scheme="icosahedron-12", reading_sd=1e-5,
+        )
+        for hour in (0.0, 1.0, 5.0)
+    ]  # fmt: skip
+    c = mp.compare(*found)
+    assert c.per == "time"
+    assert c.drift[0] == pytest.approx(3e-4, rel=1e-9)
+
+
+def test_a_noisier_run_is_warned_of():
+    rng = np.random.default_rng(2)
+    found = repeats(rng, 3, scheme="icosahedron-12")
+    found += repeats(rng, 1, scheme="icosahedron-12", sd=30 * SD)
+    assert any("Bartlett" in text for text in mp.compare(*found).warnings)
+
+
+def test_two_methods_on_the_same_readings():
+    rng = np.random.default_rng(4)
+    readings = mp.Readings(read_scheme("faces-6").up + 1e-3 * rng.standard_normal((6, 3)), unit="g")
+    both = [
+        mp.fit(readings, scheme="faces-6", model="own-quadratic", closed_form=closed)
+        for closed in (True, False)
+    ]
+    c = mp.compare(*both)
+    assert c.consistent
+    assert math.isnan(c.p_total)
+    assert "same" in c.test
+    assert np.abs(np.diff(c.values, axis=0)).max() < 1e-14
+    spoiled = replace(both[0], parameters=both[0].parameters + 1.0)
+    assert not mp.compare(spoiled, both[1]).consistent
+
+
+def test_the_same_calibration_twice():
+    (found,) = repeats(np.random.default_rng(1), 1)
+    c = mp.compare(found, found)
+    assert (c.statistic, c.p_total, c.consistent) == (pytest.approx(0), pytest.approx(1), True)
+
+
+def test_no_degree_of_freedom_is_no_test():
+    found = repeats(np.random.default_rng(1), 4, model="1 + x + y + z + x^2 + y^2")
+    c = mp.compare(*found)
+    assert math.isnan(c.p_total)
+    assert c.consistent
+    assert "no degrees of freedom" in c.test
+
+
+def test_json_has_the_promised_keys(tmp_path, capsys):
+    for i, c in enumerate(repeats(np.random.default_rng(6))):
+        c.save(tmp_path / f"{i}.json")
+    files = [str(tmp_path / f"{i}.json") for i in range(4)]
+    assert main(["compare", *files, "--json"]) == 0
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert err == ""
+    assert [entry["file"] for entry in found["calibrations"]] == files
+    assert set(found["parameters"][0]) >= {
+        "output", "term", "name", "unit", "values", "mean", "sd", "range", "chi2", "dof", "p",
+    }  # fmt: skip
+    assert set(found) >= {"bias_stability", "statistic", "dof", "p", "test", "consistent"}
+    assert set(found["bias_stability"]) == {"ax", "ay", "az"}
+    first = found["parameters"][0]
+    assert first["range"] == pytest.approx(np.ptp(first["values"]))
+    assert main(["compare", *files]) == 0
+    text = capsys.readouterr().out
+    assert "bias stability" in text
+    assert main(["compare", *files, "-o", str(tmp_path / "figure.svg")]) == 0
+    assert (tmp_path / "figure.svg").read_text("utf-8").startswith("<svg")
+
+
+def test_few_repeats_are_said(capsys, tmp_path):
+    for i, c in enumerate(repeats(np.random.default_rng(6), 2)):
+        c.save(tmp_path / f"{i}.json")
+    assert main(["compare", str(tmp_path / "0.json"), str(tmp_path / "1.json")]) == 0
+    assert "calibrate at least 4 times" in capsys.readouterr().err
+
+
+def test_what_cannot_be_compared():
+    rng = np.random.default_rng(1)
+    (one,) = repeats(rng, 1)
+    with pytest.raises(UsageError, match="two or more"):
+        mp.compare(one)
+    with pytest.raises(UsageError, match="between 0 and 1"):
+        mp.compare(one, one, confidence=2.0)
+    for options, what in (
+        ({"model": "linear"}, "terms"),
+        ({"convention": "gravity"}, "convention"),
+        ({"unit": "V"}, "unit"),
+    ):
+        (other,) = repeats(rng, 1, **options)
+        with pytest.raises(MultiposError, match=f"calibration 2: its {what} differ"):
+            mp.compare(one, other)
+
+
+@pytest.mark.parametrize(
+    ("argv", "status", "message"),
+    [
+        (["compare"], 2, "CAL.json"),
+        (["compare", "one.json"], 2, "two or more calibrations"),
+        (["compare", "one.json", "none.json"], 1, "no such file"),
+    ],
+)
+def test_command_lines_at_fault(argv, status, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    repeats(np.random.default_rng(1), 1)[0].save("one.json")
+    assert main(argv) == status
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines()[-1].startswith("multipos: error: ")
+    assert message in err

@@ -1,0 +1,612 @@
+"""Schemes assessed and made: analytic optima, textbook designs, simulated calibrations."""
+
+import contextlib
+import io
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.benches import read_bench
+from multipos.cli import main
+from multipos.exchange import choose
+from multipos.information import (
+    Criterion,
+    inform,
+    kernels,
+    log_det,
+    make_criterion,
+    make_setting,
+    objective,
+    sensitivity,
+)
+from multipos.model import build_model
+from multipos.optimum import optimise_candidates, optimise_sphere
+from multipos.scheme import read_scheme
+from multipos.travel import order_positions, travel_deg
+
+AXES = ("x", "y", "z")
+OUTPUTS = ("ax", "ay", "az")
+
+
+def setting(model, **options):
+    return make_setting(build_model(model, OUTPUTS, AXES, AXES, known=()), **options)
+
+
+def command(*arguments):
+    """Return exit status, stdout and stderr of a command, run in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main(arguments)
+    return status, out.getvalue(), err.getvalue()
+
+
+# --- the continuous optimum
+
+
+@pytest.mark.parametrize(
+    ("model", "log_det_best"),
+    [
+        # by hand: M = diag(1, 1/3, 1/3, 1/3) for each output of the linear model
+        ("linear", 9 * math.log(1 / 3)),
+        ("own-quadratic", -14.3997428),
+        ("cross-quadratic", -33.311718),
+        ("own-cubic", -25.856998),
+        ("ieee", -43.406893),
+    ],
+)
+def test_optimum_on_the_sphere_is_the_analytic_one(model, log_det_best):
+    best = optimise_sphere(setting(model), Criterion("D"))
+    assert best.log_det == pytest.approx(log_det_best, abs=1e-6)
+    assert best.gap <= 1e-6
+
+
+def test_own_quadratic_optimum_by_hand():
+    # six faces: per output the block of (1, own²) is [[1, 1/3], [1/3, 1/3]], the rest 1/3 each
+    assert 3 * math.log(2 / 9 / 27) == pytest.approx(-14.3997428, abs=1e-6)
+    best = optimise_sphere(setting("own-quadratic"), Criterion("D"))
+    heavy = best.weights > 1e-6
+    assert_allclose(best.weights[heavy], 1 / 6, atol=1e-6)
+    assert_allclose(np.abs(best.up[heavy]).max(axis=1), 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("model", "faces"), [("own-cubic", 2 / 3), ("ieee", 0.4)])
+def test_optimum_shares_faces_and_corners(model, faces):
+    best = optimise_sphere(setting(model), Criterion("D"))
+    on_face = np.abs(best.up).max(axis=1) > 1 - 1e-6
+    on_corner = np.abs(np.abs(best.up) - 3**-0.5).max(axis=1) < 1e-6
+    assert best.weights[on_face].sum() == pytest.approx(faces, abs=1e-4)
+    assert best.weights[on_corner].sum() == pytest.approx(1 - faces, abs=1e-4)
+
+
+def test_unknown_orientation_optimum_is_the_icosahedron():
+    unknown = setting("linear", unknown_orientation=True)
+    assert len(unknown.model.keys) == 9
+    best = optimise_sphere(unknown, Criterion("D"))
+    assert best.log_det == pytest.approx(-16.548406, abs=1e-6)
+    rows = unknown.rows(read_scheme("icosahedron-12").up)
+    assert log_det(inform(rows)) == pytest.approx(best.log_det, abs=1e-7)
+
+
+@pytest.mark.parametrize("model", ["linear", "ieee", "ieee-odd", "1 + x + y + z + own*|own|"])
+@pytest.mark.parametrize("name", ["D", "A", "I"])
+def test_certificate_holds_on_directions_it_never_saw(model, name):
+    known = setting(model)
+    criterion = make_criterion(name, known)
+    best = optimise_sphere(known, criterion)
+    kernel = kernels(inform(known.rows(best.up), best.weights), criterion)
+    unseen = np.random.default_rng(1).standard_normal((50_000, 3))
+    unseen /= np.linalg.norm(unseen, axis=1, keepdims=True)
+    assert sensitivity(known.rows(unseen), kernel).max() - 1.0 <= 1e-6
+
+
+@pytest.mark.parametrize("name", ["D", "A", "I", "u:ay:y^2"])
+@pytest.mark.parametrize("options", [{}, {"unknown_orientation": True}, {"orientation_sd": 40.0}])
+def test_sensitivity_is_the_gradient_of_the_criterion(name, options):
+    asked = setting("own-quadratic", **options)
+    criterion = make_criterion(name, asked)
+    rows = asked.rows(read_scheme("fibonacci-40").up)
+    w = np.random.default_rng(2).dirichlet(np.ones(40))
+    s = sensitivity(rows, kernels(inform(rows, w), criterion))
+    assert w @ s == pytest.approx(1.0, rel=1e-10)
+    h = 1e-6
+    for k in (0, 7, 39):
+        toward = np.eye(40)[k]
+        up, down = (objective(inform(rows, w + t * (toward - w)), criterion) for t in (h, -h))
+        assert (up - down) / (2 * h) == pytest.approx(s[k] - 1.0, abs=1e-5 * max(1.0, s[k]))
+
+
+def test_candidates_and_sphere_agree_where_the_candidates_hold_the_optimum():
+    known = setting("ieee")
+    listed = optimise_candidates(known.rows(read_bench("all-26")), Criterion("D"))
+    assert listed.log_det == pytest.approx(-43.406893, abs=1e-6)
+    # many candidates: near the sphere's optimum, never above
+    many = optimise_candidates(known.rows(read_scheme("fibonacci-30000").up), Criterion("D"))
+    assert many.gap <= 1e-7
+    assert -43.409 < many.log_det < -43.406892
+
+
+# --- information
+
+
+def test_moments_of_the_sphere_against_quadrature():
+    asked = setting("1 + x + y + z + own^2 + x*|x| + y*z")
+    (exact, *_) = make_criterion("I", asked).weight
+    (near, *_) = make_criterion("I", asked, read_scheme("fibonacci-200000").up).weight
+    assert_allclose(near, exact, atol=1e-5)
+
+
+def test_uncertain_orientation_lies_between_known_and_unknown():
+    up = read_scheme("all-26").up
+    exact = inform(setting("linear").rows(up))
+    nearly = inform(setting("linear", orientation_sd=1e-5).rows(up))[0]
+    for part, M in zip(setting("linear").blocks, exact, strict=True):
+        assert_allclose(nearly[part, part], M, atol=1e-12)
+    # of an sd without bound only the norm is left, in the parameters of the lower gauge
+    unknown = setting("linear", unknown_orientation=True)
+    full = setting("linear", orientation_sd=1e9)
+    kept = [full.model.keys.index(key) for key in unknown.model.keys]
+    assert_allclose(
+        inform(full.rows(up))[0][np.ix_(kept, kept)], inform(unknown.rows(up))[0], atol=1e-12
+    )
+
+
+def test_norm_row_by_difference():
+    unknown = setting("own-quadratic", unknown_orientation=True)
+    model = unknown.model
+    up = read_scheme("fibonacci-5").up
+    nominal = np.array([1.0 if f"{t}" == o[1] else 0.0 for o, t in model.keys])
+    for j in range(len(nominal)):
+        step = 1e-6 * np.eye(len(nominal))[j]
+        ahead, behind = (
+            np.linalg.norm(model.predict(nominal + sign * step, up, {}), axis=1) for sign in (1, -1)
+        )
+        assert_allclose(unknown.rows(up)[0][:, 0, j], (ahead - behind) / 2e-6, atol=1e-8)
+
+
+# --- schemes
+
+
+@pytest.mark.parametrize(
+    ("scheme", "efficiency"),
+    [
+        ("faces-6", 1.0),
+        ("edges-12", 0.758),
+        ("icosahedron-12", 0.833),
+        ("faces-corners-14", 0.844),
+        ("faces-edges-18", 0.871),
+        ("roll-x-8+roll-y-8+roll-z-8", 0.910),
+        ("all-26", 0.809),
+    ],
+)
+def test_d_efficiency_for_own_quadratic(scheme, efficiency):
+    (entry,) = mp.schemes(scheme, model="own-quadratic")["schemes"]
+    assert entry["d_efficiency"] == pytest.approx(efficiency, abs=5e-4)
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("count", [4, 24, 360])
+def test_a_single_roll_plane_is_singular_for_the_linear_model(axis, count):
+    (entry,) = mp.schemes(f"roll-{axis}-{count}")["schemes"]
+    assert not entry["identifiable"]
+    assert entry["log_det"] is entry["d_efficiency"] is entry["u"] is None
+    assert any(f"cross_ay_{axis}" in text or "scale_ay" in text for text in entry["unidentifiable"])
+
+
+def test_efficiencies_of_six_faces_by_hand():
+    (entry,) = mp.schemes("faces-6")["schemes"]
+    for key in ("d_efficiency", "a_efficiency", "g_efficiency", "i_efficiency"):
+        assert entry[key] == pytest.approx(1.0, abs=1e-9)
+    assert entry["log_det"] == pytest.approx(9 * math.log(1 / 3), abs=1e-12)
+    assert entry["u"]["ax:1"] == pytest.approx(6**-0.5)
+    assert entry["u"]["ax:x"] == pytest.approx(2**-0.5)
+    assert entry["dof"] == {"ax": 2, "ay": 2, "az": 2}
+
+
+def test_all_named_schemes_come_best_first():
+    found = mp.schemes(model="ieee")["schemes"]
+    shares = [round(entry["d_efficiency"] or 0.0, 9) for entry in found]
+    assert shares == sorted(shares, reverse=True)
+    assert not found[-1]["identifiable"]
+
+
+def test_efficiency_ignores_rotation_for_linear_and_axes_order():
+    turn = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
+    turned = dict(zip(("up_x", "up_y", "up_z"), (read_scheme("all-26").up @ turn).T, strict=True))
+    a, b = mp.schemes("all-26", turned)["schemes"]
+    assert a["log_det"] == pytest.approx(b["log_det"], abs=1e-10)
+    (c,) = mp.schemes("dual-axis-48", model="own-cubic", axes="x,y,z")["schemes"]
+    (d,) = mp.schemes("dual-axis-48", model="own-cubic", axes="z,x,y")["schemes"]
+    assert c["d_efficiency"] == pytest.approx(d["d_efficiency"], rel=1e-9)
+
+
+def test_fewer_outputs_and_redundant_ones_are_described():
+    (one,) = mp.schemes("roll-x-8+roll-y-8", axes="x", inputs="x,y")["schemes"]
+    assert set(one["u"]) == {"ax:1", "ax:x", "ax:y"}
+    (four,) = mp.schemes("faces-6", axes="x,y,z,x")["schemes"]
+    assert {"ax:1", "ax2:1"} <= set(four["u"])
+
+
+def test_what_six_faces_cannot_see():
+    (entry,) = mp.schemes("faces-6", model="linear")["schemes"]
+    seen = {(a["output"], a["term"]): a for a in entry["aliases"]}
+    # x³ = x and x|x| = x on the faces; x y = 0 there; x² is a third, and shows: ‖x² − 1/3‖/‖x²‖
+    assert seen["ax", "x^3"]["into"] == {"scale_ax": pytest.approx(1.0)}
+    assert seen["ax", "x^3"]["seen"] == 0.0
+    assert seen["ax", "x*y"] == {"output": "ax", "term": "x*y", "seen": 0.0, "into": {}}
+    assert seen["ax", "x^2"]["seen"] == pytest.approx((2 / 3) ** 0.5)
+    assert seen["ax", "x^2"]["into"] == {"bias_ax": pytest.approx(1 / 3)}
+    assert "`x^3 of ax` passes for `+1 scale_ax`" in entry["hidden"]
+
+
+# --- predicted uncertainties against simulated calibrations
+
+
+def scatter_ratio(estimates, u):
+    return estimates.std(axis=0, ddof=1) / u
+
+
+def test_predicted_u_is_the_scatter_of_simulated_calibrations():
+    rng, runs, sd = np.random.default_rng(4), 2000, 0.003
+    scheme = read_scheme("faces-edges-18")
+    (entry,) = mp.schemes(scheme, model="own-quadratic", reading_sd=sd)["schemes"]
+    model = build_model("own-quadratic", OUTPUTS, AXES)
+    truth = rng.standard_normal(15)
+    readings = model.predict(truth, scheme.up, {})
+    estimates = np.empty((runs, 15))
+    phi = model.basis(scheme.up, {})
+    for part, columns, i in zip(model.slices, model.columns, range(3), strict=True):
+        noisy = readings[:, [i]] + sd * rng.standard_normal((18, runs))
+        estimates[:, part] = np.linalg.lstsq(phi[:, columns], noisy, rcond=None)[0].T
+    ratio = scatter_ratio(estimates, np.array(list(entry["u"].values())))
+    # a standard deviation of 2000 runs is known to 1/√4000; four of that
+    assert_allclose(ratio, 1.0, atol=4 / math.sqrt(2 * runs))
+
+
+def test_predicted_u_of_uncertain_orientation_is_the_scatter():
+    rng, runs, sd, tilt_deg = np.random.default_rng(5), 2000, 0.002, 0.3
+    scheme = read_scheme("faces-corners-14")
+    (entry,) = mp.schemes(scheme, orientation_sd=tilt_deg, reading_sd=sd)["schemes"]
+    model = build_model("linear", OUTPUTS, AXES)
+    up, n = scheme.up, len(scheme)
+    delta = math.radians(tilt_deg) * rng.standard_normal((runs, n, 3))
+    # first order, where the prediction is exact: f = u − δ × u
+    turned = up - np.cross(delta, up)
+    y = turned + sd * rng.standard_normal((runs, n, 3))
+    X = np.zeros((n, 3, 12))
+    for i in range(3):
+        X[:, i, 4 * i : 4 * i + 4] = model.basis(up, {})[:, model.columns[i]]
+    V = sd**2 * np.eye(3) + math.radians(tilt_deg) ** 2 * (
+        np.eye(3) - np.einsum("ni,nj->nij", up, up)
+    )
+    W = np.linalg.inv(V)
+    M = np.einsum("nip,nij,njq->pq", X, W, X)
+    estimates = np.linalg.solve(M, np.einsum("nip,nij,rnj->pr", X, W, y)).T
+    ratio = scatter_ratio(estimates, np.array(list(entry["u"].values())))
+    assert_allclose(ratio, 1.0, atol=4 / math.sqrt(2 * runs))
+
+
+def test_predicted_u_of_unknown_orientation_is_the_scatter():
+    rng, runs, sd = np.random.default_rng(6), 1000, 1e-4
+    scheme = read_scheme("icosahedron-12")
+    (entry,) = mp.schemes(scheme, unknown_orientation=True, reading_sd=sd)["schemes"]
+    rows = setting("linear", unknown_orientation=True).rows(scheme.up)[0][:, 0, :]
+    estimates = np.empty((runs, 9))
+    for run in range(runs):
+        y = scheme.up + sd * rng.standard_normal((12, 3))
+        # one Gauss–Newton step from the truth: at 1e-4 g the second changes nothing
+        estimates[run] = np.linalg.lstsq(rows, np.linalg.norm(y, axis=1) - 1.0, rcond=None)[0]
+    ratio = scatter_ratio(estimates, np.array(list(entry["u"].values())))
+    assert_allclose(ratio, 1.0, atol=4 / math.sqrt(2 * runs))
+
+
+@pytest.mark.parametrize("options", [{}, {"unknown_orientation": True}, {"orientation_sd": 0.01}])
+def test_predicted_u_is_what_the_fit_states(options):
+    rng, sd = np.random.default_rng(10), 1e-4
+    up = read_scheme("all-26").up
+    table = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    table |= dict(zip(OUTPUTS, (up + sd * rng.standard_normal(up.shape)).T, strict=True))
+    cal = mp.fit(table, reading_sd=sd, **options)
+    (entry,) = mp.schemes("all-26", reading_sd=sd, **options)["schemes"]
+    # the sensor is nominal to some 1e-4
+    assert_allclose(cal.u, list(entry["u"].values()), rtol=1e-3)
+
+
+# --- exact designs
+
+
+def quadratic(points):
+    n, k = points.shape
+    products = [points[:, i] * points[:, j] for i in range(k) for j in range(i, k)]
+    return np.column_stack([np.ones(n), *points.T, *products])[:, np.newaxis, :]
+
+
+def test_fourteen_runs_of_a_quadratic_in_three_factors():
+    # AlgDesign's vignette: D = .4630447 of 14 runs on the 3³ grid; the continuous optimum there
+    # makes its true efficiency .976
+    points = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
+    rows = (quadratic(points),)
+    rng = np.random.default_rng(0)
+    value, choice = choose(rows, 14, Criterion("D"), starts=200, rng=rng)[0]
+    assert math.exp(value) == pytest.approx(0.4630447, abs=5e-8)
+    assert len(choice) == 14
+    best = optimise_candidates(rows, Criterion("D"))
+    assert math.exp(value - best.value) == pytest.approx(0.976, abs=5e-4)
+
+
+@pytest.mark.parametrize("exhaustive", [True, False])
+def test_eight_runs_of_least_average_variance(exhaustive, monkeypatch):
+    # skpr: 1 + a + b + a² + b² on the 3² grid, moments of the square; 167/360
+    if not exhaustive:
+        monkeypatch.setattr("multipos.exchange._ALL", 0)
+    points = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=2)))
+    X = np.column_stack([np.ones(9), points, points**2])[:, np.newaxis, :]
+    moments = np.diag([1.0, 1 / 3, 1 / 3, 1 / 5, 1 / 5])
+    moments[0, 3:] = moments[3:, 0] = 1 / 3
+    moments[3, 4] = moments[4, 3] = 1 / 9
+    criterion = Criterion("I", (moments,))
+    value, _ = choose((X,), 8, criterion, rng=np.random.default_rng(0))[0]
+    assert math.exp(-value) / 8 == pytest.approx(167 / 360, rel=1e-9)
+
+
+def test_exchange_meets_every_choice_there_is(monkeypatch):
+    asked = setting("linear", orientation_sd=30.0)
+    rows = asked.rows(read_bench("faces-corners-14"))
+    criterion = make_criterion("A", asked)
+    rng = np.random.default_rng(0)
+    everything = choose(rows, 5, criterion, rng=rng)[0][0]
+    monkeypatch.setattr("multipos.exchange._ALL", 0)
+    assert choose(rows, 5, criterion, rng=rng)[0][0] == pytest.approx(everything, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("model", "positions", "best"),
+    [("linear", 4, 1.0), ("linear", 6, 1.0), ("own-quadratic", 6, 1)],
+)
+def test_exact_designs_that_reach_the_optimum(model, positions, best):
+    found = mp.design(model, positions)
+    assert found["efficiency"] == pytest.approx(best, abs=1e-8)
+    assert found["log_det"] == pytest.approx(found["optimum_log_det"], abs=1e-7)
+
+
+def test_unknown_orientation_design_of_twelve_is_as_good_as_the_icosahedron():
+    found = mp.design("linear", 12, unknown_orientation=True)
+    assert found["efficiency"] == pytest.approx(1.0, abs=1e-7)
+    assert found["certificate"]["parameters"] == 9
+
+
+def test_design_keeps_its_promises():
+    found = mp.design("own-quadratic", 14)
+    p = found["certificate"]["parameters"]
+    assert p == 15
+    assert found["certificate"]["gap"] <= 1e-6
+    assert found["certificate"]["max_variance"] == pytest.approx(
+        p * (1 + found["certificate"]["gap"]), rel=1e-14
+    )
+    share = math.exp((found["log_det"] - found["optimum_log_det"]) / p)
+    assert found["efficiency"] == pytest.approx(share, rel=1e-8)
+    assert found["efficiency"] > 0.9848  # four faces twice, two three times: .98440
+    assert_allclose(np.linalg.norm(found["positions"], axis=1), 1.0, atol=1e-12)
+    (entry,) = mp.schemes(
+        dict(zip(("up_x", "up_y", "up_z"), np.array(found["positions"]).T, strict=True)),
+        model="own-quadratic",
+    )["schemes"]
+    assert entry["log_det"] == pytest.approx(found["log_det"], abs=1e-10)
+    again = mp.design("own-quadratic", 14)
+    assert_allclose(again["positions"], found["positions"])
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "I", "G", "u:ax:x^2"])
+def test_each_criterion_is_best_at_its_own(criterion):
+    designs = {name: mp.design("own-quadratic", 8, criterion=name) for name in ("D", criterion)}
+    mine, other = designs[criterion]["scheme"], designs["D"]["scheme"]
+    if criterion.startswith("u"):
+        assert mine["u"]["ax:x^2"] <= other["u"]["ax:x^2"] + 1e-9
+    else:
+        key = f"{criterion.lower()}_efficiency"
+        assert mine[key] >= other[key] - 1e-9
+        assert designs[criterion]["efficiency"] == pytest.approx(mine[key], rel=1e-6)
+    assert 0.0 < designs[criterion]["efficiency"] <= 1.0
+    assert designs[criterion]["certificate"]["gap"] <= 1e-6
+
+
+def test_included_positions_stay_and_count():
+    found = mp.design("own-quadratic", 9, include="faces-6")
+    assert_allclose(found["positions"][:6], read_scheme("faces-6").up)
+    assert len(found["positions"]) == 9
+    # the next best one after six faces: every direction adds at most what a face does
+    one = mp.design("own-quadratic", 7, include="faces-6", candidates="all-26")
+    assert np.abs(one["positions"][6]).max() == 1.0
+
+
+def test_candidates_hold_the_design_and_the_certificate():
+    found = mp.design("own-quadratic", 14, candidates="two-axis-30")
+    reachable = read_bench("two-axis-30")
+    for up in found["positions"]:
+        assert np.abs(reachable - up).max(axis=1).min() < 1e-12
+    assert found["certificate"]["over"] == "candidates"
+    tilted = mp.design("linear", 6, candidates="tilt-30")
+    assert tilted["efficiency"] < tilted["bench_efficiency"] <= 1.0
+    assert tilted["positions"][:, 2].min() >= math.cos(math.radians(30)) - 1e-12
+
+
+def test_region_of_criterion_i():
+    # directions near z up: the scheme that predicts best there is better there than the other
+    cap = read_bench("tilt-20")
+    here = mp.design("own-quadratic", 8, criterion="I", region="tilt-20")
+    everywhere = mp.design("own-quadratic", 8, criterion="I")
+    asked = setting("own-quadratic")
+    criterion = make_criterion("I", asked, cap)
+    value = [objective(inform(asked.rows(d["positions"])), criterion) for d in (here, everywhere)]
+    assert value[0] > value[1]
+
+
+def test_orientation_error_changes_the_best_scheme():
+    exact = mp.design("linear", 12)
+    robust = mp.design("linear", 12, orientation_sd=1.0, reading_sd=0.001)
+    judged = mp.schemes(
+        *(
+            dict(zip(("up_x", "up_y", "up_z"), np.array(d["positions"]).T, strict=True))
+            for d in (exact, robust)
+        ),
+        orientation_sd=1.0, reading_sd=0.001,
+    )["schemes"]  # fmt: skip
+    assert judged[1]["d_efficiency"] >= judged[0]["d_efficiency"]
+
+
+# --- benches and travel
+
+
+def test_benches_reach_what_they_say():
+    assert len(read_bench("two-axis-90")) == 6
+    assert len(read_bench("roll-90-x")) == 4
+    assert len(read_bench("cube+faces-6")) == 6
+    assert len(read_bench("dodecahedron")) == 12
+    near = read_bench("near-faces-10")
+    assert np.abs(near).max(axis=1).min() == pytest.approx(math.cos(math.radians(10)))
+    assert read_bench("tilt-30")[:, 2].min() == pytest.approx(math.cos(math.radians(30)))
+    assert read_bench("tilt-30-x")[:, 0].min() == pytest.approx(math.cos(math.radians(30)))
+
+
+def test_travel_is_the_shortest_of_all_orders():
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        up = rng.standard_normal((7, 3))
+        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        ordered = order_positions(up)
+        shortest = min(travel_deg(up[[0, *order]]) for order in itertools.permutations(range(1, 7)))
+        assert travel_deg(ordered) <= 1.05 * shortest
+        assert sorted(map(tuple, ordered)) == sorted(map(tuple, up))
+    # five quarter turns visit the faces
+    assert travel_deg(order_positions(read_scheme("faces-6").up)) == pytest.approx(450.0)
+
+
+# --- worth of a position
+
+
+def readings(scheme, rng, sd=0.001):
+    up = read_scheme(scheme).up
+    values = up + 0.01 + sd * rng.standard_normal(up.shape)
+    table = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    return table | dict(zip(OUTPUTS, values.T, strict=True))
+
+
+def test_worth_is_what_a_calibration_with_the_position_states():
+    rng = np.random.default_rng(8)
+    table = readings("faces-corners-14", rng)
+    cal = mp.fit(table, model="own-quadratic", reading_sd=0.001)
+    found = mp.worth(cal, candidates="all-26", parameter="ay:y^2")
+    assert found["u"] == pytest.approx(dict(zip(found["u"], cal.u, strict=True)), rel=1e-9)
+    best = found["candidates"][0]
+    more = {name: np.append(table[name], best["up"][i]) for i, name in enumerate(list(table)[:3])}
+    more |= {name: np.append(table[name], best["up"][i] + 0.01) for i, name in enumerate(OUTPUTS)}
+    then = mp.fit(more, model="own-quadratic", reading_sd=0.001)
+    assert then["ay", "y^2"].u == pytest.approx(best["u"]["ay:y^2"], rel=1e-9)
+    assert best["fall"] == pytest.approx(1 - best["u"]["ay:y^2"] / cal["ay", "y^2"].u)
+
+
+@pytest.mark.parametrize(
+    "options", [{"unknown_orientation": True, "gauge": "symmetric"}, {"orientation_sd": 0.05}]
+)
+def test_worth_of_a_position_whose_orientation_is_not_exact(options):
+    rng = np.random.default_rng(11)
+    more = readings("faces-corners-14", rng, 1e-4)
+    less = {name: column[:-1] for name, column in more.items()}
+    cal = mp.fit(less, reading_sd=1e-4, **options)
+    last = {name: column[-1:] for name, column in more.items() if name.startswith("up")}
+    (entry,) = mp.worth(cal, candidates=last)["candidates"]
+    then = mp.fit(more, reading_sd=1e-4, **options)
+    assert_allclose(list(entry["u"].values()), then.u, rtol=2e-3)
+
+
+def test_worth_says_when_to_stop():
+    cal = mp.fit(readings("faces-6", np.random.default_rng(9)), reading_sd=0.001)
+    target = cal["ax", "x"].u / 2
+    found = mp.worth(cal, parameter="ax:x", target=target)
+    # u² of scale is σ²/Σx²: from 2 to 8 takes six more faces
+    assert found["further_positions"] == 6
+    assert_allclose(np.abs(found["path"][:, 0]), 1.0)
+    floor = mp.fit(
+        readings("faces-6", np.random.default_rng(9)), reading_sd=0.001, gravity=9.8, gravity_u=0.01
+    )
+    out = mp.worth(floor, parameter="ax:x", target=1e-4)
+    assert out["further_positions"] is None
+    assert out["floor"] == pytest.approx(0.01 / 9.8 * floor["ax", "x"].value, rel=1e-6)
+
+
+# --- the command line, and what it refuses
+
+
+def test_design_writes_a_scheme_that_schemes_reads(tmp_path):
+    path = tmp_path / "scheme.csv"
+    status, out, err = command(
+        "design", "--model", "linear", "--positions", "6", "--json", "-o", str(path)
+    )
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert path.read_text().splitlines()[0] == "position,up_x,up_y,up_z"
+    status, out, _ = command("schemes", str(path), "--json")
+    (entry,) = json.loads(out)["schemes"]
+    assert entry["log_det"] == pytest.approx(found["log_det"], abs=1e-10)
+    for key in ("d_efficiency", "a_efficiency", "g_efficiency", "condition", "u"):
+        assert entry[key]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        ("design --model linear --positions 3", 2, "at least 4 positions are needed"),
+        ("design --model linear --positions 8 --unknown-orientation", 2, "9 parameters in all"),
+        ("design --model linear --positions 6 --include faces-6", 2, "counts the 6 included"),
+        ("design --model linear --positions 6 --criterion Z", 2, "unknown criterion 'Z'"),
+        ("design --model linear --positions 6 --criterion u:ax:x^2", 2, "no parameter"),
+        ("design --model linear --positions 6 --criterion u:ax", 2, "unknown criterion"),
+        ("design --model linear --positions 6 --region cube", 2, "criterion I averages"),
+        ("design --model linear --positions 6 --candidates nowhere", 2, "or a bench: two-axis-A"),
+        ("design --model linear --positions 6 --candidates two-axis-7", 2, "does not divide"),
+        ("design --model linear --positions 6 --candidates near-faces-60", 2, "at most 45"),
+        ("design --model linear --positions 6 --candidates gone.csv", 1, "no such file"),
+        ("design --model linear --positions 24 --candidates roll-15-x", 1, "`cross_ay_x`"),
+        (
+            "design --model own-quadratic --positions 9 --candidates corners-8",
+            1,
+            "told from `3 quad_ax`",
+        ),
+        ("design --model full-quadratic --positions 24", 1, "no static positions can separate"),
+        ("design --model linear --positions 6 --orientation-sd -1", 2, "must be 0 or more"),
+        ("design --model linear --positions 9 --unknown-orientation --orientation-sd 1", 2, "not"),
+        ("design --model linear --positions 9 --unknown-orientation --axes x,y", 2, "three outp"),
+        ("design --model linear --positions 6 --move-time 3", 2, "two times"),
+        ("design --model linear --positions 6 --seed -1", 2, "--seed must be 0"),
+        ("design --model linear", 2, "--positions"),
+        ("schemes faces-6 --reading-sd 0", 2, "--reading-sd must be above 0"),
+        ("worth gone.json", 1, "no such file"),
+    ],
+)
+def test_bad_input_is_one_clear_line(arguments, status, message):
+    found, out, err = command(*arguments.split())
+    line = err.strip().splitlines()[-1]
+    assert (found, out) == (status, "")
+    assert line.startswith("multipos: error: ")
+    assert message in line
+
+
+def test_worth_refuses_what_it_cannot_tell():
+    cal = mp.fit(readings("faces-6", np.random.default_rng(9)))
+    with pytest.raises(mp.UsageError, match="unknown parameter 'ax:y\\^3'"):
+        mp.worth(cal, parameter="ax:y^3")
+    with pytest.raises(mp.UsageError, match="name its parameter"):
+        mp.worth(cal, target=0.1)
+    saturated = mp.fit(readings("faces-6", np.random.default_rng(9)), model="1+x+y+z+own^2+y^2")
+    with pytest.raises(mp.MultiposError, match="--reading-sd"):
+        mp.worth(saturated)
+
+
+def test_an_orientation_sd_beside_a_whole_g_warns():
+    status, _, err = command("schemes", "faces-6", "--orientation-sd", "0.1")
+    assert status == 0
+    assert "give --reading-sd in g" in err

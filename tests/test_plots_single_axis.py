@@ -1,0 +1,46 @@
+"""The figures of tumble and check show what the results hold."""
+
+import numpy as np
+import pytest
+from inclinometer_bench import check_run, make_bench
+from test_inclinometer import calibrated
+from test_single_axis import tumble
+
+import multipos as mp
+from multipos.plots import draw_check, draw_residual_harmonics, draw_signal
+
+
+@pytest.fixture
+def axes():
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(6, 3), layout="constrained").subplots()
+
+
+def test_signal_passes_through_the_readings(axes):
+    found = tumble("roll-z-12+roll-y-12", sd=1e-3)
+    draw_signal(found, axes)
+    curve, points = axes.lines[0], axes.lines[1]
+    assert points.get_ydata().tolist() == found.calibration.readings.values[:12, 0].tolist()
+    at_points = np.interp(points.get_xdata(), curve.get_xdata(), curve.get_ydata())
+    np.testing.assert_allclose(at_points, points.get_ydata(), atol=1e-9)
+
+
+def test_named_harmonics_are_marked(axes):
+    t = 2 * np.pi * np.arange(24) / 24
+    noise = 1e-6 * np.random.default_rng(1).standard_normal(24)
+    found = mp.tumble({"E": np.cos(t) + 1e-4 * np.sin(5 * t) + noise}, scheme="tumble-24")
+    draw_residual_harmonics(found, axes)
+    assert len(axes.patches) == len(found.residual_harmonics)
+    assert [text.xy[0] for text in axes.texts] == [5.0]
+
+
+def test_check_is_drawn_with_its_limits(axes):
+    rng = np.random.default_rng(1)
+    bench = make_bench(rng)
+    cal = calibrated(bench, rng)
+    found = mp.check(cal, check_run(bench, rng), limit_deg=0.05, nominal=(2.5, 1.0))
+    draw_check(found, axes, axis="x")
+    heights = [line.get_ydata()[0] for line in axes.lines[-3:]]
+    assert heights == [-0.05, 0.05, 0.0]
+    assert [text.get_text() for text in axes.texts] == ["limit ±0.05 deg"]

@@ -1,0 +1,486 @@
+"""`multipos regress`: certified digits, published F, segments, branches, and what it refuses."""
+
+import json
+
+import hald
+import nist
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from test_least_squares import digits
+
+import multipos as mp
+from multipos.cli import main
+from multipos.errors import MultiposError, UsageError
+from multipos.files import format_csv, read_table
+from multipos.least_squares import solve
+from multipos.quantiles import f_quantile
+
+
+def write(path, columns):
+    path.write_text(format_csv(columns), encoding="utf-8")
+    return str(path)
+
+
+def run(capsys, *argv):
+    """Run a command; return its exit status, stdout and stderr."""
+    status = main([str(a) for a in argv])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+@pytest.fixture
+def hald_csv(tmp_path):
+    return write(tmp_path / "hald.csv", hald.COLUMNS)
+
+
+def broken(seed=1, n=600, noise=0.01):
+    """A response that bends at 0, with a second variable."""
+    rng = np.random.default_rng(seed)
+    t, v = rng.uniform(-40, 60, n), rng.standard_normal(n)
+    y = 0.1 + 0.02 * t + 0.5 * v + np.where(t > 0, 0.03 * t, 0.0) + rng.normal(0, noise, n)
+    return {"t": t, "v": v, "y": y}
+
+
+# --- truth
+
+
+@pytest.mark.parametrize("data", nist.DATASETS, ids=str)
+def test_nist_certified_digits(data, tmp_path, capsys):
+    words = [line.split() for line in data.rows.splitlines() if line.strip()]
+    names = ["y", *(f"x{j}" for j in range(1, len(words[0])))]
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join(map(",".join, [names, *words])), encoding="utf-8")
+    if data.powers is None:
+        model = ["--variables", ",".join(names[1:])]
+    elif 0 in data.powers:
+        model = ["--variables", "x1", "--degree", max(data.powers)]
+    else:
+        model = ["--terms", "x1"]
+    status, out, _ = run(capsys, "regress", path, "--response", "y", *model, "--json")
+    assert status == 0
+    segment = json.loads(out)["segments"][0]
+    value = [entry["value"] for entry in segment["terms"]]
+    u = [entry["u"] for entry in segment["terms"]]
+    assert digits(value, data.coefficients) >= data.digits
+    if data.residual_sd:
+        assert digits(segment["rms"], data.residual_sd) >= data.digits_sd
+        assert digits(u, data.sd) >= data.digits_sd
+    assert segment["r2"] == pytest.approx(data.r_squared, rel=1e-9)
+
+
+def test_paper_table_1_case():
+    """n = 21, k = 7: F is judged against F_0.90(7, 13) = 2.2341."""
+    rng = np.random.default_rng(1)
+    columns = {f"v{i}": rng.standard_normal(21) for i in range(7)}
+    columns["error"] = columns["v1"] + rng.standard_normal(21)
+    found = mp.regress(
+        columns, response="error", variables=[f"v{i}" for i in range(7)], confidence=0.90
+    )
+    segment = found.segments[0]
+    assert segment.dof == (7, 13)
+    assert segment.F_critical == pytest.approx(2.2341, abs=5e-5)
+    assert segment.significant == (segment.F > 2.2341)
+
+
+def test_five_variables_make_21_terms():
+    rng = np.random.default_rng(2)
+    columns = {name: rng.standard_normal(60) for name in "abcde"} | {"y": rng.standard_normal(60)}
+    found = mp.regress(columns, response="y", variables="a,b,c,d,e", degree=2)
+    assert len(found.candidates) == 21
+    assert found.candidates[:7] == ("1", "a", "b", "c", "d", "e", "a^2")
+    assert len(found.segments[0].terms) == 21
+
+
+def test_hald_through_the_command(hald_csv, tmp_path, capsys):
+    saved = tmp_path / "hald.json"
+    status, out, err = run(
+        capsys, "regress", hald_csv, "--response", "y", "--variables", "x1,x2,x3,x4",
+        "--stepwise", "--enter", ".06", "--remove", ".10", "--json", "-o", saved,
+    )  # fmt: skip
+    assert status == 0
+    found = json.loads(out)
+    assert found["schema"] == "multipos/regression/1"
+    assert json.loads(saved.read_text("utf-8")) == found
+    segment = found["segments"][0]
+    assert [(s["action"], s["term"]) for s in segment["path"]] == [p[:2] for p in hald.PATH]
+    assert_allclose([s["F"] for s in segment["path"]], [p[2] for p in hald.PATH], atol=0.5e-4)
+    values = {entry["term"]: entry["value"] for entry in segment["terms"]}
+    assert values == pytest.approx(hald.COEFFICIENTS, abs=5e-6)
+    assert segment["runner_up"]["term"] == "x4"
+    assert segment["dof"] == [2, 10]
+    assert segment["n"] == 13
+    assert segment["range"] == [1, 21]
+    assert "optimistic" in err
+    for entry in segment["terms"]:
+        assert entry["t"] == pytest.approx(entry["value"] / entry["u"])
+    F = (2715.76308 - 57.90448) / 2 / (57.90448 / 10)
+    assert segment["F"] == pytest.approx(F, rel=1e-6)
+    assert segment["F_critical"] == pytest.approx(f_quantile(0.95, 2, 10))
+    assert segment["significant"] is True
+
+
+def test_hald_subsets_and_backward(hald_csv):
+    found = mp.regress(hald_csv, response="y", variables="x1,x2,x3,x4", subsets=True)
+    subsets = found.segments[0].subsets
+    assert len(subsets) == 16
+    for names, subset in subsets:
+        columns = tuple(int(name[1]) for name in names if name != "1")
+        assert subset.rss == pytest.approx(hald.SUBSETS[columns], abs=0.005)
+    assert found.segments[0].coefficients[1].term == "x1"
+    backward = mp.regress(hald_csv, response="y", variables="x1,x2,x3,x4", backward=True)
+    assert [s.term for s in backward.segments[0].path] == ["x3", "x4"]
+
+
+def test_press_aicc_and_adjusted_r2_by_their_definitions(hald_csv):
+    segment = mp.regress(hald_csv, response="y", variables="x1,x2").segments[0]
+    X, y = hald.DESIGN[:, :3], hald.RESPONSE
+    left_out = []
+    for i in range(13):
+        rest = np.arange(13) != i
+        left_out.append(y[i] - X[i] @ solve(X[rest], y[rest]).coefficients)
+    assert segment.press == pytest.approx(np.sqrt(np.mean(np.square(left_out))), rel=1e-10)
+    rss = float(solve(X, y).rss)
+    assert segment.aicc == pytest.approx(13 * np.log(rss / 13) + 8 + 2 * 4 * 5 / 8, rel=1e-12)
+    tss = ((y - y.mean()) ** 2).sum()
+    assert segment.adjusted_r2 == pytest.approx(1 - (rss / 10) / (tss / 12), rel=1e-12)
+
+
+def test_no_intercept_is_uncentred():
+    x = np.arange(1.0, 9.0)
+    y = 2 * x + np.tile([0.1, -0.1], 4)
+    found = mp.regress({"x": x, "y": y}, response="y", terms="x")
+    segment = found.segments[0]
+    assert segment.dof == (1, 7)
+    rss = ((y - segment.values[0] * x) ** 2).sum()
+    assert segment.r2 == pytest.approx(1 - rss / (y @ y), rel=1e-12)
+    assert pytest.approx((y @ y - rss) / (rss / 7), rel=1e-9) == segment.F
+    assert any("no intercept" in said for said in found.warnings)
+
+
+# --- segments and branches
+
+
+def test_segments_are_fits_of_their_own_rows():
+    columns = broken()
+    found = mp.regress(columns, response="y", variables="t,v", segment="t:0")
+    assert [s.range for s in found.segments] == [
+        (columns["t"].min(), 0.0), (0.0, columns["t"].max())
+    ]  # fmt: skip
+    for segment, rows in zip(found.segments, (columns["t"] < 0, columns["t"] >= 0), strict=True):
+        X = np.column_stack((np.ones(rows.sum()), columns["t"][rows], columns["v"][rows]))
+        assert_allclose(segment.values, solve(X, columns["y"][rows]).coefficients, rtol=1e-12)
+        assert segment.n == rows.sum()
+    slopes = [dict(zip(map(str, s.terms), s.values, strict=True))["t"] for s in found.segments]
+    assert_allclose(slopes, (0.02, 0.05), atol=5e-4)
+
+
+def test_edges_found_are_near_the_bend():
+    found = mp.regress(broken(), response="y", variables="t,v", segment="t:auto")
+    assert len(found.edges) == 1
+    assert abs(found.edges[0]) < 5.0
+
+
+@pytest.mark.parametrize("options", [{}, {"stepwise": True}, {"degree": 3},
+                                     {"terms": "1 + t^2 + t*v"}])  # fmt: skip
+def test_continuous_segments_meet(options):
+    options = {"variables": "t,v", **options}
+    found = mp.regress(broken(), response="y", segment="t:-10,0,30", continuous=True, **options)
+    for edge in found.edges:
+        for v in (-2.0, 0.0, 3.0):
+            beside = np.array([np.nextafter(edge, -np.inf), edge])
+            below, above = found.predict({"t": beside, "v": np.full(2, v)})
+            assert below == pytest.approx(above, abs=1e-11)
+
+
+def test_continuous_fit_is_constrained_least_squares():
+    """The same by Lagrange multipliers: two lines that meet at the edge."""
+    columns = broken(n=80)
+    t, y = columns["t"], columns["y"]
+    low = t < 0
+    X = np.column_stack((low, low * t, ~low, ~low * t)).astype(float)
+    A = np.array([[1.0, 0.0, -1.0, 0.0]])
+    K = np.block([[X.T @ X, A.T], [A, np.zeros((1, 1))]])
+    truth = np.linalg.solve(K, np.concatenate((X.T @ y, [0.0])))[:4]
+    found = mp.regress(columns, response="y", terms="1 + t", segment="t:0", continuous=True)
+    assert_allclose(np.concatenate([s.values for s in found.segments]), truth, rtol=1e-9)
+    s2 = ((y - X @ truth) ** 2).sum() / (80 - 3)
+    covariance = np.linalg.inv(K)[:4, :4] * s2
+    assert_allclose(found.segments[1].covariance, covariance[2:, 2:], rtol=1e-8, atol=1e-15)
+    assert found.segments[0].dof == (1, 77)
+
+
+def hysteresis(gap, seed=3, n=400):
+    rng = np.random.default_rng(seed)
+    time = np.arange(float(n))
+    t = 50 * np.sin(time / 30)
+    rate = np.cos(time / 30)
+    y = 0.02 * t + gap * np.sign(rate) + rng.normal(0, 0.01, n)
+    return {"time": time, "t": t, "t_rate": rate, "y": y}
+
+
+def test_branches_where_they_differ_and_not_where_they_do_not():
+    apart = mp.regress(hysteresis(0.05), response="y", variables="t", branches="t_rate")
+    assert [s.branch for s in apart.segments] == ["heating", "cooling"]
+    assert_allclose([s.values[0] for s in apart.segments], (0.05, -0.05), atol=0.005)
+    together = mp.regress(hysteresis(0.0), response="y", variables="t", branches="t_rate")
+    assert [s.branch for s in together.segments] == [None]
+    assert any("do not differ" in said for said in together.warnings)
+
+
+def test_rates_are_formed_from_time_and_used_again(tmp_path, capsys):
+    columns = hysteresis(0.05)
+    rate = np.cos(columns["time"] / 30) * 50 / 30
+    columns["y"] = 0.1 * rate + np.random.default_rng(4).normal(0, 0.001, 400)
+    del columns["t_rate"]
+    data, model = write(tmp_path / "log.csv", columns), tmp_path / "model.json"
+    status, out, _ = run(
+        capsys, "regress", data, "--response", "y", "--variables", "t_rate", "--rate-window", 9,
+        "-o", model,
+    )  # fmt: skip
+    assert status == 0
+    assert "rate       t_rate: window 9" in out
+    found = mp.load_regression(model)
+    assert found.rates == {"t_rate": 9.0}
+    assert found.segments[0].values[1] == pytest.approx(0.1, rel=0.01)
+    left = np.array(mp.correct(found, data)["corrected"])
+    assert left.std() < 0.002
+
+
+# --- honest tests
+
+
+def test_f_robust_stands_where_rows_are_correlated():
+    rng = np.random.default_rng(5)
+    n = 400
+    noise, x = rng.standard_normal((2, n))
+    for i in range(1, n):
+        noise[i] += 0.9 * noise[i - 1]
+        x[i] += 0.9 * x[i - 1]
+    columns = {"time": np.arange(float(n)), "x": x, "y": noise}
+    found = mp.regress(columns, response="y", variables="x")
+    segment = found.to_dict()["segments"][0]
+    assert segment["F_robust"] < segment["F"]
+    assert segment["n_effective"] < 100
+    assert segment["terms"][1]["u_robust"] > 2 * segment["terms"][1]["u"]
+    assert any("worth about" in said for said in found.warnings)
+    effective = mp.regress(columns, response="y", variables="x", robust="effective")
+    assert effective.segments[0].robust.dof[1] < 100
+    assert segment["F"] > effective.segments[0].robust.F
+    without = {name: column for name, column in columns.items() if name != "time"}
+    assert mp.regress(without, response="y", variables="x").segments[0].robust is None
+    white = columns | {"y": rng.standard_normal(n)}
+    assert mp.regress(white, response="y", variables="x").segments[0].robust is None
+
+
+def test_clusters_by_column():
+    rng = np.random.default_rng(6)
+    run_of = np.repeat(np.arange(10.0), 40)
+    y = rng.standard_normal(10)[run_of.astype(int)] + rng.normal(0, 0.1, 400)
+    columns = {"run": run_of, "x": rng.standard_normal(10)[run_of.astype(int)], "y": y}
+    robust = mp.regress(columns, response="y", variables="x", cluster="run").segments[0].robust
+    assert robust.kind == "cluster"
+    assert robust.dof == (1, 9)
+
+
+def test_cross_validation_repeats_the_choice():
+    rng = np.random.default_rng(7)
+    n = 60
+    columns = {f"x{i}": rng.standard_normal(n) for i in range(15)} | {"y": rng.standard_normal(n)}
+    names = [f"x{i}" for i in range(15)]
+    found = mp.regress(columns, response="y", variables=names, stepwise=True, enter=0.3,
+                       remove=0.4, cross_validate=5)  # fmt: skip
+    assert found.segments[0].significant  # noise, chosen until it looks like something
+    assert found.cross_validation["r2"] < 0.1
+    assert found.cross_validation["blocks"] == 5
+    truth = mp.regress(broken(), response="y", variables="t,v", segment="t:0", cross_validate=4)
+    assert truth.cross_validation["rms"] == pytest.approx(0.01, rel=0.1)
+
+
+def test_empty_model_is_said():
+    rng = np.random.default_rng(8)
+    columns = {"a": rng.standard_normal(50), "y": rng.standard_normal(50)}
+    found = mp.regress(columns, response="y", variables="a", stepwise=True, enter=1e-6)
+    assert [str(t) for t in found.segments[0].terms] == ["1"]
+    assert found.segments[0].dof == (0, 49)
+    assert not found.segments[0].significant
+    assert found.to_dict()["segments"][0]["F"] is None
+    assert any("mean alone" in said for said in found.warnings)
+
+
+def test_an_f_near_one_means_nothing():
+    a = np.linspace(-1.0, 1.0, 50)
+    columns = {"a": a, "y": a**2}  # nothing in it is odd, so nothing follows a
+    found = mp.regress(columns, response="y", variables="a")
+    assert not found.segments[0].significant
+    assert any("means nothing" in said for said in found.warnings)
+
+
+# --- apply
+
+
+@pytest.fixture
+def fitted(tmp_path):
+    columns = broken() | {"raw": np.arange(600.0)}
+    data, model = write(tmp_path / "data.csv", columns), tmp_path / "model.json"
+    found = mp.regress(data, response="y", variables="t,v", segment="t:0", stepwise=True)
+    found.save(model)
+    return found, data, model
+
+
+def test_result_survives_its_file(fitted):
+    found, _, model = fitted
+    loaded = mp.load_regression(model)
+    assert loaded.to_dict() == found.to_dict()
+    assert str(loaded) == str(found)
+
+
+def test_apply_adds_predicted_and_corrected(fitted, capsys, tmp_path):
+    found, data, model = fitted
+    out = tmp_path / "out.csv"
+    status, text, _ = run(
+        capsys, "apply", model, data, "--correct", "raw", "--uncertainty", "-o", out
+    )
+    assert (status, text) == (0, "")
+
+    table = read_table(out)
+    assert list(table.columns) == [
+        "t", "v", "y", "raw", "predicted", "corrected", "u_corrected", "outside"
+    ]  # fmt: skip
+    assert_allclose(table.number("corrected"), table.number("raw") - table.number("predicted"))
+    left = table.number("y") - table.number("predicted")
+    assert left.std() == pytest.approx(0.01, rel=0.1)
+    assert not table.number("outside").any()
+    default = mp.correct(found, data)
+    assert_allclose(np.array(default["corrected"]), left)
+
+
+def test_rows_outside_are_flagged_clamped_or_refused(fitted, capsys, tmp_path):
+    found, _, model = fitted
+    high = found.segments[1].limits["t"][1]
+    beyond = write(tmp_path / "new.csv", {"t": [10.0, high + 50], "v": [0.0, 0.0], "y": [0.0, 0.0]})
+    flagged = mp.correct(found, beyond)
+    clamped = mp.correct(found, beyond, outside="clamp")
+    assert list(flagged["outside"]) == list(clamped["outside"]) == [0, 1]
+    at_edge = mp.correct(found, {"t": [high], "v": [0.0], "y": [0.0]})
+    assert clamped["predicted"][1] == pytest.approx(at_edge["predicted"][0])
+    status, out, err = run(capsys, "apply", model, beyond, "--outside", "refuse")
+    assert (status, out) == (1, "")
+    assert "row 2" in err
+    status, out, err = run(capsys, "apply", model, beyond)
+    assert status == 0
+    assert "1 of 2 rows are outside" in err
+
+
+@pytest.mark.parametrize(
+    ("argv", "status", "message"),
+    [
+        (["{model}", "{data}", "--correct", "nothing"], 1, "no column 'nothing' to correct"),
+        (["{model}", "{data}", "--outside", "guess"], 2, "--outside takes flag, clamp, refuse"),
+    ],
+)
+def test_apply_refuses(fitted, capsys, argv, status, message):
+    _, data, model = fitted
+    found = run(capsys, "apply", *(a.format(model=model, data=data) for a in argv))
+    assert found[:2] == (status, "")
+    assert message in found[2]
+
+
+def test_calibrations_have_nothing_to_correct(tmp_path, capsys):
+    mp.demo(tmp_path)
+    status, out, err = run(
+        capsys, "apply", tmp_path / "calibration.json", tmp_path / "readings.csv", "--correct", "ax"
+    )
+    assert (status, out) == (2, "")
+    assert "--correct goes with a regression" in err
+
+
+# --- bad input
+
+GOOD = broken(n=60)
+REGRESS = ["--response", "y", "--variables", "t,v"]
+
+
+@pytest.mark.parametrize(
+    ("change", "argv", "status", "message"),
+    [
+        ({"v": np.full(60, 7.0)}, REGRESS, 1, "column 'v' is constant (7)"),
+        ({"v": GOOD["t"]}, REGRESS, 1, "columns 't' and 'v' say the same"),
+        ({"v": 1.8 * GOOD["t"] + 32}, REGRESS, 1, "columns 't' and 'v' say the same"),
+        ({}, [*REGRESS, "--segment", "t:-37"], 1, "rows for 3 terms"),
+        ({}, [*REGRESS, "--segment", "t:500"], 1, "the edge t = 500 is outside the data"),
+        ({}, [*REGRESS, "--segment", "t:5,-5"], 2, "edges must be finite and increase"),
+        ({}, [*REGRESS, "--segment", "t"], 2, "VARIABLE:EDGE,EDGE or VARIABLE:auto"),
+        ({}, [*REGRESS, "--segment", "t:warm"], 2, "not a list of numbers"),
+        ({}, [*REGRESS, "--segment", "q:1"], 1, "no column 'q'"),
+        ({}, [*REGRESS, "--continuous"], 2, "--continuous joins segments"),
+        ({}, ["--response", "y", "--variables", "t,y"], 2, "'y' is among the variables"),
+        ({}, ["--response", "y", "--variables", "t,t"], 2, "names a column twice"),
+        ({}, ["--response", "y"], 2, "needs --variables A,B,C or --terms"),
+        ({}, ["--response", "q", "--variables", "t"], 1, "no column 'q'"),
+        ({}, [*REGRESS, "--degree", "0"], 2, "--degree must lie between 1 and 30"),
+        ({}, [*REGRESS, "--degree", "2", "--terms", "1 + t"], 2, "--degree and --terms both"),
+        ({}, [*REGRESS, "--terms", "1 + q"], 2, "'q', which is not among --variables"),
+        ({}, [*REGRESS, "--terms", "1 + "], 2, "a term is missing"),
+        ({}, [*REGRESS, "--stepwise", "--backward"], 2, "two ways to choose terms"),
+        ({}, [*REGRESS, "--stepwise", "--enter", ".2", "--remove", ".1"], 2, "for ever"),
+        ({}, [*REGRESS, "--criterion", "bic"], 2, "--criterion chooses among --subsets"),
+        ({}, [*REGRESS, "--subsets", "--criterion", "cp"], 2, "--criterion takes aicc"),
+        ({}, [*REGRESS, "--confidence", "95"], 2, "between 0 and 1"),
+        ({}, [*REGRESS, "--robust", "bootstrap"], 2, "--robust takes hac, effective"),
+        ({}, [*REGRESS, "--cross-validate", "1"], 2, "2 blocks or more"),
+        ({}, [*REGRESS, "--branches", "v_rate"], 1, "no time column to form it from"),
+        ({"v": np.abs(GOOD["v"])}, [*REGRESS, "--branches", "v"], 1, "has one sign only"),
+        ({}, [*REGRESS, "--variables", "t,t_rate", "--time", "v"], 1, "does not increase"),
+        ({}, [*REGRESS, "--cluster", "group"], 1, "no column 'group'"),
+    ],
+)
+def test_bad_input_is_named(tmp_path, capsys, change, argv, status, message):
+    data = write(tmp_path / "data.csv", GOOD | change)
+    saved = tmp_path / "never.json"
+    found = run(capsys, "regress", data, *argv, "-o", saved)
+    assert found[:2] == (status, ""), found[2]
+    last = found[2].strip().splitlines()[-1]
+    assert last.startswith("multipos: error: ")
+    assert message in last
+    assert not saved.exists()
+
+
+def test_missing_cells_are_named_counted_and_dropped_on_request(tmp_path, capsys):
+    columns = {name: column.copy() for name, column in GOOD.items()}
+    columns["t"][4] = columns["v"][[4, 9]] = np.nan
+    data = write(tmp_path / "data.csv", columns)
+    status, out, err = run(capsys, "regress", data, *REGRESS)
+    assert (status, out) == (1, "")
+    assert "row 5" in err
+    assert "2 of 60 rows have an empty cell (1 in 't', 2 in 'v'; rows 5, 10)" in err
+    assert "--drop-missing" in err
+    status, out, err = run(capsys, "regress", data, *REGRESS, "--drop-missing", "--json")
+    assert status == 0
+    found = json.loads(out)
+    assert (found["n"], found["dropped"]) == (58, 2)
+    assert "2 of 60 rows dropped" in err
+    columns["t"][:] = np.nan
+    with pytest.raises(MultiposError, match="every row has an empty cell"):
+        mp.regress(columns, response="y", variables="t,v", drop_missing=True)
+
+
+def test_constant_alone_is_refused():
+    with pytest.raises(UsageError, match="holds no variable"):
+        mp.regress(GOOD, response="y", terms="1")
+
+
+def test_saturated_backward_is_refused_by_segment():
+    few = {name: column[:3] for name, column in GOOD.items()}
+    with pytest.raises(MultiposError, match=r"the table: backward .* saturated: 3 rows for 3"):
+        mp.regress(few, response="y", variables="t,v", backward=True)
+
+
+@pytest.mark.parametrize("text", ["{", '{"schema": "multipos/regression/1"}'])
+def test_damaged_file_is_refused(tmp_path, capsys, text):
+    path = tmp_path / "model.json"
+    path.write_text(text, encoding="utf-8")
+    data = write(tmp_path / "data.csv", GOOD)
+    status, out, err = run(capsys, "apply", path, data)
+    assert (status, out) == (1, "")
+    assert str(path) in err

@@ -1,0 +1,345 @@
+"""Reports: what they say, that they say it the same every time, and the page in a real browser."""
+
+import html.parser
+import json
+import re
+from dataclasses import replace
+
+import browser
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos import plots
+from multipos.certificate import LAB_FIELDS, build_content
+from multipos.cli import main
+from multipos.comparison import compare
+from multipos.documents import html_report, write_report
+from multipos.scheme import read_scheme
+from multipos.translations import Translator
+from multipos.uncertainty import evaluate_budget
+
+BUDGET = {
+    "gravity": {"value": 9.80123, "u": 2e-5},
+    "level": {"u_deg": 0.002},
+    "gain": {"U": 1e-5, "k": 2},
+    "orientation": {"u_deg": 0.0003},
+    "third_order": {"half_width": 1e-4},
+}
+needs_browser = pytest.mark.skipif(browser.find() is None, reason="no Chromium is installed")
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    rng = np.random.default_rng(5)
+    scheme = read_scheme("roll-y-12+roll-x-12")
+    values = scheme.up @ np.diag([1.002, 0.998, 1.001]) + [0.01, -0.02, 0.015]
+    values += 2e-5 * rng.standard_normal(values.shape)
+    values[7, 1] += 1e-3  # an outlier, for the warnings
+    readings = mp.Readings(values, unit="g", positions=scheme.labels)
+    return mp.fit(readings, scheme=scheme, model="own-quadratic", budget=BUDGET)
+
+
+@pytest.fixture(scope="module")
+def six():
+    return mp.demo().calibration
+
+
+@pytest.fixture(scope="module")
+def pages(calibration):
+    """The page in each language."""
+    return {one: html_report(build_content(calibration, language=one)) for one in ("en", "zh")}
+
+
+class Outline(html.parser.HTMLParser):
+    """Headings, ids, tables and what refers to elsewhere."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.headings, self.ids, self.links, self.open = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append(int(tag[1]))
+        if "id" in given:
+            self.ids.append(given["id"])
+        self.links += [value for name, value in attributes if name in ("src", "href", "xlink:href")]
+        assert tag != "script"
+        if tag == "svg":
+            assert given["role"] == "img"
+            assert given["aria-label"]
+
+
+@pytest.mark.parametrize("language", ["en", "zh"])
+def test_the_page_stands_alone(pages, language):
+    page = pages[language]
+    outline = Outline(page)
+    assert outline.headings[0] == 1
+    assert all(b - a <= 1 for a, b in zip(outline.headings, outline.headings[1:], strict=False))
+    assert len(outline.ids) == len(set(outline.ids))
+    assert all(link.startswith(("#", "data:,")) for link in outline.links)
+    assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"', "", page)
+    assert page.index('id="warnings"') < page.index('id="administrative"')
+    assert page.count("<figure>") == page.count("<figcaption>") == page.count("<svg ") == 6
+    assert f'lang="{"zh-Hans" if language == "zh" else "en"}"' in page
+
+
+@pytest.mark.parametrize("ending", ["html", "md", "txt"])
+def test_the_same_calibration_gives_the_same_bytes(six, ending, tmp_path):
+    files = [tmp_path / f"{i}.{ending}" for i in range(2)]
+    six.save(tmp_path / "c.json")
+    write_report(six, files[0])
+    write_report(mp.load(tmp_path / "c.json"), files[1])
+    one, two = (file.read_bytes() for file in files)
+    assert one == two
+
+
+def test_numbers_of_the_parameters_table(six):
+    (table,) = build_content(six).sections[0].tables
+    row = table.rows[0]
+    p = six["ax", "1"]
+    assert row[:4] == ("bias_ax", "a_x0", "output of ax at zero specific force", "g")
+    assert row[4] == "-0.00079(52)"
+    assert (float(row[5]), float(row[6]), float(row[7])) == pytest.approx((p.u, p.k, p.U), rel=0.05)
+    assert row[8] == "1"
+
+
+def test_numbers_of_the_sensor(six):
+    (table,) = build_content(six).sections[1].tables
+    rows = {(row[0], row[1]): row for row in table.rows}
+    found = six.intrinsic
+    assert float(rows["Offset of ay", "g"][2].split("(")[0]) == pytest.approx(
+        found["offset"]["ay"]["value"], abs=1e-4
+    )
+    # one degree of freedom: U = 12.7 u
+    assert float(rows["Offset of ay", "g"][3]) == pytest.approx(
+        12.706 * found["offset"]["ay"]["u"], rel=0.05
+    )
+    lean, mrad = rows["Output on x leans to y", "deg"], rows["Output on x leans to y", "mrad"]
+    value = six.installation_deg["xy"]["value"]
+    assert float(lean[2].split("(")[0]) == pytest.approx(value, rel=0.01)
+    assert float(mrad[2].split("(")[0]) == pytest.approx(value * np.pi / 0.18, rel=0.01)
+
+
+def test_numbers_of_the_budget(calibration):
+    section = build_content(calibration).sections[2]
+    lines, contributions = section.tables
+    assert [row[0] for row in lines.rows] == [
+        "scatter of the residuals", "local gravity", "level of the table, two axes",
+        "gain of the ADC or voltmeter", "orientation of each position",
+    ]  # fmt: skip
+    assert lines.rows[3][3:5] == ("5e-06", "1")
+    assert lines.rows[4][7] == "in the scatter"
+    i = calibration.names.index("scale_ax")
+    row = contributions.rows[i]
+    budget = {r.quantity: r.contribution[i] for r in evaluate_budget(calibration).rows[1:]}
+    assert float(row[2]) == pytest.approx(budget["gravity"], rel=0.05)
+    assert row[5].startswith("(")
+    assert float(row[-1]) == pytest.approx(calibration.u[i], rel=0.05)
+    assert "periodic error of the dividing head" in section.paragraphs[1]
+
+
+def test_shares_of_the_variance_add_up(calibration):
+    quantities, share = plots.variance_shares(evaluate_budget(calibration))
+    assert quantities == ["readings", "gravity", "level", "gain", "orientation"]
+    assert share.sum(axis=0) == pytest.approx(np.full(15, 100.0))
+
+
+def test_errors_before_and_after(calibration):
+    c = calibration
+    before = np.linalg.norm(c.readings.values - c.reference, axis=1)
+    assert plots.nominal_error(c) == pytest.approx(before)
+    after = c.compensate(c.readings.values) - c.reference
+    assert plots.compensated_error(c) == pytest.approx(np.linalg.norm(after, axis=1))
+    volts = mp.fit(mp.Readings(2.0 * read_scheme("faces-6").up, unit="V"), scheme="faces-6")
+    assert plots.nominal_error(volts) == pytest.approx(np.zeros(6), abs=1e-15)
+
+
+def test_warnings_stand_on_top(calibration, pages):
+    content = build_content(calibration)
+    assert any("position 8" in text for text in content.warnings)
+    page = pages["en"]
+    assert page.index("position 8: ay is off by") < page.index("Administrative data")
+    chinese = build_content(calibration, language="zh")
+    assert any("为其标准差的" in text for text in chinese.warnings)
+
+
+def test_beyond_one_g_is_marked(calibration, six):
+    (table,) = build_content(calibration).sections[3].tables
+    assert [row[1] for row in table.rows if row[0] == "force along x"] == ["1 g", "2 g *", "5 g *"]
+    assert "without limit" in build_content(six).sections[3].paragraphs[1]
+
+
+def test_markdown_and_text_say_what_the_page_says(calibration, tmp_path):
+    for ending in ("md", "txt"):
+        write_report(calibration, tmp_path / f"r.{ending}")
+        text = (tmp_path / f"r.{ending}").read_text("utf-8")
+        for section in build_content(calibration).sections:
+            assert section.title in text
+            for table in section.tables:
+                assert table.caption in text
+                for row in table.rows:
+                    assert all(cell.replace("|", "\\|") in text or cell in text for cell in row)
+    assert "[to be filled in by the laboratory]" in text
+
+
+LAB = """\
+[report]
+number = "CAL-17"
+issued = 2026-11-21
+[laboratory]
+name = "A & B <Laboratory>"
+[item]
+serial = 42
+"""
+
+
+def test_the_laboratory_fills_the_fields(six, tmp_path):
+    (tmp_path / "lab.toml").write_text(LAB, encoding="utf-8")
+    content = build_content(six, lab=tmp_path / "lab.toml")
+    said = dict(content.fields)
+    assert said["Report number"] == "CAL-17"
+    assert said["Date of issue"] == "2026-11-21"
+    assert said["Serial number"] == "42"
+    assert said["Metrological traceability"] is None
+    page = html_report(content)
+    assert "<h1>Calibration report CAL-17</h1>" in page
+    assert "A &amp; B &lt;Laboratory&gt;" in page
+    count = sum(map(len, LAB_FIELDS.values())) - 4
+    assert page.count('class="open"') == count
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "message"),
+    [
+        (["-o", "r.pdf"], 2, "the report's ending '.pdf' is unknown"),
+        ([], 2, "report needs -o REPORT.html"),
+        (["-o", "r.html", "--language", "de"], 2, "--language takes en or zh, got 'de'"),
+        (["-o", "r.html", "--lab", "none.toml"], 1, "no such file"),
+        (["-o", "r.html", "--lab", "bad.toml"], 1, "bad.toml: not valid TOML"),
+        (["-o", "r.html", "--lab", "section.toml"], 1, "unknown section [lab]"),
+        (["-o", "r.html", "--lab", "key.toml"], 1, "[item]: unknown key 'colour'"),
+        (["-o", "no/folder/r.html"], 1, "cannot write"),
+    ],
+)
+def test_command_lines_at_fault(six, options, status, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    six.save("c.json")
+    (tmp_path / "bad.toml").write_text("[report", encoding="utf-8")
+    (tmp_path / "section.toml").write_text("[lab]\nname = 'x'", encoding="utf-8")
+    (tmp_path / "key.toml").write_text("[item]\ncolour = 'x'", encoding="utf-8")
+    before = sorted(tmp_path.iterdir())
+    assert main(["report", "c.json", *options]) == status
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines()[-1].startswith("multipos: error: ")
+    assert message in err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_the_command_says_what_it_wrote(six, tmp_path, capsys):
+    six.save(tmp_path / "c.json")
+    target = str(tmp_path / "r.html")
+    assert main(["report", str(tmp_path / "c.json"), "-o", target, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["report"] == target
+
+
+def test_chinese_has_every_sentence(calibration, six):
+    """Whatever is said in English has its Chinese, but for names, numbers and formulas."""
+    for c in (calibration, six):
+        english, chinese = (build_content(c, language=language) for language in ("en", "zh"))
+        pairs = list(zip(english.warnings, chinese.warnings, strict=True))
+        pairs += [(a[0], b[0]) for a, b in zip(english.fields, chinese.fields, strict=True)]
+        for one, two in zip(english.sections, chinese.sections, strict=True):
+            pairs.append((one.title, two.title))
+            pairs += zip(one.paragraphs, two.paragraphs, strict=True)
+            for a, b in zip((*one.figures, *one.tables), (*two.figures, *two.tables), strict=True):
+                pairs.append((a.caption, b.caption))
+            pairs += [
+                pair for a, b in zip(one.figures, two.figures, strict=True)
+                for pair in [(a.description, b.description)]
+            ]  # fmt: skip
+        same = [a for a, b in pairs if a == b]
+        assert same == []
+
+
+def test_a_translation_keeps_what_is_put_in():
+    words = Translator("zh").words
+    wrong = [
+        text for text, other in words.items()
+        if set(re.findall(r"\{\w+\}", text)) != set(re.findall(r"\{\w+\}", other))
+    ]  # fmt: skip
+    assert wrong == []
+
+
+def test_the_check_by_monte_carlo_is_reported(calibration, tmp_path, capsys):
+    calibration.save(tmp_path / "c.json")
+    argv = ["report", str(tmp_path / "c.json"), "-o", str(tmp_path / "r.md")]
+    assert main([*argv, "--monte-carlo", "20000"]) == 0
+    assert capsys.readouterr().err == ""  # no bar where there is no terminal
+    text = (tmp_path / "r.md").read_text("utf-8")
+    assert "Monte Carlo, 20000 trials" in text
+    assert text.count("| yes |") >= 15
+    assert main([*argv, "--monte-carlo", "3"]) == 2
+
+
+def test_labels_of_positions_are_escaped(six):
+    spoilt = replace(six, readings=replace(six.readings, positions=tuple("<b>&\"'")))
+    page = html_report(build_content(spoilt))
+    assert "<b>" not in page
+    assert "&lt;" in page
+
+
+def test_figures_take_an_axes_and_draw_on_nothing_else(calibration):
+    figure, axes = plots.new_figure(8)
+    for one, draw in zip(
+        axes,
+        (
+            lambda a: plots.draw_residuals(calibration, a, output="ay"),
+            lambda a: plots.draw_coverage(calibration, a),
+            lambda a: plots.draw_leverage(calibration, a),
+            lambda a: plots.draw_errors(calibration, a),
+            lambda a: plots.draw_budget(evaluate_budget(calibration), a),
+            lambda a: plots.draw_correlation(calibration, a),
+            lambda a: plots.draw_runs(compare(calibration, calibration), a),
+            lambda a: plots.draw_runs(compare(calibration, calibration), a, term="x"),
+        ),
+        strict=True,
+    ):
+        assert draw(one) is None
+        assert one.has_data()
+    assert len(figure.axes) == 8
+
+
+def test_residuals_are_drawn_where_they_are(calibration):
+    _, (axes,) = plots.new_figure()
+    plots.draw_residuals(calibration, axes, output="az")
+    series = next(line for line in axes.lines if line.get_label() == "az")
+    assert series.get_ydata() == pytest.approx(calibration.residuals[:, 2])
+
+
+@needs_browser
+@pytest.mark.parametrize("language", ["en", "zh"])
+def test_the_page_in_a_browser(pages, language, tmp_path):
+    target = tmp_path / "report.html"
+    target.write_text(pages[language], encoding="utf-8")
+    with browser.browse(tmp_path) as page:
+        for view in ({}, {"dark": True}, {"width": 380}, {"media": "print"}):
+            page.open(target, **view)
+            assert page.complaints() == []
+            assert page.requests() == [target.as_uri()]
+            width = page.evaluate("document.documentElement.scrollWidth")
+            assert width <= page.evaluate("innerWidth")
+            assert page.evaluate("document.querySelectorAll('figure svg[aria-label]').length") == 6
+        levels = page.evaluate(
+            "[...document.querySelectorAll('h1,h2,h3,h4')].map(h => +h.tagName[1]).join('')"
+        )
+        assert re.fullmatch("12+", levels)
+        page.open(target, dark=True)
+        ink = page.evaluate("getComputedStyle(document.querySelector('figure svg text')).fill")
+        assert ink == "rgb(236, 236, 236)"
+        page.pdf(tmp_path / "report.pdf")
+        # A4 in points: 595 × 842
+        assert b"/MediaBox [0 0 59" in (tmp_path / "report.pdf").read_bytes()

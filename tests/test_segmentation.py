@@ -1,0 +1,105 @@
+"""Segments: edges where the truth has them, none where it has none, and no jump on request."""
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from multipos.errors import MultiposError
+from multipos.least_squares import solve
+from multipos.model import parse_terms
+from multipos.rates import default_window, smoothed_rate
+from multipos.segmentation import find_edges, hinges, residual_sum, segment_of
+from multipos.selection import compress
+
+
+def test_edges_of_a_broken_line_are_found():
+    rng = np.random.default_rng(1)
+    t = rng.uniform(-45, 60, 2000)
+    y = np.where(t < -20, 0.5 + 0.02 * t, 0.0) + np.where(t > 25, 0.3, 0.0)
+    y += rng.normal(0, 0.02, len(t))
+    edges = find_edges(t, np.column_stack((np.ones_like(t), t)), y, minimum=20)
+    # a candidate every 1/48 of the rows: 2.2 °C
+    assert_allclose(edges, (-20, 25), atol=2.5)
+
+
+def test_no_edge_is_found_in_noise():
+    rng = np.random.default_rng(2)
+    t = np.linspace(0, 1, 500)
+    X = np.column_stack((np.ones_like(t), t))
+    found = [find_edges(t, X, rng.standard_normal(500), minimum=10) for _ in range(20)]
+    assert sum(bool(edges) for edges in found) <= 1
+
+
+def test_dynamic_programming_is_exhaustive_search():
+    rng = np.random.default_rng(3)
+    t = np.arange(24.0)
+    y = np.where(t < 7, 0.0, 2.0) + np.where(t > 16, t - 16, 0.0) + rng.normal(0, 0.05, 24)
+    X = np.column_stack((np.ones_like(t), t))
+    edges = find_edges(t, X, y, minimum=3)
+    cuts = [int(np.searchsorted(t, edge)) for edge in edges]
+
+    def cost(cuts):
+        pieces = itertools.pairwise([0, *cuts, 24])
+        return sum(residual_sum(compress(X[i:j], y[i:j])) for i, j in pieces)
+
+    every = itertools.combinations(range(3, 22), len(cuts))
+    allowed = [c for c in every if min(np.diff([0, *c, 24])) >= 3]
+    assert cost(cuts) == pytest.approx(min(cost(c) for c in allowed), rel=1e-10)
+
+
+def test_equal_values_are_never_parted():
+    t = np.repeat([0.0, 1.0, 2.0, 3.0], 10)
+    rng = np.random.default_rng(4)
+    y = np.where(t > 1.5, 5.0, 0.0) + rng.normal(0, 0.1, 40)
+    assert find_edges(t, np.ones((40, 1)), y, minimum=5) == (1.5,)
+
+
+def test_an_edge_belongs_to_the_segment_above():
+    assert segment_of(np.array([-1.0, 0.0, 1.0, 2.0]), (0.0, 2.0)).tolist() == [0, 1, 1, 2]
+
+
+def test_hinges_vanish_at_their_edge():
+    columns = {"t": np.array([-1.0, 2.0, 3.0]), "v": np.array([5.0, 7.0, 2.0])}
+    found = hinges(parse_terms("1 + t + v + t^2*v"), "t", (2.0,))
+    assert [str(h.term) for h in found] == ["t", "t^2*v"]
+    assert_allclose(found[0].evaluate(columns), [0, 0, 1])
+    assert_allclose(found[1].evaluate(columns), [0, 0, (9 - 4) * 2])
+
+
+# --- rates
+
+
+def test_rate_of_a_ramp_is_exact_at_any_spacing():
+    rng = np.random.default_rng(5)
+    time = np.cumsum(rng.uniform(0.1, 2.0, 5000)) + 1e6  # an epoch must not cost digits
+    rate = smoothed_rate(time, -45 + 0.25 * (time - time[0]), window=12.0)
+    assert_allclose(rate, 0.25, rtol=1e-7)
+
+
+def test_rate_is_the_least_squares_slope_of_each_window():
+    rng = np.random.default_rng(6)
+    time = np.cumsum(rng.uniform(0.5, 1.5, 60))
+    values = rng.standard_normal(60)
+    rate = smoothed_rate(time, values, window=5.0)
+    for k in (0, 1, 30, 59):
+        near = np.abs(time - time[k]) <= 2.5
+        slope = solve(np.column_stack((np.ones(near.sum()), time[near])), values[near])
+        assert rate[k] == pytest.approx(slope.coefficients[1], rel=1e-9)
+
+
+def test_rate_noise_is_as_stated():
+    rng = np.random.default_rng(7)
+    time = np.arange(20_000) * 0.1
+    rate = smoothed_rate(time, rng.normal(0, 0.1, 20_000), window=10.0)
+    # √12 s/(w √r): some 200 independent windows know a standard deviation to 5 %
+    assert rate[200:-200].std() == pytest.approx(12**0.5 * 0.1 / (10 * 100**0.5), rel=0.15)
+    assert default_window(time) == pytest.approx(2.0)
+
+
+def test_rate_refuses_what_has_none():
+    with pytest.raises(MultiposError, match="does not increase at row 3"):
+        smoothed_rate([0.0, 1.0, 1.0], [1.0, 2.0, 3.0], window=5.0)
+    with pytest.raises(MultiposError, match=r"window of 1 about row 1; give a longer"):
+        smoothed_rate([0.0, 10.0, 20.0], [1.0, 2.0, 3.0], window=1.0)

@@ -1,0 +1,278 @@
+"""The single-axis tumble: Fourier identities, exact recovery, what N points cannot see."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos import cli
+from multipos.scheme import read_scheme
+from multipos.sections import tumble_text
+from multipos.single_axis import COEFFICIENTS
+
+TRUTH = {
+    "K0": 2e-3, "K1": 1.3, "K2": 1e-4, "K3": 3e-5, "Koq": -2e-5, "Kip": 5e-5, "Kio": -4e-5,
+    "delta_o": 1e-3, "delta_p": -7e-4,
+}  # fmt: skip
+
+
+def output(a, truth=TRUTH):
+    """The model equation of the standard, written out on a_i, a_p, a_o."""
+    i, p, o = np.asarray(a, dtype=float).T
+    t = dict.fromkeys(COEFFICIENTS, 0.0) | truth
+    return t["K1"] * (
+        t["K0"] + i + t["K2"] * i**2 + t["K3"] * i**3 + t["Koq"] * i * np.abs(i)
+        + t["Kip"] * i * p + t["Kio"] * i * o + t["delta_o"] * p - t["delta_p"] * o
+        + t["Kpp"] * p**2 + t["Koo"] * o**2
+    )  # fmt: skip
+
+
+def tumble(name, sd=0.0, seed=0, truth=TRUTH, **options):
+    scheme = read_scheme(name)
+    noise = sd * np.random.default_rng(seed).standard_normal(len(scheme))
+    return mp.tumble({"E": output(scheme.up, truth) + noise}, scheme=name, unit="V", **options)
+
+
+def roll_file(path, angles, values, axis="z"):
+    pairs = zip(map(float, angles), map(float, values), strict=True)
+    rows = [f"{axis},{angle!r},{value!r}" for angle, value in pairs]
+    path.write_text("\n".join(["roll_axis,angle_deg,E", *rows, ""]))
+    return str(path)
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_two_planes_of_24_return_all_nine_terms(axis):
+    i = "xyz".index(axis)
+    roles = [i, (i + 1) % 3, (i + 2) % 3]  # i, p, o, cyclic
+    rolls = {"x": "roll-z-24+roll-y-24", "y": "roll-x-24+roll-z-24", "z": "roll-x-24+roll-y-24"}
+    scheme = read_scheme(rolls[axis])
+    found = mp.tumble({"E": output(scheme.up[:, roles])}, scheme=rolls[axis], axes=axis)
+    assert set(found.coefficients) == set(TRUTH)
+    for name, value in TRUTH.items():
+        assert_allclose(found[name].value, value, rtol=0, atol=1e-9, err_msg=name)
+
+
+def test_fourier_identities_in_the_continuum():
+    # 3600 points: c|c| has harmonics that fall as 1/order^3, so what folds back is below 1e-10
+    found = tumble("tumble-3600")
+    t = TRUTH
+    expected = {
+        (0, "cos"): t["K1"] * (t["K0"] + t["K2"] / 2),
+        (1, "cos"): t["K1"] * (1 + 3 * t["K3"] / 4 + 8 * t["Koq"] / (3 * math.pi)),
+        (1, "sin"): t["K1"] * t["delta_o"],
+        (2, "cos"): t["K1"] * t["K2"] / 2,
+        (2, "sin"): t["K1"] * t["Kip"] / 2,
+        (3, "cos"): t["K1"] * (t["K3"] / 4 + 8 * t["Koq"] / (15 * math.pi)),
+        (3, "sin"): 0.0,
+    }
+    series = {h.order: h for h in found.harmonics}
+    for (order, part), value in expected.items():
+        assert_allclose(getattr(series[order], part), value, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("points", [5, 8, 12, 24, 25])
+def test_harmonics_at_n_points_are_the_transform_of_the_sampled_terms(points):
+    t = 2 * np.pi * np.arange(points) / points
+    a = np.column_stack([np.cos(t), np.sin(t), 0 * t])
+    spectrum = np.fft.rfft(output(a)) / points
+    found = tumble(f"tumble-{points}")
+    assert len(found.harmonics) == points // 2 + 1
+    for h in found.harmonics:
+        once = h.order == 0 or 2 * h.order == points
+        value = spectrum[h.order] * (1 if once else 2)
+        assert_allclose([h.cos, h.sin], [value.real, -value.imag], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "name", ["tumble-4", "tumble-8", "tumble-12", "roll-z-12+roll-y-12", "roll-z-24+roll-y-24"]
+)
+def test_fourier_view_gives_the_answer_of_least_squares(name):
+    found = tumble(name, sd=1e-4)
+    assert found.fourier_max_difference < 1e-13
+
+
+def test_fourier_view_is_not_claimed_for_uneven_points():
+    t = np.radians([0.0, 40.0, 95.0, 130.0, 180.0, 220.0, 265.0, 310.0, 335.0, 350.0])
+    up = np.column_stack([np.cos(t), np.sin(t), 0 * t])
+    found = mp.tumble(
+        {"up_x": up[:, 0], "up_y": up[:, 1], "up_z": up[:, 2], "E": output(up)}, outputs="E"
+    )
+    assert found.fourier_max_difference is None
+    assert_allclose(found["K3"].value, TRUTH["K3"], rtol=0, atol=1e-9)
+    assert found.harmonics  # by least squares, as far as the angles go
+
+
+@pytest.mark.parametrize(
+    ("name", "absent", "said"),
+    [
+        ("tumble-4", {"K3", "Kip", "Kio", "Koq", "delta_p"}, "`Kip` has no effect"),
+        ("tumble-4", {"K3"}, "`K1` cannot be told from `K3`"),
+        ("tumble-8", {"Koq", "Kio", "delta_p"}, "`Koq` cannot be told from `0.414 K1 + 0.586 K3`"),
+        ("tumble-24", {"Kio", "delta_p"}, "`K0` cannot be told from `K2 + Kpp`"),
+        ("tumble-24", {"Kio", "delta_p"}, "`Koo` has no effect"),
+        ("roll-z-24+roll-y-24", set(), "only the difference Kpp - Koo can be told"),
+    ],
+)
+def test_what_n_points_cannot_see_is_said(name, absent, said):
+    found = tumble(name, sd=1e-6)
+    assert absent.isdisjoint(found.coefficients)
+    assert any(said in line for line in found.unidentifiable)
+    assert set(found.taken_as_zero) == set(TRUTH) - set(found.coefficients)
+
+
+def test_twelve_points_tell_k3_from_koq_weakly():
+    found = tumble("tumble-12", sd=1e-6)
+    assert {"K3", "Koq"} <= set(found.coefficients)
+    assert any("`K3` and `Koq` are told apart weakly" in line for line in found.weak)
+    # by hand: the correlation of the two in (X'X)^-1 at 12 points is -0.99522
+    assert "10 times" in next(line for line in found.weak if "`K3`" in line)
+
+
+def test_difference_of_the_cross_squares_is_seen_in_two_planes():
+    truth = TRUTH | {"Kpp": 3e-5, "Koo": -1e-5}
+    model = "1 + x + y + z + x^2 + x^3 + x*y + x*z + x*|x| + y^2"
+    found = tumble("roll-z-24+roll-y-24", truth=truth, model=model)
+    assert_allclose(found["Kpp"].value, 4e-5, rtol=0, atol=1e-12)
+    with pytest.raises(mp.RankError, match="square_E_y"):
+        tumble("roll-z-24", model="1 + x + y + x^2 + y^2")
+
+
+def test_gravity_convention_turns_the_odd_terms():
+    found = tumble("roll-z-24+roll-y-24", convention="gravity")
+    assert_allclose(found["K1"].value, -TRUTH["K1"], rtol=1e-12)
+    assert_allclose(found["K0"].value, -TRUTH["K0"], rtol=1e-9)
+    assert_allclose(found["delta_o"].value, TRUTH["delta_o"], rtol=1e-9)
+    first = next(h for h in found.harmonics if h.order == 1)
+    assert first.cos < 0.0  # counted from the axis that reads K1
+
+
+def test_customary_units():
+    found = tumble("roll-z-24+roll-y-24", sd=1e-6)
+    for name, unit in (("K0", "µg"), ("K2", "µg/g^2"), ("K3", "µg/g^3"), ("delta_o", "µrad")):
+        c = found[name]
+        assert c.customary["unit"] == unit
+        assert_allclose(c.customary["value"], 1e6 * c.value)
+        assert_allclose(c.U, c.k * c.u)
+    k1 = found["K1"]
+    assert k1.unit == "V/g"
+    assert_allclose(k1.customary["U"], 1e6 * k1.U / k1.value)
+    assert k1.customary["unit"] == "ppm"
+
+
+def test_ratios_to_k1_carry_the_covariance():
+    """Gravity known badly moves every reading in common: K1 takes it, the bias in g as well."""
+    options = {"gravity": 9.81, "gravity_u": 0.0981, "reading_sd": 1e-6}
+    found = tumble("roll-z-24+roll-y-24", sd=1e-6, **options)
+    assert_allclose(found["K1"].u / found["K1"].value, 0.01, rtol=1e-3)
+    assert_allclose(found["K0"].u / found["K0"].value, 0.01, rtol=1e-2)
+    assert found["delta_o"].u < 2e-6  # an angle does not depend on gravity
+
+
+def test_residual_harmonic_names_what_neither_model_nor_noise_explains():
+    t = 2 * np.pi * np.arange(24) / 24
+    up = np.column_stack([np.cos(t), np.sin(t), 0 * t])
+    noise = 1e-6 * np.random.default_rng(4).standard_normal(24)
+    # a table whose circle is centred 20 µrad off twice a turn: sin t cos 2t has a third sine
+    stood = t + 2e-5 * np.cos(2 * t)
+    moved = np.column_stack([np.cos(stood), np.sin(stood), 0 * t])
+    found = mp.tumble({"E": output(moved) + noise}, scheme="tumble-24", unit="V")
+    assert any("harmonic 3 in plane xy" in line for line in found.warnings)
+    error = next(e for e in found.table_errors.errors if e.quantity == "second_cos")
+    assert abs(error.value_deg - np.degrees(2e-5)) < 3 * error.u_deg
+    clean = mp.tumble({"E": output(up) + noise}, scheme="tumble-24", unit="V")
+    assert clean.warnings == ()
+
+
+@pytest.mark.slow
+def test_residual_harmonics_raise_no_false_alarm_and_intervals_cover():
+    runs, alarms, covered = 400, 0, dict.fromkeys(TRUTH, 0)
+    for seed in range(runs):
+        found = tumble("roll-z-12+roll-y-12", sd=1e-5, seed=seed)
+        alarms += bool(found.warnings)
+        for name, value in TRUTH.items():
+            covered[name] += abs(found[name].value - value) <= found[name].U
+    assert alarms <= 0.02 * runs + 4 * math.sqrt(0.02 * 0.98 * runs)  # harmonics and zero shift
+    for name, count in covered.items():
+        assert abs(count / runs - 0.95) < 4 * math.sqrt(0.95 * 0.05 / runs), name
+
+
+def test_zero_shift_between_planes_is_seen():
+    scheme = read_scheme("roll-z-12+roll-y-12")
+    noise = 1e-6 * np.random.default_rng(1).standard_normal(24)
+    values = output(scheme.up) + noise + 2e-5 * (np.arange(24) >= 12)
+    found = mp.tumble({"E": values}, scheme="roll-z-12+roll-y-12", unit="V")
+    (shift,) = found.table_errors.zero_shifts
+    assert abs(shift.value - 2e-5) < 4 * shift.u
+    assert any("the zero of E shifted" in line for line in found.warnings)
+
+
+def test_json_of_the_interface(tmp_path, capsys):
+    scheme = read_scheme("roll-z-24+roll-y-24")
+    path = tmp_path / "readings.csv"
+    path.write_text("E\n" + "\n".join(map(repr, output(scheme.up).tolist())) + "\n")
+    arguments = ["tumble", str(path), "--scheme", "roll-z-24+roll-y-24", "--json"]
+    assert cli.main(arguments) == 0
+    found = json.loads(capsys.readouterr().out)
+    for name, value in TRUTH.items():
+        assert set(found[name]) >= {"value", "u", "U", "unit"}
+        assert_allclose(found[name]["value"], value, rtol=0, atol=1e-9)
+    assert set(found["harmonics"][0]) == {"plane", "order", "cos", "sin", "amplitude"}
+    assert found["calibration"]["schema"] == "multipos/calibration/1"
+    assert found["unidentifiable"]
+
+
+def test_text_has_every_number():
+    text = tumble_text(tumble("roll-z-12+roll-y-12", sd=1e-6))
+    for word in ("Koq", "µrad", "What the points cannot tell", "left by the model", "Turntable"):
+        assert word in text
+
+
+def fails(capsys, arguments, status, *words):
+    assert cli.main(arguments) == status
+    said = capsys.readouterr()
+    assert said.out == ""
+    last = said.err.strip().splitlines()[-1]
+    assert last.startswith("multipos: error: ")
+    for word in words:
+        assert word in last
+
+
+def test_angles_that_do_not_span_a_turn(tmp_path, capsys):
+    angles = np.arange(0.0, 151.0, 15.0)
+    path = roll_file(tmp_path / "r.csv", angles, np.cos(np.radians(angles)))
+    out = tmp_path / "out.json"
+    fails(capsys, ["tumble", path, "-o", str(out)], 1, "do not span a turn", "210 of 360", "xy")
+    assert not out.exists()
+
+
+def test_repeated_angles_are_said(tmp_path, capsys):
+    angles = np.append(np.arange(0.0, 361.0, 30.0), 90.0)
+    path = roll_file(tmp_path / "r.csv", angles, np.cos(np.radians(angles)) + 1e-6 * angles**2)
+    assert cli.main(["tumble", path]) == 0
+    assert "the angles 0, 90 degrees are there more than once" in capsys.readouterr().err
+
+
+def test_one_angle_again_and_again_tells_nothing(tmp_path, capsys):
+    path = roll_file(tmp_path / "r.csv", [90.0] * 6, [0.1] * 6)
+    fails(capsys, ["tumble", path], 1, "cannot tell K0 from K1")
+
+
+def test_readings_outside_the_range(tmp_path, capsys):
+    angles = np.arange(0.0, 360.0, 30.0)
+    values = np.cos(np.radians(angles))
+    values[4] = 9.99
+    path = roll_file(tmp_path / "r.csv", angles, values)
+    fails(capsys, ["tumble", path, "--range", "-5,5"], 1, "row 5", "'E'", "9.99", "-5 to 5")
+    fails(capsys, ["tumble", path, "--range", "5,-5"], 2, "--range takes LOW,HIGH")
+
+
+def test_more_than_one_output_or_axis(capsys, tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("A,B\n1,2\n0,1\n-1,0\n0,1\n")
+    arguments = ["tumble", str(path), "--scheme", "tumble-4"]
+    fails(capsys, arguments, 2, "--outputs")
+    fails(capsys, [*arguments, "--outputs", "A", "--axes", "x,y"], 2, "--axes takes one of")
+    fails(capsys, [*arguments, "--outputs", "A", "--model", "1 + y"], 2, "no term x")

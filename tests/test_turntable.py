@@ -1,0 +1,171 @@
+"""Errors of the turntable: estimated where the data can, named where the sensor does the same."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.harmonics import find_rolls
+from multipos.readings import Readings, orient
+from multipos.scheme import read_scheme
+from multipos.sections import installation_sections, table_error_sections
+from multipos.turntable import QUANTITIES
+
+T = np.radians(np.arange(0.0, 360.0, 15.0))
+ERRORS = dict(zip(QUANTITIES, (1e-3, 5e-4, -3e-4, 2e-4, 4e-4), strict=True))  # [rad]
+MATRIX = np.array([[1.001, 0.02, 0.01], [0.018, 0.998, -0.005]])
+
+
+def stood(t, errors=ERRORS):
+    e = errors
+    return (
+        t + e["zero_offset"] + e["first_cos"] * np.cos(t) + e["first_sin"] * np.sin(t)
+        + e["second_cos"] * np.cos(2 * t) + e["second_sin"] * np.sin(2 * t)
+    )  # fmt: skip
+
+
+def rolls(t, sd=1e-6, seed=0, shift=0.0):
+    """Two rolls of an inclinometer, main axis x and then y."""
+    zero = 0 * t
+    up = np.concatenate([
+        np.column_stack([np.cos(t), zero, np.sin(t)]),
+        np.column_stack([zero, np.cos(t), np.sin(t)]),
+    ])  # fmt: skip
+    noise = sd * np.random.default_rng(seed).standard_normal((48, 2))
+    values = [2.5008, 2.4993] + up @ MATRIX.T + noise
+    values[24:] += shift
+    return {"Ux": values[:, 0], "Uy": values[:, 1]}
+
+
+def test_two_rolls_of_a_pair_tell_every_quantity_of_the_linear_model():
+    cal = mp.fit(rolls(stood(T)), scheme="dual-axis-48", unit="V")
+    found = mp.table_errors(cal)
+    assert len(found.errors) == 10
+    for error in found.errors:
+        # second order of e, 1e-6, is outside the linearised eq. (2)
+        assert_allclose(np.radians(error.value_deg), ERRORS[error.quantity], rtol=0, atol=5e-6)
+
+
+def test_a_perfect_table_has_no_errors_and_u_covers():
+    runs, covered, total = 60, 0, 0
+    for seed in range(runs):
+        cal = mp.fit(rolls(T, sd=1e-4, seed=seed), scheme="dual-axis-48", unit="V")
+        found = mp.table_errors(cal)
+        covered += sum(abs(error.value_deg) <= error.U_deg for error in found.errors)
+        covered += sum(abs(shift.value) <= shift.U for shift in found.zero_shifts)
+        total += len(found.errors) + len(found.zero_shifts)
+    # ten quantities of one fit are not independent: a third of them, say
+    assert abs(covered / total - 0.95) < 4 * math.sqrt(0.95 * 0.05 / (total / 3))
+
+
+@pytest.mark.parametrize(
+    ("quantity", "same"),
+    [
+        ("zero_offset", {"cross_E_y"}),
+        ("first_cos", {"product_E_xy"}),
+        ("first_sin", {"bias_E", "quad_E"}),
+        ("second_sin", {"scale_E", "cubic_E"}),
+        ("second_cos", set()),
+    ],
+)
+def test_one_axis_in_one_plane(quantity, same):
+    """Equation (12) of docs/theory/tumble.md: sin 3t is the only one with no double."""
+    up = np.column_stack([np.cos(T), np.sin(T), 0 * T])
+    noise = 1e-6 * np.random.default_rng(1).standard_normal(24)
+    cal = mp.fit({"E": up[:, 0] + noise}, scheme="tumble-24", unit="V",
+                 model="1 + x + y + x^2 + x^3 + x*y")  # fmt: skip
+    error = next(e for e in mp.table_errors(cal).errors if e.quantity == quantity)
+    assert set(error.confounded_with) == same
+    assert (error.value_deg is None) == bool(same)
+
+
+def test_what_the_model_leaves_out_can_be_told_and_is_named():
+    up = np.column_stack([np.cos(T), np.sin(T), 0 * T])
+    moved = np.cos(stood(T, dict.fromkeys(ERRORS, 0.0) | {"first_cos": 1e-4}))
+    cal = mp.fit({"E": moved + 0 * up[:, 0]}, scheme="tumble-24", inputs="x,y")
+    error = next(e for e in mp.table_errors(cal).errors if e.quantity == "first_cos")
+    assert_allclose(np.radians(error.value_deg), 1e-4, rtol=1e-3)
+    assert error.confounded_with == ("product_E_xy",)
+
+
+def test_zero_shift_is_seen_and_warned_of():
+    cal = mp.fit(rolls(T, sd=1e-5, shift=3e-4), scheme="dual-axis-48", unit="V")
+    for shift in mp.table_errors(cal).zero_shifts:
+        assert abs(shift.value - 3e-4) < 4 * shift.u
+    assert sum("shifted by" in warning for warning in cal.diagnostics.warnings) == 2
+
+
+def test_stated_bench_puts_the_drift_into_u():
+    cal = mp.fit(rolls(T, sd=1e-5), scheme="dual-axis-48", unit="V")
+    known = mp.state_bench(cal, reading_sd=1e-5, zero_drift=3e-4)
+    again = mp.fit(known, unit="V")
+    # two rolls, each with a zero of its own: the mean of two
+    assert_allclose(again["Ux", "1"].u, 3e-4 / math.sqrt(2), rtol=0.01)
+    assert_allclose(again["Ux", "x"].u, cal["Ux", "x"].u, rtol=0.3)
+
+
+def test_stated_table_moves_readings_as_its_angles_do():
+    """By hand: on the roll about y, dU/dt = M (−sin t, 0, cos t)."""
+    cal = mp.fit(rolls(T, sd=1e-6), scheme="dual-axis-48", unit="V")
+    sd, noise = 1e-3, 1e-6
+    slope = np.column_stack([-np.sin(T), 0 * T, np.cos(T)]) @ MATRIX.T
+    waves = {
+        "angle_sd_deg": np.eye(24),
+        "offset_sd_deg": np.ones((24, 24)),
+        "first_sd_deg": np.cos(T - T[:, None]),
+        "second_sd_deg": np.cos(2 * (T - T[:, None])),
+    }
+    for option, together in waves.items():
+        known = mp.state_bench(cal, reading_sd=noise, **{option: math.degrees(sd)})
+        covariance = known.covariance.reshape(48, 2, 48, 2)[:24, :, :24, :]
+        expected = sd**2 * together[:, None, :, None] * slope[:, :, None, None] * slope
+        expected += noise**2 * np.eye(48).reshape(24, 2, 24, 2)
+        assert_allclose(covariance, expected, rtol=0, atol=1e-10, err_msg=option)
+
+
+def test_sections_have_titles_and_numbers():
+    cal = mp.fit(rolls(T, sd=1e-5), scheme="dual-axis-48", unit="V")
+    sections = dict(installation_sections(cal) + table_error_sections(mp.table_errors(cal)))
+    assert "Ux towards y" in sections["Installation"]
+    assert "second sin" in sections["Turntable"]
+    assert "Ux" in sections["Zero between rolls"]
+
+
+@pytest.mark.parametrize("heading", [True, False])
+@pytest.mark.parametrize(
+    ("name", "planes"),
+    [
+        ("dual-axis-48", [("xz", 24), ("yz", 24)]),
+        ("roll-z-12+roll-y-12", [("xy", 12), ("xz", 12)]),
+        ("roll-z-4+roll-y-4", [("xy", 4), ("xz", 4)]),
+        ("tumble-5", [("xy", 5)]),
+        ("faces-6", []),
+    ],
+)
+def test_rolls_are_found_with_and_without_headings(name, planes, heading):
+    scheme = read_scheme(name)
+    rotation = scheme.rotation if heading else None
+    found = find_rolls(Readings(np.zeros(len(scheme)), up=scheme.up, rotation=rotation))
+    assert [(roll.plane, len(roll.rows)) for roll in found] == planes
+    assert all(roll.even and roll.spans_a_turn for roll in found)
+
+
+def test_repeats_and_gaps_of_a_roll():
+    angle = [0.0, 30.0, 60.0, 90.0, 120.0, 360.0]
+    data = Readings(np.zeros(6))
+    scheme = {"roll_axis": ["z"] * 6, "angle_deg": angle}
+    (roll,) = find_rolls(orient(data, scheme))
+    assert roll.repeated == (0.0,)
+    assert_allclose(np.degrees(roll.gap), 240.0)
+    assert not roll.spans_a_turn
+    assert not roll.even
+
+
+def test_without_rolls_there_is_nothing_to_say():
+    up = read_scheme("fibonacci-24").up
+    cal = mp.fit({"E": up[:, 0]}, scheme="fibonacci-24")
+    found = mp.table_errors(cal)
+    assert found.errors == ()
+    assert found.zero_shifts == ()
