@@ -1,8 +1,8 @@
 """Unknown and uncertain orientations against general solvers, and how they grow.
 
-The peer fits what people fit by hand: the compensation in closed form, f = T (y - b) + k (T (y - b))²
-by components, T lower triangular, with residuals |f| - 1, their analytic Jacobian, and MINPACK's
-Levenberg-Marquardt. Both start from the same ellipsoid.
+The peer fits what people fit by hand: the compensation in closed form, with z = T (y - b) and T
+lower triangular, f = z + k z² by components, residuals |f| - 1 with their analytic Jacobian, and
+MINPACK's Levenberg-Marquardt. Both start from the same ellipsoid.
 """
 
 import tracemalloc
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from benchmarks.timing import Ratio, paired_ratio
+from multipos.descent import maximise
 from multipos.ellipsoid import ellipsoid_start
-from multipos.likelihood import maximise
-from multipos.problem import Problem, State, start_state
 from multipos.model import COMPONENTS, build_model
+from multipos.problem import Problem, State, start_state
 from multipos.scheme import read_scheme
 
 Array = NDArray[np.float64]
@@ -55,20 +55,24 @@ def run() -> list[Ratio]:
             paired_ratio(ours(large, uncertain=True), ours(large), repeats=7, inner=1),
             3,
         ),
-        Ratio(
-            "a position of 100,000",
-            "a position of 1,000",
-            [r / 100 for r in paired_ratio(ours(100_000), ours(1000), repeats=3, inner=1)],
-            1.5,
-        ),
+        growth(100, 100_000, goal=1),
+        growth(1000, 100_000, goal=2),
         Ratio(
             "memory of a position of 100,000",
             "of one of 1,000",
             [peak_memory(ours(100_000)) / peak_memory(ours(1000)) / 100],
             1.5,
         ),
-        *against_ceres(small),
+        *against_ceres(small, large),
     ]
+
+
+def growth(few: int, many: int, *, goal: float) -> Ratio:
+    """Return the time of a position among many over that of one among few."""
+    pairs = paired_ratio(ours(many), ours(few), repeats=5, inner=1)
+    return Ratio(
+        f"a position of {many:,}", f"a position of {few:,}", [r * few / many for r in pairs], goal
+    )
 
 
 def simulate(n: int) -> tuple[Array, Array]:
@@ -145,3 +149,49 @@ def peak_memory(work: Callable[[], object]) -> int:
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
+
+
+def against_ceres(*sizes: int) -> list[Ratio]:
+    """Compare with Ceres through its Python bindings, where they are installed."""
+    try:
+        import pyceres
+    except ImportError:
+        print("pyceres is not installed: no comparison with Ceres")
+        return []
+
+    class Cost(pyceres.CostFunction):
+        def __init__(self, values: Array) -> None:
+            super().__init__()
+            self.values = values
+            self.set_num_residuals(len(values))
+            self.set_parameter_block_sizes([12])
+
+        def Evaluate(self, parameters, left, jacobians):  # noqa: N802
+            left[:] = residuals(parameters[0], self.values)
+            if jacobians is not None:
+                jacobians[0][:] = jacobian(parameters[0], self.values).ravel()
+            return True
+
+    def solver(n: int) -> Callable[[], object]:
+        _, values = simulate(n)
+        options = pyceres.SolverOptions()
+        options.logging_type = pyceres.LoggingType.SILENT
+        options.function_tolerance = options.parameter_tolerance = 1e-10
+        start = natural_start(values)
+
+        def solve() -> None:
+            found, problem = start.copy(), pyceres.Problem()
+            problem.add_residual_block(Cost(values), None, [found])
+            pyceres.solve(options, problem, pyceres.SolverSummary())
+
+        return solve
+
+    return [
+        Ratio(
+            f"unknown orientation, {n} positions",
+            "Ceres (pyceres)",
+            paired_ratio(ours(n), solver(n), repeats=7, inner=1),
+            3,
+        )
+        for n in sizes
+    ]

@@ -16,7 +16,7 @@ The maximum a posteriori estimate minimises, with rho(q) = q or a robust loss,
 
     F = sum_k rho(q_k) + |tau|²/s_level²,   q_k = r_k' Sigma_k^-1 r_k + |t_k|²/s_k²,        (4)
 
-r_k = y_k − h. It is found by Levenberg and Marquardt's method. Each t_k touches position k only,
+r_k = y_k − h; `multipos.descent` searches for it. Each t_k touches position k only,
 so it is eliminated there: with J_k = dh/df df/dt and H_k = J_k' Sigma_k^-1 J_k + I/s_k²,
 
     W_k = Sigma_k^-1 − Sigma_k^-1 J_k H_k^-1 J_k' Sigma_k^-1,                               (5)
@@ -29,7 +29,7 @@ covariance of the estimate, orientation errors inside.
 
 References
 ----------
-K. Levenberg 1944, D. Marquardt 1963; B. Triggs and others, *Bundle adjustment: a modern
+B. Triggs and others, *Bundle adjustment: a modern
 synthesis*, 2000, section 6 (elimination); JCGM 102.
 """
 
@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 from multipos.losses import loss, loss_weight
 from multipos.model import Block
-from multipos.problem import Normal, Optimum, Point, Problem, State
+from multipos.problem import Normal, Point, Problem, State
 from multipos.rotations import (
     cross_matrix,
     left_jacobian,
@@ -52,64 +52,6 @@ from multipos.rotations import (
 )
 
 Array = NDArray[np.float64]
-
-_ITERATIONS = 200
-_DECREMENT = 1e-20  # of F: a step of 1e-10 of an uncertainty
-_DECREMENT_ROBUST = 1e-14  # weights that change with the step make convergence linear
-_XTOL = 1e-13  # relative step that is only rounding
-_DAMPING = 1e-4
-_STUCK = 1e12  # damping beyond which nothing moves
-_ROUNDING = 1e-8  # of F, or of theta: what the last digits of the readings can do
-
-
-def maximise(problem: Problem, state: State) -> Optimum:
-    """Minimise F of eq. (4) from a state."""
-    point = evaluate(problem, state)
-    damping = _DAMPING
-    enough = _DECREMENT if problem.robust is None else _DECREMENT_ROBUST
-    last_step, decrement = np.inf, np.inf
-    converged = False
-    iterations = 0
-    normal = linearise(problem, state, point)
-    while iterations < _ITERATIONS and not converged:
-        iterations += 1
-        while True:
-            step, decrement, last_step = _step(state, normal, damping)
-            trial = _moved(problem, state, point, normal, step, damping)
-            trial_point = evaluate(problem, trial)
-            if trial_point.objective <= point.objective or damping > _STUCK:
-                break
-            damping = max(damping * 10.0, 1e-10)
-        if damping > _STUCK:  # no descent is left: rounding, or a point that is no minimum
-            _, decrement, last_step = _step(state, normal, 0.0)
-            converged = decrement <= _ROUNDING * point.objective or last_step <= _ROUNDING
-            break
-        state, point = _recentred(problem, trial), trial_point
-        damping *= 0.1
-        converged = decrement <= enough * point.objective or last_step <= _XTOL
-        normal = linearise(problem, state, point)
-    return Optimum(
-        state, point, normal, converged, iterations, last_step, float(np.sqrt(max(decrement, 0.0)))
-    )
-
-
-def resume(problem: Problem, optimum: Optimum) -> Optimum:
-    """Search on from an optimum, after the noise of the problem was changed."""
-    found = maximise(problem, optimum.state)
-    return replace(found, iterations=optimum.iterations + found.iterations)
-
-
-def _step(state: State, normal: Normal, damping: float) -> tuple[Array, float, float]:
-    """Return the damped step, what it should take off F, and its size relative to theta."""
-    scale = np.sqrt(np.diag(normal.information))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    damped = normal.information / np.outer(scale, scale)
-    # A ridge of rounding size, so that what the positions cannot tell is left where it is.
-    damped[np.diag_indices(len(scale))] += max(damping, 1e-15)
-    step = np.linalg.solve(damped, normal.gradient / scale) / scale
-    size = np.abs(state.theta * scale[: len(state.theta)]).max()
-    relative = float(np.abs(step * scale).max() / max(float(size), 1e-300))
-    return step, float(step @ normal.gradient), relative
 
 
 def evaluate(problem: Problem, state: State) -> Point:
@@ -189,7 +131,7 @@ def assemble(
     return information, right
 
 
-def _moved(
+def moved(
     problem: Problem, state: State, point: Point, normal: Normal, step: Array, damping: float
 ) -> State:
     """Return the state after a step of the shared unknowns, each t_k following it."""
@@ -213,7 +155,7 @@ def _moved(
     return replace(state, theta=theta, step=state.step + own, turns=turns, tilt=tilt)
 
 
-def _recentred(problem: Problem, state: State) -> State:
+def recentred(problem: Problem, state: State) -> State:
     """Return the state with unknown directions as their own centres, which have no prior."""
     if not problem.unknown.any():
         return state

@@ -113,14 +113,16 @@ class Term:
         mine = next((factor for factor in self.factors if factor.variable == by), None)
         if mine is None:
             return 0.0
-        rest = Term(tuple(factor for factor in self.factors if factor is not mine))
-        v = variables[by]
-        if mine.power:
-            lower = Term((Factor(by, mine.power - 1, mine.modulus),))
-            own = mine.degree * lower.evaluate(variables)
-        else:
-            own = np.sign(v)
-        return own * rest.evaluate(variables)
+        rest = tuple(factor for factor in self.factors if factor is not mine)
+        if not mine.power:
+            return np.sign(variables[by]) * Term(rest).evaluate(variables)
+        return mine.degree * self.lowered(mine).evaluate(variables)
+
+    def lowered(self, factor: Factor) -> "Term":
+        """Return the term with one power of a factor less, which has a power to lose."""
+        lower = Factor(factor.variable, factor.power - 1, factor.modulus)
+        others = tuple(lower if other is factor else other for other in self.factors)
+        return Term(tuple(other for other in others if other.degree))
 
 
 CONSTANT = Term()
@@ -281,23 +283,48 @@ class Model:
         """Return dy/df (n, M, 3) at force (n, 3) [g]."""
         theta = self.coefficients(parameters)
         constant = np.zeros((len(self.outputs), 3))
-        varying = []
         variables = self.variables(force, environment)
-        for column, term in enumerate(self.basis_terms):
-            for factor in term.factors:
-                if factor.variable in COMPONENTS:
-                    slope = term.derivative(variables, factor.variable)
-                    axis = COMPONENTS.index(factor.variable)
-                    if np.ndim(slope) == 0:
-                        constant[:, axis] += slope * theta[:, column]
-                    else:
-                        varying.append((slope, axis, theta[:, column]))
-        result = np.empty((*constant.shape, len(force)))
+        varying = []
+        for column, axis, factor, lower in self.slopes:
+            if lower is None:
+                slope = self.basis_terms[column].derivative(variables, COMPONENTS[axis])
+            elif lower.factors:
+                slope = factor * lower.evaluate(variables)
+            else:
+                constant[:, axis] += factor * theta[:, column]
+                continue
+            varying.append((axis, slope, theta[:, column].tolist()))
+        result = np.empty((*constant.shape, len(force)))  # positions run fastest in memory
         result[:] = constant[:, :, None]
-        for slope, axis, coefficients in varying:
-            for output in np.flatnonzero(coefficients).tolist():
-                result[output, axis] += coefficients[output] * slope
+        for axis, slope, coefficients in varying:
+            for output, coefficient in enumerate(coefficients):
+                if coefficient:
+                    result[output, axis] += coefficient * slope
         return result.transpose(2, 0, 1)
+
+    @cached_property
+    def slopes(self) -> tuple[tuple[int, int, int, Term | None], ...]:
+        """Derivatives of the basis terms by the force: term, component, number times lower term.
+
+        None stands for a modulus alone, whose derivative is no term.
+        """
+        return tuple(
+            (column, COMPONENTS.index(factor.variable), factor.degree,
+             term.lowered(factor) if factor.power else None)
+            for column, term in enumerate(self.basis_terms)
+            for factor in term.factors
+            if factor.variable in COMPONENTS
+        )  # fmt: skip
+
+    @cached_property
+    def rows(self) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[tuple[int, int, int], ...]]:
+        """For each parameter its output and basis term, and what a gauge copies as in `mirrored`.
+
+        The copies are (parameter, output, basis term).
+        """
+        outputs = np.repeat(np.arange(len(self.outputs)), [len(terms) for terms in self.terms])
+        copies = tuple((source, target, column) for target, column, source in self.mirrored)
+        return outputs, np.concatenate(self.columns), copies
 
     def predict(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.descent import resume
 from multipos.known import believe
-from multipos.likelihood import resume
 from multipos.problem import Optimum, Problem
 from multipos.variances import Components, components, linearised, maximise_restricted
 

@@ -163,7 +163,6 @@ class Optimum:
 
     state: State
     point: Point
-    normal: Normal
     converged: bool
     iterations: int
     last_step: float

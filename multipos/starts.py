@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.descent import maximise
 from multipos.ellipsoid import ellipsoid_start, symmetric_root
 from multipos.errors import ConvergenceError, MultiposError, RankError
 from multipos.expressions import ExpressionModel
@@ -25,7 +26,7 @@ from multipos.identifiability import (
 )
 from multipos.inverse import invert, parameter_jacobian
 from multipos.least_squares import solve
-from multipos.likelihood import evaluate, linearise, maximise
+from multipos.likelihood import evaluate, linearise
 from multipos.model import COMPONENTS
 from multipos.problem import Normal, Optimum, Problem, State, start_state
 from multipos.rotations import align
@@ -274,7 +275,8 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
 
 
 def _require_information(problem: Problem, optimum: Optimum) -> None:
-    information = reduced_information(optimum.normal, len(problem.model.keys))
+    normal = linearise(problem, optimum.state, optimum.point)
+    information = reduced_information(normal, len(problem.model.keys))
     if np.isfinite(condition(information)):
         return
     gains = _candidate_gains(problem, optimum.state.theta)

@@ -168,9 +168,7 @@ def _solution(
 ) -> Solution:
     model, state, point = problem.model, optimum.state, optimum.point
     p, m = len(model.keys), problem.values.shape[1]
-    plain = optimum.normal if problem.robust is None else linearise(
-        replace(problem, robust=None), state, point
-    )  # fmt: skip
+    plain = linearise(replace(problem, robust=None), state, point)
     information = reduced_information(plain, p)
     covariance = np.linalg.inv(information)
     covariance = (covariance + covariance.T) / 2.0 * worth.factor

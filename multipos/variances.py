@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.inverse import parameter_jacobian
+from multipos.likelihood import linearise
 from multipos.problem import Optimum, Problem
 
 Array = NDArray[np.float64]
@@ -70,7 +71,8 @@ class Components:
 
 def linearised(problem: Problem, optimum: Optimum) -> Linearised:
     """Return the linear model about an optimum, with the variances that `problem` states."""
-    normal, state = optimum.normal, optimum.state
+    state = optimum.state
+    normal = linearise(problem, state, optimum.point)
     p, m = len(state.theta), problem.values.shape[1]
     slopes = parameter_jacobian(
         problem.model, state.theta, optimum.point.force, problem.environment

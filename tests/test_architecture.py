@@ -50,6 +50,8 @@ ORDER = (
     "losses",
     "problem",
     "likelihood",
+    "sphere",
+    "descent",
     "placement",
     "starts",
     "variances",

@@ -8,10 +8,12 @@ import pytest
 from numpy.testing import assert_allclose
 from orientation_bench import BIAS, MATRIX
 
-from multipos.likelihood import evaluate, linearise, maximise
+from multipos.descent import maximise
+from multipos.likelihood import evaluate, linearise
 from multipos.model import COMPONENTS, NAMED, build_model
 from multipos.problem import Problem, start_state
 from multipos.rotations import rotation_matrix
+from multipos.sphere import SphereSearch
 
 OUTPUTS = ("ax", "ay", "az")
 FORMULAS = [
@@ -254,3 +256,47 @@ def test_a_false_end_is_not_called_convergence():
     with np.errstate(invalid="ignore"):
         found = maximise(broken, state)
     assert not found.converged
+
+
+# --- unknown orientation, with one number a position
+
+
+@pytest.mark.parametrize("robust", [None, "huber", "soft-l1", "cauchy"])
+@pytest.mark.parametrize("gauge", ["lower", "symmetric"])
+@pytest.mark.parametrize("text", ["linear", "own-cubic", "ieee-odd"])
+def test_the_surface_normal_is_the_whole_of_an_unknown_position(text, gauge, robust):
+    rng = np.random.default_rng(6)
+    n = 60
+    model = a_model(text, gauge)
+    up = rng.standard_normal((n, 3))
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    theta = 0.01 * rng.standard_normal(len(model.keys))
+    theta[list(model.own_scales)] += 1.0
+    values = model.predict(theta, -0.998 * up, {}) + 1e-3 * rng.standard_normal((n, 3))
+    values[4] += 0.05
+    problem = Problem(
+        model=model, values=values, environment={}, precision=rng.uniform(0.5, 2.0, (n, 3)) * 1e6,
+        reference=-0.998 * np.ones((n, 3)) / np.sqrt(3.0), spread=np.full(n, np.inf),
+        group=np.full(n, -1), weight=np.ones(n), robust=robust,
+    )  # fmt: skip
+    state = start_state(problem, theta, -up)
+    assert SphereSearch.fits(problem)
+    sphere = SphereSearch(problem)
+    place = sphere.begin(state)
+    point = evaluate(problem, state)
+    assert_allclose(place.objective, point.objective, rtol=1e-13)
+    fast, slow = sphere.linearise(place), linearise(problem, state, point)
+    scale = np.sqrt(np.diag(slow.information))
+    assert_allclose(fast.information, slow.information, atol=1e-10 * np.outer(scale, scale).max())
+    # the general path takes the difference of numbers a thousand times as large
+    assert_allclose(fast.gradient / scale, slow.gradient / scale, atol=1e-8 * np.sqrt(n))
+    found = maximise(problem, state)
+    assert found.converged
+    # a covariance of each reading goes the general way
+    full = replace(problem, precision=problem.precision[:, :, None] * np.eye(3))
+    assert not SphereSearch.fits(full)
+    general = maximise(full, state)
+    u = 1.0 / scale
+    assert_allclose(found.state.theta / u, general.state.theta / u, rtol=0, atol=1e-4)
+    assert found.point.objective == pytest.approx(general.point.objective, rel=1e-10)
+    assert_allclose(found.point.force, evaluate(problem, found.state).force, atol=1e-14)

@@ -1,7 +1,5 @@
 """Uncertain and unknown orientations by simulation: convergence, efficiency, coverage."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 from orientation_bench import MATRIX, QUADRATIC, Sensor, lower, readings_of, scatter
@@ -87,7 +85,7 @@ def cramer_rao(sensor, up, sd):
 def test_scatter_reaches_the_cramer_rao_bound_with_unequal_noise():
     sd = np.array([2e-5, 1e-4, 4e-4])
     rng = np.random.default_rng(3)
-    runs, estimates, u = 3000, [], None
+    runs, estimates, u = 2500, [], None
     for _ in range(runs):
         values = HAND_HELD.read(UP) + sd * rng.standard_normal(UP.shape)
         cal = mp.fit(mp.Readings(values), unknown_orientation=True, reading_sd=sd)
@@ -95,7 +93,7 @@ def test_scatter_reaches_the_cramer_rao_bound_with_unequal_noise():
         u = cal.u
     bound = cramer_rao(HAND_HELD, UP, sd)
     scatter_ratio = np.std(estimates, axis=0) / bound
-    # 5 %, which is 3.9 standard deviations of a standard deviation from 3000 runs
+    # 5 %, which is 3.5 standard deviations of a standard deviation from 2500 runs
     assert np.abs(scatter_ratio - 1.0).max() < 0.05
     assert u == pytest.approx(bound, rel=0.01)
 
@@ -142,7 +140,6 @@ def automatic(scheme, rng):
     return mp.fit(readings, orientation_sd="auto"), Sensor()
 
 
-@cache
 def simulated(mode, scheme, runs):
     """Return errors, expanded uncertainties and variance components of many fits."""
     rng = np.random.default_rng(95)
@@ -160,14 +157,14 @@ def simulated(mode, scheme, runs):
     [
         (listed, "faces-corners-14", 2000),
         (listed, "fibonacci-24", 2000),
-        (uncertain, "faces-corners-14", 1500),
+        (uncertain, "faces-corners-14", 1200),
         (automatic, "fibonacci-24", 800),
         (unknown, "faces-corners-14", 1500),
         (unknown, "fibonacci-24", 1500),
     ],
 )
 def test_intervals_cover(mode, scheme, runs):
-    errors, U, _ = simulated(mode, scheme, runs)
+    errors, U, found = simulated(mode, scheme, runs)
     hit = np.abs(errors) <= U
     # of all parameters together: they share their noise, so runs are counted, not intervals
     se = hit.mean(axis=1).std() / np.sqrt(runs)
@@ -175,11 +172,11 @@ def test_intervals_cover(mode, scheme, runs):
     assert 0.94 < hit.mean() < 0.96
     # each on its own by the binomial law, 4 standard deviations for the worst of twelve
     assert np.abs(hit.mean(axis=0) - 0.95).max() < 4.0 * np.sqrt(0.95 * 0.05 / runs) + 0.002
+    if mode is automatic:
+        variances_are_unbiased_and_known_as_said(found, runs)
 
 
-def test_restricted_likelihood_is_unbiased_and_knows_how_well():
-    runs = 800
-    _, _, found = simulated(automatic, "fibonacci-24", runs)
+def variances_are_unbiased_and_known_as_said(found, runs):
     for name, truth in (("reading_sd", 1e-5), ("orientation_sd_deg", 0.01)):
         value = np.array([entry[name]["value"] for entry in found])
         u = np.array([entry[name]["u"] for entry in found])
@@ -193,13 +190,13 @@ def test_restricted_likelihood_is_unbiased_and_knows_how_well():
 @pytest.mark.parametrize("loss", ["huber", "soft-l1", "cauchy"])
 def test_robust_intervals_are_honest_beside_an_outlier(loss):
     rng = np.random.default_rng(8)
-    runs, hit = 300, []
+    runs, hit = 200, []
     for _ in range(runs):
         values = HAND_HELD.read(UP) + 1e-4 * rng.standard_normal(UP.shape)
         values[rng.integers(24), rng.integers(3)] += 0.05
         cal = mp.fit(mp.Readings(values), unknown_orientation=True, robust=loss)
         hit.append(np.abs(cal.parameters - HAND_HELD.truth(cal.model)) <= cal.U)
-    # the factor on the covariance is asymptotic: 3 % below at 14 degrees of freedom is its size
+    # the factor on the covariance is asymptotic: at 24 positions it is good to 2 %
     assert 0.92 < np.mean(hit) < 0.975
 
 

@@ -16,6 +16,7 @@ from multipos.calibration import Calibration
 from multipos.errors import MultiposError
 from multipos.exporters.c_body import environment_range, literal, needed_steps, steps_in_words
 from multipos.expressions import ExpressionModel
+from multipos.instructions import read_instructions
 from multipos.inverse import sensed_axes
 from multipos.model import COMPONENTS
 
@@ -85,8 +86,8 @@ def _step(calibration: Calibration, inverse: Any, single: bool) -> tuple[list[st
     full = casadi.SX.zeros(3)
     full[sensed] = force
     outputs = [
-        casadi.Function.deserialize(text)(full, env, calibration.parameters[part])[0]
-        for text, part in zip(model.functions, model.slices, strict=True)
+        read_instructions(program, (full, env, casadi.SX(calibration.parameters[part])))
+        for program, part in zip(model.functions, model.slices, strict=True)
     ]
     moved = force + casadi.DM(inverse) @ (raw - casadi.vertcat(*outputs))
     names = [
