@@ -36,11 +36,11 @@ def maximise(problem: Problem, state: State) -> Optimum:
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a trial may run away
         if SphereSearch.fits(problem):
             sphere = SphereSearch(problem)
-            place, end = _descend(sphere, sphere.begin(state), problem.robust is not None)
+            place, end = _descend(sphere, sphere.begin(state), problem)
             state, point = sphere.end(place, state)
         else:
             everywhere = _Search(problem)
-            at, end = _descend(everywhere, everywhere.begin(state), problem.robust is not None)
+            at, end = _descend(everywhere, everywhere.begin(state), problem)
             state, point = at.state, at.point
         return Optimum(state, point, *end)
 
@@ -59,23 +59,26 @@ class _Steps(Protocol):
     def move(self, place: Any, equations: Any, step: Array, damping: float) -> Any: ...
 
 
-def _descend(steps: _Steps, place: Any, robust: bool) -> tuple[Any, tuple[bool, int, float, float]]:
+def _descend(
+    steps: _Steps, place: Any, problem: Problem
+) -> tuple[Any, tuple[bool, int, float, float]]:
     """Return where the search ends: converged, iterations, last step, gradient in units of u."""
     damping, decrement, last_step = _DAMPING, np.inf, np.inf
-    enough = _DECREMENT_ROBUST if robust else _DECREMENT
+    enough = _DECREMENT if problem.robust is None else _DECREMENT_ROBUST
+    held = list(problem.held)
     converged, iterations = False, 0
     while iterations < _ITERATIONS and not converged:
         iterations += 1
         before = decrement
         equations = steps.linearise(place)
         while True:
-            step, decrement, last_step = _step(place.theta, equations, damping)
+            step, decrement, last_step = _step(place.theta, equations, damping, held)
             trial = steps.move(place, equations, step, damping)
             if trial.objective <= place.objective or damping > _STUCK:
                 break
             damping = max(damping * 10.0, 1e-10)
         if damping > _STUCK:  # no descent is left: rounding, or a point that is no minimum
-            _, decrement, last_step = _step(place.theta, equations, 0.0)
+            _, decrement, last_step = _step(place.theta, equations, 0.0, held)
             converged = decrement <= _ROUNDING * place.objective or last_step <= _ROUNDING
             break
         place = trial
@@ -85,9 +88,15 @@ def _descend(steps: _Steps, place: Any, robust: bool) -> tuple[Any, tuple[bool, 
     return place, (converged, iterations, last_step, float(np.sqrt(max(decrement, 0.0))))
 
 
-def _step(theta: Array, equations: Normal | Surface, damping: float) -> tuple[Array, float, float]:
+def _step(
+    theta: Array, equations: Normal | Surface, damping: float, held: list[int]
+) -> tuple[Array, float, float]:
     """Return the damped step, what it should take off F, and its size relative to theta."""
     information, gradient = equations.information, equations.gradient
+    if held:  # no step along these, and the others as if these had no columns
+        information, gradient = information.copy(), gradient.copy()
+        information[held, :] = information[:, held] = 0.0
+        information[held, held], gradient[held] = 1.0, 0.0
     scale = np.sqrt(information.diagonal())
     if not scale.all():
         scale = np.where(scale > 0.0, scale, 1.0)

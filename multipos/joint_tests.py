@@ -35,12 +35,13 @@ from numpy.typing import NDArray
 
 from multipos.calibration import Calibration
 from multipos.criticism import force_components, residual_sum
+from multipos.descent import maximise
 from multipos.errors import MultiposError, RankError
 from multipos.expressions import ExpressionModel
 from multipos.identifiability import condition
 from multipos.known import reading_noise
 from multipos.least_squares import solve
-from multipos.likelihood import maximise
+from multipos.likelihood import linearise
 from multipos.model import Model, build_model
 from multipos.noise import judge_noise
 from multipos.problem import Optimum, Problem
@@ -132,7 +133,7 @@ def _by_likelihood(c: Calibration) -> Iterator[JointTest]:
     for name, inside, small, large in _nested(c.model):
         nu = float(problem.degrees.sum()) - problem.unknowns - len(large.keys) + len(c.model.keys)
         wide, found = _fitted(problem, best, large)
-        if nu <= 0 or not _is_told(found, len(large.keys)):
+        if nu <= 0 or not _is_told(wide, found):
             continue
         q = len(large.keys) - len(small.keys)
         scale, dof = found.point.objective / nu, nu
@@ -156,9 +157,11 @@ def _fitted(problem: Problem, optimum: Optimum, model: Model) -> tuple[Problem, 
     return changed, maximise(changed, replace(optimum.state, theta=theta))
 
 
-def _is_told(optimum: Optimum, p: int) -> bool:
+def _is_told(problem: Problem, optimum: Optimum) -> bool:
     """Tell whether the positions separate all parameters."""
-    return optimum.converged and math.isfinite(condition(reduced_information(optimum.normal, p)))
+    normal = linearise(problem, optimum.state, optimum.point)
+    p = len(problem.model.keys)
+    return optimum.converged and math.isfinite(condition(reduced_information(normal, p)))
 
 
 def _denominator(dof: Array) -> float:

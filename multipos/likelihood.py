@@ -100,9 +100,6 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
     if problem.level_spread > 0.0:
         information[-2:, -2:] += np.eye(2) / problem.level_spread**2
         right[-2:] -= state.tilt / problem.level_spread**2
-    for i in problem.held:  # their step is zero, and that of the others as without their columns
-        information[i, :] = information[:, i] = 0.0
-        information[i, i], right[i] = 1.0, 0.0
     return Normal(information, right, shared, jacobian, weighted, inverse, ease, pull, marginal)
 
 

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 
 from multipos.budgets import Quantity, read_budget
 from multipos.calibration import Calibration
+from multipos.descent import maximise
 from multipos.errors import UsageError
-from multipos.likelihood import maximise
 from multipos.problem import start_state
 from multipos.restatement import noise_factor, restate, return_to_optimum
 from multipos.sensitivities import estimator_gain, reading_moves, turn_axes

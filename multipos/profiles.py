@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.calibration import Calibration
+from multipos.descent import maximise
 from multipos.errors import ConvergenceError, MultiposError
 from multipos.known import reading_noise
-from multipos.likelihood import maximise
 from multipos.quantiles import coverage_factor
 from multipos.restatement import estimated_variances, noise_factor, restate, return_to_optimum
 from multipos.variances import components, linearised

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.calibration import Calibration
+from multipos.descent import maximise
 from multipos.known import reading_noise
-from multipos.likelihood import maximise
 from multipos.placement import place, state_problem
 from multipos.problem import Optimum, Problem, start_state
 from multipos.robustness import set_aside
