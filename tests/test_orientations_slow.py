@@ -196,7 +196,7 @@ def test_robust_intervals_are_honest_beside_an_outlier(loss):
         values[rng.integers(24), rng.integers(3)] += 0.05
         cal = mp.fit(mp.Readings(values), unknown_orientation=True, robust=loss)
         hit.append(np.abs(cal.parameters - HAND_HELD.truth(cal.model)) <= cal.U)
-    # the factor on the covariance is asymptotic: 3 % below at 14 degrees of freedom is its size
+    # the factor on the covariance is asymptotic: at 24 positions it is good to 2 %
     assert 0.92 < np.mean(hit) < 0.975
 
 
