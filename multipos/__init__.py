@@ -20,7 +20,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "Averages": "averages",
     "Calibration": "calibration",
-    "Check": "checks",
+    "Check": "verdicts",
     "ConvergenceError": "errors",
     "Model": "model",
     "MultiposError": "errors",
@@ -40,6 +40,7 @@ _PUBLIC = {
     "export": "exporters",
     "fit": "fitting",
     "load": "calibration",
+    "load_check": "verdicts",
     "load_regression": "regression",
     "normal_gravity": "units",
     "over_temperature": "temperature",
@@ -80,6 +81,7 @@ __all__ = [
     "export",
     "fit",
     "load",
+    "load_check",
     "load_regression",
     "normal_gravity",
     "over_temperature",
@@ -101,7 +103,7 @@ if TYPE_CHECKING:
     from multipos.averages import Averages
     from multipos.averaging import average
     from multipos.calibration import Calibration, load
-    from multipos.checks import Check, check
+    from multipos.checks import check
     from multipos.comparison import compare
     from multipos.compensation import apply
     from multipos.correction import correct
@@ -121,6 +123,7 @@ if TYPE_CHECKING:
     from multipos.temperature import over_temperature
     from multipos.turntable import state_bench, table_errors
     from multipos.units import normal_gravity
+    from multipos.verdicts import Check, load_check
 
 
 def __getattr__(name: str) -> Any:

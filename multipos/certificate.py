@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from multipos.bench_evidence import check_section, rolls_section
 from multipos.calibration import Calibration
 from multipos.errors import MultiposError
 from multipos.evidence import (
@@ -33,7 +34,9 @@ from multipos.findings import (
 )
 from multipos.monte_carlo import MonteCarlo
 from multipos.translations import Translator
+from multipos.turntable import has_rolls
 from multipos.uncertainty import evaluate_budget
+from multipos.verdicts import Check
 
 LAB_FIELDS = {
     "report": {
@@ -125,6 +128,7 @@ def build_content(
     lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
     language: str = "en",
     simulated: MonteCarlo | None = None,
+    check: Check | None = None,
 ) -> Content:
     """Return what the report of a calibration says.
 
@@ -137,6 +141,13 @@ def build_content(
         'en' or 'zh'.
     simulated : MonteCarlo, optional
         What `multipos.monte_carlo` found, for the checks.
+    check : Check, optional
+        Of this calibration on an independent run.
+
+    Raises
+    ------
+    MultiposError
+        The lab file is at fault, or the check is of another calibration.
     """
     tr = Translator(language)
     said = read_lab(lab)
@@ -165,7 +176,9 @@ def build_content(
             sphere_section(c, tr),
             residuals_section(c, tr),
             errors_section(c, tr),
+            *(() if check is None else (check_section(c, check, tr),)),
             positions_section(c, tr),
+            *((rolls_section(c, tr),) if has_rolls(c) else ()),
             correlation_section(c, tr),
             checks_section(c, tr, simulated),
             _method(c, tr),

@@ -6,20 +6,18 @@ tilt [degrees]: before by the nominal conversion (raw − bias)/scale, after by 
     e = f − f_ref,    u² = u²(f) + u²(f_ref),    U = k u,                                   (1)
 
 with u(f) of eq. (4) of `multipos.tilt`, the noise of the run's own readings in it, and u(f_ref)
-from ``orientation_sd_deg`` where the run states it. Against a limit L, U is the guard band:
-
-    pass where |e| + U <= L,    fail where |e| − U > L,    else undecided.                  (2)
+from ``orientation_sd_deg`` where the run states it. Verdicts are those of `multipos.verdicts`.
 
 Linearity is the largest departure from the least-squares line against the reference, in percent of
 that line's span: from −1 to +1 g for force, over the angles of the run for tilt. The positions
 of the run are known, so a component that the sensor does not have is taken on its known side.
+
+A regression is checked by `multipos.regression_checks`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +28,8 @@ from multipos.files import Source
 from multipos.inverse import sensed_axes
 from multipos.model import COMPONENTS
 from multipos.readings import Readings, orient, read_readings, require_range
+from multipos.regression import Regression
+from multipos.regression_checks import check_regression
 from multipos.scheme import Scheme
 from multipos.tilt import (
     at_rest,
@@ -42,109 +42,13 @@ from multipos.tilt import (
     triad_tilt,
     true_tilt,
 )
+from multipos.verdicts import Check, judge
 
 Array = NDArray[np.float64]
 
-SCHEMA = "multipos/check/1"
-VERDICTS = ("pass", "undecided", "fail")  # from best to worst
-
-
-@dataclass(frozen=True)
-class Check:
-    """Errors of K axes at n positions, before and after compensation.
-
-    Attributes
-    ----------
-    quantity, unit : str
-        'force' in g or 'tilt' in degrees.
-    axes : tuple of K str
-    positions : tuple of n str
-    reference, before, after, u, U : (n, K) arrays
-        What is known, the errors, and the uncertainty of `after`; `after` is NaN where no tilt
-        explains the reading.
-    limit : float or None
-    verdicts : (n, K) array of str
-        By eq. (2); empty without a limit and where `counted` is false.
-    counted : (n, K) array of bool
-        Positions within `within` of level, which the summary and the verdict are about.
-    linearity_percent : {'before': (K,) array, 'after': (K,) array}
-    bias, scale : float
-        The nominal conversion.
-    confidence : float
-    source, sha256 : str or None
-    warnings : tuple of str
-    """
-
-    quantity: str
-    unit: str
-    axes: tuple[str, ...]
-    positions: tuple[str, ...]
-    reference: Array
-    before: Array
-    after: Array
-    u: Array
-    U: Array
-    limit: float | None
-    verdicts: NDArray[np.str_]
-    counted: NDArray[np.bool_]
-    linearity_percent: Mapping[str, Array]
-    bias: float
-    scale: float
-    confidence: float
-    source: str | None
-    sha256: str | None
-    warnings: tuple[str, ...]
-
-    @property
-    def verdict(self) -> str | None:
-        """The worst verdict of all positions, or None without a limit."""
-        return worst(self.verdicts)
-
-    def summary(self, axis: str | None = None) -> dict[str, Any]:
-        """Return maximum, rms and linearity before and after, of one axis or of all."""
-        columns = [self.axes.index(axis)] if axis else list(range(len(self.axes)))
-        found: dict[str, Any] = {}
-        for when, errors in (("before", self.before), ("after", self.after)):
-            part = errors[:, columns][self.counted[:, columns]]
-            part = part[np.isfinite(part)]
-            found[when] = {
-                "maximum": float(np.abs(part).max()) if len(part) else np.nan,
-                "rms": float(np.sqrt(np.mean(part**2))) if len(part) else np.nan,
-                "linearity_percent": float(self.linearity_percent[when][columns].max()),
-            }
-        widest = np.where(self.counted, self.U, -np.inf)[:, columns]
-        found["after"]["largest_U"] = float(widest.max())
-        found["verdict"] = worst(self.verdicts[:, columns])
-        return found
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
-        rows = []
-        for row, label in enumerate(self.positions):
-            entry: dict[str, Any] = {"position": label}
-            for name in ("reference", "before", "after", "u", "U"):
-                entry[name] = dict(zip(self.axes, getattr(self, name)[row].tolist(), strict=True))
-            entry["verdict"] = worst(self.verdicts[row])
-            entry["counted"] = dict(zip(self.axes, self.counted[row].tolist(), strict=True))
-            rows.append(entry)
-        return {
-            "schema": SCHEMA,
-            "input": {"file": self.source, "sha256": self.sha256},
-            "quantity": self.quantity,
-            "unit": self.unit,
-            "limit": self.limit,
-            "confidence": self.confidence,
-            "nominal": {"bias": self.bias, "scale": self.scale},
-            "axes": self.axes,
-            "positions": rows,
-            **self.summary(),
-            "by_axis": {axis: self.summary(axis) for axis in self.axes},
-            "warnings": self.warnings,
-        }
-
 
 def check(
-    calibration: Calibration,
+    calibration: Calibration | Regression,
     readings: Source | Readings,
     *,
     scheme: Source | Scheme | None = None,
@@ -160,9 +64,11 @@ def check(
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : Calibration or Regression
+        Of the options a regression takes `limit_g` only (`check_regression`).
     readings : Readings, path, mapping of columns, or data frame
-        An independent run; its ``u_…`` are the uncertainty of its readings.
+        An independent run; its ``u_…`` are the uncertainty of its readings. For a regression a
+        table with its response and its variables.
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The positions; otherwise the readings' own columns say them.
     tilt : bool
@@ -189,6 +95,15 @@ def check(
     UsageError
         An option is at fault.
     """
+    if isinstance(calibration, Regression):
+        given = {"--scheme": scheme, "--tilt": tilt or None, "--limit-deg": limit_deg,
+                 "--within-deg": within_deg, "--reading-sd": reading_sd, "--range": range,
+                 "--nominal": None if tuple(nominal) == (0.0, 1.0) else nominal}  # fmt: skip
+        for name, value in given.items():
+            if value is not None:
+                raise UsageError(f"{name} goes with a calibration; a regression is checked row by "
+                                 "row, against --limit-g.")  # fmt: skip
+        return check_regression(calibration, readings, limit_g=limit_g)
     tilt = tilt or limit_deg is not None
     _check_options(tilt, limit_deg, limit_g, within_deg, nominal)
     data = read_readings(
@@ -219,7 +134,7 @@ def check(
         u=u,
         U=U,
         limit=limit,
-        verdicts=_judge(after, U, limit, counted),
+        verdicts=judge(after, U, limit, counted),
         counted=counted,
         linearity_percent={
             "before": _linearity(reference, before, counted, tilt),
@@ -231,6 +146,7 @@ def check(
         source=data.source,
         sha256=data.sha256,
         warnings=data.notes,
+        calibration=calibration.created,
     )
 
 
@@ -327,26 +243,6 @@ def _expanded(calibration: Calibration, own: Array, u: Array, dof: Array) -> Arr
     with np.errstate(divide="ignore", invalid="ignore"):
         effective = np.where(own > 0.0, dof * (u / own) ** 4, np.inf)
     return coverage_factors(calibration.confidence, effective)
-
-
-def _judge(
-    after: Array, U: Array, limit: float | None, counted: NDArray[np.bool_]
-) -> NDArray[np.str_]:
-    verdicts = np.full(after.shape, "", dtype="<U9")
-    if limit is None:
-        return verdicts
-    error = np.abs(after)
-    verdicts[:] = "undecided"
-    verdicts[error + U <= limit] = "pass"
-    verdicts[(error - U > limit) | np.isnan(after)] = "fail"
-    verdicts[~counted] = ""
-    return verdicts
-
-
-def worst(verdicts: NDArray[np.str_]) -> str | None:
-    """Return the worst of some verdicts, None where there is none."""
-    given = [VERDICTS.index(name) for name in set(verdicts.ravel().tolist()) if name]
-    return VERDICTS[max(given)] if given else None
 
 
 def _linearity(reference: Array, error: Array, counted: NDArray[np.bool_], tilt: bool) -> Array:

@@ -71,7 +71,14 @@ def apply(
     ------
     MultiposError
         A column is missing or has a bad cell, or a row is outside under 'refuse'.
+    TypeError
+        `calibration` is something else: for a regression `multipos.correct` does this.
     """
+    if not isinstance(calibration, Calibration):
+        raise TypeError(
+            f"`calibration` must be a Calibration, got {type(calibration).__name__}; for a "
+            "regression call `multipos.correct`."
+        )
     _check_outside(outside)
     table = read_table(data, what="data")
     _check_columns(calibration, table.source, table.columns, tilt, uncertainty)

@@ -68,7 +68,7 @@ def correct(
             f"{', '.join(table.columns)}."
         )
     raw = table.number(target)
-    columns = _read(regression, table)
+    columns = read_predictors(regression, table)
     place = regression.segment_of(columns) if columns else np.zeros(table.rows, dtype=np.intp)
     beyond, clamped = _outside(regression, columns, place)
     if outside == "refuse" and beyond.any():
@@ -97,7 +97,7 @@ def correct(
     return {**table.columns, **added}
 
 
-def _read(regression: Regression, table: Table) -> dict[str, Array]:
+def read_predictors(regression: Regression, table: Table) -> dict[str, Array]:
     """Return the columns that a prediction needs; rates from the time column as for the fit."""
     columns = {}
     for name in regression.needed:
@@ -115,6 +115,18 @@ def _read(regression: Regression, table: Table) -> dict[str, Array]:
         else:
             columns[name] = smoothed_rate(table.number(time), table.number(source), window=window)
     return columns
+
+
+def range_column(
+    regression: Regression, table: Table, columns: Mapping[str, Array]
+) -> tuple[str, Array]:
+    """Return the variable to show errors against: that of the segments, else one that is there."""
+    for name in (regression.range_variable, *regression.needed):
+        if name in columns:
+            return name, columns[name]
+        if name in table:
+            return name, table.number(name)
+    return "row", np.arange(1.0, table.rows + 1.0)
 
 
 def _outside(

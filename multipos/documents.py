@@ -23,6 +23,7 @@ from multipos.findings import Figure, Grid
 from multipos.formatting import markdown_table
 from multipos.monte_carlo import MonteCarlo
 from multipos.plots.style import COLOURS
+from multipos.verdicts import Check
 
 
 def html_report(content: Content) -> str:
@@ -74,6 +75,7 @@ def write_report(
     lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
     language: str = "en",
     simulated: MonteCarlo | None = None,
+    check: Check | None = None,
 ) -> None:
     """Write the report in the form that the file's ending asks for: .html, .md or .txt.
 
@@ -87,20 +89,25 @@ def write_report(
         'en' or 'zh'.
     simulated : MonteCarlo, optional
         What `multipos.monte_carlo` found, for the checks.
+    check : Check, optional
+        Of this calibration on an independent run: its errors, with the curve and the verdict.
 
     Raises
     ------
     UsageError
         Another ending or language.
     MultiposError
-        The lab file is at fault, or the report cannot be written.
+        The lab file is at fault, the check is of another calibration, or the report cannot be
+        written.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _FORMS:
         raise UsageError(
             f"the report's ending '{suffix}' is unknown; write it to a {', '.join(_FORMS)} file."
         )
-    content = build_content(calibration, lab=lab, language=language, simulated=simulated)
+    content = build_content(
+        calibration, lab=lab, language=language, simulated=simulated, check=check
+    )
     write_text(path, _FORMS[suffix](content))
 
 

@@ -352,6 +352,15 @@ def read_schema(path: str | os.PathLike[str]) -> str | None:
     return found if isinstance(found, str) else None
 
 
+_READERS = {
+    "multipos/calibration/1": "; a calibration is read by multipos.load",
+    "multipos/regression/1": "; a regression is read by multipos.load_regression and used by "
+    "multipos apply and check",
+    "multipos/check/1": "; a check is read by multipos.load_check and used by multipos report "
+    "--check",
+}  # what to do with a file of another schema than the one needed
+
+
 def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
     """Read a JSON object and check that its ``schema`` is the one expected.
 
@@ -374,7 +383,10 @@ def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
         ) from None
     found = value.get("schema") if isinstance(value, dict) else None
     if found != schema:
-        raise MultiposError(f"{path}: the schema is {found!r}, but '{schema}' is needed here.")
+        other = _READERS.get(str(found), "")
+        raise MultiposError(
+            f"{path}: the schema is {found!r}, but '{schema}' is needed here{other}."
+        )
     assert isinstance(value, dict)
     return value
 

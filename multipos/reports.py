@@ -1,13 +1,18 @@
 """The summary that a fit prints; the whole report is `multipos.documents`.
 
-What was done, warnings first, the parameters as value(u) with U, k and degrees of freedom, the
-residuals of every position, and how the result was checked.
+What was done, warnings first, the parameters as value(u) with U, k and degrees of freedom, of one-
+and two-axis sensors how they are installed and what their rolls say of the turntable, the residuals
+of every position, and how the result was checked.
 """
 
 import math
 
 from multipos.calibration import Calibration, labels, parameter_rows
 from multipos.formatting import number, table
+from multipos.inverse import sensed_axes
+from multipos.model import COMPONENTS
+from multipos.sections import installation_sheets, table_error_sheets
+from multipos.turntable import has_rolls, table_errors
 
 
 def text_report(calibration: Calibration) -> str:
@@ -25,6 +30,11 @@ def _sections(calibration: Calibration) -> list[tuple[str, str]]:
         sections.append(("Warnings", "\n".join(f"- {line}" for line in said)))
     header, rows = parameter_rows(calibration)
     sections.append(("Parameters", table(header, rows)))
+    if len(sensed_axes(calibration.model)) < len(COMPONENTS):
+        sheets = installation_sheets(calibration)
+        if has_rolls(calibration):
+            sheets += table_error_sheets(table_errors(calibration))
+        sections += [(sheet.title, str(sheet)) for sheet in sheets]
     sections.append(("Residuals", _residuals(calibration)))
     sections.append(("Checks", _checks(calibration)))
     return sections

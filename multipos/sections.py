@@ -1,34 +1,46 @@
-"""Sections of reports on one- and two-axis sensors: (title, text) pairs, and plain text of them.
+"""What tumbles, turntables and checks say: as sheets of text, and as plain text of them.
 
-`draw` turns a header and rows into a table: `formatting.table` for plain text, or
-`formatting.markdown_table`.
+A sheet is a title, a header and rows. Commands print it, and `multipos.documents` puts it into a
+report of any form and language.
 """
 
-from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from multipos.calibration import Calibration
-from multipos.checks import VERDICTS, Check, worst
 from multipos.formatting import number, table, uncertain
 from multipos.single_axis import Tumble
 from multipos.turntable import TableErrors
+from multipos.verdicts import VERDICTS, Check, worst
 
-Draw = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
+
+class Sheet(NamedTuple):
+    """A table under a title, all of it text."""
+
+    title: str
+    header: list[str]
+    rows: list[list[str]]
+
+    def __str__(self) -> str:
+        return table(self.header, self.rows)
 
 
-def installation_sections(calibration: Calibration, draw: Draw = table) -> list[tuple[str, str]]:
-    """Return the section of a report on how the outputs are installed, θ_ij with u and U."""
+def installation_sheets(calibration: Calibration) -> list[Sheet]:
+    """Return how the outputs are installed, θ_ij with u and U; nothing where it cannot be told."""
     rows = []
     for pair, angle in calibration.installation_deg.items():
         output = calibration.outputs[calibration.model.axes.index(pair[0])]
-        name = f"{output} towards {pair[1]}"
-        rows.append([name, uncertain(angle["value"], angle["u"]), number(angle["U"], 2)])
-    return [("Installation", draw(["theta", "value(u) [deg]", "U"], rows))] if rows else []
+        rows.append(
+            [f"theta_{pair}", f"{output} towards {pair[1]}",
+             uncertain(angle["value"], angle["u"]), number(angle["U"], 2)]
+        )  # fmt: skip
+    header = ["angle", "of", "value(u) [deg]", "U"]
+    return [Sheet("Installation", header, rows)] if rows else []
 
 
-def table_error_sections(found: TableErrors, draw: Draw = table) -> list[tuple[str, str]]:
-    """Return the sections of a report on the turntable."""
+def table_error_sheets(found: TableErrors) -> list[Sheet]:
+    """Return the errors of the turntable with what they are confounded with, and zero shifts."""
     sections = []
     rows = []
     for error in found.errors:
@@ -40,7 +52,7 @@ def table_error_sections(found: TableErrors, draw: Draw = table) -> list[tuple[s
         )  # fmt: skip
     if rows:
         header = ["roll", "table error", "value(u) [deg]", "U", "does the same as"]
-        sections.append(("Turntable", draw(header, rows)))
+        sections.append(Sheet("Turntable", header, rows))
     shifts = [
         [shift.plane, shift.output, f"{uncertain(shift.value, shift.u)} {shift.unit}",
          number(shift.U, 2), f"{shift.p:.2g}"]
@@ -48,12 +60,12 @@ def table_error_sections(found: TableErrors, draw: Draw = table) -> list[tuple[s
     ]  # fmt: skip
     if shifts:
         header = ["roll", "zero of", "shift(u)", "U", "p"]
-        sections.append(("Zero between rolls", draw(header, shifts)))
+        sections.append(Sheet("Zero between rolls", header, shifts))
     return sections
 
 
-def tumble_sections(found: Tumble, draw: Draw = table) -> list[tuple[str, str]]:
-    """Return the sections of a report: coefficients, what is hidden, harmonics, turntable."""
+def tumble_sections(found: Tumble) -> list[tuple[str, str]]:
+    """Return coefficients, what is hidden, harmonics and turntable as titles with text."""
     rows = []
     for name, c in found.coefficients.items():
         custom = c.customary
@@ -63,7 +75,7 @@ def tumble_sections(found: Tumble, draw: Draw = table) -> list[tuple[str, str]]:
              number(c.k), number(c.dof)]
         )  # fmt: skip
     header = ["coefficient", "value(u)", "unit", "value(u)", "U", "unit", "k", "dof"]
-    sections = [("Tumble", draw(header, rows))]
+    sections = [("Tumble", table(header, rows))]
     hidden = [*found.unidentifiable, *found.weak]
     if found.taken_as_zero:
         hidden.append(f"taken as zero: {', '.join(found.taken_as_zero)}")
@@ -81,8 +93,9 @@ def tumble_sections(found: Tumble, draw: Draw = table) -> list[tuple[str, str]]:
         )  # fmt: skip
     if rows:
         header = ["plane", "order", f"cos [{unit}]", "sin", "amplitude", "left by the model", "p"]
-        sections.append(("Harmonics", draw(header, rows)))
-    return [*sections, *table_error_sections(found.table_errors, draw)]
+        sections.append(("Harmonics", table(header, rows)))
+    turntable = table_error_sheets(found.table_errors)
+    return [*sections, *((sheet.title, str(sheet)) for sheet in turntable)]
 
 
 def tumble_text(found: Tumble) -> str:
@@ -97,8 +110,10 @@ def tumble_text(found: Tumble) -> str:
     return text
 
 
-def check_sections(found: Check, draw: Draw = table) -> list[tuple[str, str]]:
-    """Return the sections of a report: the summary and the errors of every position."""
+def check_sheets(found: Check) -> list[Sheet]:
+    """Return the summary and the errors of every position; of a regression by segment."""
+    if found.segments:
+        return [_by_segment(found)]
     unit = found.unit
     header = ["axis", f"max before [{unit}]", "max after", "rms before", "rms after",
               "linearity before [%]", "after", "largest U", "verdict"]  # fmt: skip
@@ -113,7 +128,7 @@ def check_sections(found: Check, draw: Draw = table) -> list[tuple[str, str]]:
         rows.append(
             [axis or "all", *values, number(s["after"]["largest_U"], 2), s["verdict"] or "-"]
         )
-    parts = [("Errors before and after compensation", draw(header, rows))]
+    parts = [Sheet("Errors before and after compensation", header, rows)]
     header = ["position"]
     for axis in found.axes:
         header += [f"{axis} [{unit}]", "before", "after", "U"]
@@ -125,14 +140,34 @@ def check_sections(found: Check, draw: Draw = table) -> list[tuple[str, str]]:
             cells += [_signed(found.before[row, column]), _signed(found.after[row, column])]
             cells += [number(float(found.U[row, column]), 2)]
         rows.append([*cells, worst(found.verdicts[row]) or "-"])
-    parts.append(("Every position", draw([*header, "verdict"], rows)))
+    parts.append(Sheet("Every position", [*header, "verdict"], rows))
     return parts
+
+
+def _by_segment(found: Check) -> Sheet:
+    """Return the summary of a regression's check: one row for each segment that has rows."""
+    unit = f" [{found.unit}]" if found.unit else ""
+    header = ["segment", "rows", f"max before{unit}", "max after", "rms before", "rms after",
+              "largest U", "verdict"]  # fmt: skip
+    rows = []
+    for name in (*(n for n, inside in found.segments.items() if inside.any()), None):
+        s = found.summary(segment=name)
+        counted = found.counted[:, 0] if name is None else found.counted[found.segments[name], 0]
+        values = [
+            number(s[when][key]) for key in ("maximum", "rms") for when in ("before", "after")
+        ]
+        U = s["after"]["largest_U"]
+        rows.append(
+            [name or "all", str(int(counted.sum())), *values,
+             number(U if np.isfinite(U) else None, 2), s["verdict"] or "-"]
+        )  # fmt: skip
+    return Sheet("Errors before and after correction", header, rows)
 
 
 def check_text(found: Check) -> str:
     """Return the check as plain text."""
-    sections = check_sections(found)
-    text = "\n".join(f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in sections)
+    sheets = check_sheets(found)
+    text = "\n".join(f"{s.title}\n{'-' * len(s.title)}\n{s}\n" for s in sheets)
     if found.limit is None:
         return text
     count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}

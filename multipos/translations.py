@@ -51,7 +51,7 @@ class Translator:
     def label(self, text: str) -> str:
         """Return a label of a figure; a unit in brackets stays."""
         words, bracket, unit = text.partition(" [")
-        return self(words) + bracket + unit
+        return self.message(words) + bracket + unit
 
 
 def _regular(pattern: str) -> str:

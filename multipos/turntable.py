@@ -88,6 +88,19 @@ class TableErrors:
         }
 
 
+def has_rolls(calibration: Calibration) -> bool:
+    """Tell whether known positions go around far enough to speak of the table.
+
+    A sensor of three axes may have a few positions in a plane by chance; eight are a roll.
+    """
+    c = calibration
+    if c.estimator != "linear" or c.readings.up is None:
+        return False
+    fewest = 8 if len(set(c.model.axes)) == len(COMPONENTS) else 3
+    rolls = find_rolls(c.readings)
+    return any(roll.spans_a_turn and len(roll.distinct) >= fewest for roll in rolls)
+
+
 def table_errors(calibration: Calibration) -> TableErrors:
     """Estimate the errors of the turntable from the rolls of a calibration, together with it.
 

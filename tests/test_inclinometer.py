@@ -167,12 +167,13 @@ def test_one_axis_feels_what_it_cannot_see():
 def test_tilt_within_a_twentieth_of_a_degree_and_its_claim():
     """The paper's ±0.1° before and ±0.05° after, on 1,000 simulated benches.
 
-    The run of the check has its own noise and its own errors of the table. Where its zero has
-    wandered from the calibration's as well, 98.9 % of the benches stay within 0.05° at every
-    reading, and all of them in what is left when reading noise is averaged away.
+    Two things are held to 99 %: a run with its own noise and errors of the table and the zero of
+    the calibration, and a run with a zero of its own whose noise is averaged away. All of it
+    together, at every single reading, reaches less: 98.4 % of these and of 5,000 other benches, for
+    at ±60° noise, zero and table are 0.016° in one standard deviation.
     """
     runs = 1000
-    before, after, systematic, covered, readings = [], [], [], 0, 0
+    before, after, systematic, together, covered, readings = [], [], [], [], 0, 0
     for seed in range(runs):
         rng = np.random.default_rng(seed)
         bench = make_bench(rng)
@@ -186,11 +187,14 @@ def test_tilt_within_a_twentieth_of_a_degree_and_its_claim():
         systematic.append(np.abs(quiet.after).max())
         wandered = mp.check(cal, check_run(bench, rng), tilt=True,
                             reading_sd=math.hypot(READING, DRIFT_SD))  # fmt: skip
+        together.append(np.abs(wandered.after).max())
         covered += int((np.abs(wandered.after) <= wandered.U)[own].sum())
         readings += 18
     assert 0.1 < np.mean(before) < 0.12
     assert np.mean(np.array(after) < 0.05) >= 0.99
     assert np.mean(np.array(systematic) < 0.05) >= 0.99
+    reached = np.mean(np.array(together) < 0.05)
+    assert abs(reached - 0.984) < 4.0 * math.sqrt(0.984 * 0.016 / runs)
     # readings of one run share their zero: the share of a bench scatters, not of a reading
     assert abs(covered / readings - 0.95) < 0.01
 

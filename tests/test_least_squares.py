@@ -6,7 +6,7 @@ from fractions import Fraction
 import nist
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -268,7 +268,6 @@ def test_blocks_of_rows_change_nothing(monkeypatch, covariance):
     assert blocks.condition == pytest.approx(whole.condition, rel=1e-5)  # κ ε of the smallest
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), n=st.integers(6, 40), p=st.integers(1, 6))
 def test_order_of_rows_does_not_matter(seed, n, p):
     X, y = problem(n, p, seed=seed)
@@ -281,7 +280,6 @@ def test_order_of_rows_does_not_matter(seed, n, p):
     assert_allclose(a.leverage[order], b.leverage, rtol=0, atol=1e-13)
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), powers=st.lists(st.integers(-12, 12), min_size=4, max_size=4))
 def test_units_of_columns_do_not_matter(seed, powers):
     X, y = problem(seed=seed)
@@ -293,7 +291,6 @@ def test_units_of_columns_do_not_matter(seed, powers):
     assert b.condition == pytest.approx(a.condition, rel=1e-12)
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 10**6), n=st.integers(5, 30))
 def test_residuals_are_orthogonal_and_leverages_sum(seed, n):
     X, y = problem(n, 4, seed=seed)
@@ -441,7 +438,6 @@ def test_filip_is_of_full_rank_and_an_exact_duplicate_is_not():
     assert separability(np.column_stack((X, 1e-8 * X[:, 3] + 7.0 * X[:, 9]))).rank == 11
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 8), st.integers(1, 6), st.integers(1, 6))
 def test_rank_of_integer_matrices_is_exact(seed, n, p, inner):
     rng = np.random.default_rng(seed)

@@ -15,6 +15,9 @@ from multipos.certificate import LAB_FIELDS, build_content
 from multipos.cli import main
 from multipos.comparison import compare
 from multipos.documents import html_report, write_report
+from multipos.files import plain
+from multipos.formatting import uncertain
+from multipos.reports import text_report
 from multipos.scheme import read_scheme
 from multipos.translations import Translator
 from multipos.uncertainty import evaluate_budget
@@ -82,7 +85,7 @@ def test_the_page_stands_alone(pages, language):
     assert all(link.startswith(("#", "data:,")) for link in outline.links)
     assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"', "", page)
     assert page.index('id="warnings"') < page.index('id="administrative"')
-    assert page.count("<figure>") == page.count("<figcaption>") == page.count("<svg ") == 6
+    assert page.count("<figure>") == page.count("<figcaption>") == page.count("<svg ") == 8
     assert f'lang="{"zh-Hans" if language == "zh" else "en"}"' in page
 
 
@@ -320,6 +323,158 @@ def test_residuals_are_drawn_where_they_are(calibration):
     assert series.get_ydata() == pytest.approx(calibration.residuals[:, 2])
 
 
+# --- the bench: rolls, and an independent run
+
+
+def rolled(scheme, seed, **options):
+    """A pair in volts along rolls, as `fit` takes it."""
+    up = read_scheme(scheme).up
+    values = 2.5 + up @ [[1.0, 0.02], [-0.02, 1.0], [0.0, 0.0]]
+    values += 1e-4 * np.random.default_rng(seed).standard_normal(values.shape)
+    return mp.Readings(values, outputs=("Ux", "Uy"), unit="V"), {"scheme": scheme} | options
+
+
+@pytest.fixture(scope="module")
+def pair():
+    readings, options = rolled("roll-y-12+roll-x-12", 1, inputs="x,y")
+    return mp.fit(readings, **options)
+
+
+@pytest.fixture(scope="module")
+def checked(pair, tmp_path_factory):
+    """The check of the pair by the command, and the file it was written to."""
+    folder = tmp_path_factory.mktemp("checked")
+    pair.save(folder / "cal.json")
+    readings, _ = rolled("roll-y-12+roll-x-12", 2)
+    rows = "\n".join(f"{x!r},{y!r}" for x, y in readings.values.tolist())
+    (folder / "run.csv").write_text(f"Ux,Uy\n{rows}\n", encoding="utf-8")
+    argv = ["check", str(folder / "cal.json"), str(folder / "run.csv"), "--nominal", "2.5,1"]
+    argv += ["--scheme", "roll-y-12+roll-x-12", "--limit-deg", "0.1", "--within-deg", "60"]
+    assert main([*argv, "-o", str(folder / "check.json")]) == 0
+    return folder
+
+
+def section(content, title):
+    return next(part for part in content.sections if part.title == title)
+
+
+def test_rolls_are_in_the_report(pair):
+    found = section(build_content(pair), "Rolls")
+    assert [figure.caption for figure in found.figures] == [
+        "Signal against angle", "Residual harmonics"
+    ]  # fmt: skip
+    for figure in found.figures:
+        assert "Ux [V]" in figure.draw()
+    rows = {row[:2]: row for row in found.tables[0].rows}
+    errors = {(e.plane, e.quantity): e for e in mp.table_errors(pair).errors}
+    value, u = errors["xz", "second_cos"].value_deg, errors["xz", "second_cos"].u_deg
+    shown = float(rows["xz", "second cos"][2].split("(")[0])
+    assert shown == pytest.approx(value, abs=u / 10)
+    assert "bias_Ux" in rows["xz", "first sin"][4]
+    assert found.tables[1].caption == "Zero between rolls"
+
+
+def test_installation_angles_and_turntable_are_in_the_summary(pair, six):
+    text = text_report(pair)
+    theta = pair.installation_deg["xy"]
+    assert ["theta_xy", "Ux", "towards", "y", uncertain(theta["value"], theta["u"])] in [
+        line.split()[:5] for line in text.splitlines()
+    ]
+    for title in ("Installation", "Turntable", "Zero between rolls"):
+        assert f"\n{title}\n{'-' * len(title)}\n" in text
+    assert "\nTurntable\n" not in text_report(six)  # six positions are no roll
+    assert "Rolls" not in [part.title for part in build_content(six).sections]
+
+
+def test_a_short_tumble_has_its_signal_in_the_report():
+    t = np.pi / 2 * np.arange(4)
+    found = mp.fit({"E": 0.1 + np.cos(t)}, scheme="tumble-4", inputs="x", reading_sd=1e-4)
+    (figure,) = section(build_content(found), "Rolls").figures  # too few for harmonics
+    assert figure.caption == "Signal against angle"
+
+
+def test_unknown_orientations_have_no_rolls():
+    values = read_scheme("roll-y-12+roll-x-12+faces-corners-14").up * 1.01 + 0.01
+    found = mp.fit(mp.Readings(values, unit="g"), unknown_orientation=True)
+    assert "Rolls" not in [part.title for part in build_content(found).sections]
+
+
+def test_a_check_survives_its_file(checked):
+    argv = {
+        "scheme": "roll-y-12+roll-x-12",
+        "limit_deg": 0.1,
+        "within_deg": 60,
+        "nominal": (2.5, 1),
+    }
+    made = mp.check(mp.load(checked / "cal.json"), checked / "run.csv", **argv)
+    assert mp.load_check(checked / "check.json").to_dict() == made.to_dict()
+    assert json.loads((checked / "check.json").read_text("utf-8")) == plain(made.to_dict())
+
+
+@pytest.mark.parametrize("ending", ["html", "md", "txt"])
+def test_the_check_is_in_the_report(checked, ending, capsys):
+    target = checked / f"report.{ending}"
+    argv = ["report", str(checked / "cal.json"), "--check", str(checked / "check.json")]
+    assert main([*argv, "-o", str(target)]) == 0
+    text = target.read_text("utf-8")
+    found = mp.load_check(checked / "check.json")
+    for said in (
+        "Independent check", "run.csv", "Verdict against 0.1 deg: pass", "max before [deg]",
+        f"{found.summary('x')['after']['maximum']:.4g}", "Every position",
+    ):  # fmt: skip
+        assert said in re.sub(r"\s+", " ", text)
+    if ending == "html":
+        assert "limit ±0.1 deg" in text
+    assert main([*argv, "--language", "zh", "-o", str(target)]) == 0
+    assert "独立检验" in target.read_text("utf-8")
+    assert "Independent check" not in target.read_text("utf-8")
+
+
+def test_checks_that_a_report_refuses(checked, six, tmp_path, capsys):
+    six.save(tmp_path / "six.json")
+    kept = json.loads((checked / "check.json").read_text("utf-8"))
+    files = {
+        "regression.json": kept | {"against": "temperature"},
+        "other.json": kept | {"calibration": "2001-01-01T00:00:00Z"},
+        "damaged.json": {k: v for k, v in kept.items() if k != "by_axis"},
+        "spoilt.json": kept
+        | {"positions": [{**kept["positions"][0], "after": {"x": "a", "y": 0}}]},
+    }
+    for name, content in files.items():
+        (tmp_path / name).write_text(json.dumps(content), encoding="utf-8")
+    for name, message in (
+        ("regression.json", "the check of a regression"),
+        ("other.json", "the check is of a calibration created 2001-01-01T00:00:00Z"),
+        ("damaged.json", "the key 'by_axis' is missing"),
+        ("spoilt.json", "not a check"),
+        ("six.json", "a calibration is read by multipos.load"),
+        ("none.json", "no such file"),
+    ):
+        argv = ["report", str(checked / "cal.json"), "--check", str(tmp_path / name)]
+        assert main([*argv, "-o", str(tmp_path / "r.html")]) == 1
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert message in err.splitlines()[-1]
+        assert not (tmp_path / "r.html").exists()
+
+
+def test_chinese_of_the_bench(pair, checked):
+    found = mp.load_check(checked / "check.json")
+    loaded = mp.load(checked / "cal.json")
+    english, chinese = (
+        build_content(loaded, language=language, check=found) for language in ("en", "zh")
+    )
+    for title, other in (("Rolls", "滚转"), ("Independent check", "独立检验")):
+        one, two = section(english, title), section(chinese, other)
+        for a, b in zip(one.figures, two.figures, strict=True):
+            drawn = re.findall(">([^<>]*[a-z][^<>]*)</text>", b.draw())
+            assert [t for t in drawn if t.isascii() and t not in ("Ux [V]", "Uy [V]")] == []
+            assert a.description != b.description
+        for a, b in zip(one.tables, two.tables, strict=True):
+            same = set(a.header) & set(b.header)
+            assert same <= {"U", "p", "x [deg]", "y [deg]"}
+
+
 @needs_browser
 @pytest.mark.parametrize("language", ["en", "zh"])
 def test_the_page_in_a_browser(pages, language, tmp_path):
@@ -332,7 +487,7 @@ def test_the_page_in_a_browser(pages, language, tmp_path):
             assert page.requests() == [target.as_uri()]
             width = page.evaluate("document.documentElement.scrollWidth")
             assert width <= page.evaluate("innerWidth")
-            assert page.evaluate("document.querySelectorAll('figure svg[aria-label]').length") == 6
+            assert page.evaluate("document.querySelectorAll('figure svg[aria-label]').length") == 8
         levels = page.evaluate(
             "[...document.querySelectorAll('h1,h2,h3,h4')].map(h => +h.tagName[1]).join('')"
         )

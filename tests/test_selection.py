@@ -96,7 +96,7 @@ def test_hald_all_sixteen_subsets():
 # --- against refits, whatever the problem
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(9, 40), forced=st.booleans())
 def test_subsets_against_refits(seed, n, forced):
     rng = np.random.default_rng(seed)
@@ -125,7 +125,7 @@ def test_compressed_rows_are_all_rows(n):
         assert_allclose(triangle.R.T @ triangle.R, both.T @ both, rtol=1e-11, atol=1e-11 * n)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), enter=st.sampled_from([0.05, 0.2, 0.5]))
 def test_it_ends_and_every_model_on_the_path_is_new(seed, enter):
     """Nearly equal columns make terms go in and out; no model comes back, as the proof says."""

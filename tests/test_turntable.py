@@ -10,7 +10,7 @@ import multipos as mp
 from multipos.harmonics import find_rolls
 from multipos.readings import Readings, orient
 from multipos.scheme import read_scheme
-from multipos.sections import installation_sections, table_error_sections
+from multipos.sections import installation_sheets, table_error_sheets
 from multipos.turntable import QUANTITIES
 
 T = np.radians(np.arange(0.0, 360.0, 15.0))
@@ -127,7 +127,8 @@ def test_stated_table_moves_readings_as_its_angles_do():
 
 def test_sections_have_titles_and_numbers():
     cal = mp.fit(rolls(T, sd=1e-5), scheme="dual-axis-48", unit="V")
-    sections = dict(installation_sections(cal) + table_error_sections(mp.table_errors(cal)))
+    sheets = installation_sheets(cal) + table_error_sheets(mp.table_errors(cal))
+    sections = {sheet.title: str(sheet) for sheet in sheets}
     assert "Ux towards y" in sections["Installation"]
     assert "second sin" in sections["Turntable"]
     assert "Ux" in sections["Zero between rolls"]

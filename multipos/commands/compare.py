@@ -2,9 +2,9 @@
 
 import argparse
 
-from multipos.commands.options import add_output, warn
+from multipos.commands.options import add_output, warn, write_form
 from multipos.comparison import compare, comparison_text
-from multipos.files import to_json, write_text
+from multipos.files import to_json
 from multipos.plots import runs_svg
 
 
@@ -26,8 +26,6 @@ def run(arguments: argparse.Namespace) -> str:
     """Return what the command prints."""
     found = compare(*arguments.calibrations, confidence=arguments.confidence)
     text = to_json(found.to_dict()) if arguments.json else comparison_text(found)
-    if arguments.output:
-        drawn = arguments.output.lower().endswith(".svg")
-        write_text(arguments.output, runs_svg(found) if drawn else text)
+    write_form(arguments.output, text, svg=lambda: runs_svg(found))
     warn(found.warnings)
     return text

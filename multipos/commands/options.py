@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from multipos.files import write_text
 from multipos.model import NAMED
 
 _LARGE = 1 << 24  # bytes; a smaller file is read before a bar could be seen
@@ -44,6 +45,21 @@ def add_range(parser: argparse.ArgumentParser) -> None:
 def add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None:
     """Add ``-o``."""
     parser.add_argument("-o", dest="output", metavar=metavar, help=text)
+
+
+def write_form(
+    path: str | None,
+    text: str,
+    *,
+    svg: Callable[[], str],
+    json: Callable[[], str] | None = None,
+) -> None:
+    """Write what ``-o`` asks for by its ending: .svg a figure, .json where given, else the text."""
+    if not path:
+        return
+    forms = {".svg": svg, ".json": json}
+    make = forms.get(Path(path).suffix.lower())
+    write_text(path, text if make is None else make())
 
 
 def add_model(parser: argparse.ArgumentParser) -> None:

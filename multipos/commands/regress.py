@@ -2,8 +2,9 @@
 
 import argparse
 
-from multipos.commands.options import add_output, names, warn
+from multipos.commands.options import add_output, names, warn, write_form
 from multipos.files import to_json
+from multipos.plots import regression_svg
 from multipos.regressing import regress
 
 
@@ -22,7 +23,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     _add_selection(parser.add_argument_group("choosing the terms"))
     _add_segments(parser.add_argument_group("segments"))
     _add_time(parser.add_argument_group("time"))
-    add_output(parser, "REGRESSION.json", "write the result to REGRESSION.json")
+    add_output(parser, "REGRESSION.json", "write the result to REGRESSION.json; .svg draws "
+               "the response before and after, and how the terms were chosen")  # fmt: skip
 
 
 def _add_selection(group: argparse._ArgumentGroup) -> None:
@@ -64,7 +66,10 @@ def run(arguments: argparse.Namespace) -> str:
     options = {k: v for k, v in vars(arguments).items() if k not in ("data", "json", "output")}
     regression = regress(arguments.data, **options)
     text = to_json(regression.to_dict()) if arguments.json else f"{regression}\n"
-    if arguments.output:
-        regression.save(arguments.output)
+    write_form(
+        arguments.output,
+        to_json(regression.to_dict()),
+        svg=lambda: regression_svg(regression, arguments.data),
+    )
     warn(regression.warnings)
     return text

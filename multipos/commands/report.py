@@ -8,6 +8,7 @@ from multipos.documents import write_report
 from multipos.errors import UsageError
 from multipos.files import to_json
 from multipos.monte_carlo import simulate_budget
+from multipos.verdicts import load_check
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -15,6 +16,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("calibration", metavar="CAL.json", help="calibration to report")
     add("--lab", metavar="FILE", help="TOML file of what only the laboratory knows")
+    add(
+        "--check", metavar="CHECK.json", help="what check -o CHECK.json wrote of an independent run"
+    )
     add("--language", default="en", metavar="en|zh", help="language of the report (default en)")
     add(
         "--monte-carlo",
@@ -42,6 +46,7 @@ def run(arguments: argparse.Namespace) -> str:
         lab=arguments.lab,
         language=arguments.language,
         simulated=simulated,
+        check=None if arguments.check is None else load_check(arguments.check),
     )
     if arguments.json:
         return to_json({"report": arguments.output, "created": calibration.created})

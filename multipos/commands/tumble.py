@@ -2,8 +2,9 @@
 
 import argparse
 
-from multipos.commands.options import add_output, add_range, names, numbers, warn
-from multipos.files import to_json, write_text
+from multipos.commands.options import add_output, add_range, names, numbers, warn, write_form
+from multipos.files import to_json
+from multipos.plots import tumble_svg
 from multipos.sections import tumble_text
 from multipos.single_axis import tumble
 
@@ -36,7 +37,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="coverage probability of U (default 0.95)",
     )
-    add_output(parser, "FILE", "write the result as JSON to FILE")
+    add_output(parser, "FILE", "write the result as JSON to FILE; .svg draws signal and harmonics")
 
 
 def run(arguments: argparse.Namespace) -> str:
@@ -44,7 +45,6 @@ def run(arguments: argparse.Namespace) -> str:
     options = {k: v for k, v in vars(arguments).items() if k not in ("readings", "json", "output")}
     found = tumble(arguments.readings, **options)
     text = to_json(found.to_dict())
-    if arguments.output:
-        write_text(arguments.output, text)
+    write_form(arguments.output, text, svg=lambda: tumble_svg(found))
     warn(found.warnings)
     return text if arguments.json else tumble_text(found)

@@ -15,14 +15,21 @@ from multipos.plots.calibration import (
     nominal_error,
     variance_shares,
 )
-from multipos.plots.check import draw_check
+from multipos.plots.check import check_svg, draw_check
 from multipos.plots.runs import draw_runs, runs_svg
 from multipos.plots.schemes import draw_efficiency, draw_scheme
 from multipos.plots.style import new_figure, to_svg
-from multipos.plots.temperature import draw_correction, draw_curve, draw_path
-from multipos.plots.tumble import draw_residual_harmonics, draw_signal
+from multipos.plots.temperature import draw_correction, draw_curve, draw_path, regression_svg
+from multipos.plots.tumble import (
+    draw_harmonics,
+    draw_residual_harmonics,
+    draw_rolls,
+    draw_signal,
+    tumble_svg,
+)
 
 __all__ = [
+    "check_svg",
     "compensated_error",
     "draw_budget",
     "draw_check",
@@ -32,16 +39,20 @@ __all__ = [
     "draw_curve",
     "draw_efficiency",
     "draw_errors",
+    "draw_harmonics",
     "draw_leverage",
     "draw_path",
     "draw_residual_harmonics",
     "draw_residuals",
+    "draw_rolls",
     "draw_runs",
     "draw_scheme",
     "draw_signal",
     "new_figure",
     "nominal_error",
+    "regression_svg",
     "runs_svg",
     "to_svg",
+    "tumble_svg",
     "variance_shares",
 ]

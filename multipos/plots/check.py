@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.checks import Check
-from multipos.plots.style import COLOURS, MARKERS
+from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, to_svg
+from multipos.verdicts import Check
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -14,7 +14,10 @@ _WIDE = 5.0  # times the limit, from which errors are drawn logarithmically beyo
 
 
 def draw_check(found: Check, axes: "Axes", *, axis: str) -> None:
-    """Draw the errors of one axis before and after, U about the latter, and the limit."""
+    """Draw the errors of one axis before and after, U about the latter, and the limit.
+
+    Those of a regression are drawn against its segment variable.
+    """
     column = found.axes.index(axis)
     used = found.counted[:, column]
     order = np.argsort(found.reference[used, column], kind="stable")
@@ -36,6 +39,15 @@ def draw_check(found: Check, axes: "Axes", *, axis: str) -> None:
         if np.abs(before).max() > _WIDE * found.limit:  # else the limits would be one line
             axes.set_yscale("symlog", linthresh=2.0 * found.limit)
     axes.axhline(0.0, color="#999999", linewidth=0.5)
-    axes.set_xlabel(f"{found.quantity} of {axis} [{found.unit}]")
-    axes.set_ylabel(f"error [{found.unit}]")
-    axes.legend(frameon=False)
+    unit = f" [{found.unit}]" if found.unit else ""
+    axes.set_xlabel(found.against or f"{found.quantity} of {axis}{unit}")
+    axes.set_ylabel(f"{axis if found.against else 'error'}{unit}")
+    name_series(axes, 2)
+
+
+def check_svg(found: Check) -> str:
+    """Return the errors of every axis as an SVG file, one below the other."""
+    figure, axes = new_figure(len(found.axes))
+    for axis, one in zip(found.axes, axes, strict=True):
+        draw_check(found, one, axis=axis)
+    return to_svg(figure)

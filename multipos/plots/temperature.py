@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.correction import correct
+from multipos.correction import correct, range_column, read_predictors
 from multipos.files import Source, read_table
-from multipos.plots.style import COLOURS
-from multipos.regression import Regression
+from multipos.plots.style import COLOURS, new_figure, to_svg
+from multipos.regression import Regression, format_span
 from multipos.segment import Segment
 from multipos.temperature import Curve
 
@@ -36,9 +36,11 @@ def draw_correction(
         What is corrected; the response by default.
     """
     table = read_table(data, what="data")
-    name = variable or regression.range_variable
     target = column or regression.response
-    x = table.number(name)
+    columns = read_predictors(regression, table)
+    name, x = range_column(regression, table, columns) if variable is None else (
+        variable, table.number(variable)
+    )  # fmt: skip
     found = correct(regression, table, column=target)
     before, after = table.number(target), np.asarray(found["corrected"])
     for values, label, colour, marker in (
@@ -86,5 +88,27 @@ def draw_path(segment: Segment, axes: "Axes") -> None:
     )
     if steps:
         axes.set_xscale("log")
+        axes.set_xlim(left=min([1.0, *(0.5 * step.F for step in steps if step.F > 0.0)]))
     axes.invert_yaxis()
     axes.set(xlabel="F to enter or to remove; ◆ the runner-up")
+
+
+def regression_svg(regression: Regression, data: Source) -> str:
+    """Return the response before and after, and the path of every selection, as an SVG file.
+
+    Rows with an empty cell, which the regression may have dropped, are not drawn.
+    """
+    table = read_table(data, what="data")
+    needed = [regression.response, regression.range_variable, *regression.needed]
+    sources = [name.removesuffix("_rate") for name in needed] + [regression.time or ""]
+    columns = [table.number(n, empty=True) for n in {*needed, *sources} if n in table]
+    complete = np.isfinite(columns).all(axis=0)
+    chosen = [s for s in regression.segments if s.path][: 1 if regression.continuous else None]
+    figure, axes = new_figure(1 + len(chosen))
+    draw_correction(regression, table.select(np.flatnonzero(complete).tolist()), axes[0])
+    for segment, one in zip(chosen, axes[1:], strict=True):
+        draw_path(segment, one)
+        span = format_span(regression.range_variable, segment.range, segment.branch)
+        title = "all segments" if regression.continuous else span
+        one.set_title(title, loc="left", fontsize=9.0)
+    return to_svg(figure)

@@ -1,10 +1,14 @@
-"""Figures of a single-axis tumble."""
+"""Figures of a single-axis tumble, and of the rolls of any calibration."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.plots.style import COLOURS, HATCHES, MARKERS
+from multipos.calibration import Calibration
+from multipos.criticism import fourier_residuals
+from multipos.harmonics import Harmonic, Roll, find_rolls, series
+from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, new_figure, to_svg
 from multipos.single_axis import Tumble
 
 if TYPE_CHECKING:
@@ -14,10 +18,24 @@ if TYPE_CHECKING:
 def draw_signal(found: Tumble, axes: "Axes") -> None:
     """Draw the signal of a tumble against the angle of each roll, with its Fourier series."""
     calibration = found.calibration
-    signal = calibration.readings.values[:, 0]
+    _draw_signal(calibration, calibration.outputs[0], found.rolls, found.harmonics, axes)
+
+
+def draw_rolls(calibration: Calibration, axes: "Axes", *, output: str) -> None:
+    """Draw the signal of an output against the angle of each roll, with its Fourier series."""
+    rolls = find_rolls(calibration.readings)
+    signal = calibration.readings.values[:, calibration.outputs.index(output)]
+    _draw_signal(calibration, output, rolls, series(rolls, signal), axes)
+
+
+def _draw_signal(
+    calibration: Calibration, output: str, rolls: Sequence[Roll], harmonics: Sequence[Harmonic],
+    axes: "Axes",
+) -> None:  # fmt: skip
+    signal = calibration.readings.values[:, calibration.outputs.index(output)]
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
-    for k, roll in enumerate(found.rolls):
-        terms = [h for h in found.harmonics if h.plane == roll.plane]
+    for k, roll in enumerate(rolls):
+        terms = [h for h in harmonics if h.plane == roll.plane]
         curve = sum(h.cos * np.cos(h.order * turn) + h.sin * np.sin(h.order * turn) for h in terms)
         if terms:
             axes.plot(np.degrees(turn), curve, color=COLOURS[k], linewidth=0.8)
@@ -27,8 +45,27 @@ def draw_signal(found: Tumble, axes: "Axes") -> None:
         )  # fmt: skip
     axes.set_xticks(range(0, 361, 45))
     axes.set_xlabel("angle [deg]")
-    axes.set_ylabel(f"{calibration.outputs[0]} [{calibration.model.unit}]")
-    axes.legend(frameon=False)
+    axes.set_ylabel(f"{output} [{calibration.model.unit}]")
+    name_series(axes, 3)
+
+
+def draw_harmonics(calibration: Calibration, axes: "Axes", *, output: str) -> None:
+    """Draw the amplitudes of the residuals' harmonics along each roll of a calibration."""
+    rolls = [entry for entry in fourier_residuals(calibration) if entry["output"] == output]
+    width = 0.8 / max(len(rolls), 1)
+    for k, entry in enumerate(rolls):
+        place = np.array([h["order"] for h in entry["harmonics"]])
+        axes.bar(
+            place + (k - (len(rolls) - 1) / 2.0) * width,
+            [h["amplitude"] for h in entry["harmonics"]],
+            width, color=COLOURS[k], hatch=HATCHES[k], edgecolor="white", linewidth=0.0,
+            label=f"roll about {entry['roll']}",
+        )  # fmt: skip
+        axes.set_xticks(place)
+    axes.set_xlabel("order")
+    axes.set_ylabel(f"{output} [{calibration.model.unit}]")
+    axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+    name_series(axes, 3)
 
 
 def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
@@ -48,3 +85,11 @@ def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
     axes.set_xlabel("order")
     axes.set_ylabel(f"left by the model [{found.calibration.model.unit}]")
     axes.legend(frameon=False)
+
+
+def tumble_svg(found: Tumble) -> str:
+    """Return the signal and what the model leaves of its harmonics as an SVG file."""
+    figure, axes = new_figure(2)
+    draw_signal(found, axes[0])
+    draw_residual_harmonics(found, axes[1])
+    return to_svg(figure)

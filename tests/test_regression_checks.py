@@ -1,0 +1,307 @@
+"""`check` of a regression on an independent run, and the figures that `-o FILE.svg` draws."""
+
+import json
+import math
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.cli import main
+from multipos.errors import MultiposError, UsageError
+from multipos.files import format_csv
+from multipos.quantiles import coverage_factor
+from multipos.sections import check_text
+
+
+def chamber(seed, n=80, noise=1e-3):
+    """An error that bends at 20 °C, and the reading that carries it."""
+    rng = np.random.default_rng(seed)
+    t = rng.uniform(-40.0, 60.0, n)
+    error = 0.01 + 3e-4 * t + 2e-4 * np.maximum(t - 20.0, 0.0) + noise * rng.standard_normal(n)
+    return {"temperature": t, "V": 1.0 + error, "error": error}
+
+
+def fitted(seed=1, **options):
+    options = {"variables": "temperature", "segment": "temperature:20"} | options
+    return mp.regress(chamber(seed), response="error", **options)
+
+
+def write(path, columns):
+    path.write_text(format_csv(columns), encoding="utf-8")
+    return str(path)
+
+
+def run(capsys, *argv):
+    status = main([str(a) for a in argv])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+@pytest.fixture
+def files(tmp_path):
+    model = tmp_path / "model.json"
+    fitted(confidence=0.9).save(model)
+    return model, write(tmp_path / "run.csv", chamber(2, 60)), tmp_path
+
+
+def test_before_after_and_u_by_hand():
+    columns, later = chamber(1), chamber(2, 40)
+    found = mp.check(fitted(), later, limit_g=0.01)
+    assert_allclose(found.before[:, 0], later["error"])
+    for cold, rows, new in (
+        (True, columns["temperature"] < 20, later["temperature"] < 20),
+        (False, columns["temperature"] >= 20, later["temperature"] >= 20),
+    ):
+        assert new.any(), cold
+        X = np.column_stack([np.ones(rows.sum()), columns["temperature"][rows]])
+        b, rss, *_ = np.linalg.lstsq(X, columns["error"][rows], rcond=None)
+        s2 = float(rss[0]) / (rows.sum() - 2)
+        Z = np.column_stack([np.ones(new.sum()), later["temperature"][new]])
+        u = np.sqrt(s2 * (1.0 + np.einsum("ij,jk,ik->i", Z, np.linalg.inv(X.T @ X), Z)))
+        assert_allclose(found.after[new, 0], later["error"][new] - Z @ b, rtol=0, atol=1e-14)
+        assert_allclose(found.u[new, 0], u, rtol=1e-9)
+        assert_allclose(found.U[new, 0], coverage_factor(0.95, float(rows.sum() - 2)) * u)
+    left = np.asarray(mp.correct(fitted(), later, column="V")["corrected"]) - 1.0
+    assert_allclose(found.after[:, 0], left, rtol=0, atol=1e-14)  # the corrected output's error
+
+
+def test_the_guard_band_covers_what_is_left():
+    """At 95 %, of 200 fits, each with one new row in each segment."""
+    covered = []
+    for seed in range(200):
+        later = chamber(1000 + seed, 12)
+        found = mp.check(fitted(seed), later)
+        for segment in found.segments.values():
+            rows = np.flatnonzero(segment & found.counted[:, 0])
+            if len(rows):
+                covered.append(abs(found.after[rows[0], 0]) <= found.U[rows[0], 0])
+    assert abs(np.mean(covered) - 0.95) < 4.0 * math.sqrt(0.95 * 0.05 / len(covered))
+
+
+@pytest.mark.parametrize(("limit", "verdict"), [(0.02, "pass"), (0.003, "undecided")])
+def test_verdict_against_the_limit(limit, verdict):
+    found = mp.check(fitted(), chamber(2, 60), limit_g=limit)
+    assert found.verdict == verdict
+    assert found.summary()["before"]["maximum"] > 5 * found.summary()["after"]["maximum"]
+
+
+def test_a_fault_in_one_segment_fails_there_alone():
+    later = chamber(2, 60)
+    row = int(np.flatnonzero((later["temperature"] > 25) & (later["temperature"] < 55))[0])
+    later["error"][row] += 0.02
+    found = mp.check(fitted(), later, limit_g=0.01)
+    verdicts = [found.summary(segment=name)["verdict"] for name in found.segments]
+    assert verdicts == ["pass", "fail"]
+    assert found.verdict == "fail"
+    assert found.verdicts[row, 0] == "fail"
+
+
+def test_rows_outside_are_not_counted_and_said():
+    later = chamber(2, 60)
+    later["temperature"][4], later["error"][4] = 90.0, 5.0
+    found = mp.check(fitted(), later, limit_g=0.02)
+    assert not found.counted[4, 0]
+    assert found.verdict == "pass"
+    assert found.summary()["before"]["maximum"] < 0.1
+    assert found.warnings == (
+        "1 of 60 rows are outside what the regression was fitted to and are not counted",
+    )
+    later["temperature"][:] = 90.0
+    with pytest.raises(MultiposError, match="all 60 rows are outside"):
+        mp.check(fitted(), later)
+
+
+def test_correlated_rows_have_the_robust_covariance_and_dof():
+    rng = np.random.default_rng(5)
+    time = np.arange(400.0)
+    noise = np.zeros(400)
+    for i in range(1, 400):
+        noise[i] = 0.8 * noise[i - 1] + 1e-3 * rng.standard_normal()
+    t = 20.0 + 30.0 * np.sin(time / 60.0)
+    columns = {"time": time, "temperature": t, "error": 1e-4 * t + noise}
+    regression = mp.regress(columns, response="error", variables="temperature")
+    (segment,) = regression.segments
+    found = mp.check(regression, columns)
+    k = coverage_factor(0.95, segment.robust.t_dof)
+    assert_allclose(found.U, k * found.u)
+    X = np.column_stack([np.ones(400), t])
+    variance = np.einsum("ij,jk,ik->i", X, segment.robust.covariance, X) + segment.rms**2
+    assert_allclose(found.u[:, 0], np.sqrt(variance))
+
+
+def test_json_has_the_keys_of_a_check(files, capsys):
+    model, later, folder = files
+    status, out, err = run(capsys, "check", model, later, "--limit-g", "0.01", "--json")
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert found["schema"] == "multipos/check/1"
+    assert (found["quantity"], found["against"], found["unit"]) == ("error", "temperature", "g")
+    assert found["confidence"] == 0.9
+    assert (found["axes"], found["nominal"]) == (["error"], None)
+    assert set(found["before"]) == {"maximum", "rms", "linearity_percent"}
+    assert found["before"]["linearity_percent"] is None
+    assert set(found["by_axis"]) == {"error"}
+    cold = int((chamber(2, 60)["temperature"] < 20).sum())
+    assert [entry["rows"] for entry in found["by_segment"].values()] == [cold, 60 - cold]
+    row = found["positions"][0]
+    assert set(row) == {"position", "reference", "before", "after", "u", "U", "verdict", "counted"}
+    assert row["position"] == "1"
+    assert row["reference"]["error"] == chamber(2, 60)["temperature"][0]
+    assert run(capsys, "check", model, later, "-o", folder / "check.json")[0] == 0
+    assert json.loads((folder / "check.json").read_text("utf-8"))["unit"] is None
+
+
+def test_text_is_by_segment(files, capsys):
+    model, later, _ = files
+    status, out, _ = run(capsys, "check", model, later, "--limit-g", "0.01")
+    assert status == 0
+    found = mp.check(mp.load_regression(model), later, limit_g=0.01)
+    assert out == check_text(found)
+    lines = out.splitlines()
+    assert lines[0] == "Errors before and after correction"
+    assert [line[:14] for line in lines[3:6]] == [
+        "1: temperature",
+        "2: temperature",
+        "all" + 11 * " ",
+    ]
+    assert int(lines[5].split()[1]) == found.counted.sum()
+    assert f"with U (90 %) as guard band: {found.counted.sum()} pass" in out
+    assert "[g]" not in run(capsys, "check", model, later)[1]
+
+
+def test_an_empty_model_is_checked_row_by_row():
+    columns = {"a": np.arange(30.0), "y": np.random.default_rng(1).standard_normal(30)}
+    empty = mp.regress(columns, response="y", variables="a", stepwise=True, enter=1e-6)
+    found = mp.check(empty, {"y": columns["y"][:5]})
+    assert found.against == "row"
+    assert found.reference[:, 0].tolist() == [1, 2, 3, 4, 5]
+    assert_allclose(found.after[:, 0], columns["y"][:5] - columns["y"].mean())
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "message"),
+    [
+        (["--scheme", "faces-6"], 2, "--scheme goes with a calibration"),
+        (["--tilt"], 2, "--tilt goes with a calibration"),
+        (["--limit-deg", "1"], 2, "goes with a calibration"),
+        (["--within-deg", "60"], 2, "--within-deg goes with a calibration"),
+        (["--nominal", "2.5,1"], 2, "--nominal goes with a calibration"),
+        (["--reading-sd", "1"], 2, "--reading-sd goes with a calibration"),
+        (["--range", "-1,1"], 2, "--range goes with a calibration"),
+        (["--limit-g", "0"], 2, "--limit-g must be above 0"),
+        (["-o", "no/folder/check.svg"], 1, "cannot write"),
+    ],
+)
+def test_options_at_fault(files, capsys, options, status, message):
+    model, later, _ = files
+    found = run(capsys, "check", model, later, *options)
+    assert found[:2] == (status, "")
+    last = found[2].strip().splitlines()[-1]
+    assert last.startswith("multipos: error: ")
+    assert message in last
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"error": None}, "no column 'error', the response; a check needs to know the error"),
+        ({"temperature": None}, "no column 'temperature', which this regression needs"),
+        ({"error": np.append(np.nan, np.zeros(59))}, "row 1 (line 2), column 'error': the cell"),
+        ({"temperature": np.full(60, 500.0)}, "all 60 rows are outside"),
+        ({"predicted": np.zeros(60)}, "column 'predicted' is there already"),
+    ],
+)
+def test_runs_at_fault(files, capsys, change, message):
+    model, _, folder = files
+    columns = chamber(2, 60) | change
+    later = write(folder / "bad.csv", {k: v for k, v in columns.items() if v is not None})
+    status, out, err = run(capsys, "check", model, later, "-o", folder / "check.svg")
+    assert (status, out) == (1, "")
+    assert message in err.strip().splitlines()[-1]
+    assert not (folder / "check.svg").exists()
+
+
+# --- which function reads and applies what
+
+
+def test_a_regression_is_sent_to_its_own_functions(files, capsys):
+    model, later, folder = files
+    with pytest.raises(MultiposError, match=r"a regression is read by multipos\.load_regression"):
+        mp.load(model)
+    with pytest.raises(TypeError, match=r"got Regression; for a regression call `multipos\.corr"):
+        mp.apply(mp.load_regression(model), later)
+    status, out, err = run(capsys, "report", model, "-o", folder / "r.html")
+    assert (status, out) == (1, "")
+    assert "used by multipos apply and check" in err
+    mp.demo(folder)
+    with pytest.raises(MultiposError, match=r"a calibration is read by multipos\.load\."):
+        mp.load_regression(folder / "calibration.json")
+
+
+# --- figures
+
+
+def words(path):
+    root = ET.fromstring(path.read_text("utf-8"))
+    assert root.tag == "{http://www.w3.org/2000/svg}svg"
+    return [e.text for e in root.iter("{http://www.w3.org/2000/svg}text")]
+
+
+def test_check_draws_the_errors(files, capsys):
+    model, later, folder = files
+    figure = folder / "check.SVG"
+    status, out, _ = run(capsys, "check", model, later, "--limit-g", "0.005", "-o", figure)
+    assert status == 0
+    assert out.startswith("Errors before and after correction")
+    said = words(figure)
+    for text in ("temperature", "error [g]", "before", "after, with U", "limit ±0.005 g"):
+        assert text in said
+
+
+def test_regress_draws_correction_and_paths(tmp_path, capsys):
+    data = write(tmp_path / "data.csv", chamber(1))
+    options = ["regress", data, "--response", "error", "--variables", "temperature", "--stepwise"]
+    figure = tmp_path / "model.svg"
+    options += ["--segment", "temperature:20"]
+    status, out, _ = run(capsys, *options, "-o", figure)
+    assert status == 0
+    assert out.startswith("response   error, 80 rows")
+    said = words(figure)
+    assert said.count("+ temperature") == 2
+    high = chamber(1)["temperature"].max()
+    assert f"temperature 20 to {high:.5g}" in said
+    first = figure.read_bytes()
+    assert run(capsys, *options, "-o", figure)[0] == 0
+    assert figure.read_bytes() == first
+    assert run(capsys, *options, "--continuous", "--hierarchy", "-o", figure)[0] == 0
+    assert "all segments" in words(figure)
+
+
+def test_regress_draws_without_the_rows_it_dropped_and_with_formed_rates(tmp_path, capsys):
+    columns = chamber(1) | {"time": np.arange(80.0)}
+    columns["temperature"] = 20.0 + 30.0 * np.sin(columns["time"] / 12.0)
+    columns["error"][3] = np.nan
+    data = write(tmp_path / "data.csv", columns)
+    figure = tmp_path / "model.svg"
+    options = ["regress", data, "--response", "error", "--variables"]
+    options += ["temperature_rate,temperature", "--drop-missing", "-o", figure]
+    assert run(capsys, *options)[0] == 0
+    assert "temperature_rate" in words(figure)
+
+
+def test_tumble_draws_signal_and_harmonics(tmp_path, capsys):
+    t = 2.0 * np.pi * np.arange(12) / 12
+    rng = np.random.default_rng(1)
+    data = write(tmp_path / "t.csv", {"E": np.cos(t) + 1e-5 * rng.standard_normal(12)})
+    figure = tmp_path / "t.svg"
+    status, out, _ = run(capsys, "tumble", data, "--scheme", "tumble-12", "-o", figure)
+    assert (status, out[:6]) == (0, "Tumble")
+    assert {"angle [deg]", "order", "plane xy"} <= set(words(figure))
+
+
+def test_options_of_a_calibration_are_refused_in_python_too():
+    with pytest.raises(UsageError, match="--nominal goes with a calibration"):
+        mp.check(fitted(), chamber(2), nominal=(0.0, 2.0))
