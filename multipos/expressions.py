@@ -262,5 +262,6 @@ def load_expression(content: Mapping[str, Any]) -> ExpressionModel:
         tuple(tuple(map(tuple, program)) for program in expression["functions"]),
         tuple(expression["columns"]), (0.0,) * len(symbols),
     )  # fmt: skip
-    assert model.compiled  # what cannot be computed is refused now, not when it is used
+    if not model.compiled:  # what cannot be computed is refused now, not when it is used
+        raise ValueError("its expression is empty")
     return model
