@@ -2,7 +2,7 @@
 
 import argparse
 
-from multipos.commands.options import add_model, add_output, add_range, names, numbers, warn
+from multipos.commands.options import add_conditions, add_model, add_output, names, numbers, warn
 from multipos.files import to_json
 from multipos.fitting import fit
 from multipos.reports import text_report
@@ -18,12 +18,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="scheme name (see multipos schemes), names joined by +, or CSV file",
     )
     add_model(parser)
-    add(
-        "--convention",
-        default="specific-force",
-        metavar="C",
-        help="specific-force (up reads +1, default) or gravity (down reads +1)",
-    )
+    add_conditions(parser)
     add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
     add("--closed-form", action="store_true", help="the six-position inversion")
     add(
@@ -48,20 +43,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="SD[,SD,SD]",
         help="standard uncertainty of an averaged reading",
     )
-    add("--gravity", type=float, metavar="G", help="local gravity [m/s^2]")
-    add("--gravity-u", type=float, metavar="U", help="its standard uncertainty [m/s^2]")
-    add("--latitude", type=float, metavar="DEG", help="gravity by WGS 84 at this latitude")
-    add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
     add("--budget", metavar="FILE", help="TOML file of what else is uncertain: level, voltmeter, …")
-    add("--unit", metavar="UNIT", help="unit of the readings")
-    add_range(parser)
-    add(
-        "--confidence",
-        type=float,
-        default=0.95,
-        metavar="P",
-        help="coverage probability of U (default 0.95)",
-    )
     add_output(parser, "CAL.json", "write the calibration to CAL.json")
 
 

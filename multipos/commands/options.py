@@ -62,6 +62,30 @@ def write_form(
     write_text(path, text if make is None else make())
 
 
+def add_conditions(parser: argparse.ArgumentParser) -> None:
+    """Add what a fit is told of its bench: convention, gravity, unit, range, confidence."""
+    add = parser.add_argument
+    add(
+        "--convention",
+        default="specific-force",
+        metavar="C",
+        help="specific-force (up reads +1, default) or gravity (down reads +1)",
+    )
+    add("--gravity", type=float, metavar="G", help="local gravity [m/s^2]")
+    add("--gravity-u", type=float, metavar="U", help="its standard uncertainty [m/s^2]")
+    add("--latitude", type=float, metavar="DEG", help="gravity by WGS 84 at this latitude")
+    add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
+    add("--unit", metavar="UNIT", help="unit of the readings")
+    add_range(parser)
+    add(
+        "--confidence",
+        type=float,
+        default=0.95,
+        metavar="P",
+        help="coverage probability of U (default 0.95)",
+    )
+
+
 def add_model(parser: argparse.ArgumentParser) -> None:
     """Add ``--model``, ``--axes`` and ``--inputs``."""
     add = parser.add_argument

@@ -2,7 +2,7 @@
 
 import argparse
 
-from multipos.commands.options import add_output, add_range, names, numbers, warn, write_form
+from multipos.commands.options import add_conditions, add_output, names, numbers, warn, write_form
 from multipos.files import to_json
 from multipos.plots import tumble_svg
 from multipos.sections import tumble_text
@@ -17,26 +17,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--axes", type=names, default=("x",), metavar="x", help="input axis (default x)")
     add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
     add("--model", metavar="M", help="model or formula (default: ieee-odd, less what is hidden)")
-    add(
-        "--convention",
-        default="specific-force",
-        metavar="C",
-        help="specific-force (up reads +1, default) or gravity (down reads +1)",
-    )
+    add_conditions(parser)
     add("--reading-sd", type=numbers, metavar="SD", help="standard uncertainty of a reading")
-    add("--gravity", type=float, metavar="G", help="local gravity [m/s^2]")
-    add("--gravity-u", type=float, metavar="U", help="its standard uncertainty [m/s^2]")
-    add("--latitude", type=float, metavar="DEG", help="gravity by WGS 84 at this latitude")
-    add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
-    add("--unit", metavar="UNIT", help="unit of the readings")
-    add_range(parser)
-    add(
-        "--confidence",
-        type=float,
-        default=0.95,
-        metavar="P",
-        help="coverage probability of U (default 0.95)",
-    )
     add_output(parser, "FILE", "write the result as JSON to FILE; .svg draws signal and harmonics")
 
 
