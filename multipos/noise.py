@@ -99,7 +99,7 @@ def _estimate(
             "(18 or more serve)"
         )
     worth = Worth(
-        1.0, np.inf if stated else 2.0 / float(told.log_covariance[0, 0]), told.dof,
+        1.0, np.inf if stated else max(2.0 / float(told.log_covariance[0, 0]), 1.0), told.dof,
         problem.spread if orientation else None, tuple(warnings), (("variance_components", said),),
     )  # fmt: skip
     return problem, optimum, worth

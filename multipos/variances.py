@@ -132,7 +132,9 @@ def components(linear: Linearised, v: Array, free: NDArray[np.bool_]) -> Compone
     slopes = np.array([np.diag(C @ change @ C)[: linear.p] for change in by_variance[free]])
     spread = np.einsum("vp,vw,wp->p", slopes, covariance, slopes)
     dof = 2.0 * np.diag(C)[: linear.p] ** 2 / np.maximum(spread, 1e-300)
-    return Components(covariance, np.minimum(dof, 1e9))
+    # A variance that rests on less than one contrast is not known at all, and the rule's answer,
+    # a fraction whose k is astronomical, says no more than the k of one degree of freedom.
+    return Components(covariance, np.clip(dof, 1.0, 1e9))
 
 
 def _bounds(linear: Linearised) -> Array:

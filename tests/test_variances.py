@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from test_likelihood import KINDS, a_problem
 
+import multipos as mp
 from multipos.likelihood import evaluate, linearise
 from multipos.variances import Linearised, _restricted, components, maximise_restricted
 
@@ -128,3 +129,15 @@ def test_a_variance_of_which_nothing_is_left_is_known_to_be_hardly_known():
     v = maximise_restricted(linear, np.zeros(2), BOTH)
     told = components(linear, v, BOTH)
     assert np.sqrt(told.log_covariance[1, 1]) / 2.0 > 1.0
+
+
+def test_a_variance_on_less_than_one_contrast_counts_as_one():
+    """Six positions with placement of 1 degree: what is left for the noise is next to nothing."""
+    up = mp.read_scheme("faces-6").up
+    rng = np.random.default_rng(4)
+    readings = mp.Readings(up + 1e-3 * rng.standard_normal(up.shape), up=up)
+    cal = mp.fit(readings, orientation_sd=1.0)
+    assert cal.parameter_dof.min() >= 1.0
+    assert cal.dof.min() >= 1.0
+    assert cal.k.max() <= 12.7063  # t of one degree of freedom at 0.975
+    assert any("hardly determined" in said for said in cal.diagnostics.warnings)
