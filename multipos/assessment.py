@@ -46,6 +46,7 @@ from multipos.known import FLOOR
 from multipos.least_squares import name_combinations, separability
 from multipos.model import COMPONENTS, Model, Term, build_model, default_axes
 from multipos.optimum import Optimum, largest_sensitivity, optimise_sphere
+from multipos.results import Record
 from multipos.scheme import Scheme, named_schemes, read_scheme
 
 Array = NDArray[np.float64]
@@ -92,11 +93,13 @@ def schemes(
     if not sources:
         # of equally good ones, to what rounding leaves, the shortest first
         found.sort(key=lambda e: (-round(e["d_efficiency"] or 0.0, 9), e["positions"]))
-    return {
-        "model": setting.model.text,
-        "orientation": orientation(setting),
-        "schemes": found,
-    }
+    return Record(
+        {
+            "model": setting.model.text,
+            "orientation": orientation(setting),
+            "schemes": found,
+        }
+    )
 
 
 def read_setting(

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -14,12 +14,13 @@ from multipos.formatting import number, table, uncertain
 from multipos.readings import Readings
 from multipos.rest_means import RestMean
 from multipos.rests import Rest
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class RestAverage:
+@dataclass(frozen=True, eq=False)
+class RestAverage(Result):
     """One rest of a log, averaged.
 
     Attributes
@@ -47,8 +48,8 @@ class RestAverage:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Averages:
+@dataclass(frozen=True, eq=False)
+class Averages(Result):
     """The rests of a log, averaged: readings, and where they came from.
 
     Attributes
@@ -64,7 +65,7 @@ class Averages:
     warnings : tuple of str
     """
 
-    source: str
+    source: str = field(compare=False)
     outputs: tuple[str, ...]
     rests: tuple[RestAverage, ...]
     scheme_up: Array | None

@@ -32,11 +32,11 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 from multipos.errors import MultiposError
 from multipos.files import read_toml
+from multipos.results import Result
 from multipos.units import normal_gravity
 
 Source = str | os.PathLike[str] | Mapping[str, Any]
@@ -86,8 +86,8 @@ KINDS = {
 }
 
 
-@dataclass(frozen=True)
-class Quantity:
+@dataclass(frozen=True, eq=False)
+class Quantity(Result):
     """One input quantity: its standard uncertainty in `unit`, its law, its degrees of freedom."""
 
     name: str
@@ -103,8 +103,8 @@ class Quantity:
         return KINDS[self.name]
 
 
-@dataclass(frozen=True)
-class Budget:
+@dataclass(frozen=True, eq=False)
+class Budget(Result):
     """The input quantities by name, and the tables they were read from."""
 
     quantities: Mapping[str, Quantity]
@@ -135,7 +135,7 @@ def read_budget(source: "Source | Budget") -> Budget:
     quantities = {name: _quantity(f"{where}, [{name}]", name, table)
                   for name, table in tables.items()}  # fmt: skip
     plain = {name: dict(table) for name, table in tables.items()}
-    return Budget(MappingProxyType(quantities), MappingProxyType(plain))
+    return Budget(quantities, plain)
 
 
 def _quantity(where: str, name: str, table: Any) -> Quantity:
@@ -163,7 +163,7 @@ def _quantity(where: str, name: str, table: Any) -> Quantity:
     if not dof > 0.0:
         raise MultiposError(f"{where}: 'dof' must be above 0, got {dof:g}.")
     _check_settings(where, name, settings)
-    return Quantity(name, u, kind.unit, distribution, dof, MappingProxyType(settings))
+    return Quantity(name, u, kind.unit, distribution, dof, settings)
 
 
 def _size(where: str, spread: Mapping[str, Any], suffix: str) -> tuple[float, str]:

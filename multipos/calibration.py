@@ -12,7 +12,6 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +26,7 @@ from multipos.formatting import number, table, uncertain
 from multipos.model import Model, build_model, paper_symbol, parameter_label
 from multipos.quantiles import coverage_factor
 from multipos.readings import Readings
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
@@ -76,8 +76,8 @@ class Status(NamedTuple):
     gradient: float = 0.0
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, eq=False)
+class Calibration(Result):
     """Fitted parameters of one accelerometer, with everything needed to derive them again.
 
     Attributes
@@ -127,17 +127,10 @@ class Calibration:
     confidence: float
     diagnostics: Diagnostics
     status: Status
-    created: str
+    created: str = field(compare=False)
     version: str
     cross_check: float | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Make the arrays read-only."""
-        for name in ("parameters", "covariance", "parameter_dof", "dof", "residuals",
-                     "residual_sd", "reference"):  # fmt: skip
-            getattr(self, name).setflags(write=False)
-        object.__setattr__(self, "extra", MappingProxyType(dict(self.extra)))
 
     def __getitem__(self, key: tuple[str, str]) -> Parameter:
         """Return a parameter by (output, term), as in ``cal["ax", "x^2"]``."""

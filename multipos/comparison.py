@@ -15,7 +15,7 @@ Song and Qin 2009, section 3.2 and figure 1: at least four runs.
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -27,14 +27,15 @@ from multipos.errors import MultiposError, UsageError
 from multipos.formatting import number, table, uncertain
 from multipos.model import CONSTANT
 from multipos.quantiles import t_tail
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
 _LEAST = 4  # repeats that the six-position paper asks for
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, eq=False)
+class Comparison(Result):
     """Repeated calibrations, or several methods on the same readings.
 
     Attributes
@@ -61,7 +62,7 @@ class Comparison:
     """
 
     calibrations: tuple[Calibration, ...]
-    files: tuple[str, ...]
+    files: tuple[str, ...] = field(compare=False)
     values: Array
     mean: Array
     sd: Array

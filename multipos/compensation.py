@@ -28,6 +28,7 @@ from multipos.inverse import sensed_axes
 from multipos.logs import Log, Piece
 from multipos.model import COMPONENTS
 from multipos.parity import FAULT_LEVEL, parity
+from multipos.results import Record
 from multipos.tilt import at_rest, reading_noise, tilt_at_rest
 from multipos.validity import force_covariance
 
@@ -86,7 +87,7 @@ def apply(
     if outside == "refuse" and added["outside"].any():
         where = table.where(int(np.argmax(added["outside"])), calibration.outputs[0])
         raise _refusal(where, int(added["outside"].sum()), table.rows)
-    return {**table.columns, **added}
+    return Record({**table.columns, **added})
 
 
 @dataclass

@@ -21,6 +21,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files import Column, Source, Table, read_table
 from multipos.rates import smoothed_rate
 from multipos.regression import Regression
+from multipos.results import Record
 
 Array = NDArray[np.float64]
 
@@ -94,7 +95,7 @@ def correct(
         raise MultiposError(
             f"{table.source}: column '{twice[0]}' is there already; rename it, apply writes it."
         )
-    return {**table.columns, **added}
+    return Record({**table.columns, **added})
 
 
 def read_predictors(regression: Regression, table: Table) -> dict[str, Array]:

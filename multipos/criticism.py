@@ -36,6 +36,7 @@ from multipos.known import FLOOR, reading_noise
 from multipos.least_squares import solve
 from multipos.model import COMPONENTS, Term, build_model
 from multipos.quantiles import f_tail
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
@@ -44,8 +45,8 @@ _ORDERS = 4
 _FEWEST = 8  # positions of a roll that make a Fourier view
 
 
-@dataclass(frozen=True)
-class TermTest:
+@dataclass(frozen=True, eq=False)
+class TermTest(Result):
     """An F-test of one term; `inside` tells whether the model has it.
 
     `aicc` is the criterion of the model without it (inside) or with it (outside); NaN where
@@ -61,8 +62,8 @@ class TermTest:
     aicc: float
 
 
-@dataclass(frozen=True)
-class Influence:
+@dataclass(frozen=True, eq=False)
+class Influence(Result):
     """What each position does to the fit; all (n, M).
 
     Attributes

@@ -35,6 +35,7 @@ from multipos.information import (
 )
 from multipos.model import COMPONENTS
 from multipos.optimum import Optimum, largest_sensitivity, optimise_candidates, optimise_sphere
+from multipos.results import Record
 from multipos.scheme import Scheme, read_scheme
 from multipos.travel import order_positions, travel_deg
 
@@ -127,21 +128,23 @@ def design(
     at_best = 0.0 if criterion == "G" else sphere.value
     on_bench = None if criterion == "G" else min(1.0, math.exp(value - best.value))
     turned = travel_deg(up)
-    return {
-        "model": setting.model.text,
-        "orientation": orientation(setting),
-        "criterion": criterion,
-        "positions": up,
-        "included": len(given),
-        "log_det": described["log_det"],
-        "optimum_log_det": assessor.optimum("D").log_det,
-        "efficiency": min(1.0, math.exp(value - at_best)),
-        **_proof(best, p, bench),
-        "bench_efficiency": on_bench,
-        "travel_deg": turned,
-        "time_s": None if move_time is None else move_time[0] * len(up) + move_time[1] * turned,
-        "scheme": described,
-    }
+    return Record(
+        {
+            "model": setting.model.text,
+            "orientation": orientation(setting),
+            "criterion": criterion,
+            "positions": up,
+            "included": len(given),
+            "log_det": described["log_det"],
+            "optimum_log_det": assessor.optimum("D").log_det,
+            "efficiency": min(1.0, math.exp(value - at_best)),
+            **_proof(best, p, bench),
+            "bench_efficiency": on_bench,
+            "travel_deg": turned,
+            "time_s": None if move_time is None else move_time[0] * len(up) + move_time[1] * turned,
+            "scheme": described,
+        }
+    )
 
 
 def _proof(best: Optimum, p: int, bench: Array | None) -> dict[str, Any]:

@@ -24,14 +24,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.model import COMPONENTS, Model
 from multipos.quantiles import chi2_tail, f_tail, t_tail
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
 OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named
 
 
-@dataclass(frozen=True)
-class Diagnostics:
+@dataclass(frozen=True, eq=False)
+class Diagnostics(Result):
     """What was found about a fit.
 
     Attributes

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from multipos.model import COMPONENTS
 from multipos.quantiles import f_tail
 from multipos.readings import Readings
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
@@ -35,8 +36,8 @@ _SIGNIFICANT = 0.01  # chance that a clean roll has a residual harmonic named
 _APART = 10.0  # condition up to which unevenly spaced cosines and sines are told apart
 
 
-@dataclass(frozen=True)
-class Roll:
+@dataclass(frozen=True, eq=False)
+class Roll(Result):
     """Positions that share a horizontal case axis.
 
     Attributes
@@ -100,8 +101,8 @@ class Roll:
         return np.asarray(total / counts)
 
 
-@dataclass(frozen=True)
-class Harmonic:
+@dataclass(frozen=True, eq=False)
+class Harmonic(Result):
     """A coefficient pair of a Fourier series, in reading units; order 0 is the mean in `cos`.
 
     For residuals `p` is the chance of as much where neither table nor model has this harmonic;

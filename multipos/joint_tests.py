@@ -47,6 +47,7 @@ from multipos.noise import judge_noise
 from multipos.problem import Optimum, Problem
 from multipos.quantiles import chi2_tail, f_tail
 from multipos.restatement import estimated_variances, restate, return_to_optimum
+from multipos.results import Result
 from multipos.starts import reduced_information
 
 Array = NDArray[np.float64]
@@ -54,8 +55,8 @@ Array = NDArray[np.float64]
 _GROUPS = ("own^2", "own^3", "own*|own|", "OWN*OTHER")  # K2, K3, Koq, Kip with Kio
 
 
-@dataclass(frozen=True)
-class JointTest:
+@dataclass(frozen=True, eq=False)
+class JointTest(Result):
     """A nested test of terms in all outputs; `inside` tells whether the model has them.
 
     Attributes

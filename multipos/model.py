@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
+from multipos.results import Result
 from multipos.units import unit_per
 
 Array = NDArray[np.float64]
@@ -142,7 +143,7 @@ def linear_term(variable: str) -> Term:
 
 
 @dataclass(frozen=True)
-class Model:
+class Model(Result):
     """The terms of each output, with the names and units of the parameters.
 
     Attributes

@@ -34,6 +34,7 @@ from multipos.descent import maximise
 from multipos.errors import UsageError
 from multipos.problem import start_state
 from multipos.restatement import noise_factor, restate, return_to_optimum
+from multipos.results import Result
 from multipos.sensitivities import estimator_gain, reading_moves, turn_axes
 from multipos.uncertainty import evaluate_budget
 
@@ -45,8 +46,8 @@ _FEW = 100  # of an estimator that runs once a trial, so that progress shows
 _MOST = 1_000_000
 
 
-@dataclass(frozen=True)
-class MonteCarlo:
+@dataclass(frozen=True, eq=False)
+class MonteCarlo(Result):
     """What the trials gave.
 
     Attributes

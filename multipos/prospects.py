@@ -22,6 +22,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files import Source
 from multipos.formatting import number, table
 from multipos.information import Setting
+from multipos.results import Record
 from multipos.scheme import Scheme
 
 Array = NDArray[np.float64]
@@ -82,22 +83,24 @@ def worth(
     path = None
     if target is not None and index is not None:
         path = _ahead(present, pieces, covered[index], fixed[index], index, target)
-    return {
-        "parameter": parameter,
-        "target": target,
-        "u": dict(zip(keys, before.tolist(), strict=True)),
-        "candidates": [
-            {
-                "up": up[row],
-                "fall": float(fall[row]),
-                "u": dict(zip(keys, then[row].tolist(), strict=True)),
-            }
-            for row in order.tolist()
-        ],
-        "further_positions": None if path is None else len(path),
-        "path": None if path is None else up[path],
-        "floor": None if index is None else math.sqrt(fixed[index]),
-    }
+    return Record(
+        {
+            "parameter": parameter,
+            "target": target,
+            "u": dict(zip(keys, before.tolist(), strict=True)),
+            "candidates": [
+                {
+                    "up": up[row],
+                    "fall": float(fall[row]),
+                    "u": dict(zip(keys, then[row].tolist(), strict=True)),
+                }
+                for row in order.tolist()
+            ],
+            "further_positions": None if path is None else len(path),
+            "path": None if path is None else up[path],
+            "floor": None if index is None else math.sqrt(fixed[index]),
+        }
+    )
 
 
 def worth_text(found: dict[str, Any]) -> str:

@@ -8,7 +8,6 @@ Columns of a readings file, beside the outputs, are listed in `docs/reference/fo
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos import attitudes
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Source, Table, read_table
+from multipos.results import Frozen, Result
 from multipos.scheme import Scheme, read_scheme
 
 Array = NDArray[np.float64]
@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 _RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group"}
 
 
-@dataclass(frozen=True)
-class Readings:
+@dataclass(frozen=True, eq=False)
+class Readings(Result):
     """Averaged readings of M outputs at n positions, with all that is known of them.
 
     Attributes
@@ -74,7 +74,7 @@ class Readings:
     group: tuple[str, ...] | None = None
     environment: Mapping[str, Array] = field(default_factory=dict)
     unit: str = "reading"
-    source: str | None = None
+    source: str | None = field(default=None, compare=False)
     sha256: str | None = None
     notes: tuple[str, ...] = ()
 
@@ -108,7 +108,7 @@ class Readings:
             str(name): _array(f"environment['{name}']", column, (n,))
             for name, column in self.environment.items()
         }
-        _set(self, "environment", MappingProxyType(columns))
+        _set(self, "environment", Frozen(columns))
         self._check_values()
 
     def __len__(self) -> int:

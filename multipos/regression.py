@@ -17,6 +17,7 @@ from multipos.errors import MultiposError
 from multipos.files import plain, read_json, to_json, write_text
 from multipos.formatting import number, table, uncertain
 from multipos.hysteresis import BRANCHES, branch_of
+from multipos.results import Result
 from multipos.segment import Segment, segment_from_dict, segment_to_dict
 from multipos.segmentation import segment_of
 
@@ -25,8 +26,8 @@ Array = NDArray[np.float64]
 SCHEMA = "multipos/regression/1"
 
 
-@dataclass(frozen=True)
-class Regression:
+@dataclass(frozen=True, eq=False)
+class Regression(Result):
     """Piecewise regression of one column on others, with its tests.
 
     Attributes
@@ -71,9 +72,9 @@ class Regression:
     hysteresis: Mapping[str, Any] | None
     cross_validation: Mapping[str, Any] | None
     warnings: tuple[str, ...]
-    source: str | None
+    source: str | None = field(compare=False)
     sha256: str | None
-    created: str
+    created: str = field(compare=False)
     version: str
     thresholds: Mapping[str, float] = field(default_factory=dict)
 

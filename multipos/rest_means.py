@@ -24,6 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.results import Result
+
 Array = NDArray[np.float64]
 Counts = NDArray[np.signedinteger[Any]]
 
@@ -31,8 +33,8 @@ _BATCHES = 512
 _EDGE = 10  # an edge is a tenth of a rest
 
 
-@dataclass(frozen=True)
-class RestMean:
+@dataclass(frozen=True, eq=False)
+class RestMean(Result):
     """What the samples (n, M) of one rest say; arrays are (M,) in the unit of the samples.
 
     Attributes

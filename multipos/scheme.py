@@ -36,14 +36,15 @@ from multipos.attitudes import (
 )
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Source, read_table
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
 LARGEST = 1_000_000  # positions; a typing slip in fibonacci-N should not fill the memory
 
 
-@dataclass(frozen=True)
-class Scheme:
+@dataclass(frozen=True, eq=False)
+class Scheme(Result):
     """The positions of a calibration, in order.
 
     Attributes
@@ -61,11 +62,6 @@ class Scheme:
     up: Array
     rotation: Array
     labels: tuple[str, ...] | None
-
-    def __post_init__(self) -> None:
-        """Make the arrays read-only."""
-        for array in (self.up, self.rotation):
-            array.setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.up)

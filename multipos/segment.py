@@ -15,7 +15,6 @@ mean to compare with: ȳ = 0 and n − k.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 
 from multipos.model import Factor, Term, evaluate_terms
 from multipos.quantiles import t_tail
+from multipos.results import Result
 from multipos.selection import Step, Tested
 from multipos.subsets import Subset
 
@@ -42,8 +42,8 @@ class Coefficient(NamedTuple):
     p_robust: float | None = None
 
 
-@dataclass(frozen=True)
-class Robust:
+@dataclass(frozen=True, eq=False)
+class Robust(Result):
     """What the figures become where rows are not independent (`multipos.correlation`).
 
     Attributes
@@ -70,8 +70,8 @@ class Robust:
     lag_one: float
 
 
-@dataclass(frozen=True)
-class Segment:
+@dataclass(frozen=True, eq=False)
+class Segment(Result):
     """The model of one segment.
 
     Attributes
@@ -121,12 +121,6 @@ class Segment:
     collinear: tuple[str, ...] = ()
     subsets: tuple[tuple[tuple[str, ...], Subset], ...] = ()
     robust: Robust | None = None
-
-    def __post_init__(self) -> None:
-        """Make what it carries read-only."""
-        self.values.setflags(write=False)
-        self.covariance.setflags(write=False)
-        object.__setattr__(self, "limits", MappingProxyType(dict(self.limits)))
 
     @property
     def significant(self) -> bool:

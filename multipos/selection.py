@@ -40,6 +40,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.errors import MultiposError, UsageError
 from multipos.least_squares import name_combinations, separability
 from multipos.quantiles import f_quantile, f_tail
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
@@ -73,8 +74,8 @@ class Tested(NamedTuple):
     p: float
 
 
-@dataclass(frozen=True)
-class Step:
+@dataclass(frozen=True, eq=False)
+class Step(Result):
     """One term added or removed: its F and p, the second best, and every term that was tested."""
 
     step: int

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.calibration import Calibration
 from multipos.errors import UsageError
 from multipos.files import Column, Source
+from multipos.results import Record
 from multipos.scheme import Scheme, read_scheme
 from multipos.units import gravity_ratio
 
@@ -71,12 +72,14 @@ def simulate(
     values = calibration.predict(force, environment)
     values = values + _sd(calibration, reading_sd, "--reading-sd") * rng.normal(size=values.shape)
     labels = known.labels or tuple(str(i + 1) for i in range(len(known)))
-    return {
-        "position": list(labels),
-        **dict(zip(("up_x", "up_y", "up_z"), known.up.T, strict=True)),
-        **dict(zip(calibration.outputs, values.T, strict=True)),
-        **environment,
-    }
+    return Record(
+        {
+            "position": list(labels),
+            **dict(zip(("up_x", "up_y", "up_z"), known.up.T, strict=True)),
+            **dict(zip(calibration.outputs, values.T, strict=True)),
+            **environment,
+        }
+    )
 
 
 def simulate_log(
@@ -132,7 +135,8 @@ def simulate_log(
     noise = _noise(len(force), len(calibration.outputs), correlation_time * rate, rng)
     values = calibration.predict(force, environment)
     values = values + _sd(calibration, sample_sd, "--sample-sd") * noise
-    return {"time": time, **dict(zip(calibration.outputs, values.T, strict=True)), **environment}
+    outputs = dict(zip(calibration.outputs, values.T, strict=True))
+    return Record({"time": time, **outputs, **environment})
 
 
 def _session(

@@ -45,6 +45,7 @@ from multipos.known import FLOOR
 from multipos.least_squares import name_combinations, separability, solve
 from multipos.model import COMPONENTS, Model, build_model, default_axes
 from multipos.readings import Readings, orient, read_readings
+from multipos.results import Result
 from multipos.scheme import Scheme
 from multipos.turntable import TableErrors, table_errors
 
@@ -72,8 +73,8 @@ _WEAK = 5.0  # u of one grows so much by the other being fitted as well
 _ROUNDING = 1e-12  # residuals below this part of the largest reading are rounding
 
 
-@dataclass(frozen=True)
-class Coefficient:
+@dataclass(frozen=True, eq=False)
+class Coefficient(Result):
     """One coefficient of eq. (1); all but K1 are divided by K1.
 
     `customary` holds value, u, U and unit as a data sheet has them; of K1 only u and U, in ppm.
@@ -88,8 +89,8 @@ class Coefficient:
     customary: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Tumble:
+@dataclass(frozen=True, eq=False)
+class Tumble(Result):
     """A single-axis tumble: coefficients, harmonics, and the calibration that they come from.
 
     Attributes

@@ -24,6 +24,7 @@ from multipos.fitting import fit
 from multipos.formatting import number, table
 from multipos.readings import Readings
 from multipos.reports import text_report
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
@@ -49,8 +50,8 @@ PRINTED = np.array(
 _LAST_DIGIT = 1e-11  # the printed figures that follow from table 2 agree to their last digit
 
 
-@dataclass(frozen=True)
-class Demonstration:
+@dataclass(frozen=True, eq=False)
+class Demonstration(Result):
     """Table 2 calibrated by least squares and by the closed form."""
 
     calibration: Calibration

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import UsageError
+from multipos.results import Result
 from multipos.selection import COLLINEAR, NOTHING, Triangle
 
 Array = NDArray[np.float64]
@@ -39,8 +40,8 @@ _LISTED = 256  # subsets that are listed whole
 _BEST = 5  # of each size beyond that
 
 
-@dataclass(frozen=True)
-class Subset:
+@dataclass(frozen=True, eq=False)
+class Subset(Result):
     """One subset of the terms, with its columns and criteria."""
 
     columns: tuple[int, ...]

@@ -23,14 +23,15 @@ from multipos.calibration import Calibration
 from multipos.errors import UsageError
 from multipos.model import COMPONENTS, CONSTANT, linear_term, parameter_name
 from multipos.quantiles import coverage_factor, f_quantile
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
 _POINTS = 101
 
 
-@dataclass(frozen=True)
-class Curve:
+@dataclass(frozen=True, eq=False)
+class Curve(Result):
     """One parameter over temperature.
 
     Attributes

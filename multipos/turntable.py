@@ -34,6 +34,7 @@ from multipos.least_squares import separability, solve
 from multipos.model import COMPONENTS, Model, build_model
 from multipos.quantiles import coverage_factor, t_tail
 from multipos.readings import Readings
+from multipos.results import Result
 from multipos.tilt import magnitude_of, sign_of
 
 Array = NDArray[np.float64]
@@ -42,8 +43,8 @@ QUANTITIES = ("zero_offset", "first_cos", "first_sin", "second_cos", "second_sin
 _SHIFTED = 1e-3  # chance of a zero shift where there is none
 
 
-@dataclass(frozen=True)
-class TableError:
+@dataclass(frozen=True, eq=False)
+class TableError(Result):
     """One quantity of eq. (1) on one roll; value, u, U are None where it cannot be told.
 
     `confounded_with` names the terms of the sensor that do the same to the readings, whether the
@@ -58,8 +59,8 @@ class TableError:
     confounded_with: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class ZeroShift:
+@dataclass(frozen=True, eq=False)
+class ZeroShift(Result):
     """How far the zero of an output lies, on one roll, from where it was on the first."""
 
     plane: str
@@ -71,8 +72,8 @@ class ZeroShift:
     p: float
 
 
-@dataclass(frozen=True)
-class TableErrors:
+@dataclass(frozen=True, eq=False)
+class TableErrors(Result):
     """What the rolls of a calibration tell of the table, and of the sensor's zero between them."""
 
     errors: tuple[TableError, ...]

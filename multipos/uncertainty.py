@@ -27,13 +27,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.budgets import Budget, Quantity, Source, read_budget
 from multipos.calibration import Calibration
+from multipos.results import Result
 from multipos.sensitivities import estimator_gain, parameter_effects
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Row:
+@dataclass(frozen=True, eq=False)
+class Row(Result):
     """One line of the budget.
 
     Attributes
@@ -80,8 +81,8 @@ class Row:
         return np.asarray(np.where(np.outer(left, left), self.covariance, 0.0))
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, eq=False)
+class Evaluation(Result):
     """A budget evaluated for one calibration: its rows, and their sum."""
 
     rows: tuple[Row, ...]

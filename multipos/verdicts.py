@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files import read_json, to_json, write_text
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
@@ -23,8 +24,8 @@ SCHEMA = "multipos/check/1"
 VERDICTS = ("pass", "undecided", "fail")  # from best to worst
 
 
-@dataclass(frozen=True)
-class Check:
+@dataclass(frozen=True, eq=False)
+class Check(Result):
     """Errors of K axes at n positions, before and after compensation.
 
     Of a regression the one axis is its response, and the positions are the rows of a table.
@@ -74,10 +75,10 @@ class Check:
     bias: float | None
     scale: float | None
     confidence: float
-    source: str | None
+    source: str | None = field(compare=False)
     sha256: str | None
     warnings: tuple[str, ...]
-    calibration: str | None = None
+    calibration: str | None = field(default=None, compare=False)
     against: str | None = None
     segments: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 

@@ -15,6 +15,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "multipos"
 ORDER = (
     "errors",
     "units",
+    "results",
     "quantiles",
     "formatting",
     "files",

@@ -10,6 +10,7 @@ from multipos.exporters.c_source import c_source, c_test
 from multipos.exporters.laws import loss_text
 from multipos.exporters.parameters import write_ardupilot, write_px4, write_ros
 from multipos.files import write_text
+from multipos.results import Result
 
 TARGETS = ("c", "ros-imu-calib", "px4", "ardupilot")
 _PARAMETER_WRITERS = {
@@ -19,8 +20,8 @@ _PARAMETER_WRITERS = {
 }
 
 
-@dataclass(frozen=True)
-class Exported:
+@dataclass(frozen=True, eq=False)
+class Exported(Result):
     """A calibration in the form of a target.
 
     Attributes

@@ -32,6 +32,7 @@ from multipos.files import plain, read_bytes
 from multipos.formatting import table
 from multipos.inverse import sensed_axes
 from multipos.model import COMPONENTS
+from multipos.results import Result
 
 Array = NDArray[np.float64]
 
@@ -59,8 +60,8 @@ int main(void)
 """
 
 
-@dataclass(frozen=True)
-class Verification:
+@dataclass(frozen=True, eq=False)
+class Verification(Result):
     """What a consumer makes of the readings that the calibration was made from.
 
     Attributes

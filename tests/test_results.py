@@ -1,0 +1,293 @@
+"""Results can be pickled, copied and compared, and stay frozen through all of it."""
+
+import copy
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from functools import cache, partial
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos.budgets import read_budget
+from multipos.criticism import find_influence, judge_terms
+from multipos.joint_tests import judge_jointly
+from multipos.monte_carlo import simulate_budget
+from multipos.results import Frozen, Record
+from multipos.uncertainty import evaluate_budget
+
+BUDGET = {
+    "gravity": {"value": 9.81, "u": 1e-4},
+    "gain": {"u": 1e-4},
+    "offset": {"u": 1e-4, "distribution": "rectangular"},
+}
+TWICE = {"scheme": "faces-corners-14", "model": "own-quadratic"}
+
+
+@cache
+def sensor():
+    return mp.fit(
+        mp.Readings(
+            mp.read_scheme("faces-6").up * [1.01, 0.99, 1.0] + [0.01, 0.0, -0.02], unit="g"
+        ),
+        scheme="faces-6",
+    )
+
+
+@cache
+def session(seed=1):
+    return mp.Readings(
+        np.column_stack([
+            mp.simulate(sensor(), TWICE["scheme"], reading_sd=1e-3, seed=seed)[name]
+            for name in ("ax", "ay", "az")
+        ]),
+        unit="g",
+    )  # fmt: skip
+
+
+@cache
+def calibrated(seed=1):
+    return mp.fit(session(seed), budget=BUDGET, **TWICE)
+
+
+@cache
+def warmed():
+    t = np.repeat([-20.0, 20.0, 60.0], 6)
+    up = np.tile(mp.read_scheme("faces-6").up, (3, 1))
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(len(t))
+    columns = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    columns |= {"ax": up[:, 0] * (1 + 1e-4 * t) + 1e-3 * t + noise, "temperature": t}
+    return mp.fit(columns, model="1 + x + y + z + temperature + temperature*x")
+
+
+def saturating(own, bias, scale, limit=0.0):
+    return bias + scale * own / (1.0 + limit * own * own)
+
+
+@cache
+def regressed():
+    rng = np.random.default_rng(2)
+    t = np.linspace(-40.0, 80.0, 240)
+    data = {"time": np.arange(240.0), "t": t, "V": 1.0 + 0.01 * t + 1e-4 * t**2}
+    data["y"] = 0.3 + 0.02 * t + np.where(t > 20.0, 0.05 * (t - 20.0), 0.0)
+    data["y"] = data["y"] + 0.01 * rng.standard_normal(240)
+    return mp.regress(
+        data, response="y", variables="t,V", degree=2, stepwise=True, segment="t:20",
+        cross_validate=3,
+    )  # fmt: skip
+
+
+@cache
+def tumbled():
+    t = 2 * np.pi * np.arange(24) / 24
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(24)
+    return mp.tumble({"E": np.cos(t) + 0.01 + noise}, scheme="tumble-24")
+
+
+@cache
+def averaged():
+    log = mp.simulate_log(sensor(), "faces-6", rate=50.0, rest=2.0, sample_sd=1e-3, seed=1)
+    return mp.average(log, scheme="faces-6")
+
+
+@cache
+def checked():
+    return mp.check(calibrated(), session(2), scheme=TWICE["scheme"], limit_g=0.01)
+
+
+@cache
+def verified():
+    with TemporaryDirectory() as folder:
+        (file,) = mp.export(sensor(), to="ros-imu-calib").save(Path(folder) / "ros.yaml")
+        return mp.verify_export(file, sensor())
+
+
+RESULTS = {
+    "Averages": averaged,
+    "Budget": lambda: read_budget(BUDGET),
+    "Calibration": calibrated,
+    "Calibration of unknown orientations": lambda: mp.fit(session(), unknown_orientation=True),
+    "Calibration with uncertain orientations": lambda: mp.fit(
+        session(), orientation_sd=0.1, **TWICE
+    ),
+    "Calibration, robust": lambda: mp.fit(session(), robust="huber", orientation_sd=0.1, **TWICE),
+    "Calibration without degrees of freedom": lambda: mp.fit(
+        mp.Readings([[1.01, 0.01], [-0.99, 0.02], [0.02, 1.02]], unit="g"),
+        scheme={"direction": ["U-N-W", "D-S-W", "S-U-W"]},
+        inputs="x,y",
+    ),
+    "Check": checked,
+    "Comparison": lambda: mp.compare(calibrated(1), calibrated(2)),
+    "Demonstration": mp.demo,
+    "Evaluation": lambda: evaluate_budget(calibrated(), read_budget(BUDGET)),
+    "Exported": lambda: mp.export(sensor(), to="c"),
+    "Influence": lambda: find_influence(calibrated()),
+    "Joint tests": lambda: tuple(judge_jointly(calibrated())),
+    "Model": lambda: calibrated().model,
+    "MonteCarlo": lambda: simulate_budget(calibrated(), trials=1000, rng=1),
+    "Readings": session,
+    "Readings with columns": lambda: warmed().readings,
+    "Regression": regressed,
+    "Verification": verified,
+    "Scheme": lambda: mp.read_scheme("faces-6"),
+    "Term tests": lambda: tuple(judge_terms(calibrated())),
+    "Tumble": tumbled,
+    "Curves": lambda: mp.over_temperature(warmed()),
+    "apply": lambda: mp.apply(calibrated(), mp.simulate(sensor(), "faces-6"), uncertainty=True),
+    "correct": lambda: mp.correct(regressed(), {"t": [0.0, 30.0], "V": [1.0, 1.2], "y": [0.0, 1]}),
+    "design": lambda: mp.design("linear", 6),
+    "schemes": lambda: mp.schemes("faces-6", "roll-x-8"),
+    "simulate": lambda: mp.simulate(sensor(), "faces-6", seed=1),
+    "simulate_log": lambda: mp.simulate_log(sensor(), "faces-6", rate=10.0, rest=1.0, seed=1),
+    "table_errors": lambda: tumbled().table_errors,
+    "worth": lambda: mp.worth(calibrated(), parameter="ax:x", target=1e-4),
+}
+every_result = pytest.mark.parametrize("name", RESULTS)
+
+
+def arrays(value):
+    """Yield the arrays that a result holds, as deep as they lie."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from arrays(getattr(value, field.name))
+    elif isinstance(value, dict):
+        for entry in value.values():
+            yield from arrays(entry)
+    elif isinstance(value, tuple):
+        for entry in value:
+            yield from arrays(entry)
+
+
+def nudged(value):
+    """Return a value with its first number changed, or None where it has none."""
+    if isinstance(value, bool | np.bool_):
+        return not value
+    if isinstance(value, int | float | np.number):
+        return value * 1.001 + 1 if np.isfinite(value) else 0.0
+    if isinstance(value, np.ndarray) and value.size and value.dtype.kind in "fiub":
+        changed = value.copy()
+        place = min(1, value.size - 1)  # not the first: an up vector (1, 0, 0) has any length
+        changed.flat[place] = nudged(changed.flat[place])
+        return changed
+    if is_dataclass(value) or isinstance(value, dict | tuple | list):
+        return next(nudges(value), None)
+    return None
+
+
+def nudges(value):
+    """Yield the value with a number changed in one of its parts, for each part that has one."""
+    if is_dataclass(value):
+        parts = {f.name: getattr(value, f.name) for f in fields(value) if f.compare}
+        for name, part in parts.items():
+            if (changed := nudged(part)) is not None:
+                yield replace(value, **{name: changed})
+    elif isinstance(value, dict):
+        for name, part in value.items():
+            if (changed := nudged(part)) is not None:
+                yield type(value)({**value, name: changed})
+    else:
+        for i, part in enumerate(value):
+            if (changed := nudged(part)) is not None:
+                parts = [*value[:i], changed, *value[i + 1 :]]
+                yield type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
+
+
+@every_result
+def test_a_pickle_and_a_copy_equal_the_result_and_are_frozen(name):
+    result = RESULTS[name]()
+    str(result)  # whatever it caches stays behind
+    again = [pickle.loads(pickle.dumps(result, protocol)) for protocol in range(2, 6)]
+    for found in (*again, copy.deepcopy(result), copy.copy(result)):
+        assert type(found) is type(result)
+        assert found == result
+        assert (found != result) is False
+        if not isinstance(result, Record):  # columns are the caller's own, to go on working with
+            assert not any(array.flags.writeable for array in arrays(found))
+
+
+@every_result
+def test_a_result_with_another_number_is_another(name):
+    result = RESULTS[name]()
+    others = list(nudges(result))
+    if name == "Exported":  # the one without a number
+        others = [replace(result, text=result.text.replace("0", "1", 1))]
+    assert others
+    for other in others:
+        assert other != result
+        assert (other == result) is False
+
+
+def test_every_public_type_of_results_is_among_them():
+    kinds = {type(make()) for make in RESULTS.values()}
+    public = {getattr(mp, name) for name in mp.__all__ if isinstance(getattr(mp, name), type)}
+    assert {kind for kind in public if not issubclass(kind, Exception)} <= kinds
+
+
+def test_time_and_file_names_make_no_difference(tmp_path):
+    text = "direction,ax\nE-U-S,0.01\nE-N-U,-0.01\nD-E-S,-0.99\nW-D-S,0\nU-W-S,1\nS-W-D,0\n"
+    found = []
+    for name in ("one.csv", "two.csv"):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        found.append(mp.fit(tmp_path / name))
+    one, two = found[0], replace(found[1], created="2001-02-03T04:05:06Z")
+    assert (one.readings.source, one.created) != (two.readings.source, two.created)
+    assert one == two
+    assert one != replace(two, convention="gravity")
+    assert one != "a calibration"
+    names = [str(tmp_path / name) for name in ("one.json", "two.json")]
+    for calibration, name in zip(found, names, strict=True):
+        calibration.save(name)
+    assert mp.compare(*names) == mp.compare(*reversed(names))
+
+
+def test_nan_equals_nan_and_shapes_count():
+    columns = Record(a=np.array([1.0, np.nan]), b=[1.0, float("nan")])
+    assert columns == Record(a=np.array([1.0, np.nan]), b=[1.0, float("nan")])
+    assert columns != Record(a=np.array([[1.0, np.nan]]), b=[1.0, float("nan")])
+    assert columns != Record(a=np.array([1.0, np.nan]))
+    assert Record(a=np.array([1.0])) != Record(a=1.0)
+    assert Record(a=np.array([1.0])) != np.array([1.0]).tolist()
+
+
+def test_a_frozen_mapping_refuses_every_change():
+    frozen = Frozen({"a": np.zeros(2), "b": {"c": 1}})
+    for change in (
+        lambda: frozen.update(a=1), lambda: frozen.pop("a"), frozen.clear, frozen.popitem,
+        lambda: frozen.setdefault("d", 1), lambda: frozen.__setitem__("a", 1),
+        lambda: frozen.__delitem__("a"), lambda: frozen.__ior__({"a": 1}),
+        lambda: frozen["b"].update(c=2),
+    ):  # fmt: skip
+        with pytest.raises(TypeError, match=r"make a copy of it with dict\(…\)"):
+            change()
+    with pytest.raises(ValueError, match="read-only"):
+        frozen["a"][0] = 1.0
+    assert dict(frozen) | {"a": 1} == {"a": 1, "b": {"c": 1}}
+
+
+def test_a_result_has_no_hash_and_a_model_has():
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(sensor())
+    assert len({calibrated(1).model, calibrated(2).model}) == 1
+    with pytest.raises(FrozenInstanceError):
+        sensor().parameters = np.zeros(12)
+
+
+def test_a_model_given_as_a_function_travels_once_it_has_been_used():
+    cal = mp.fit(session(), scheme=TWICE["scheme"], model=saturating)
+    force = cal.compensate(session().values)  # compiles what cannot be pickled
+    again = pickle.loads(pickle.dumps(cal))
+    assert again == cal
+    np.testing.assert_array_equal(again.compensate(session().values), force)
+
+
+def test_a_process_pool_returns_calibrations():
+    fit = partial(mp.fit, **TWICE)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        (found,) = pool.map(fit, [session()])
+    assert found == fit(session())
