@@ -45,6 +45,7 @@ from multipos.information import (
 from multipos.known import FLOOR
 from multipos.least_squares import name_combinations, separability
 from multipos.model import COMPONENTS, Model, Term, build_model, default_axes
+from multipos.names import Names, split_names, spread
 from multipos.optimum import Optimum, largest_sensitivity, optimise_sphere
 from multipos.results import Record
 from multipos.scheme import Scheme, named_schemes, read_scheme
@@ -56,10 +57,10 @@ _HIGHER = "x^2 + y^2 + z^2 + x*y + x*z + y*z + own^3 + own*|own|"
 
 
 def schemes(
-    *sources: "Source | Scheme",
+    *sources: "Source | Scheme | Sequence[Source | Scheme]",
     model: str = "linear",
-    axes: Sequence[str] | str = COMPONENTS,
-    inputs: Sequence[str] | str = COMPONENTS,
+    axes: Names = COMPONENTS,
+    inputs: Names = COMPONENTS,
     unknown_orientation: bool = False,
     orientation_sd: float | None = None,
     reading_sd: float = 1.0,
@@ -69,9 +70,10 @@ def schemes(
     Parameters
     ----------
     *sources : names, joined names, paths, columns or Scheme
+        One by one, or one list or tuple of them.
     model : str
         Name or formula.
-    axes, inputs : sequences of str, or comma-separated str
+    axes, inputs : names
         As in `multipos.fit`; outputs are named ax, ay, az after their axes.
     unknown_orientation : bool
         Only the norm of f is known, and the parameters are those of the lower gauge.
@@ -89,8 +91,9 @@ def schemes(
     """
     setting = read_setting(model, axes, inputs, unknown_orientation, orientation_sd, reading_sd)
     assessor = Assessor(setting, reading_sd)
-    found = [assessor.describe(read_scheme(source)) for source in sources or named_schemes()]
-    if not sources:
+    given: tuple[Source | Scheme, ...] = spread(sources)
+    found = [assessor.describe(read_scheme(source)) for source in given or named_schemes()]
+    if not given:
         # of equally good ones, to what rounding leaves, the shortest first
         found.sort(key=lambda e: (-round(e["d_efficiency"] or 0.0, 9), e["positions"]))
     return Record(
@@ -104,15 +107,15 @@ def schemes(
 
 def read_setting(
     model: str,
-    axes: Sequence[str] | str,
-    inputs: Sequence[str] | str,
+    axes: Names,
+    inputs: Names,
     unknown_orientation: bool,
     orientation_sd: float | None,
     reading_sd: float,
 ) -> Setting:
     """Return the setting of options as `schemes` takes them."""
     names = default_axes((), axes)
-    seen = tuple(inputs.split(",")) if isinstance(inputs, str) else tuple(inputs)
+    seen = split_names(inputs, "--inputs")
     # a second output on an axis is ax2
     outputs = tuple(
         f"a{axis}" + (str(count) if (count := names[: i + 1].count(axis)) > 1 else "")

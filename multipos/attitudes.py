@@ -15,16 +15,19 @@ vector pointing up, in case axes: ``u = C e_U``. Written as
 Exact angles give exact zeros: a stray cos 90° = 6e-17 would pass for a tilt.
 """
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
 from multipos.files import Table
 from multipos.units import cos_deg, sin_deg
 
 Array = NDArray[np.float64]
+
+Convention = Literal["specific-force", "gravity"]  # which sign the axis that points up has
+CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
 
 _E, _N, _U = np.eye(3)
 _LETTERS = {"E": _E, "N": _N, "U": _U, "W": -_E, "S": -_N, "D": -_U}
@@ -45,6 +48,12 @@ class Attitudes(NamedTuple):
 
     up: Array
     rotation: Array
+
+
+def check_convention(convention: str) -> None:
+    """Refuse a convention that is none."""
+    if convention not in CONVENTIONS:
+        raise UsageError(f"unknown convention '{convention}'; give specific-force or gravity.")
 
 
 def read_attitudes(table: Table, unknown: NDArray[np.bool_] | None = None) -> Attitudes | None:

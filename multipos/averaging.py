@@ -5,18 +5,20 @@ passes that follow (find the threshold, find the rests, average them) cost littl
 be longer than memory.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.attitudes import Convention, check_convention
 from multipos.averages import Averages, RestAverage
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Source
 from multipos.known_rests import read_sections
 from multipos.logs import Log, open_log
 from multipos.matching import FARTHEST_DEG, Match, match_directions
+from multipos.names import Names, split_names
 from multipos.readings import is_environment
 from multipos.rest_faults import check_units, find_faults, refuse_saturated
 from multipos.rest_means import RestMean, RestSum
@@ -32,16 +34,16 @@ _GAP = 3.0  # usual steps of the time: a longer one is a gap
 def average(
     log: "Source | Log",
     *,
-    outputs: Sequence[str] | str | None = None,
-    columns: Sequence[str] | str | None = None,
+    outputs: Names | None = None,
+    columns: Names | None = None,
     time_column: str | None = None,
     rate: float | None = None,
     min_duration: float | None = None,
     threshold: float | None = None,
     sections: Source | None = None,
-    only: Sequence[str] | str | None = None,
+    only: Names | None = None,
     scheme: "Source | Scheme | None" = None,
-    convention: str = "specific-force",
+    convention: Convention = "specific-force",
     progress: Progress | None = None,
 ) -> Averages:
     """Average the rests of a raw log.
@@ -88,9 +90,11 @@ def average(
         raise UsageError("--time-column and --rate both tell the time; give one.")
     if threshold is not None and not 0.0 < threshold < np.inf:
         raise UsageError(f"--threshold must be above 0, got {threshold:g}.")
+    check_convention(convention)
     wanted = None if scheme is None else read_scheme(scheme)
-    source = open_log(log, columns=_names(columns))
-    names = _outputs(source, _names(outputs), time_column)
+    given_outputs = None if outputs is None else split_names(outputs, "--outputs")
+    source = open_log(log, columns=columns)
+    names = _outputs(source, given_outputs, time_column)
     check_units(names, None)
     if time_column is None and rate is None and "time" in source.numeric:
         time_column = "time"
@@ -104,7 +108,7 @@ def average(
             labelled = {str(i + 1): rest for i, rest in enumerate(rests)}
         else:
             labelled = given.inside(samples.rows)
-        chosen = _choose(labelled, _names(only))
+        chosen = _choose(labelled, None if only is None else split_names(only, "--only"))
         found = _average_all(samples, chosen, grid, threshold)
     means = [each.found for each in found]
     refuse_saturated(names, list(chosen.items()), means, survey)
@@ -112,12 +116,6 @@ def average(
     match = None if wanted is None else _match(means, chosen, wanted, convention)
     return _complete(source, names, chosen, found, survey, match, wanted, rate, threshold,
                      samples.notes)  # fmt: skip
-
-
-def _names(given: Sequence[str] | str | None) -> tuple[str, ...] | None:
-    if given is None:
-        return None
-    return tuple(given.split(",")) if isinstance(given, str) else tuple(given)
 
 
 def _outputs(log: Log, given: tuple[str, ...] | None, time_column: str | None) -> tuple[str, ...]:
@@ -182,7 +180,7 @@ def _choose(labelled: dict[str, Rest], only: tuple[str, ...] | None) -> dict[str
 
 
 def _match(
-    means: list[RestMean], chosen: Mapping[str, Rest], scheme: Scheme, convention: str
+    means: list[RestMean], chosen: Mapping[str, Rest], scheme: Scheme, convention: Convention
 ) -> Match:
     match = match_directions(np.array([each.mean for each in means]), scheme, convention)
     bad = np.flatnonzero(match.doubtful).tolist()

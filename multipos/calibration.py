@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos import derived, inverse
+from multipos.attitudes import Convention
 from multipos.diagnostics import Diagnostics, linearity
 from multipos.errors import MultiposError
 from multipos.expressions import expression_dict, load_expression
@@ -120,7 +121,7 @@ class Calibration(Result):
     residual_sd: Array
     reference: Array
     readings: Readings
-    convention: str
+    convention: Convention
     gravity: Gravity | None
     estimator: str
     criterion: str
@@ -132,9 +133,16 @@ class Calibration(Result):
     cross_check: float | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
-    def __getitem__(self, key: tuple[str, str]) -> Parameter:
-        """Return a parameter by (output, term), as in ``cal["ax", "x^2"]``."""
-        return self._parameter(self.model.index(*key))
+    def __getitem__(self, key: str | tuple[str, str]) -> Parameter:
+        """Return a parameter by (output, term) or by name: ``cal["ax", "x"]``, ``cal["scale_ax"]``.
+
+        Raises
+        ------
+        KeyError
+            The model has no such parameter; the message offers a name that is like it.
+        """
+        place = self.model.named(key) if isinstance(key, str) else self.model.index(*key)
+        return self._parameter(place)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -10,12 +10,13 @@ from itertools import combinations_with_replacement
 
 from multipos.errors import UsageError
 from multipos.model import Factor, Term, parse_terms
+from multipos.names import Names, split_names
 
 HIGHEST_DEGREE = 30  # of a power; NIST's Filip has 10
 
 
 def read_candidates(
-    response: str, variables: Sequence[str] | str | None, degree: int | None, terms: str | None
+    response: str, variables: Names | None, degree: int | None, terms: str | None
 ) -> tuple[tuple[str, ...], tuple[Term, ...]]:
     """Return the variables and the candidate terms that options state.
 
@@ -24,8 +25,7 @@ def read_candidates(
     UsageError
         Terms stated twice or not at all, or made of the response.
     """
-    given = variables.split(",") if isinstance(variables, str) else variables
-    names = None if given is None else tuple(name.strip() for name in given)
+    names = None if variables is None else split_names(variables, "--variables")
     if terms is not None and degree is not None:
         raise UsageError("--degree and --terms both state the terms; give one.")
     if names is not None and len(set(names)) < len(names):

@@ -33,7 +33,7 @@ from multipos.findings import (
     sphere_section,
 )
 from multipos.monte_carlo import MonteCarlo
-from multipos.translations import Translator
+from multipos.translations import Language, Translator
 from multipos.turntable import has_rolls
 from multipos.uncertainty import evaluate_budget
 from multipos.verdicts import Check
@@ -126,7 +126,7 @@ def build_content(
     calibration: Calibration,
     *,
     lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
-    language: str = "en",
+    language: Language = "en",
     simulated: MonteCarlo | None = None,
     check: Check | None = None,
 ) -> Content:

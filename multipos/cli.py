@@ -119,7 +119,3 @@ class _Parser(argparse.ArgumentParser):
 def _complain(error: object, status: int) -> int:
     print(f"multipos: error: {' '.join(str(error).split())}", file=sys.stderr)
     return status
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -26,10 +26,12 @@ from multipos.consistency import Judgement, judge
 from multipos.errors import MultiposError, UsageError
 from multipos.formatting import number, table, uncertain
 from multipos.model import CONSTANT
+from multipos.names import spread
 from multipos.quantiles import t_tail
 from multipos.results import Result
 
 Array = NDArray[np.float64]
+Run = Calibration | str | os.PathLike[str]
 
 _LEAST = 4  # repeats that the six-position paper asks for
 
@@ -114,15 +116,13 @@ class Comparison(Result):
         }  # fmt: skip
 
 
-def compare(
-    *calibrations: "Calibration | str | os.PathLike[str]", confidence: float = 0.95
-) -> Comparison:
+def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> Comparison:
     """Compare repeated calibrations of one unit, or several methods on the same readings.
 
     Parameters
     ----------
     *calibrations : Calibration or path
-        Two or more, in the order of the runs.
+        Two or more, in the order of the runs; one by one, or one list or tuple of them.
     confidence : float
         They are called inconsistent where chance would do so with probability 1 − confidence.
 
@@ -137,14 +137,15 @@ def compare(
     MultiposError
         They are not of the same model, outputs, unit and convention.
     """
-    if len(calibrations) < 2:
+    runs: tuple[Run, ...] = spread(calibrations)
+    if len(runs) < 2:
         raise UsageError("compare needs two or more calibrations.")
     if not 0.0 < confidence < 1.0:
         raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
-    found = tuple(c if isinstance(c, Calibration) else load(c) for c in calibrations)
+    found = tuple(c if isinstance(c, Calibration) else load(c) for c in runs)
     files = tuple(
         f"calibration {i}" if isinstance(c, Calibration) else str(c)
-        for i, c in enumerate(calibrations, start=1)
+        for i, c in enumerate(runs, start=1)
     )
     _check_alike(found, files)
     values = np.array([c.parameters for c in found])

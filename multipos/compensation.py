@@ -17,6 +17,7 @@ be of any length.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,8 @@ from multipos.validity import force_covariance
 
 Array = NDArray[np.float64]
 
-OUTSIDE = ("flag", "clamp", "refuse")
+Outside = Literal["flag", "clamp", "refuse"]
+OUTSIDE: tuple[Outside, ...] = get_args(Outside)
 # Noise and placement make |f| of a sensor at rest differ from 1 g; only more than this is outside.
 _MARGIN = 0.01
 _MARGIN_RMS = 4.0
@@ -46,7 +48,7 @@ def apply(
     *,
     tilt: bool = False,
     uncertainty: bool = False,
-    outside: str = "flag",
+    outside: Outside = "flag",
 ) -> dict[str, Column]:
     """Return the columns of a table with the compensated force beside them.
 
@@ -80,7 +82,7 @@ def apply(
             f"`calibration` must be a Calibration, got {type(calibration).__name__}; for a "
             "regression call `multipos.correct`."
         )
-    _check_outside(outside)
+    check_outside(outside)
     table = read_table(data, what="data")
     _check_columns(calibration, table.source, table.columns, tilt, uncertainty)
     added = add_columns(calibration, table, tilt=tilt, uncertainty=uncertainty, outside=outside)
@@ -110,7 +112,7 @@ class AppliedLog:
     log: Log
     tilt: bool = False
     uncertainty: bool = False
-    outside: str = "flag"
+    outside: Outside = "flag"
     progress: Callable[[float], object] | None = None
     rows: int = 0
     beyond: int = 0
@@ -172,7 +174,7 @@ def apply_log(
     *,
     tilt: bool = False,
     uncertainty: bool = False,
-    outside: str = "flag",
+    outside: Outside = "flag",
     progress: Callable[[float], object] | None = None,
 ) -> AppliedLog:
     """Return a log with the compensated force beside its columns, to be written piece by piece.
@@ -182,13 +184,13 @@ def apply_log(
     MultiposError
         A column is missing. Bad cells and refused rows are found when the pieces are read.
     """
-    _check_outside(outside)
+    check_outside(outside)
     _check_columns(calibration, log.source, log.columns, tilt, uncertainty)
     return AppliedLog(calibration, log, tilt, uncertainty, outside, progress)
 
 
 def add_columns(
-    calibration: Calibration, table: Table, *, tilt: bool, uncertainty: bool, outside: str
+    calibration: Calibration, table: Table, *, tilt: bool, uncertainty: bool, outside: Outside
 ) -> dict[str, Array]:
     """Return the columns that a table gets, each row from itself alone, in order."""
     raw = np.column_stack([table.number(name) for name in calibration.outputs])
@@ -222,7 +224,8 @@ def add_columns(
     return {**added, "outside": beyond.astype(np.int64)}
 
 
-def _check_outside(outside: str) -> None:
+def check_outside(outside: str) -> None:
+    """Refuse a way with rows outside that is none."""
     if outside not in OUTSIDE:
         raise UsageError(f"--outside takes {', '.join(OUTSIDE)}, got '{outside}'.")
 

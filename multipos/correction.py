@@ -17,7 +17,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.errors import MultiposError, UsageError
+from multipos.compensation import Outside, check_outside
+from multipos.errors import MultiposError
 from multipos.files import Column, Source, Table, read_table
 from multipos.rates import smoothed_rate
 from multipos.regression import Regression
@@ -25,15 +26,13 @@ from multipos.results import Record
 
 Array = NDArray[np.float64]
 
-OUTSIDE = ("flag", "clamp", "refuse")
-
 
 def correct(
     regression: Regression,
     data: Source,
     *,
     column: str | None = None,
-    outside: str = "flag",
+    outside: Outside = "flag",
     uncertainty: bool = False,
 ) -> dict[str, Column]:
     """Return the columns of a table with `predicted` and `corrected` beside them.
@@ -59,8 +58,7 @@ def correct(
     MultiposError
         A column is missing or has a bad cell, or a row is outside under 'refuse'.
     """
-    if outside not in OUTSIDE:
-        raise UsageError(f"--outside takes {', '.join(OUTSIDE)}, got '{outside}'.")
+    check_outside(outside)
     table = read_table(data, what="data")
     target = regression.response if column is None else column
     if target not in table:

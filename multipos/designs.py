@@ -7,7 +7,6 @@ bench with few positions it also says what the bench costs.
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -34,6 +33,7 @@ from multipos.information import (
     sensitivity,
 )
 from multipos.model import COMPONENTS
+from multipos.names import Names
 from multipos.optimum import Optimum, largest_sensitivity, optimise_candidates, optimise_sphere
 from multipos.results import Record
 from multipos.scheme import Scheme, read_scheme
@@ -51,8 +51,8 @@ def design(
     positions: int = 6,
     *,
     criterion: str = "D",
-    axes: Sequence[str] | str = COMPONENTS,
-    inputs: Sequence[str] | str = COMPONENTS,
+    axes: Names = COMPONENTS,
+    inputs: Names = COMPONENTS,
     candidates: "Source | Scheme | None" = None,
     include: "Source | Scheme | None" = None,
     region: "Source | Scheme | None" = None,

@@ -23,6 +23,7 @@ from multipos.findings import Figure, Grid
 from multipos.formatting import markdown_table
 from multipos.monte_carlo import MonteCarlo
 from multipos.plots.style import COLOURS
+from multipos.translations import Language
 from multipos.verdicts import Check
 
 
@@ -73,7 +74,7 @@ def write_report(
     path: str | os.PathLike[str],
     *,
     lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
-    language: str = "en",
+    language: Language = "en",
     simulated: MonteCarlo | None = None,
     check: Check | None = None,
 ) -> None:

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
 from multipos.instructions import Instruction, read_instructions, write_instructions
-from multipos.model import COMPONENTS, Block, Model, Term
+from multipos.model import COMPONENTS, Block, Gauge, Model, Term
 from multipos.units import unit_per
 
 Array = NDArray[np.float64]
@@ -130,7 +130,7 @@ class ExpressionModel(Model):
             None, (self.functions[i],), self.columns_used, self.start,
         )  # fmt: skip
 
-    def with_gauge(self, gauge: str) -> "Model":
+    def with_gauge(self, gauge: Gauge) -> "Model":
         """Refuse: which parameters a rotation of the case mixes is not known of an expression."""
         raise UsageError(
             "a model written as an expression needs positions whose orientation is listed; "

@@ -22,11 +22,13 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos import __version__
+from multipos.attitudes import CONVENTIONS, Convention, check_convention
 from multipos.budgets import Budget, read_budget
 from multipos.budgets import Source as BudgetSource
 from multipos.calibration import Calibration, Gravity
@@ -35,9 +37,11 @@ from multipos.errors import MultiposError, UsageError
 from multipos.expressions import Expression, build_expression
 from multipos.files import Source
 from multipos.known import Solution, closed_form_difference, solve_closed_form, solve_known
-from multipos.losses import LOSSES
+from multipos.losses import LOSSES, Loss
 from multipos.model import (
     COMPONENTS,
+    GAUGES,
+    Gauge,
     Model,
     build_model,
     default_axes,
@@ -45,6 +49,7 @@ from multipos.model import (
     linear_term,
 )
 from multipos.model_selection import select_terms, with_selection
+from multipos.names import Names, split_names
 from multipos.placement import Placement, place
 from multipos.readings import Readings, orient, read_readings, require_range, stated_sd
 from multipos.scheme import Scheme
@@ -55,8 +60,6 @@ from multipos.units import gravity_ratio, normal_gravity
 
 Array = NDArray[np.float64]
 
-CONVENTIONS = ("specific-force", "gravity")
-GAUGES = ("lower", "symmetric")
 _CONTRADICT = {
     "--closed-form": (
         "--unknown-orientation", "--orientation-sd", "--level-sd", "--robust", "--stepwise",
@@ -72,15 +75,15 @@ def fit(
     *,
     scheme: "Source | Scheme | None" = None,
     model: str | Expression = "linear",
-    convention: str = "specific-force",
-    outputs: Sequence[str] | str | None = None,
-    axes: Sequence[str] | str | None = None,
-    inputs: Sequence[str] | str = COMPONENTS,
+    convention: Convention = "specific-force",
+    outputs: Names | None = None,
+    axes: Names | None = None,
+    inputs: Names = COMPONENTS,
     closed_form: bool = False,
     unknown_orientation: bool = False,
-    orientation_sd: float | str | None = None,
-    gauge: str = "lower",
-    robust: str | None = None,
+    orientation_sd: float | Literal["auto"] | None = None,
+    gauge: Gauge = "lower",
+    robust: Loss | None = None,
     pool: bool = False,
     stepwise: bool = False,
     reading_sd: ArrayLike | None = None,
@@ -230,7 +233,7 @@ def complete(
     readings: Readings,
     *,
     listed: Array,
-    convention: str,
+    convention: Convention,
     gravity: Gravity | None,
     estimator: str,
     criterion: str,
@@ -298,20 +301,19 @@ def _with_roll_warnings(calibration: Calibration) -> Calibration:
 def _build(
     model: str | Expression,
     readings: Readings,
-    axes: Sequence[str] | str | None,
-    inputs: Sequence[str] | str,
+    axes: Names | None,
+    inputs: Names,
 ) -> Model:
     own = default_axes(readings.outputs, axes)
     columns = tuple(readings.environment)
     if not isinstance(model, str):
         return build_expression(model, readings.outputs, own, readings.unit, columns)
-    seen = tuple(inputs.split(",")) if isinstance(inputs, str) else tuple(inputs)
+    seen = split_names(inputs, "--inputs")
     return build_model(model, readings.outputs, own, seen, readings.unit, columns)
 
 
 def _check_options(convention: str, gauge: str, robust: str | None, confidence: float) -> None:
-    if convention not in CONVENTIONS:
-        raise UsageError(f"unknown convention '{convention}'; give specific-force or gravity.")
+    check_convention(convention)
     if gauge not in GAUGES:
         raise UsageError(f"unknown gauge '{gauge}'; give lower or symmetric.")
     if robust is not None and robust not in LOSSES:
@@ -323,9 +325,9 @@ def _check_options(convention: str, gauge: str, robust: str | None, confidence: 
 def _check_together(
     closed_form: bool,
     unknown: bool,
-    orientation_sd: float | str | None,
+    orientation_sd: float | Literal["auto"] | None,
     level_sd: float,
-    robust: str | None,
+    robust: Loss | None,
     stepwise: bool,
 ) -> None:
     """Refuse options that contradict each other."""
@@ -438,7 +440,7 @@ def _criterion(
     readings: Readings,
     placement: Placement,
     closed_form: bool,
-    robust: str | None,
+    robust: Loss | None,
     model: str | Expression,
 ) -> str:
     if closed_form:

@@ -15,16 +15,19 @@ P. J. Huber, *Robust Statistics*, 1981; Z. Zhang 1997, *Parameter estimation tec
 (the constants).
 """
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
 EFFICIENCY = 0.95  # of each loss at its constant, under the normal law
-LOSSES = {"huber": 1.345, "soft-l1": 1.345, "cauchy": 2.385}
+Loss = Literal["huber", "soft-l1", "cauchy"]
+LOSSES: dict[Loss, float] = {"huber": 1.345, "soft-l1": 1.345, "cauchy": 2.385}
 
 
-def loss(name: str | None, q: Array, degrees: Array) -> Array:
+def loss(name: Loss | None, q: Array, degrees: Array) -> Array:
     """Return rho (n,) of squared misfits q (n,) with `degrees` of freedom each."""
     if name is None:
         return q
@@ -37,7 +40,7 @@ def loss(name: str | None, q: Array, degrees: Array) -> Array:
     return np.asarray(c2 * np.log1p(q / c2))
 
 
-def loss_slope(name: str | None, q: Array, degrees: Array) -> Array:
+def loss_slope(name: Loss | None, q: Array, degrees: Array) -> Array:
     """Return the slope psi' (n,) of psi(z) = z rho'(z²), which scales the covariance."""
     if name is None:
         return np.ones_like(q)
@@ -49,7 +52,7 @@ def loss_slope(name: str | None, q: Array, degrees: Array) -> Array:
     return np.asarray((1.0 - x) / (1.0 + x) ** 2)
 
 
-def loss_weight(name: str | None, q: Array, degrees: Array) -> Array:
+def loss_weight(name: Loss | None, q: Array, degrees: Array) -> Array:
     """Return d rho / d q (n,): 1 for a position that fits, less for one that does not."""
     if name is None:
         return np.ones_like(q)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.attitudes import Convention
 from multipos.errors import MultiposError
 from multipos.scheme import Scheme
 
@@ -36,7 +37,7 @@ class Match(NamedTuple):
         return np.asarray(far | (2.0 * self.distance_deg > self.second_deg))
 
 
-def match_directions(means: Array, scheme: Scheme, convention: str) -> Match:
+def match_directions(means: Array, scheme: Scheme, convention: Convention) -> Match:
     """Match rests to the positions of a scheme by direction.
 
     Parameters

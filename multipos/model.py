@@ -18,12 +18,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
+from multipos.names import Names, near, split_names
 from multipos.results import Result
 from multipos.units import unit_per
 
@@ -40,6 +41,8 @@ NAMED = {
     "ieee-odd": "1 + x + y + z + own^2 + own^3 + OWN*OTHER + own*|own|",
     "full-quadratic": "1 + x + y + z + x^2 + y^2 + z^2 + x*y + x*z + y*z",
 }
+Gauge = Literal["lower", "symmetric"]
+GAUGES: tuple[Gauge, ...] = get_args(Gauge)
 HIGHEST_POWER = 9  # beyond it a term of specific force within 1 g says nothing new
 
 
@@ -168,7 +171,7 @@ class Model(Result):
     inputs: tuple[str, ...]
     unit: str
     terms: tuple[tuple[Term, ...], ...]
-    gauge: str | None = None
+    gauge: Gauge | None = None
 
     @cached_property
     def keys(self) -> tuple[tuple[str, Term], ...]:
@@ -370,7 +373,7 @@ class Model(Result):
         i = self.outputs.index(output)
         return replace(self, outputs=(output,), axes=(self.axes[i],), terms=(self.terms[i],))
 
-    def with_gauge(self, gauge: str) -> "Model":
+    def with_gauge(self, gauge: Gauge) -> "Model":
         """Return the model without the linear terms that a gauge fixes: the upper triangle.
 
         Terms such as ``temperature*y`` go with ``y``: a rotation may change with temperature.
@@ -388,6 +391,15 @@ class Model(Result):
             for output, own in zip(self.outputs, self.terms, strict=True)
         )
         return replace(self, terms=terms)
+
+    def named(self, name: str) -> int:
+        """Return the place of a parameter by its name, such as ``scale_ax``."""
+        if name not in self.names:
+            raise KeyError(
+                f"no parameter '{name}'{near(name, self.names)} The model has "
+                f"{', '.join(self.names)}."
+            )
+        return self.names.index(name)
 
     def index(self, output: str, term: "str | Term") -> int:
         """Return the place of a parameter by output and term."""
@@ -504,11 +516,10 @@ def formula_columns(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(w for w in words if w not in (*COMPONENTS, "own")))
 
 
-def default_axes(outputs: Sequence[str], axes: Sequence[str] | str | None) -> tuple[str, ...]:
+def default_axes(outputs: Sequence[str], axes: Names | None) -> tuple[str, ...]:
     """Return the case axis of each output: as given, or x, y, z in order."""
     if axes is not None:
-        named = axes.split(",") if isinstance(axes, str) else axes
-        return tuple(axis.strip() for axis in named)
+        return split_names(axes, "--axes")
     if len(outputs) > 3:
         raise UsageError(
             f"{len(outputs)} columns could be outputs: {', '.join(outputs)}; name them with "

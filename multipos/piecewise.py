@@ -14,7 +14,7 @@ branch, and F is that of Wald, b' C⁻¹ b / k. A segment's rms is on its rows l
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,13 +42,14 @@ from multipos.selection import (
     select_backward,
     select_stepwise,
 )
-from multipos.subsets import Subset, all_subsets, criteria
+from multipos.subsets import Subset, SubsetCriterion, all_subsets, criteria
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 METHODS = ("full", "stepwise", "backward", "subsets")
-ROBUST = ("hac", "effective")
+RowDependence = Literal["hac", "effective"]
+ROBUST: tuple[RowDependence, ...] = get_args(RowDependence)
 
 
 @dataclass(frozen=True)
@@ -74,10 +75,10 @@ class Plan:
     variables: tuple[str, ...]
     method: str = "full"
     limits: Thresholds = field(default_factory=Thresholds)
-    criterion: str = "aicc"
+    criterion: SubsetCriterion = "aicc"
     hierarchy: bool = False
     confidence: float = 0.95
-    robust: str = "hac"
+    robust: RowDependence = "hac"
 
     @property
     def constant(self) -> bool:

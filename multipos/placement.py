@@ -6,6 +6,7 @@ noise: the problem of `multipos.likelihood`.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from multipos.calibration import labels
 from multipos.errors import MultiposError
 from multipos.known import reading_noise
+from multipos.losses import Loss
 from multipos.model import Model
 from multipos.problem import Problem
 from multipos.readings import Readings
@@ -66,7 +68,10 @@ class Placement:
 
 
 def place(
-    readings: Readings, signed: float, orientation_sd: float | str | None, level_sd_deg: float
+    readings: Readings,
+    signed: float,
+    orientation_sd: float | Literal["auto"] | None,
+    level_sd_deg: float,
 ) -> Placement:
     """Return what readings and options say of the positions.
 
@@ -128,7 +133,7 @@ def _attitude(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
 
 
 def state_problem(
-    model: Model, readings: Readings, placement: Placement, robust: str | None
+    model: Model, readings: Readings, placement: Placement, robust: Loss | None
 ) -> Problem:
     """Return the problem of the likelihood; without stated noise, with one of arbitrary size.
 

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.losses import Loss
 from multipos.model import Block, Model
 from multipos.rotations import tangent_basis
 
@@ -59,7 +60,7 @@ class Problem:
     groups: int = 0
     attitude: Array | None = None
     level_spread: float = 0.0
-    robust: str | None = None
+    robust: Loss | None = None
     held: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos import attitudes
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Source, Table, read_table
+from multipos.names import Names, split_names
 from multipos.results import Frozen, Result
 from multipos.scheme import Scheme, read_scheme
 
@@ -151,7 +152,7 @@ class Readings(Result):
 def read_readings(
     source: "Source | Readings",
     *,
-    outputs: Sequence[str] | str | None = None,
+    outputs: Names | None = None,
     unit: str | None = None,
     environment: Sequence[str] = (),
 ) -> Readings:
@@ -177,7 +178,7 @@ def read_readings(
         A file that is missing, empty, ragged or holds a bad cell, which is named by file, row
         and column; an output that is not there.
     """
-    names = _names(outputs)
+    names = None if outputs is None else split_names(outputs, "--outputs")
     if isinstance(source, Readings):
         if names is None and not set(environment).isdisjoint(source.outputs):
             names = tuple(name for name in source.outputs if name not in environment)
@@ -228,13 +229,6 @@ def read_readings(
         sha256=table.sha256,
         notes=tuple(notes),
     )
-
-
-def _names(outputs: Sequence[str] | str | None) -> tuple[str, ...] | None:
-    if outputs is None:
-        return None
-    names = outputs.split(",") if isinstance(outputs, str) else outputs
-    return tuple(name.strip() for name in names)
 
 
 def _with_outputs(readings: Readings, names: tuple[str, ...]) -> Readings:

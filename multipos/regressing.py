@@ -24,11 +24,13 @@ from multipos.errors import UsageError
 from multipos.files import Source, read_table
 from multipos.hysteresis import BRANCHES, branch_of, compare_branches
 from multipos.model import evaluate_terms
+from multipos.names import Names, split_numbers
 from multipos.observations import Data, check_columns, read_observations
 from multipos.piecewise import (
     METHODS,
     ROBUST,
     Plan,
+    RowDependence,
     fit_continuous,
     fit_segment,
 )
@@ -36,7 +38,7 @@ from multipos.regression import Regression, format_span
 from multipos.segment import Segment
 from multipos.segmentation import check_edges, find_edges, segment_of
 from multipos.selection import thresholds
-from multipos.subsets import CRITERIA
+from multipos.subsets import CRITERIA, SubsetCriterion
 from multipos.validation import check_by_blocks
 
 Array = NDArray[np.float64]
@@ -56,7 +58,7 @@ def regress(
     data: Source,
     *,
     response: str,
-    variables: Sequence[str] | str | None = None,
+    variables: Names | None = None,
     degree: int | None = None,
     terms: str | None = None,
     stepwise: bool = False,
@@ -66,7 +68,7 @@ def regress(
     remove: float | None = None,
     f_enter: float | None = None,
     f_remove: float | None = None,
-    criterion: str = "aicc",
+    criterion: SubsetCriterion = "aicc",
     hierarchy: bool = False,
     segment: str | None = None,
     min_rows: int | None = None,
@@ -74,7 +76,7 @@ def regress(
     branches: str | None = None,
     time: str | None = None,
     rate_window: float | None = None,
-    robust: str = "hac",
+    robust: RowDependence = "hac",
     cluster: str | None = None,
     cross_validate: int | None = None,
     confidence: float = 0.95,
@@ -86,7 +88,7 @@ def regress(
     ----------
     data : path, mapping of columns, or data frame
     response : str
-    variables : sequence of str, or comma-separated str, optional
+    variables : names, optional
         Those the terms are made of; a name that ends `_rate` and is no column is formed from
         the column without that ending. Not needed beside `terms`.
     degree : int, optional
@@ -208,9 +210,15 @@ def _method(stepwise: bool, backward: bool, subsets: bool) -> str:
 
 
 def _check_options(
-    method: str, criterion: str, robust: str, confidence: float, blocks: int | None,
-    response: str, branches: str | None, cluster: str | None,
-) -> None:  # fmt: skip
+    method: str,
+    criterion: SubsetCriterion,
+    robust: RowDependence,
+    confidence: float,
+    blocks: int | None,
+    response: str,
+    branches: str | None,
+    cluster: str | None,
+) -> None:
     if criterion not in CRITERIA:
         raise UsageError(f"--criterion takes {', '.join(CRITERIA)}, got '{criterion}'.")
     if criterion != CRITERIA[0] and method != "subsets":
@@ -240,7 +248,7 @@ def _parse_segment(
     if rest.strip() == "auto":
         return variable, None
     try:
-        edges = tuple(float(edge) for edge in rest.split(","))
+        edges = split_numbers(rest)
     except ValueError:
         raise UsageError(f"--segment: '{rest}' is not a list of numbers, nor 'auto'.") from None
     if any(b <= a for a, b in pairwise(edges)) or not np.isfinite(edges).all():

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from multipos.descent import resume
 from multipos.known import believe
-from multipos.losses import EFFICIENCY, loss_slope, loss_weight
+from multipos.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.noise import Worth
 from multipos.problem import Optimum, Problem
 from multipos.quantiles import chi2_quantile
@@ -44,7 +44,7 @@ _SMALLEST = 1e-12  # of the noise assumed at the start, where misfits vanish alt
 
 
 def judge_robustly(
-    problem: Problem, optimum: Optimum, loss: str, names: Sequence[str], *, stated: bool
+    problem: Problem, optimum: Optimum, loss: Loss, names: Sequence[str], *, stated: bool
 ) -> tuple[Problem, Optimum, Worth]:
     """Return problem and optimum under a robust loss, and what they are worth.
 

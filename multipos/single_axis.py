@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from multipos.attitudes import Convention
 from multipos.calibration import Calibration
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.files import Source
@@ -44,6 +45,7 @@ from multipos.harmonics import (
 from multipos.known import FLOOR
 from multipos.least_squares import name_combinations, separability, solve
 from multipos.model import COMPONENTS, Model, build_model, default_axes
+from multipos.names import Names
 from multipos.readings import Readings, orient, read_readings
 from multipos.results import Result
 from multipos.scheme import Scheme
@@ -150,11 +152,11 @@ class Tumble(Result):
 def tumble(
     readings: Source | Readings,
     *,
-    outputs: Sequence[str] | str | None = None,
-    axes: Sequence[str] | str = "x",
+    outputs: Names | None = None,
+    axes: Names = "x",
     scheme: Source | Scheme | None = None,
     model: str | None = None,
-    convention: str = "specific-force",
+    convention: Convention = "specific-force",
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
@@ -232,7 +234,7 @@ def tumble(
     )
 
 
-def _one_axis(data: Readings, axes: Sequence[str] | str) -> str:
+def _one_axis(data: Readings, axes: Names) -> str:
     if len(data.outputs) != 1:
         raise UsageError(
             f"a tumble is of one output, but the readings have {', '.join(data.outputs)}; "

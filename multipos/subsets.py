@@ -24,6 +24,7 @@ C. M. Hurvich, C.-L. Tsai, Biometrika 76, 1989 (AICc).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, log
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,8 @@ from multipos.selection import COLLINEAR, NOTHING, Triangle
 
 Array = NDArray[np.float64]
 
-CRITERIA = ("aicc", "bic", "adjusted_r2")
+SubsetCriterion = Literal["aicc", "bic", "adjusted_r2"]
+CRITERIA: tuple[SubsetCriterion, ...] = get_args(SubsetCriterion)
 MOST_TERMS = 20  # a million subsets; beyond it stepwise is the way
 _LISTED = 256  # subsets that are listed whole
 _BEST = 5  # of each size beyond that
@@ -108,7 +110,7 @@ def all_subsets(
     *,
     forced: Sequence[int] = (),
     requires: Sequence[frozenset[int]] | None = None,
-    criterion: str = "aicc",
+    criterion: SubsetCriterion = "aicc",
 ) -> tuple[Subset, ...]:
     """Return the subsets worth looking at, the best by the criterion first.
 

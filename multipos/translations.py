@@ -9,17 +9,18 @@ import re
 from collections.abc import Sequence
 from functools import lru_cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, Literal, get_args
 
 from multipos.errors import UsageError
 
-LANGUAGES = ("en", "zh")
+Language = Literal["en", "zh"]
+LANGUAGES: tuple[Language, ...] = get_args(Language)
 
 
 class Translator:
     """Return a sentence in a language: ``tr("Offset of {output}", output="ax")``."""
 
-    def __init__(self, language: str) -> None:
+    def __init__(self, language: Language) -> None:
         if language not in LANGUAGES:
             raise UsageError(f"--language takes {' or '.join(LANGUAGES)}, got '{language}'.")
         self.language = language

@@ -34,7 +34,8 @@ from multipos.identifiability import condition, formal_only
 from multipos.inverse import parameter_jacobian
 from multipos.known import Solution, reading_noise
 from multipos.likelihood import linearise
-from multipos.model import Model
+from multipos.losses import Loss
+from multipos.model import Gauge, Model
 from multipos.noise import Worth, judge_noise
 from multipos.placement import Placement, state_problem
 from multipos.problem import Optimum, Problem
@@ -53,8 +54,8 @@ def solve_uncertain(
     readings: Readings,
     placement: Placement,
     *,
-    gauge: str = "lower",
-    robust: str | None = None,
+    gauge: Gauge = "lower",
+    robust: Loss | None = None,
     pool: bool = False,
 ) -> Solution:
     """Fit all outputs together by the likelihood of eqs. (1)–(4) of `multipos.likelihood`.
@@ -113,7 +114,7 @@ def _correlated(readings: Readings) -> bool:
 
 
 def _solve_separately(
-    model: Model, readings: Readings, placement: Placement, robust: str | None
+    model: Model, readings: Readings, placement: Placement, robust: Loss | None
 ) -> Solution:
     """Fit each output alone where orientations are exact: nothing ties them together."""
     parts = [

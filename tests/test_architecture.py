@@ -14,6 +14,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "multipos"
 # its place here; what is not written yet keeps its own. `__init__.py` is exempt.
 ORDER = (
     "errors",
+    "names",
     "units",
     "results",
     "quantiles",

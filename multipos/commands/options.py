@@ -6,27 +6,33 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
+from multipos.errors import UsageError
 from multipos.files import write_text
 from multipos.model import NAMED
+from multipos.names import split_names, split_numbers
+
+T = TypeVar("T")
 
 _LARGE = 1 << 24  # bytes; a smaller file is read before a bar could be seen
 
 
 def names(text: str) -> tuple[str, ...]:
     """Return names separated by commas."""
-    found = tuple(name.strip() for name in text.split(","))
-    if not all(found):
-        raise argparse.ArgumentTypeError(f"'{text}' names nothing beside a comma")
-    return found
+    return _read(split_names, text)
 
 
 def numbers(text: str) -> tuple[float, ...]:
     """Return numbers separated by commas."""
+    return _read(split_numbers, text)
+
+
+def _read(split: Callable[[str], T], text: str) -> T:
     try:
-        return tuple(float(number) for number in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number or numbers") from None
+        return split(text)
+    except UsageError as error:  # of any other kind argparse would not pass on the words
+        raise argparse.ArgumentTypeError(str(error).removesuffix(".")) from None
 
 
 def accept_negative_lists(parser: argparse.ArgumentParser) -> None:

@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal, get_args
 
 from multipos.calibration import Calibration
 from multipos.errors import UsageError
@@ -12,7 +13,8 @@ from multipos.exporters.parameters import write_ardupilot, write_px4, write_ros
 from multipos.files import write_text
 from multipos.results import Result
 
-TARGETS = ("c", "ros-imu-calib", "px4", "ardupilot")
+Target = Literal["c", "ros-imu-calib", "px4", "ardupilot"]
+TARGETS: tuple[Target, ...] = get_args(Target)
 _PARAMETER_WRITERS = {
     "ros-imu-calib": write_ros,
     "px4": write_px4,
@@ -53,7 +55,7 @@ class Exported(Result):
 
 def export(
     calibration: Calibration,
-    to: str,
+    to: Target,
     *,
     name: str = "multipos",
     float: bool = False,

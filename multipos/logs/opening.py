@@ -1,7 +1,7 @@
 """Which reader serves which log."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ from multipos.files import Column, Source, read_table
 from multipos.logs.arrays import log_of_columns, read_mat, read_npy, read_npz, refuse_hdf
 from multipos.logs.table import Log
 from multipos.logs.text import HEAD, open_text, split_rows
+from multipos.names import Names, split_names
 
 
 class Reader(NamedTuple):
@@ -23,7 +24,7 @@ class Reader(NamedTuple):
     columns: Callable[[Path], Mapping[str, Any]]
 
 
-def open_log(source: "Source | Log", *, columns: Sequence[str] | None = None) -> Log:
+def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
     """Return a log from a file, a mapping of columns, or a data frame.
 
     Parameters
@@ -45,16 +46,17 @@ def open_log(source: "Source | Log", *, columns: Sequence[str] | None = None) ->
     """
     if isinstance(source, Log):
         return source
+    names = None if columns is None else split_names(columns, "--columns")
     if not isinstance(source, str | os.PathLike):
         table = read_table(source, what="log")
-        return log_of_columns(table.source, table.columns, columns)
+        return log_of_columns(table.source, table.columns, names)
     path = Path(source)
     head = _read_head(path)
     by_content = [reader for reader in READERS if head.startswith(reader.magic)]
     by_suffix = [reader for reader in READERS if path.suffix.lower() in reader.suffixes]
     for reader in by_content or (by_suffix if b"\0" in head else ()):
-        return log_of_columns(str(path), reader.columns(path), columns)
-    return open_text(path, head, columns)
+        return log_of_columns(str(path), reader.columns(path), names)
+    return open_text(path, head, names)
 
 
 def read_log(log: Log) -> dict[str, Column]:

@@ -1,0 +1,60 @@
+"""Names and numbers as people list them: 'ax, ay, az', or a sequence of them."""
+
+from collections.abc import Collection, Sequence
+from typing import TypeVar
+
+from multipos.errors import UsageError
+
+Names = str | Sequence[str]
+T = TypeVar("T")
+
+
+def split_names(given: Names, option: str = "") -> tuple[str, ...]:
+    """Return names given as a sequence, or as text with commas between them; blanks do not count.
+
+    Raises
+    ------
+    UsageError
+        A name is empty, or there is none; the message begins with the option.
+    TypeError
+        Something is no name.
+    """
+    parts = given.split(",") if isinstance(given, str) else tuple(given)
+    where = f"{option}: " if option else ""
+    for part in parts:
+        if not isinstance(part, str):
+            raise TypeError(f"{where}a name must be text, got {part!r}.")
+    names = tuple(part.strip() for part in parts)
+    if not names or not all(names):
+        raise UsageError(f"{where}'{','.join(parts)}' names nothing beside a comma.")
+    return names
+
+
+def split_numbers(text: str) -> tuple[float, ...]:
+    """Return numbers that commas separate.
+
+    Raises
+    ------
+    UsageError
+        One of them is no number.
+    """
+    try:
+        return tuple(float(number) for number in text.split(","))
+    except ValueError:
+        raise UsageError(f"'{text}' is not a number or numbers.") from None
+
+
+def spread(given: Sequence["T | Sequence[T]"]) -> tuple[T, ...]:
+    """Return what a function was given one by one, or as one list or tuple."""
+    if len(given) == 1 and isinstance(given[0], list | tuple):
+        return tuple(given[0])
+    return tuple(given)  # type: ignore[arg-type]
+
+
+def near(name: str, known: Collection[str]) -> str:
+    """Return the end of a sentence: "; did you mean 'scale_ax'?", or "." where none is like it."""
+    from difflib import get_close_matches  # as slow to import as all of argparse
+
+    folded = {other.casefold(): other for other in known}
+    close = get_close_matches(name.casefold(), folded, n=1)
+    return f"; did you mean '{folded[close[0]]}'?" if close else "."
