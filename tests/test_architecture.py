@@ -17,6 +17,7 @@ ORDER = (
     "units",
     "quantiles",
     "formatting",
+    "pipes",
     "files",
     "rates",
     "attitudes",
