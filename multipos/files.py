@@ -529,8 +529,9 @@ def read_toml(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
     """
     import tomllib
 
+    raw = read_bytes(path, what)
     try:
-        found = tomllib.loads(read_bytes(path, what).decode("utf-8-sig"))
+        found = tomllib.loads(raw.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise MultiposError(f"{path}: not UTF-8 text; save the {what} as UTF-8.") from None
     except RecursionError:
