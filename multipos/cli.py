@@ -19,7 +19,7 @@ from contextlib import ExitStack, closing, contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import FrameType, ModuleType
-from typing import NoReturn, TextIO
+from typing import Any, NoReturn, TextIO
 
 from multipos import __version__
 from multipos.commands.answers import deliver, print_out, settle
@@ -82,7 +82,7 @@ def _guarded(argv: list[str]) -> int:
     except _Ended:
         return 1
     except Exception as error:
-        if os.environ.get("MULTIPOS_DEBUG"):
+        if os.environ.get("MULTIPOS_DEBUG") and sys.stderr is not None:
             traceback.print_exc()
         return _complain(_unforeseen(error), 1)
     return 0
@@ -187,7 +187,6 @@ def _parse(parser: argparse.ArgumentParser, argv: list[str]) -> argparse.Namespa
     try:
         return parser.parse_args(argv)
     except SystemExit:
-        print_out()
         return None
 
 
@@ -210,6 +209,13 @@ def _top_parser() -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
+    def _print_message(self, message: str, file: Any = None) -> None:
+        # argparse's own says nothing where stdout cannot be written.
+        if file is sys.stdout:
+            print_out([message])
+        else:
+            super()._print_message(message, file)
+
     def error(self, message: str) -> NoReturn:
         if sys.stderr is not None:
             self.print_usage(sys.stderr)

@@ -321,10 +321,11 @@ def write_text(path: str | os.PathLike[str], text: Content) -> None:
 
 @contextmanager
 def written(files: Mapping[str | os.PathLike[str], Content]) -> Iterator[None]:
-    """Have files ready when the block begins and in their places when it has ended well.
+    """Have files ready when the block begins, and in their places when it has ended well.
 
     Each is made as a temporary neighbour that then takes its name, or not at all; several appear
-    together or not at all. Where making a piece fails, or the block, nothing has been touched. A
+    together or not at all. Where making a piece fails, or the block, nothing has been touched; but
+    a device or a pipe, which nothing can take the place of, is written before the block. A
     character that UTF-8 does not have (of a file name that is no text) is written as an escape.
 
     Raises
@@ -338,8 +339,12 @@ def written(files: Mapping[str | os.PathLike[str], Content]) -> Iterator[None]:
             with _writing(path):
                 drafts.append(_draft(path))
             _fill(drafts[-1], content)
+        for draft in drafts:
+            if not draft.regular:
+                with _writing(draft.path):
+                    _copy(draft.temporary, draft.target)
         yield
-        _put_in_place(drafts)
+        _put_in_place([draft for draft in drafts if draft.regular])
     finally:
         for draft in drafts:
             draft.temporary.unlink(missing_ok=True)
@@ -392,16 +397,17 @@ def _put_in_place(drafts: Sequence[_Draft]) -> None:
     with ExitStack() as undo:
         for draft in drafts:
             with _writing(draft.path):
-                if not draft.regular:  # a device or a pipe cannot be replaced
-                    with draft.temporary.open("rb") as source, draft.target.open("wb") as device:
-                        shutil.copyfileobj(source, device)
-                    continue
                 if len(drafts) > 1:
                     if draft.target.exists():
                         shutil.copy2(draft.target, draft.before)
                     undo.callback(_restore, draft)
                 draft.temporary.replace(draft.target)
         undo.pop_all()
+
+
+def _copy(source: Path, device: Path) -> None:
+    with source.open("rb") as stream, device.open("wb") as target:
+        shutil.copyfileobj(stream, target)
 
 
 def _restore(draft: _Draft) -> None:
@@ -506,7 +512,7 @@ def read_json_value(path: str | os.PathLike[str], what: str) -> Any:
     except UnicodeDecodeError:
         raise MultiposError(f"{path}: not UTF-8 text; give the {what} as JSON.") from None
     except RecursionError:
-        raise MultiposError(f"{path}: nested too deeply for a {what}; write it again.") from None
+        raise MultiposError(f"{path}: nested too deeply; write the {what} again.") from None
     except json.JSONDecodeError as error:
         raise MultiposError(
             f"{path}: line {error.lineno}, column {error.colno}: not valid JSON ({error.msg}); "
@@ -535,7 +541,7 @@ def read_toml(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise MultiposError(f"{path}: not UTF-8 text; save the {what} as UTF-8.") from None
     except RecursionError:
-        raise MultiposError(f"{path}: nested too deeply for a {what}; write it again.") from None
+        raise MultiposError(f"{path}: nested too deeply; write the {what} again.") from None
     except tomllib.TOMLDecodeError as error:
         raise MultiposError(f"{path}: not valid TOML: {error}; correct the {what}.") from None
     except ValueError:  # Python's own limit, of 4300 digits

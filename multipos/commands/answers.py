@@ -174,8 +174,8 @@ def settle(
     if not path:
         raise UsageError("-o needs a name; - is stdout.")
     ending = Path(path).suffix.lower()
-    form = output.form(path, json=arguments.json)
     _refuse_inputs([Path(path), *output.beside(arguments)], _named(arguments, inputs))
+    form = output.form(path, json=arguments.json)
     if _same(_status(path, None), _status(STDOUT, sys.stdout)):
         arguments.output = STDOUT
         form = form if ending else output.form(STDOUT, json=arguments.json)

@@ -76,6 +76,7 @@ class _Rows(NamedTuple):
     lines: list[str]
     numbers: Sequence[int]  # of the lines in the file
     delimiters: int  # in all of them
+    quotes: bool  # whether one of them holds a quote that it does not close
 
 
 def _text_rows(text: _Text) -> Iterator[tuple[_Rows, float]]:
@@ -108,7 +109,9 @@ def _rows_only(text: _Text, content: str, first: int) -> _Rows:
         numbers = [i for i, row in zip(numbers, rows, strict=True) if row]
         lines = [line for line, row in zip(lines, rows, strict=True) if row]
     mark = text.delimiter or " "
-    return _Rows(lines, numbers, content.count(mark) - sum(line.count(mark) for line in gone))
+    delimiters = content.count(mark) - sum(line.count(mark) for line in gone)
+    quotes = '"' in content and any(line.count('"') % 2 for line in lines)
+    return _Rows(lines, numbers, delimiters, quotes)
 
 
 def _parse(
@@ -146,6 +149,8 @@ def _parse(
 
 
 def _fast(text: _Text, rows: _Rows, index: list[int]) -> Array:
+    if rows.quotes:
+        raise ValueError
     mark, width = text.delimiter, len(text.columns)
     lines = [line.replace(",", ".") for line in rows.lines] if mark == ";" else rows.lines
     if not mark:
