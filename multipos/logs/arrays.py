@@ -74,7 +74,7 @@ def _flat(found: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
 
 def read_npy(path: os.PathLike[str]) -> Mapping[str, Any]:
     """Return the columns of an array file, which stay on the disk until they are read."""
-    array = _loaded(path, lambda: np.load(path, mmap_mode="r", allow_pickle=False))
+    array = _loaded(path, lambda: np.load(Path(path), mmap_mode="r", allow_pickle=False))
     if array.dtype.names:
         return {name: array[name] for name in array.dtype.names}
     width = array.shape[1] if array.ndim == 2 else 1
