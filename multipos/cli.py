@@ -1,23 +1,31 @@
-"""The command line: find the command, parse, call, print.
+"""The command line: find the command, parse, settle its files, call, deliver.
 
-Every command lives in `multipos.commands` as a module with ``add_options(parser)`` and
-``run(arguments)``, which returns the text or its pieces, a thin layer over the function of the
-same name; only the one that is asked for is imported. Results go to stdout once everything has
-succeeded, messages to stderr; exit status 1 means the data or the fit is at fault, 2 the command
-line, and then stderr ends in one line that begins ``multipos: error:``.
+Every command lives in `multipos.commands` as a module with ``INPUTS``, ``OUTPUT``,
+``add_options(parser)`` and ``run(arguments)``, which returns an answer, a thin layer over the
+function of the same name; only the one that is asked for is imported. Results go to stdout once
+everything has succeeded, messages to stderr; exit status 1 means the data or the fit is at fault,
+2 the command line, and then stderr ends in one line that begins ``multipos: error:``.
 """
 
 import argparse
-import io
 import os
+import signal
 import sys
-from collections.abc import Iterable, Sequence
+import threading
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from importlib import import_module
-from types import ModuleType
-from typing import NoReturn
+from pathlib import Path
+from types import FrameType, ModuleType
+from typing import Any, NoReturn, TextIO
 
 from multipos import __version__
+from multipos.commands.answers import deliver, print_out, settle
+from multipos.commands.options import warn
 from multipos.errors import MultiposError, UsageError
+from multipos.formatting import one_line
 
 COMMANDS = {
     "demo": "calibrate the six-position paper's own readings, end to end",
@@ -38,10 +46,31 @@ COMMANDS = {
 }
 
 
+class _Ended(BaseException):
+    """The process was told to end, and cleans up."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status."""
+    """Run one command and return its exit status.
+
+    Where the process is told to end (SIGTERM, SIGHUP), it ends by that signal when its temporary
+    files are gone.
+    """
+    _fill_closed_streams()
+    with _signals_raise() as received, warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        status = _guarded(list(sys.argv[1:] if argv is None else argv))
+    if received:
+        os.kill(os.getpid(), received[0])
+    return status
+
+
+def _guarded(argv: list[str]) -> int:
+    """Run one command; whatever goes wrong becomes one line and a status."""
     try:
-        text = _run(list(sys.argv[1:] if argv is None else argv))
+        if sys.stdout is None:
+            raise MultiposError("stdout is closed; send it to a file, or to /dev/null.")
+        _run(argv)
     except UsageError as error:
         return _complain(error, 2)
     except MultiposError as error:
@@ -50,46 +79,115 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _complain("the data do not fit into memory; give fewer rows.", 1)
     except KeyboardInterrupt:
         return _complain("interrupted.", 1)
-    try:
-        _print(text)
-    except BrokenPipeError:  # the reader, `head` say, has seen enough
-        _close_stdout()
-    except OSError as error:
-        _close_stdout()
-        return _complain(f"cannot write to stdout: {error.strerror}.", 1)
+    except _Ended:
+        return 1
+    except Exception as error:
+        if os.environ.get("MULTIPOS_DEBUG") and sys.stderr is not None:
+            traceback.print_exc()
+        return _complain(_unforeseen(error), 1)
     return 0
 
 
-def _print(text: str | Iterable[str]) -> None:
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        # What a terminal's encoding lacks is escaped, which in JSON is the same character.
-        sys.stdout.reconfigure(errors="backslashreplace")
-    sys.stdout.writelines([text] if isinstance(text, str) else text)
-    sys.stdout.flush()
-
-
-def _close_stdout() -> None:
-    # What is still buffered goes nowhere, so that the interpreter does not try again at its end.
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _run(argv: list[str]) -> str | Iterable[str]:
+def _run(argv: list[str]) -> None:
     if not argv or argv[0] not in COMMANDS:
         parser = _top_parser()
-        parser.parse_args(argv)
+        if _parse(parser, argv) is None:
+            return
         parser.error("the command must come first")
     name, *rest = argv
-    arguments = command_parser(name).parse_args(rest)
-    text: str = _command(name).run(arguments)
-    return text
+    arguments = _parse(command_parser(name), rest)
+    if arguments is None:
+        return
+    command = _command(name)
+    order = settle(name, arguments, command.INPUTS, command.OUTPUT)
+    with ExitStack() as stack:
+        for pipe in order.pipes:
+            stack.enter_context(closing(pipe))
+        deliver(command.run(arguments), arguments, order)
+
+
+def _fill_closed_streams() -> None:
+    """Open what the caller has closed: no file of ours shall get the number of stdout, say."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+
+
+@contextmanager
+def _signals_raise() -> Iterator[list[int]]:
+    """Let signals that end the process raise, so that what is open is cleaned up; yield which.
+
+    Signals that somebody handles or ignores (`nohup`) are left alone.
+    """
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    names = ("SIGTERM", "SIGHUP")
+    known = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    ours = [number for number in known if signal.getsignal(number) is signal.SIG_DFL]
+
+    def end(number: int, frame: FrameType | None) -> NoReturn:
+        received.append(number)
+        for each in ours:
+            signal.signal(each, signal.SIG_IGN)  # once is enough, also while cleaning up
+        raise _Ended
+
+    for number in ours:
+        signal.signal(number, end)
+    try:
+        yield received
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _unforeseen(error: Exception) -> str:
+    """Return one line on an error that nobody thought of: what, where, and how to report it."""
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}; check the file, its folder and the disk."
+    package = Path(__file__).parent
+    frames = traceback.extract_tb(error.__traceback__)
+    inside = [frame for frame in frames if package in Path(frame.filename).parents]
+    place = inside[-1] if inside else frames[-1]
+    return (
+        f"{type(error).__name__} at {Path(place.filename).name} line {place.lineno} "
+        f"({one_line(str(error))[:200] or 'no message'}): a fault of multipos {__version__}; "
+        "report it with this line and the input, MULTIPOS_DEBUG=1 shows the rest."
+    )
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Show a warning of Python, such as NumPy's of an overflow, as one line like our own."""
+    warn([f"{message} ({category.__name__} at {Path(filename).name} line {lineno})"])
 
 
 def command_parser(name: str) -> argparse.ArgumentParser:
     """Return the parser of one command, which the documentation prints as well."""
     parser = _Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
-    _command(name).add_options(parser)
+    command = _command(name)
+    command.add_options(parser)
+    command.OUTPUT.add_to(parser)
     return parser
+
+
+def _parse(parser: argparse.ArgumentParser, argv: list[str]) -> argparse.Namespace | None:
+    """Return the arguments; None where argparse has printed what was asked for, such as help."""
+    try:
+        return parser.parse_args(argv)
+    except SystemExit:
+        return None
 
 
 def _command(name: str) -> ModuleType:
@@ -111,11 +209,20 @@ def _top_parser() -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
+    def _print_message(self, message: str, file: Any = None) -> None:
+        # argparse's own says nothing where stdout cannot be written.
+        if file is sys.stdout:
+            print_out([message])
+        else:
+            super()._print_message(message, file)
+
     def error(self, message: str) -> NoReturn:
-        self.print_usage(sys.stderr)
+        if sys.stderr is not None:
+            self.print_usage(sys.stderr)
         raise UsageError(f"{message}; see '{self.prog} --help'.")
 
 
 def _complain(error: object, status: int) -> int:
-    print(f"multipos: error: {' '.join(str(error).split())}", file=sys.stderr)
+    if sys.stderr is not None:
+        print(f"multipos: error: {one_line(str(error))}", file=sys.stderr)
     return status

@@ -13,11 +13,16 @@ import io
 import json
 import math
 import os
+import re
+import secrets
+import shutil
+import stat
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +31,9 @@ from multipos.errors import MultiposError
 
 Column = Sequence[Any] | NDArray[Any]
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # a file, columns, or a data frame
+
+_SURROGATE = re.compile("[\ud800-\udfff]")  # what UTF-8 does not have, a byte of a file name
+_DIGITS = 18  # that a whole number of 64 bits surely holds
 
 
 @dataclass(frozen=True)
@@ -120,7 +128,7 @@ def read_table(source: Source, *, what: str = "table") -> Table:
     if isinstance(source, Table):
         return source
     if isinstance(source, str | os.PathLike):
-        return _read_csv(Path(source), what)
+        return _read_csv(source, what)
     if isinstance(source, Mapping):
         names: Iterable[Any] = source.keys()
     elif hasattr(source, "columns") and hasattr(source, "__getitem__"):
@@ -146,7 +154,7 @@ def read_table(source: Source, *, what: str = "table") -> Table:
     return Table(source=what, columns=columns, rows=next(iter(lengths.values())))
 
 
-def _read_csv(path: Path, what: str) -> Table:
+def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
     raw = read_bytes(path, what)
     try:
         text = raw.decode("utf-8-sig")
@@ -154,6 +162,12 @@ def _read_csv(path: Path, what: str) -> Table:
         raise MultiposError(
             f"{path}: byte {error.start} is not UTF-8; save the {what} as UTF-8 text."
         ) from None
+    if "\0" in text:
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise MultiposError(
+            f"{path}: line {line} holds a NUL byte; the file is damaged or no text, save the "
+            f"{what} as UTF-8 text."
+        )
     numbered = [
         (number, line)
         for number, line in enumerate(io.StringIO(text, newline=None), start=1)
@@ -162,27 +176,20 @@ def _read_csv(path: Path, what: str) -> Table:
     if not numbered:
         raise MultiposError(f"{path}: the file is empty; the {what} needs a header and rows.")
     delimiter = next((mark for mark in ";\t" if mark in numbered[0][1]), ",")
-    reader = csv.reader((line for _, line in numbered), delimiter=delimiter, strict=True)
-    try:
-        header = [cell.strip() for cell in next(reader)]
-        _check_header(path, header)
-        cells: list[list[str]] = []
-        lines: list[int] = []
-        for row in reader:
-            line = numbered[reader.line_num - 1][0]
-            if len(row) != len(header):
-                raise MultiposError(
-                    f"{path}: row {len(cells) + 1} (line {line}) has {len(row)} cells where the "
-                    f"header names {len(header)}; give one cell per column, "
-                    f"last column '{header[-1]}'."
-                )
-            cells.append(row)
-            lines.append(line)
-    except csv.Error as error:
-        raise MultiposError(
-            f"{path}: line {numbered[min(reader.line_num, len(numbered)) - 1][0]}: {error}; "
-            "check the quotes."
-        ) from None
+    records = _records(path, numbered, delimiter)
+    header = [cell.strip() for cell in next(records).cells]
+    _check_header(path, header)
+    cells: list[list[str]] = []
+    lines: list[int] = []
+    for record in records:
+        if len(record.cells) != len(header):
+            raise MultiposError(
+                f"{path}: row {len(cells) + 1} ({record.where}) has {len(record.cells)} cells "
+                f"where the header names {len(header)}; give one cell per column, "
+                f"last column '{header[-1]}'."
+            )
+        cells.append(record.cells)
+        lines.append(record.end)
     if not cells:
         raise MultiposError(f"{path}: only a header, no rows; give one row per position.")
     columns = {
@@ -199,7 +206,37 @@ def _read_csv(path: Path, what: str) -> Table:
     )
 
 
-def _check_header(path: Path, header: list[str]) -> None:
+class _Record(NamedTuple):
+    """The cells of one row, and the lines of the file from which to which it goes."""
+
+    cells: list[str]
+    begin: int
+    end: int
+
+    @property
+    def where(self) -> str:
+        return f"line{'' if self.begin == self.end else f's {self.begin} to'} {self.end}"
+
+
+def _records(
+    path: str | os.PathLike[str], numbered: Sequence[tuple[int, str]], delimiter: str
+) -> Iterator[_Record]:
+    """Yield the rows of numbered lines; a quoted cell may go on over several of them."""
+    reader = csv.reader((line for _, line in numbered), delimiter=delimiter, strict=True)
+    begin = 0
+    try:
+        for cells in reader:
+            yield _Record(cells, numbered[begin][0], numbered[reader.line_num - 1][0])
+            begin = reader.line_num
+    except csv.Error as error:  # a quote that nobody closes has swallowed what follows it
+        reason = "a quote is not closed" if "end of data" in str(error) else str(error)
+        raise MultiposError(
+            f"{path}: line {numbered[begin][0]}: {reason}; check the quotes of the row that "
+            "begins there."
+        ) from None
+
+
+def _check_header(path: str | os.PathLike[str], header: list[str]) -> None:
     for index, name in enumerate(header):
         if not name:
             raise MultiposError(
@@ -259,47 +296,125 @@ def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
         ) from None
 
 
-def write_text(path: str | os.PathLike[str], text: str | Iterable[str]) -> None:
-    """Write a file whole or not at all: into a temporary neighbour that then takes its name.
+Content = str | bytes | Iterable[str]  # of a file: text in UTF-8, as a whole or in pieces
 
-    The text may come in pieces; where making one fails, nothing is written.
+
+class _Draft(NamedTuple):
+    """A file on its way: made beside its target, or anywhere where that is no regular file."""
+
+    path: str | os.PathLike[str]  # as it was given
+    target: Path
+    temporary: Path
+    regular: bool
+
+    @property
+    def before(self) -> Path:
+        """What the target was, where several files must appear together."""
+        return self.temporary.with_suffix(".before")
+
+
+def write_text(path: str | os.PathLike[str], text: Content) -> None:
+    """Write one file whole or not at all, as `written` does."""
+    with written({path: text}):
+        pass
+
+
+@contextmanager
+def written(files: Mapping[str | os.PathLike[str], Content]) -> Iterator[None]:
+    """Have files ready when the block begins, and in their places when it has ended well.
+
+    Each is made as a temporary neighbour that then takes its name, or not at all; several appear
+    together or not at all. Where making a piece fails, or the block, nothing has been touched; but
+    a device or a pipe, which nothing can take the place of, is written before the block. A
+    character that UTF-8 does not have (of a file name that is no text) is written as an escape.
 
     Raises
     ------
     MultiposError
-        The file cannot be written; an existing one is left as it was.
+        A file cannot be written; existing ones are left as they were.
     """
-    target = Path(path)
+    drafts: list[_Draft] = []
     try:
-        if target.exists() and not os.access(target, os.W_OK):
-            raise PermissionError(None, "it is read-only")
-        if target.exists() and not target.is_file():  # a device or a pipe has no neighbour
-            if target.is_dir():
-                raise IsADirectoryError(None, "it is a folder")
-            with target.open("w", encoding="utf-8") as stream:
-                stream.writelines([text] if isinstance(text, str) else text)
-            return
-        target = target.resolve()  # a link stays, what it points to is written
-        mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-                stream.writelines([text] if isinstance(text, str) else text)
-            Path(temporary).chmod(mode)
-            Path(temporary).replace(target)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        for path, content in files.items():
+            with _writing(path):
+                drafts.append(_draft(path))
+            _fill(drafts[-1], content)
+        for draft in drafts:
+            if not draft.regular:
+                with _writing(draft.path):
+                    _copy(draft.temporary, draft.target)
+        yield
+        _put_in_place([draft for draft in drafts if draft.regular])
+    finally:
+        for draft in drafts:
+            draft.temporary.unlink(missing_ok=True)
+            draft.before.unlink(missing_ok=True)
+
+
+@contextmanager
+def _writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise MultiposError(
             f"{path}: cannot write: {error.strerror or error}; check the folder and permissions."
         ) from None
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _draft(path: str | os.PathLike[str]) -> _Draft:
+    """Return where a file goes: a link stays, what it points to is written."""
+    regular, folder = True, os.fspath(path).endswith("/")
+    with suppress(FileNotFoundError):
+        mode = Path(path).stat().st_mode
+        regular, folder = stat.S_ISREG(mode), folder or stat.S_ISDIR(mode)
+        if not os.access(path, os.W_OK):
+            raise PermissionError(None, "it is read-only")
+    if folder:
+        raise IsADirectoryError(None, "it is a folder")
+    target = Path(os.path.realpath(path) if regular else path)
+    # The name is short, because that of the target may be as long as a name can be, and chosen
+    # before the file is there, so that a signal in between leaves nothing behind.
+    beside = target.parent if regular else Path(tempfile.gettempdir())
+    return _Draft(path, target, beside / f".multipos-{secrets.token_hex(8)}", regular)
+
+
+def _fill(draft: _Draft, content: Content) -> None:
+    pieces = [content] if isinstance(content, str | bytes) else content
+    with _writing(draft.path):
+        stream = draft.temporary.open("xb")
+    with stream:
+        for piece in pieces:
+            raw = piece if isinstance(piece, bytes) else piece.encode("utf-8", "backslashreplace")
+            with _writing(draft.path):
+                stream.write(raw)
+        with _writing(draft.path):
+            stream.flush()
+            if draft.regular and draft.target.exists():
+                draft.temporary.chmod(stat.S_IMODE(draft.target.stat().st_mode))
+
+
+def _put_in_place(drafts: Sequence[_Draft]) -> None:
+    with ExitStack() as undo:
+        for draft in drafts:
+            with _writing(draft.path):
+                if len(drafts) > 1:
+                    if draft.target.exists():
+                        shutil.copy2(draft.target, draft.before)
+                    undo.callback(_restore, draft)
+                draft.temporary.replace(draft.target)
+        undo.pop_all()
+
+
+def _copy(source: Path, device: Path) -> None:
+    with source.open("rb") as stream, device.open("wb") as target:
+        shutil.copyfileobj(stream, target)
+
+
+def _restore(draft: _Draft) -> None:
+    if draft.before.exists():
+        draft.before.replace(draft.target)
+    elif not draft.temporary.exists():  # it had taken the place of nothing
+        draft.target.unlink(missing_ok=True)
 
 
 def format_csv(columns: Mapping[str, Column], delimiter: str = ",") -> str:
@@ -323,8 +438,12 @@ def format_csv(columns: Mapping[str, Column], delimiter: str = ",") -> str:
 
 
 def to_json(value: Any) -> str:
-    """Return one JSON object as text; what is not finite becomes null."""
-    return json.dumps(plain(value), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
+    """Return one JSON object as text; what is not finite becomes null.
+
+    Of a file name that is no text, each byte that is none is written as an escape.
+    """
+    text = json.dumps(plain(value), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
+    return _SURROGATE.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text)
 
 
 def plain(value: Any) -> Any:
@@ -345,8 +464,8 @@ def plain(value: Any) -> Any:
 def read_schema(path: str | os.PathLike[str]) -> str | None:
     """Return the schema that a JSON file names; None where it is not such a file, or not there."""
     try:
-        value = json.loads(Path(path).read_bytes())
-    except (OSError, ValueError):
+        value = read_json_value(path, "file")
+    except MultiposError:
         return None
     found = value.get("schema") if isinstance(value, dict) else None
     return found if isinstance(found, str) else None
@@ -369,18 +488,7 @@ def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
     MultiposError
         Missing, truncated, not JSON, or of another kind.
     """
-    raw = read_bytes(path, "calibration" if "calibration" in schema else "result")
-    try:
-        value = json.loads(raw.decode("utf-8-sig"))
-    except UnicodeDecodeError:
-        raise MultiposError(f"{path}: not UTF-8 text; give a file of schema '{schema}'.") from None
-    except RecursionError:
-        raise MultiposError(f"{path}: nested too deeply for a file of schema '{schema}'.") from None
-    except json.JSONDecodeError as error:
-        raise MultiposError(
-            f"{path}: line {error.lineno}, column {error.colno}: not valid JSON ({error.msg}); "
-            "the file is truncated or of another kind, write it again."
-        ) from None
+    value = read_json_value(path, "calibration" if "calibration" in schema else "result")
     found = value.get("schema") if isinstance(value, dict) else None
     if found != schema:
         other = _READERS.get(str(found), "")
@@ -391,19 +499,66 @@ def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
     return value
 
 
+def read_json_value(path: str | os.PathLike[str], what: str) -> Any:
+    """Read any JSON; whole numbers of more digits than 64 bits hold become floats.
+
+    Raises
+    ------
+    MultiposError
+        Missing, truncated, or not JSON.
+    """
+    try:
+        return json.loads(read_bytes(path, what).decode("utf-8-sig"), parse_int=_whole)
+    except UnicodeDecodeError:
+        raise MultiposError(f"{path}: not UTF-8 text; give the {what} as JSON.") from None
+    except RecursionError:
+        raise MultiposError(f"{path}: nested too deeply; write the {what} again.") from None
+    except json.JSONDecodeError as error:
+        raise MultiposError(
+            f"{path}: line {error.lineno}, column {error.colno}: not valid JSON ({error.msg}); "
+            "the file is truncated or of another kind, write it again."
+        ) from None
+
+
+def _whole(digits: str) -> int | float:
+    return int(digits) if len(digits) <= _DIGITS else float(digits)
+
+
 def read_toml(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
     """Read a TOML file.
 
     Raises
     ------
     MultiposError
-        Missing, not UTF-8, or not TOML; the message names file, line and column.
+        Missing, not UTF-8, not TOML, or with a whole number that 64 bits do not hold; the message
+        names file, line and column where there is one.
     """
     import tomllib
 
+    raw = read_bytes(path, what)
     try:
-        return tomllib.loads(read_bytes(path, what).decode("utf-8-sig"))
+        found = tomllib.loads(raw.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise MultiposError(f"{path}: not UTF-8 text; save the {what} as UTF-8.") from None
+    except RecursionError:
+        raise MultiposError(f"{path}: nested too deeply; write the {what} again.") from None
     except tomllib.TOMLDecodeError as error:
         raise MultiposError(f"{path}: not valid TOML: {error}; correct the {what}.") from None
+    except ValueError:  # Python's own limit, of 4300 digits
+        raise _too_large(path, "a whole number") from None
+    inner: list[tuple[str, Any]] = list(found.items())
+    while inner:
+        name, value = inner.pop()
+        if isinstance(value, dict):
+            inner += value.items()
+        elif isinstance(value, list):
+            inner += [(name, each) for each in value]
+        elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise _too_large(path, f"'{name}'")
+    return found
+
+
+def _too_large(path: str | os.PathLike[str], which: str) -> MultiposError:
+    return MultiposError(
+        f"{path}: {which} has more digits than 64 bits hold; write a large number as 1e30."
+    )

@@ -5,9 +5,32 @@ them (JCGM 100, 7.2.2); a value without a usable uncertainty is shown with ten d
 """
 
 import math
+import re
 from collections.abc import Sequence
 
 _SHORTEST = -5  # decimal exponents below this are written as such
+# Control characters but line feed and tab, separators of lines, and what turns the direction of
+# writing: a terminal would obey them.
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
+
+def visible(text: str) -> str:
+    r"""Return text with control characters as escapes, ``\u001b``, which a terminal only shows.
+
+    In JSON an escape is the same character.
+    """
+    return _CONTROL.sub(lambda found: escaped(found[0]), text)
+
+
+def escaped(text: str) -> str:
+    r"""Return each character as ``\uXXXX``, as JSON does, in two where one does not suffice."""
+    raw = text.encode("utf-16-be", "surrogatepass")
+    return "".join(f"\\u{raw[i : i + 2].hex()}" for i in range(0, len(raw), 2))
+
+
+def one_line(text: str) -> str:
+    """Return text as one line that a terminal only shows."""
+    return visible(" ".join(text.split()))
 
 
 def uncertain(value: float, u: float) -> str:

@@ -1,14 +1,13 @@
 """Rests that the user knows: a file of the rows where each begins and ends."""
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from multipos.errors import MultiposError
-from multipos.files import Source, read_bytes, read_table
+from multipos.files import Source, read_bytes, read_json_value, read_table
+from multipos.pipes import rereadable
 from multipos.rests import Rest
 
 
@@ -43,7 +42,9 @@ def read_sections(source: Source) -> Sections:
     MultiposError
         Missing, empty, of another form, or a section with fewer than two rows.
     """
-    if isinstance(source, str | os.PathLike) and Path(source).suffix.lower() == ".json":
+    if isinstance(source, str | os.PathLike):
+        source = rereadable(source)
+    if isinstance(source, os.PathLike) and _is_json(source):
         where, found = str(source), _from_json(source)
     elif isinstance(source, Mapping) and "position" not in source:
         where, found = "sections", source
@@ -70,11 +71,15 @@ def read_sections(source: Source) -> Sections:
                             for label, each in found.items()})  # fmt: skip
 
 
-def _from_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
-    try:
-        found = json.loads(read_bytes(path, "sections").decode("utf-8-sig"))
-    except ValueError as error:
-        raise MultiposError(f"{path}: not valid JSON ({error}); write it again.") from None
+def _is_json(path: os.PathLike[str]) -> bool:
+    """Tell by the ending, or by the brace it begins with: a pipe has no ending."""
+    if str(path).lower().endswith(".json"):
+        return True
+    return read_bytes(path, "sections").lstrip().startswith(b"{")
+
+
+def _from_json(path: os.PathLike[str]) -> Mapping[str, Any]:
+    found = read_json_value(path, "sections")
     if not isinstance(found, dict):
         raise MultiposError(
             f'{path}: sections are {{"label": {{"start": row, "end": row}}}}, got another form.'

@@ -36,6 +36,7 @@ from multipos.attitudes import (
 )
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Source, read_table
+from multipos.pipes import is_pipe
 from multipos.results import Result
 
 Array = NDArray[np.float64]
@@ -138,7 +139,7 @@ def _named_or_file(text: str) -> Scheme:
 
 def _is_file(path: str) -> bool:
     try:
-        return Path(path).is_file()
+        return Path(path).is_file() or is_pipe(path)
     except OSError:  # many names joined are too long to be the name of a file
         return False
 

@@ -19,6 +19,7 @@ ORDER = (
     "results",
     "quantiles",
     "formatting",
+    "pipes",
     "files",
     "rates",
     "attitudes",

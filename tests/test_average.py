@@ -389,6 +389,8 @@ def test_bad_bytes(name, content, message, tmp_path, capsys):
         ('{"a": {"start": 0.5, "end": 5}}', "whole numbers of rows"),
         ('{"a": {"start": 1}}', "whole numbers of rows"),
         ('{"a": {"start": 0, "end": 100000}}', "but the log has"),
+        ("[" * 100_000, "nested too deeply; write the sections again"),
+        (f'{{"a": {{"start": 0, "end": {"9" * 5000}}}}}', "whole numbers of rows"),
     ],
 )
 def test_bad_sections(content, message, log, tmp_path, capsys):

@@ -1,9 +1,11 @@
 """The command line: its promises on output, and one clear line for every kind of bad input."""
 
 import json
+import re
 import subprocess
 import sys
 import sysconfig
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -365,3 +367,107 @@ def test_every_expected_end_is_one_line(error, status, capsys, monkeypatch):
     monkeypatch.setattr(cli, "_run", raising)
     assert cli.main(["fit"]) == status
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def deep(depth):
+    return deep(depth + 1)
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [(lambda: 1 // 0, "ZeroDivisionError"), (lambda: deep(0), "RecursionError"),
+     (lambda: mp.read_readings({"ax": [1]}).values.reshape(7, 7), "ValueError"),
+     (lambda: (_ for _ in ()).throw(KeyError("a\nb\x1b")), "KeyError")],
+)  # fmt: skip
+def test_what_nobody_thought_of_is_one_line_too(fault, said, capsys, monkeypatch):
+    monkeypatch.setattr(cli, "_run", lambda argv: fault())
+    assert cli.main(["fit"]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"multipos: error: {said} at cli.py line ")
+    assert "report it with this line" in err
+    assert err.count("\n") == 1
+    assert "\x1b" not in err
+    monkeypatch.setenv("MULTIPOS_DEBUG", "1")
+    assert cli.main(["fit"]) == 1
+    before, line = capsys.readouterr().err.rsplit("multipos: error: ", 1)
+    assert before.startswith("Traceback (most recent call last):")
+    assert line.startswith(said)
+
+
+def test_an_error_of_the_system_is_not_called_a_fault(capsys, monkeypatch):
+    def raising(argv):
+        raise OSError(5, "Input/output error", "log.csv")
+
+    monkeypatch.setattr(cli, "_run", raising)
+    assert cli.main(["fit"]) == 1
+    assert capsys.readouterr().err.startswith("multipos: error: log.csv: Input/output error; ")
+
+
+def test_a_warning_of_python_is_one_line(capsys, monkeypatch):
+    monkeypatch.setattr(cli, "_run", lambda argv: np.float64(1e308) * np.float64(1e308))
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert cli.main(["fit"]) == 0
+    err = capsys.readouterr().err
+    assert re.fullmatch(
+        r"multipos: warning: overflow encountered in scalar multiply \(RuntimeWarning at "
+        r"test_cli.py line \d+\)\n", err
+    )  # fmt: skip
+
+
+def shell(command):
+    return subprocess.run(["bash", "-c", command.replace("multipos", MULTIPOS, 1)], text=True,
+                          capture_output=True, check=False)  # fmt: skip
+
+
+def test_closed_streams(here, monkeypatch):
+    done = shell("multipos fit six.csv -o new.json >&-")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "multipos: error: stdout is closed; send it to a file, or to /dev/null.\n"
+    assert not Path("new.json").exists()
+    for arguments, status in (("fit none.csv", 1), ("fit", 2), ("apply cal.json six.csv --to", 2)):
+        done = shell(f"multipos {arguments} 2>&-")
+        assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    expected = shell("multipos fit six.csv --convention gravity")
+    assert "warning" in expected.stderr
+    done = shell("multipos fit six.csv --convention gravity 2>&-")
+    assert (done.returncode, done.stdout) == (0, expected.stdout)
+    assert json.loads(shell("multipos fit six.csv --json <&- 2>&-").stdout)["unit"] is None
+
+
+# --- control characters
+
+RED = "\x1b[31m\x9b\u202ered"
+
+
+def test_labels_do_not_reach_the_terminal_as_commands(here, capsys):
+    (here / "six.csv").write_text(SIX.replace("\n1,", f"\n{RED},"), encoding="utf-8")
+    seen = r"\u001b[31m\u009b\u202ered"
+    status, out, err = run(capsys, "fit", "six.csv", "--outputs", "ax")
+    assert status == 0
+    assert not set(RED[:6]) & set("\x1b\x9b\u202e") & set(out + err)
+    _, out, _ = run(capsys, "fit", "six.csv")
+    assert seen in out
+    _, out, _ = run(capsys, "fit", "six.csv", "--json", "-o", "cal.json")
+    assert seen in out
+    assert json.loads(out)["positions"][0] == RED == mp.load("cal.json").readings.positions[0]
+    (here / "bad.csv").write_text(SIX.replace("E-U-S", RED), encoding="utf-8")
+    _, _, err = run(capsys, "fit", "bad.csv")
+    assert seen in err
+    _, out, _ = run(capsys, "apply", "cal.json", "six.csv")
+    assert out.splitlines()[1].startswith(RED)  # a table for other programs stays as it is
+
+
+def test_a_terminal_gets_escapes_in_tables_too(here, capsys, monkeypatch):
+    (here / "six.csv").write_text(SIX.replace("\n1,", f"\n{RED},"), encoding="utf-8")
+    monkeypatch.setattr(type(sys.stdout), "isatty", lambda self: True)
+    _, out, _ = run(capsys, "apply", "cal.json", "six.csv")
+    assert out.splitlines()[1].startswith(r"\u001b[31m\u009b\u202ered")
+
+
+def test_a_terminal_without_latin_letters_gets_json_escapes(here, monkeypatch):
+    (here / "six.csv").write_text(SIX.replace("\n1,", "\né😀,", 1), encoding="utf-8")
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    assert json.loads(process("fit", "six.csv", "--json").stdout)["positions"][0] == "é😀"

@@ -14,7 +14,16 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from multipos.errors import MultiposError
-from multipos.files import format_csv, read_json, read_table, to_json, write_text
+from multipos.files import (
+    format_csv,
+    read_json,
+    read_json_value,
+    read_schema,
+    read_table,
+    read_toml,
+    to_json,
+    write_text,
+)
 
 
 def table(tmp_path, text, encoding="utf-8"):
@@ -160,6 +169,7 @@ def test_json_has_no_numbers_that_are_not():
         ("[1, 2]", "the schema is None, but 'multipos/calibration/1' is needed here"),
         ('{"schema": "other/1"}', "the schema is 'other/1', but"),
         ("[" * 100_000, "nested too deeply"),
+        (f'{{"schema": {"9" * 5000}}}', "the schema is inf, but"),
     ],
 )
 def test_foreign_json_is_refused(tmp_path, text, message):
@@ -176,14 +186,56 @@ def test_json_that_is_no_text_is_refused(tmp_path):
         read_json(path, "multipos/calibration/1")
 
 
+def test_whole_numbers_too_large_for_64_bits_become_floats(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text(f"[123456789012345678, 12345678901234567890, -{'9' * 400}]")
+    whole, large, infinite = read_json_value(path, "file")
+    assert (whole, type(whole)) == (123456789012345678, int)
+    assert (large, type(large)) == (12345678901234567890.0, float)
+    assert infinite == -np.inf
+
+
+def test_a_schema_is_looked_for_in_any_file(tmp_path):
+    path = tmp_path / "a.json"
+    for text in ("[" * 100_000, "9" * 5000, "{}", "", "[1]", '{"schema": 1}'):
+        path.write_text(text)
+        assert read_schema(path) is None
+    assert read_schema(tmp_path) is None
+    path.write_text('{"schema": "other/1"}')
+    assert read_schema(path) == "other/1"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a = " + "[" * 100_000, "nested too deeply; write the budget again"),
+        ("a = " + "1" * 5000, "a whole number has more digits than 64 bits hold"),
+        ("[level]\nu_deg = " + "1" * 400, "'u_deg' has more digits than 64 bits hold"),
+        ("a = [1, [2, 9223372036854775808]]", "'a' has more digits than 64 bits hold"),
+        ("a = \0", "not valid TOML"),
+    ],
+)
+def test_faulty_toml_is_refused(tmp_path, text, message):
+    path = tmp_path / "budget.toml"
+    path.write_text(text)
+    with pytest.raises(MultiposError, match=message):
+        read_toml(path, "budget")
+
+
+def test_toml_takes_all_of_64_bits(tmp_path):
+    path = tmp_path / "budget.toml"
+    path.write_text("a = [9223372036854775807, -9223372036854775808]")
+    assert read_toml(path, "budget") == {"a": [2**63 - 1, -(2**63)]}
+
+
 # --- writing, whole or not at all
 
 
 def test_a_file_that_cannot_be_written_stays_as_it_was(tmp_path, monkeypatch):
     path = tmp_path / "out.txt"
     path.write_text("before")
-    with pytest.raises(UnicodeEncodeError):
-        write_text(path, "half of it \ud800")
+    with pytest.raises(ZeroDivisionError):
+        write_text(path, ("half of it" if i else str(1 // i) for i in (1, 0)))
     assert path.read_text() == "before"
     assert list(tmp_path.iterdir()) == [path]
     with pytest.raises(MultiposError, match=r"cannot write: it is a folder"):

@@ -217,7 +217,7 @@ def test_the_laboratory_fills_the_fields(six, tmp_path):
 @pytest.mark.parametrize(
     ("options", "status", "message"),
     [
-        (["-o", "r.pdf"], 2, "the report's ending '.pdf' is unknown"),
+        (["-o", "r.pdf"], 2, "-o r.pdf: this command does not write .pdf files"),
         ([], 2, "report needs -o REPORT.html"),
         (["-o", "r.html", "--language", "de"], 2, "--language takes en or zh, got 'de'"),
         (["-o", "r.html", "--lab", "none.toml"], 1, "no such file"),

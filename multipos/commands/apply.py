@@ -1,20 +1,21 @@
 """``multipos apply``."""
 
 import argparse
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 
 from multipos.calibration import load
-from multipos.commands.options import add_output, file_progress, names, warn
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import file_progress, names
 from multipos.compensation import apply, apply_log
 from multipos.correction import correct
 from multipos.errors import UsageError
-from multipos.files import Column, format_csv, read_schema, read_table, to_json, write_text
+from multipos.files import Column, Content, format_csv, read_schema, read_table, to_json
 from multipos.logs import open_log, read_log
 from multipos.regression import SCHEMA, load_regression
 
-_IN_MEMORY = 1 << 24  # bytes of the table; more go to a temporary file
-_PIECE = 1 << 20
+INPUTS = ("calibration", "data")
+OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("json", "text"))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -32,11 +33,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="flag|clamp|refuse",
         help="what to do with rows beyond what was calibrated (default flag)",
     )
-    add_output(parser, "OUT.csv", "file to write (default: the table goes to stdout)")
 
 
-def run(arguments: argparse.Namespace) -> str | Iterator[str]:
-    """Return what the command prints: the table in pieces, once all of it is there."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     if read_schema(arguments.calibration) == SCHEMA:
         return _correct(arguments)
     if arguments.correct is not None:
@@ -48,18 +48,23 @@ def run(arguments: argparse.Namespace) -> str | Iterator[str]:
         "outside": arguments.outside,
     }
     log = open_log(arguments.data, columns=arguments.columns)
-    if arguments.json:
-        return _finish(arguments, apply(calibration, read_log(log), **options), log.delimiter)
-    with file_progress(arguments.data, "applying") as progress:
-        applied = apply_log(calibration, log, progress=progress, **options)
-        if arguments.output:
-            write_text(arguments.output, applied)
-        text = "" if arguments.output else _keep(applied)
-    _warn_outside(applied.beyond, applied.rows)
-    return text
+    applied = apply_log(calibration, log, **options)
+
+    @cache
+    def columns() -> Mapping[str, Column]:
+        return apply(calibration, read_log(log), **options)
+
+    def table() -> Iterator[str]:
+        with file_progress(arguments.data, "applying") as applied.progress:
+            yield from applied
+
+    def warnings() -> tuple[str, ...]:
+        return _outside(applied.beyond, applied.rows) if applied.rows else _beyond(columns())
+
+    return _answer(arguments, table, columns, warnings)
 
 
-def _correct(arguments: argparse.Namespace) -> str:
+def _correct(arguments: argparse.Namespace) -> Answer:
     """Apply a regression: whole, because a rate needs the rows before and after."""
     if arguments.tilt:
         raise UsageError("--tilt goes with a calibration; a regression corrects a column.")
@@ -71,38 +76,32 @@ def _correct(arguments: argparse.Namespace) -> str:
         uncertainty=arguments.uncertainty,
         outside=arguments.outside,
     )
-    return _finish(arguments, columns, table.delimiter)
+    return _answer(
+        arguments,
+        lambda: format_csv(columns, table.delimiter),
+        lambda: columns,
+        lambda: _beyond(columns),
+    )
 
 
-def _finish(arguments: argparse.Namespace, columns: Mapping[str, Column], delimiter: str) -> str:
-    text = format_csv(columns, delimiter or ",")
-    if arguments.output:
-        write_text(arguments.output, text)
-    rows = len(columns["outside"])
-    _warn_outside(int(sum(columns["outside"])), rows)
-    if arguments.json:
-        return to_json({"rows": rows, "columns": columns})
-    return "" if arguments.output else text
+def _answer(
+    arguments: argparse.Namespace,
+    table: Callable[[], Content],
+    columns: Callable[[], Mapping[str, Column]],
+    warnings: Callable[[], Sequence[str]],
+) -> Answer:
+    return Answer(
+        text=table if arguments.output is None else str,
+        json=lambda: to_json({"rows": len(columns()["outside"]), "columns": columns()}),
+        forms={"table": table, "text": table},
+        warnings=warnings,
+        verbatim=True,
+    )
 
 
-def _warn_outside(beyond: int, rows: int) -> None:
-    if beyond:
-        warn([f"{beyond} of {rows} rows are outside what was calibrated"])
+def _beyond(columns: Mapping[str, Column]) -> tuple[str, ...]:
+    return _outside(int(sum(columns["outside"])), len(columns["outside"]))
 
 
-def _keep(pieces: Iterable[str]) -> Iterator[str]:
-    """Keep pieces of text in a temporary file until the last is there, then return them."""
-    kept = tempfile.SpooledTemporaryFile(_IN_MEMORY, "w+", encoding="utf-8", newline="")  # noqa: SIM115
-    try:
-        kept.writelines(pieces)
-    except BaseException:
-        kept.close()
-        raise
-    return _read_again(kept)
-
-
-def _read_again(kept: "tempfile.SpooledTemporaryFile[str]") -> Iterator[str]:
-    with kept:
-        kept.seek(0)
-        while piece := kept.read(_PIECE):
-            yield piece
+def _outside(beyond: int, rows: int) -> tuple[str, ...]:
+    return (f"{beyond} of {rows} rows are outside what was calibrated",) if beyond else ()

@@ -4,8 +4,12 @@ import argparse
 
 from multipos.averages import averages_text
 from multipos.averaging import average
-from multipos.commands.options import add_output, file_progress, names, warn
-from multipos.files import to_json
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import file_progress, names
+from multipos.files import format_csv, to_json
+
+INPUTS = ("log", "sections", "scheme")
+OUTPUT = Output("READINGS.csv", "write the readings to READINGS.csv", "table", ("json", "text"))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -32,16 +36,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="C",
         help="for matching: specific-force (up reads +1, default) or gravity (down reads +1)",
     )
-    add_output(parser, "READINGS.csv", "write the readings to READINGS.csv")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     options = {k: v for k, v in vars(arguments).items() if k not in ("log", "json", "output")}
     with file_progress(arguments.log, "reading") as progress:
         found = average(arguments.log, progress=progress, **options)
-    text = to_json(found.to_dict()) if arguments.json else averages_text(found)
-    if arguments.output:
-        found.save(arguments.output)
-    warn(found.warnings)
-    return text
+    return Answer(
+        text=lambda: averages_text(found),
+        json=lambda: to_json(found.to_dict()),
+        forms={"table": lambda: format_csv(found.columns())},
+        warnings=lambda: found.warnings,
+    )

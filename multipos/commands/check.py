@@ -4,11 +4,20 @@ import argparse
 
 from multipos.calibration import load
 from multipos.checks import check
-from multipos.commands.options import add_output, add_range, numbers, warn, write_form
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import add_range, numbers
 from multipos.files import read_schema, to_json
-from multipos.plots import check_svg
+from multipos.plots import check_figure
 from multipos.regression import SCHEMA, load_regression
 from multipos.sections import check_text
+
+INPUTS = ("calibration", "readings", "scheme")
+OUTPUT = Output(
+    "FILE",
+    "write the result to FILE as well, as JSON for report --check",
+    "text",
+    ("json", "figure"),
+)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -43,12 +52,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="standard uncertainty of a reading of the run (default: as in the calibration)",
     )
     add_range(parser)
-    add_output(parser, "FILE", "write the result to FILE as well; .svg draws the errors, "
-               ".json is for report --check")  # fmt: skip
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     fitted = read_schema(arguments.calibration) == SCHEMA
     calibration = (load_regression if fitted else load)(arguments.calibration)
     options = {
@@ -57,9 +64,9 @@ def run(arguments: argparse.Namespace) -> str:
         if name not in ("calibration", "readings", "json", "output")
     }
     found = check(calibration, arguments.readings, **options)
-    text = to_json(found.to_dict()) if arguments.json else check_text(found)
-    write_form(
-        arguments.output, text, json=lambda: to_json(found.to_dict()), svg=lambda: check_svg(found)
+    return Answer(
+        text=lambda: check_text(found),
+        json=lambda: to_json(found.to_dict()),
+        forms={"figure": lambda: check_figure(found)},
+        warnings=lambda: found.warnings,
     )
-    warn(found.warnings)
-    return text

@@ -2,10 +2,13 @@
 
 import argparse
 
-from multipos.commands.options import add_output, warn, write_form
+from multipos.commands.answers import Answer, Output
 from multipos.comparison import compare, comparison_text
 from multipos.files import to_json
-from multipos.plots import runs_svg
+from multipos.plots import runs_figure
+
+INPUTS = ("calibrations",)
+OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -19,13 +22,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="called inconsistent beyond this probability (default 0.95)",
     )
-    add_output(parser, "FILE", "write the result to FILE as well; .svg draws zero against run")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     found = compare(*arguments.calibrations, confidence=arguments.confidence)
-    text = to_json(found.to_dict()) if arguments.json else comparison_text(found)
-    write_form(arguments.output, text, svg=lambda: runs_svg(found))
-    warn(found.warnings)
-    return text
+    return Answer(
+        text=lambda: comparison_text(found),
+        json=lambda: to_json(found.to_dict()),
+        forms={"figure": lambda: runs_figure(found)},
+        warnings=lambda: found.warnings,
+    )

@@ -2,20 +2,21 @@
 
 import argparse
 
-from multipos.commands.options import add_output
+from multipos.commands.answers import Answer, Output
 from multipos.files import to_json
 from multipos.song_qin import demo, demo_dict, demo_text
 
+INPUTS = ()
+OUTPUT = Output("DIR", "folder for readings, calibration, report (default multipos-demo)", "folder")
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    add_output(parser, "DIR", "folder for readings, calibration, report (default multipos-demo)")
+    """Add the options of the command: there are none."""
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     folder = arguments.output or "multipos-demo"
     found = demo(folder)
-    if arguments.json:
-        return to_json(demo_dict(found))
-    return f"{demo_text(found)}\nWritten to {folder}: readings.csv, calibration.json, report.txt\n"
+    said = f"{demo_text(found)}\nWritten to {folder}: readings.csv, calibration.json, report.txt\n"
+    return Answer(text=lambda: said, json=lambda: to_json(demo_dict(found)))

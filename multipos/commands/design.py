@@ -2,11 +2,15 @@
 
 import argparse
 
-from multipos.commands.options import add_model, add_orientation, add_output, numbers, warn
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import add_model, add_orientation, numbers
 from multipos.designs import design, design_csv, design_text
 from multipos.errors import UsageError
-from multipos.files import to_json, write_text
+from multipos.files import to_json
 from multipos.information import nothing_to_weigh
+
+INPUTS = ("candidates", "include", "region")
+OUTPUT = Output("SCHEME.csv", "write the positions to SCHEME.csv", "table", ("json", "text"))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -38,11 +42,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="seconds that a position takes, and that turning takes per degree",
     )
     add("--seed", type=int, default=0, metavar="K", help="of the random starts (default 0)")
-    add_output(parser, "SCHEME.csv", "write the positions to SCHEME.csv")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     move_time = arguments.move_time
     if move_time is not None and (len(move_time) != 2 or min(move_time) < 0.0):
         raise UsageError("--move-time takes two times of 0 or more: per position, per degree.")
@@ -63,8 +66,9 @@ def run(arguments: argparse.Namespace) -> str:
         move_time=move_time,
         seed=arguments.seed,
     )
-    text = to_json(found) if arguments.json else design_text(found)
-    if arguments.output:
-        write_text(arguments.output, design_csv(found))
-    warn(nothing_to_weigh(arguments.orientation_sd, arguments.reading_sd))
-    return text
+    return Answer(
+        text=lambda: design_text(found),
+        json=lambda: to_json(found),
+        forms={"table": lambda: design_csv(found)},
+        warnings=lambda: nothing_to_weigh(arguments.orientation_sd, arguments.reading_sd),
+    )

@@ -1,11 +1,11 @@
 """``multipos export``."""
 
 import argparse
+from pathlib import Path
 
 from multipos.calibration import load
-from multipos.commands.options import add_output, warn
-from multipos.errors import UsageError
-from multipos.exporters import TARGETS, export
+from multipos.commands.answers import STDOUT, Answer, Output
+from multipos.exporters import TARGETS, export, self_test
 from multipos.files import to_json
 
 
@@ -21,13 +21,24 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="let go of terms that the target cannot express, and say what that costs",
     )
-    add_output(parser, "FILE", "file to write; C gets FILE_test.c, its self-test, as well")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
-    if not arguments.output:
-        raise UsageError("export needs -o FILE.")
+def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
+    return self_test(arguments.output) if arguments.to == "c" else ()
+
+
+INPUTS = ("calibration",)
+OUTPUT = Output(
+    "FILE",
+    "file to write; C gets FILE_test.c, its self-test, as well",
+    "export",
+    required=True,
+    beside=_beside,
+)
+
+
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     exported = export(
         load(arguments.calibration),
         arguments.to,
@@ -35,8 +46,12 @@ def run(arguments: argparse.Namespace) -> str:
         float=arguments.float,
         allow_lossy=arguments.allow_lossy,
     )
-    written = exported.save(arguments.output)
-    warn(exported.notes)
-    if arguments.json:
-        return to_json({"target": exported.target, "files": written, "notes": exported.notes})
-    return f"Written to {', '.join(written)}\n"
+    files = exported.files(arguments.output)
+    names = list(map(str, files))
+    listing = {"target": exported.target, "files": names, "notes": exported.notes}
+    return Answer(
+        text=lambda: f"Written to {', '.join(names)}\n",
+        json=lambda: to_json(listing),
+        forms={"export": lambda: exported.text if arguments.output == STDOUT else files},
+        warnings=lambda: exported.notes,
+    )

@@ -2,10 +2,14 @@
 
 import argparse
 
-from multipos.commands.options import add_conditions, add_model, add_output, names, numbers, warn
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import add_conditions, add_model, names, numbers
 from multipos.files import to_json
 from multipos.fitting import fit
 from multipos.reports import text_report
+
+INPUTS = ("readings", "scheme", "budget")
+OUTPUT = Output("CAL.json", "write the calibration to CAL.json", "json", ("text",))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +48,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="standard uncertainty of an averaged reading",
     )
     add("--budget", metavar="FILE", help="TOML file of what else is uncertain: level, voltmeter, …")
-    add_output(parser, "CAL.json", "write the calibration to CAL.json")
 
 
 def degrees_or_auto(text: str) -> float | str:
@@ -55,12 +58,12 @@ def degrees_or_auto(text: str) -> float | str:
         raise argparse.ArgumentTypeError(f"'{text}' is neither degrees nor 'auto'") from None
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     options = {k: v for k, v in vars(arguments).items() if k not in ("readings", "json", "output")}
     calibration = fit(arguments.readings, **options)
-    text = to_json(calibration.to_dict()) if arguments.json else text_report(calibration)
-    if arguments.output:
-        calibration.save(arguments.output)
-    warn(calibration.diagnostics.warnings)
-    return text
+    return Answer(
+        text=lambda: text_report(calibration),
+        json=lambda: to_json(calibration.to_dict()),
+        warnings=lambda: calibration.diagnostics.warnings,
+    )

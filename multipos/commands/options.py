@@ -1,6 +1,7 @@
 """What several commands share: lists on the command line, the model's options, warnings."""
 
 import argparse
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from multipos.errors import UsageError
-from multipos.files import write_text
+from multipos.formatting import one_line
 from multipos.model import NAMED
 from multipos.names import split_names, split_numbers
 
@@ -46,26 +47,6 @@ def add_range(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--range", type=numbers, metavar="LOW,HIGH", help="refuse readings outside these limits"
     )
-
-
-def add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None:
-    """Add ``-o``."""
-    parser.add_argument("-o", dest="output", metavar=metavar, help=text)
-
-
-def write_form(
-    path: str | None,
-    text: str,
-    *,
-    svg: Callable[[], str],
-    json: Callable[[], str] | None = None,
-) -> None:
-    """Write what ``-o`` asks for by its ending: .svg a figure, .json where given, else the text."""
-    if not path:
-        return
-    forms = {".svg": svg, ".json": json}
-    make = forms.get(Path(path).suffix.lower())
-    write_text(path, text if make is None else make())
 
 
 def add_conditions(parser: argparse.ArgumentParser) -> None:
@@ -127,8 +108,9 @@ def add_orientation(parser: argparse.ArgumentParser) -> None:
 
 def warn(warnings: Sequence[str]) -> None:
     """Print warnings to stderr, a line each."""
-    for warning in warnings:
-        print(f"multipos: warning: {warning}", file=sys.stderr)
+    if sys.stderr is not None:
+        for warning in warnings:
+            print(f"multipos: warning: {one_line(warning)}", file=sys.stderr)
 
 
 @contextmanager
@@ -140,14 +122,17 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[int], object]]:
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
-                  ) as progress:  # fmt: skip
+    terminal = sys.stderr is not None and sys.stderr.isatty()
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not terminal) as progress:
         task = progress.add_task(what, total=total)
         yield lambda done: progress.update(task, completed=done)
 
 
 @contextmanager
-def file_progress(path: str, what: str) -> Iterator[Callable[[float], object] | None]:
+def file_progress(
+    path: str | os.PathLike[str], what: str
+) -> Iterator[Callable[[float], object] | None]:
     """Show how much of a large file is read, a share from 0 to 1; yield who is told, or None."""
     if not (Path(path).is_file() and Path(path).stat().st_size > _LARGE):
         yield None

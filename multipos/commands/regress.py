@@ -2,10 +2,16 @@
 
 import argparse
 
-from multipos.commands.options import add_output, names, warn, write_form
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import names
 from multipos.files import to_json
-from multipos.plots import regression_svg
+from multipos.plots import regression_figure
 from multipos.regressing import regress
+
+INPUTS = ("data",)
+OUTPUT = Output(
+    "REGRESSION.json", "write the result to REGRESSION.json", "json", ("figure", "text")
+)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -23,8 +29,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     _add_selection(parser.add_argument_group("choosing the terms"))
     _add_segments(parser.add_argument_group("segments"))
     _add_time(parser.add_argument_group("time"))
-    add_output(parser, "REGRESSION.json", "write the result to REGRESSION.json; .svg draws "
-               "the response before and after, and how the terms were chosen")  # fmt: skip
 
 
 def _add_selection(group: argparse._ArgumentGroup) -> None:
@@ -61,15 +65,13 @@ def _add_time(group: argparse._ArgumentGroup) -> None:
     add("--cluster", metavar="COLUMN", help="rows of equal value here belong together")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     options = {k: v for k, v in vars(arguments).items() if k not in ("data", "json", "output")}
     regression = regress(arguments.data, **options)
-    text = to_json(regression.to_dict()) if arguments.json else f"{regression}\n"
-    write_form(
-        arguments.output,
-        to_json(regression.to_dict()),
-        svg=lambda: regression_svg(regression, arguments.data),
+    return Answer(
+        text=lambda: f"{regression}\n",
+        json=lambda: to_json(regression.to_dict()),
+        forms={"figure": lambda: regression_figure(regression, arguments.data)},
+        warnings=lambda: regression.warnings,
     )
-    warn(regression.warnings)
-    return text

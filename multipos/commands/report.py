@@ -3,12 +3,16 @@
 import argparse
 
 from multipos.calibration import load
-from multipos.commands.options import add_output, progress_bar
-from multipos.documents import write_report
-from multipos.errors import UsageError
+from multipos.certificate import build_content
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import progress_bar
+from multipos.documents import html_report, markdown_report, plain_report
 from multipos.files import to_json
 from multipos.monte_carlo import simulate_budget
 from multipos.verdicts import load_check
+
+INPUTS = ("calibration", "lab", "check")
+OUTPUT = Output("REPORT.html", "file to write", "html", ("markdown", "text"), required=True)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -26,13 +30,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="TRIALS",
         help="check the uncertainties by so many trials",
     )
-    add_output(parser, "REPORT", "file to write, .html, .md or .txt")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
-    if not arguments.output:
-        raise UsageError("report needs -o REPORT.html, REPORT.md or REPORT.txt.")
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     calibration = load(arguments.calibration)
     simulated = None
     if arguments.monte_carlo is not None:
@@ -40,14 +41,20 @@ def run(arguments: argparse.Namespace) -> str:
             simulated = simulate_budget(
                 calibration, trials=arguments.monte_carlo, progress=progress
             )
-    write_report(
+    content = build_content(
         calibration,
-        arguments.output,
         lab=arguments.lab,
         language=arguments.language,
         simulated=simulated,
         check=None if arguments.check is None else load_check(arguments.check),
     )
-    if arguments.json:
-        return to_json({"report": arguments.output, "created": calibration.created})
-    return f"Written to {arguments.output}\n"
+    listing = {"report": arguments.output, "created": calibration.created}
+    return Answer(
+        text=lambda: f"Written to {arguments.output}\n",
+        json=lambda: to_json(listing),
+        forms={
+            "html": lambda: html_report(content),
+            "markdown": lambda: markdown_report(content),
+            "text": lambda: plain_report(content),
+        },
+    )

@@ -3,9 +3,13 @@
 import argparse
 
 from multipos.assessment import schemes, schemes_text
-from multipos.commands.options import add_model, add_orientation, add_output, warn
-from multipos.files import to_json, write_text
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import add_model, add_orientation
+from multipos.files import to_json
 from multipos.information import nothing_to_weigh
+
+INPUTS = ("schemes",)
+OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -20,11 +24,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="SD",
         help="standard uncertainty of a reading (default 1); in g beside --orientation-sd",
     )
-    add_output(parser, "FILE", "write the result to FILE as well")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     found = schemes(
         *arguments.schemes,
         model=arguments.model,
@@ -34,8 +37,8 @@ def run(arguments: argparse.Namespace) -> str:
         orientation_sd=arguments.orientation_sd,
         reading_sd=arguments.reading_sd,
     )
-    text = to_json(found) if arguments.json else schemes_text(found)
-    if arguments.output:
-        write_text(arguments.output, text)
-    warn(nothing_to_weigh(arguments.orientation_sd, arguments.reading_sd))
-    return text
+    return Answer(
+        text=lambda: schemes_text(found),
+        json=lambda: to_json(found),
+        warnings=lambda: nothing_to_weigh(arguments.orientation_sd, arguments.reading_sd),
+    )

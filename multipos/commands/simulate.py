@@ -3,10 +3,14 @@
 import argparse
 
 from multipos.calibration import load
-from multipos.commands.options import add_output, numbers
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import numbers
 from multipos.errors import UsageError
-from multipos.files import format_csv, to_json, write_text
+from multipos.files import format_csv, to_json
 from multipos.simulation import simulate, simulate_log
+
+INPUTS = ("calibration", "scheme")
+OUTPUT = Output("READINGS.csv", "file to write instead of stdout", "table", ("json", "text"))
 
 # Options of each form, with what they are when not given.
 _BOTH = ("orientation_sd", "temperature", "seed")
@@ -45,11 +49,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="how long that noise remembers (default 0: white)",
     )
     add("--seed", type=int, metavar="K", help="seed of the random numbers")
-    add_output(parser, "READINGS.csv", "file to write (default: the table goes to stdout)")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     mine, other = (_LOG, _READINGS) if arguments.log else (_READINGS, _LOG)
     for name in other:
         if getattr(arguments, name) is not None:
@@ -67,9 +70,13 @@ def run(arguments: argparse.Namespace) -> str:
         raise UsageError(f"--seed must be 0 or more, got {options['seed']}.")
     made = simulate_log if arguments.log else simulate
     columns = made(load(arguments.calibration), arguments.scheme, **options)
-    text = format_csv(columns)
-    if arguments.output:
-        write_text(arguments.output, text)
-    if arguments.json:
-        return to_json({"columns": columns})
-    return "" if arguments.output else text
+
+    def table() -> str:
+        return format_csv(columns)
+
+    return Answer(
+        text=table if arguments.output is None else str,
+        json=lambda: to_json({"columns": columns}),
+        forms={"table": table, "text": table},
+        verbatim=True,
+    )

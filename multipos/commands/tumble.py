@@ -2,11 +2,15 @@
 
 import argparse
 
-from multipos.commands.options import add_conditions, add_output, names, numbers, warn, write_form
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import add_conditions, names, numbers
 from multipos.files import to_json
-from multipos.plots import tumble_svg
+from multipos.plots import tumble_figure
 from multipos.sections import tumble_text
 from multipos.single_axis import tumble
+
+INPUTS = ("readings", "scheme")
+OUTPUT = Output("FILE", "write the result to FILE as well", "json", ("figure", "text"))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -19,14 +23,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--model", metavar="M", help="model or formula (default: ieee-odd, less what is hidden)")
     add_conditions(parser)
     add("--reading-sd", type=numbers, metavar="SD", help="standard uncertainty of a reading")
-    add_output(parser, "FILE", "write the result as JSON to FILE; .svg draws signal and harmonics")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     options = {k: v for k, v in vars(arguments).items() if k not in ("readings", "json", "output")}
     found = tumble(arguments.readings, **options)
-    text = to_json(found.to_dict())
-    write_form(arguments.output, text, svg=lambda: tumble_svg(found))
-    warn(found.warnings)
-    return text if arguments.json else tumble_text(found)
+    return Answer(
+        text=lambda: tumble_text(found),
+        json=lambda: to_json(found.to_dict()),
+        forms={"figure": lambda: tumble_figure(found)},
+        warnings=lambda: found.warnings,
+    )

@@ -3,22 +3,21 @@
 import argparse
 
 from multipos.calibration import load
-from multipos.commands.options import add_output
+from multipos.commands.answers import Answer, Output
 from multipos.exporters import verify_export
-from multipos.files import to_json, write_text
+from multipos.files import to_json
+
+INPUTS = ("file", "calibration")
+OUTPUT = Output("OUT", "write the result to OUT as well", "text", ("json",))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("file", metavar="FILE", help="file that export wrote")
     parser.add_argument("calibration", metavar="CAL.json", help="calibration it came from")
-    add_output(parser, "OUT", "write the result to OUT as well")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     found = verify_export(arguments.file, load(arguments.calibration))
-    text = to_json(found.to_dict()) if arguments.json else str(found)
-    if arguments.output:
-        write_text(arguments.output, text)
-    return text
+    return Answer(text=lambda: str(found), json=lambda: to_json(found.to_dict()))

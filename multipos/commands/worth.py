@@ -3,9 +3,12 @@
 import argparse
 
 from multipos.calibration import load
-from multipos.commands.options import add_output
-from multipos.files import to_json, write_text
+from multipos.commands.answers import Answer, Output
+from multipos.files import to_json
 from multipos.prospects import worth, worth_text
+
+INPUTS = ("calibration", "candidates")
+OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -20,18 +23,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add("--parameter", metavar="OUTPUT:TERM", help="the parameter that counts (default all)")
     add("--target", type=float, metavar="U", help="standard uncertainty it shall have")
-    add_output(parser, "FILE", "write the result to FILE as well")
 
 
-def run(arguments: argparse.Namespace) -> str:
-    """Return what the command prints."""
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
     found = worth(
         load(arguments.calibration),
         candidates=arguments.candidates,
         parameter=arguments.parameter,
         target=arguments.target,
     )
-    text = to_json(found) if arguments.json else worth_text(found)
-    if arguments.output:
-        write_text(arguments.output, text)
-    return text
+    return Answer(text=lambda: worth_text(found), json=lambda: to_json(found))

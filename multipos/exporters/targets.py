@@ -10,7 +10,7 @@ from multipos.errors import UsageError
 from multipos.exporters.c_source import c_source, c_test
 from multipos.exporters.laws import loss_text
 from multipos.exporters.parameters import write_ardupilot, write_px4, write_ros
-from multipos.files import write_text
+from multipos.files import written
 from multipos.results import Result
 
 Target = Literal["c", "ros-imu-calib", "px4", "ardupilot"]
@@ -44,13 +44,23 @@ class Exported(Result):
 
     def save(self, path: str | os.PathLike[str]) -> tuple[str, ...]:
         """Write the file, for C also ``…_test.c`` beside it; return the names written."""
-        written = [str(path)]
-        if self.test is not None:
-            beside = Path(path).with_name(f"{Path(path).stem}_test{Path(path).suffix}")
-            write_text(beside, self.test)
-            written.append(str(beside))
-        write_text(path, self.text)
-        return tuple(written)
+        files = self.files(path)
+        with written(files):
+            pass
+        return tuple(map(str, files))
+
+    def files(self, path: str | os.PathLike[str]) -> dict[str | os.PathLike[str], str]:
+        """Return the files to write, and what they hold."""
+        beside = () if self.test is None else self_test(path)
+        return {path: self.text, **dict.fromkeys(beside, self.test or "")}
+
+
+def self_test(path: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """Return where the self-test of a C file goes; a folder or a device has none beside it."""
+    path = Path(path)
+    if not path.name or (path.exists() and not path.is_file()):
+        return ()
+    return (path.with_name(f"{path.stem}_test{path.suffix}"),)
 
 
 def export(

@@ -1,5 +1,6 @@
 """Logs that are arrays: in memory, or in NumPy's and MATLAB's formats."""
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -71,27 +72,27 @@ def _flat(found: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def read_npy(path: Path) -> Mapping[str, Any]:
+def read_npy(path: os.PathLike[str]) -> Mapping[str, Any]:
     """Return the columns of an array file, which stay on the disk until they are read."""
-    array = _loaded(path, lambda: np.load(path, mmap_mode="r", allow_pickle=False))
+    array = _loaded(path, lambda: np.load(Path(path), mmap_mode="r", allow_pickle=False))
     if array.dtype.names:
         return {name: array[name] for name in array.dtype.names}
     width = array.shape[1] if array.ndim == 2 else 1
     return {str(i + 1): array.reshape(len(array), -1)[:, i] for i in range(width)}
 
 
-def read_npz(path: Path) -> Mapping[str, Any]:
+def read_npz(path: os.PathLike[str]) -> Mapping[str, Any]:
     """Return the arrays of an archive."""
 
     def load() -> dict[str, Any]:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             return dict(archive)
 
     found: dict[str, Any] = _loaded(path, load)
     return found
 
 
-def read_mat(path: Path) -> Mapping[str, Any]:
+def read_mat(path: os.PathLike[str]) -> Mapping[str, Any]:
     """Return the variables of a MATLAB file up to version 7."""
     from scipy.io import loadmat
 
@@ -99,7 +100,7 @@ def read_mat(path: Path) -> Mapping[str, Any]:
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
-def refuse_hdf(path: Path) -> Mapping[str, Any]:
+def refuse_hdf(path: os.PathLike[str]) -> Mapping[str, Any]:
     """Say what to do with MATLAB's version 7.3."""
     raise MultiposError(
         f"{path}: an HDF5 file (MATLAB writes it with -v7.3), which is not read; "
@@ -107,7 +108,7 @@ def refuse_hdf(path: Path) -> Mapping[str, Any]:
     )
 
 
-def _loaded(path: Path, load: Callable[[], Any]) -> Any:
+def _loaded(path: os.PathLike[str], load: Callable[[], Any]) -> Any:
     try:
         return load()
     except Exception as error:  # each format has exceptions of its own for a damaged file

@@ -13,6 +13,7 @@ from multipos.logs.arrays import log_of_columns, read_mat, read_npy, read_npz, r
 from multipos.logs.table import Log
 from multipos.logs.text import HEAD, open_text, split_rows
 from multipos.names import Names, split_names
+from multipos.pipes import rereadable
 
 
 class Reader(NamedTuple):
@@ -21,7 +22,7 @@ class Reader(NamedTuple):
     kind: str
     suffixes: tuple[str, ...]
     magic: bytes
-    columns: Callable[[Path], Mapping[str, Any]]
+    columns: Callable[[os.PathLike[str]], Mapping[str, Any]]
 
 
 def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
@@ -50,10 +51,11 @@ def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
     if not isinstance(source, str | os.PathLike):
         table = read_table(source, what="log")
         return log_of_columns(table.source, table.columns, names)
-    path = Path(source)
+    path = rereadable(source)
     head = _read_head(path)
+    suffix = Path(str(path)).suffix.lower()
     by_content = [reader for reader in READERS if head.startswith(reader.magic)]
-    by_suffix = [reader for reader in READERS if path.suffix.lower() in reader.suffixes]
+    by_suffix = [reader for reader in READERS if suffix in reader.suffixes]
     for reader in by_content or (by_suffix if b"\0" in head else ()):
         return log_of_columns(str(path), reader.columns(path), names)
     return open_text(path, head, names)
@@ -66,7 +68,10 @@ def read_log(log: Log) -> dict[str, Column]:
     for piece in log.read((), log.numeric):
         for name in log.numeric:
             columns[name].append(piece.table.columns[name])
-        rows = split_rows(piece.lines, log.delimiter) if piece.lines and texts else []
+        rows = []
+        if piece.lines and texts:
+            numbers = piece.table.lines or range(1, len(piece.lines) + 1)
+            rows = split_rows(log.source, piece.lines, numbers, log.delimiter)
         for name in texts:
             place = log.columns.index(name)
             columns[name] += [row[place] for row in rows]
@@ -77,9 +82,9 @@ def read_log(log: Log) -> dict[str, Column]:
     }
 
 
-def _read_head(path: Path) -> bytes:
+def _read_head(path: os.PathLike[str]) -> bytes:
     try:
-        with path.open("rb") as stream:
+        with Path(path).open("rb") as stream:
             head = stream.read(HEAD)
     except FileNotFoundError:
         raise MultiposError(f"{path}: no such file; check the path of the log.") from None

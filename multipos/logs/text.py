@@ -1,6 +1,7 @@
 """Logs that are text, with or without a header."""
 
 import csv
+import os
 from collections.abc import Iterator, Sequence
 from functools import partial
 from operator import methodcaller
@@ -24,14 +25,14 @@ _SAMPLE = 50  # first rows, which tell numbers from text
 class _Text(NamedTuple):
     """How the rows of a text file are laid out."""
 
-    path: Path
+    path: os.PathLike[str]
     columns: tuple[str, ...]
     numeric: tuple[str, ...]
     delimiter: str
     header_line: int  # 0 where the first row is a sample
 
 
-def open_text(path: Path, head: bytes, columns: Sequence[str] | None) -> Log:
+def open_text(path: os.PathLike[str], head: bytes, columns: Sequence[str] | None) -> Log:
     """Return a log of text, whose first bytes are given."""
     first = [
         (number, line)
@@ -44,13 +45,14 @@ def open_text(path: Path, head: bytes, columns: Sequence[str] | None) -> Log:
         raise MultiposError(f"{path}: no rows in the first {HEAD} bytes; a log needs samples.")
     line_number, line = first[0]
     delimiter = next((mark for mark in ";\t," if mark in line), "")
-    cells = split_rows([line], delimiter)[0]
+    cells = split_rows(str(path), [line], [line_number], delimiter)[0]
     headless = all(_is_number(cell, delimiter) or not cell for cell in cells)
-    samples = [row for _, row in (first if headless else first[1:])][:_SAMPLE]
+    samples = dict((first if headless else first[1:])[:_SAMPLE])
     if not samples:
         raise MultiposError(f"{path}: only a header, no rows; a log needs samples.")
     names = name_columns(str(path), None if headless else cells, len(cells), columns)
-    rows = [row for row in split_rows(samples, delimiter) if len(row) == len(names)]
+    found = split_rows(str(path), list(samples.values()), list(samples), delimiter)
+    rows = [row for row in found if len(row) == len(names)]
     # The first cell that is not empty tells; a bad one further down is then an error, if used.
     first_cells = [next((row[i] for row in rows if row[i]), "") for i in range(len(names))]
     numeric = tuple(
@@ -74,12 +76,13 @@ class _Rows(NamedTuple):
     lines: list[str]
     numbers: Sequence[int]  # of the lines in the file
     delimiters: int  # in all of them
+    quotes: bool  # whether one of them holds a quote that it does not close
 
 
 def _text_rows(text: _Text) -> Iterator[tuple[_Rows, float]]:
-    size = max(text.path.stat().st_size, 1)
     line, rest = 1, b""
-    with text.path.open("rb") as stream:
+    with Path(text.path).open("rb") as stream:
+        size = max(os.fstat(stream.fileno()).st_size, 1)
         while block := stream.read(_PIECE):
             block = rest + block
             end = max(block.rfind(b"\n"), block.rfind(b"\r", 0, -1)) + 1
@@ -106,7 +109,9 @@ def _rows_only(text: _Text, content: str, first: int) -> _Rows:
         numbers = [i for i, row in zip(numbers, rows, strict=True) if row]
         lines = [line for line, row in zip(lines, rows, strict=True) if row]
     mark = text.delimiter or " "
-    return _Rows(lines, numbers, content.count(mark) - sum(line.count(mark) for line in gone))
+    delimiters = content.count(mark) - sum(line.count(mark) for line in gone)
+    quotes = '"' in content and any(line.count('"') % 2 for line in lines)
+    return _Rows(lines, numbers, delimiters, quotes)
 
 
 def _parse(
@@ -125,7 +130,7 @@ def _parse(
             return table(columns)
     except ValueError:
         pass
-    cells = split_rows(rows.lines, text.delimiter)
+    cells = split_rows(str(text.path), rows.lines, rows.numbers, text.delimiter)
     width = len(text.columns)
     for i, row in enumerate(cells):
         if len(row) != width:
@@ -144,6 +149,8 @@ def _parse(
 
 
 def _fast(text: _Text, rows: _Rows, index: list[int]) -> Array:
+    if rows.quotes:
+        raise ValueError
     mark, width = text.delimiter, len(text.columns)
     lines = [line.replace(",", ".") for line in rows.lines] if mark == ";" else rows.lines
     if not mark:
@@ -164,7 +171,7 @@ def _fast(text: _Text, rows: _Rows, index: list[int]) -> Array:
     return np.ascontiguousarray(values.T)
 
 
-def _decode(path: Path, block: bytes) -> str:
+def _decode(path: os.PathLike[str], block: bytes) -> str:
     try:
         text = block.decode("utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
@@ -181,12 +188,28 @@ def _decode(path: Path, block: bytes) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
-def split_rows(lines: list[str], delimiter: str) -> list[list[str]]:
-    """Return the cells of rows of text."""
+def split_rows(
+    source: str, lines: Sequence[str], numbers: Sequence[int], delimiter: str
+) -> list[list[str]]:
+    """Return the cells of rows of text, whose line numbers are given; a row is one line."""
     if not delimiter:
         return [line.split() for line in lines]
-    rows = csv.reader(lines, delimiter=delimiter)
-    return [[cell.strip() for cell in row] for row in rows]
+    reader = csv.reader(lines, delimiter=delimiter, strict=True)
+    rows: list[list[str]] = []
+    reason = ""
+    try:
+        for row in reader:
+            if reader.line_num > len(rows) + 1:
+                break
+            rows.append([cell.strip() for cell in row])
+    except csv.Error as error:
+        reason = "" if "end of data" in str(error) else str(error)
+    if len(rows) < len(lines):  # a quote that is not closed has swallowed what follows it
+        raise MultiposError(
+            f"{source}: line {numbers[len(rows)]}: {reason or 'a quote is not closed'}; check the "
+            "quotes of that line."
+        )
+    return rows
 
 
 def _is_row(line: str) -> bool:

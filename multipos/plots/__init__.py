@@ -1,7 +1,7 @@
 """Figures, each a function that draws on a matplotlib axes it is given.
 
-`new_figure` makes a figure that knows nothing of the screen, `to_svg` writes it so that the same
-drawing gives the same bytes.
+`new_figure` makes a figure that knows nothing of the screen, `render` gives it as SVG, PNG or PDF,
+the same bytes for the same drawing.
 """
 
 from multipos.plots.calibration import (
@@ -15,21 +15,21 @@ from multipos.plots.calibration import (
     nominal_error,
     variance_shares,
 )
-from multipos.plots.check import check_svg, draw_check
-from multipos.plots.runs import draw_runs, runs_svg
+from multipos.plots.check import check_figure, draw_check
+from multipos.plots.runs import draw_runs, runs_figure
 from multipos.plots.schemes import draw_efficiency, draw_scheme
-from multipos.plots.style import new_figure, to_svg
-from multipos.plots.temperature import draw_correction, draw_curve, draw_path, regression_svg
+from multipos.plots.style import new_figure, render, to_svg
+from multipos.plots.temperature import draw_correction, draw_curve, draw_path, regression_figure
 from multipos.plots.tumble import (
     draw_harmonics,
     draw_residual_harmonics,
     draw_rolls,
     draw_signal,
-    tumble_svg,
+    tumble_figure,
 )
 
 __all__ = [
-    "check_svg",
+    "check_figure",
     "compensated_error",
     "draw_budget",
     "draw_check",
@@ -50,9 +50,10 @@ __all__ = [
     "draw_signal",
     "new_figure",
     "nominal_error",
-    "regression_svg",
-    "runs_svg",
+    "regression_figure",
+    "render",
+    "runs_figure",
     "to_svg",
-    "tumble_svg",
+    "tumble_figure",
     "variance_shares",
 ]

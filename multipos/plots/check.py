@@ -4,11 +4,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, to_svg
+from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure
 from multipos.verdicts import Check
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _WIDE = 5.0  # times the limit, from which errors are drawn logarithmically beyond it
 
@@ -45,9 +46,9 @@ def draw_check(found: Check, axes: "Axes", *, axis: str) -> None:
     name_series(axes, 2)
 
 
-def check_svg(found: Check) -> str:
-    """Return the errors of every axis as an SVG file, one below the other."""
+def check_figure(found: Check) -> "Figure":
+    """Return the errors of every axis, one below the other."""
     figure, axes = new_figure(len(found.axes))
     for axis, one in zip(found.axes, axes, strict=True):
         draw_check(found, one, axis=axis)
-    return to_svg(figure)
+    return figure

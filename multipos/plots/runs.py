@@ -6,10 +6,11 @@ import numpy as np
 
 from multipos.comparison import Comparison
 from multipos.model import CONSTANT
-from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, to_svg
+from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def draw_runs(comparison: Comparison, axes: "Axes", *, term: str = "1") -> None:
@@ -40,8 +41,8 @@ def draw_runs(comparison: Comparison, axes: "Axes", *, term: str = "1") -> None:
     name_series(axes, 3)
 
 
-def runs_svg(comparison: Comparison) -> str:
-    """Return the biases against the run as an SVG file."""
+def runs_figure(comparison: Comparison) -> "Figure":
+    """Return the biases against the run."""
     figure, axes = new_figure()
     draw_runs(comparison, axes[0])
-    return to_svg(figure)
+    return figure

@@ -15,6 +15,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#9
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 HATCHES = ("", "//", "\\\\", "xx", "--", "||", "++", "////")  # dots would weigh 150 kB each
 
+_DPI = 200  # dots per inch of a .png
 _STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "multipos",
@@ -53,6 +54,21 @@ def to_svg(figure: "Figure") -> str:
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+
+
+def render(figure: "Figure", ending: str) -> str | bytes:
+    """Return a figure as the file of an ending, .svg, .png or .pdf: without date, as `to_svg`."""
+    if ending == ".svg":
+        return to_svg(figure)
+    from io import BytesIO
+
+    from matplotlib import rc_context
+
+    stream = BytesIO()
+    dates = {"CreationDate": None} if ending == ".pdf" else None
+    with rc_context(_STYLE):
+        figure.savefig(stream, format=ending.removeprefix("."), dpi=_DPI, metadata=dates)
+    return stream.getvalue()
 
 
 def name_series(axes: "Axes", columns: int) -> None:

@@ -6,13 +6,14 @@ import numpy as np
 
 from multipos.correction import correct, range_column, read_predictors
 from multipos.files import Source, read_table
-from multipos.plots.style import COLOURS, new_figure, to_svg
+from multipos.plots.style import COLOURS, new_figure
 from multipos.regression import Regression, format_span
 from multipos.segment import Segment
 from multipos.temperature import Curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def draw_correction(
@@ -93,8 +94,8 @@ def draw_path(segment: Segment, axes: "Axes") -> None:
     axes.set(xlabel="F to enter or to remove; ◆ the runner-up")
 
 
-def regression_svg(regression: Regression, data: Source) -> str:
-    """Return the response before and after, and the path of every selection, as an SVG file.
+def regression_figure(regression: Regression, data: Source) -> "Figure":
+    """Return the response before and after, and the path of every selection,.
 
     Rows with an empty cell, which the regression may have dropped, are not drawn.
     """
@@ -111,4 +112,4 @@ def regression_svg(regression: Regression, data: Source) -> str:
         span = format_span(regression.range_variable, segment.range, segment.branch)
         title = "all segments" if regression.continuous else span
         one.set_title(title, loc="left", fontsize=9.0)
-    return to_svg(figure)
+    return figure

@@ -8,11 +8,12 @@ import numpy as np
 from multipos.calibration import Calibration
 from multipos.criticism import fourier_residuals
 from multipos.harmonics import Harmonic, Roll, find_rolls, series
-from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, new_figure, to_svg
+from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, new_figure
 from multipos.single_axis import Tumble
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def draw_signal(found: Tumble, axes: "Axes") -> None:
@@ -87,9 +88,9 @@ def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
     axes.legend(frameon=False)
 
 
-def tumble_svg(found: Tumble) -> str:
-    """Return the signal and what the model leaves of its harmonics as an SVG file."""
+def tumble_figure(found: Tumble) -> "Figure":
+    """Return the signal and what the model leaves of its harmonics."""
     figure, axes = new_figure(2)
     draw_signal(found, axes[0])
     draw_residual_harmonics(found, axes[1])
-    return to_svg(figure)
+    return figure

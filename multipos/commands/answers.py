@@ -1,0 +1,327 @@
+"""What a command reads and writes, checked before it runs, and its answer, delivered after.
+
+A command module says in ``INPUTS`` which of its arguments name files, and in ``OUTPUT`` what
+``-o`` writes. `settle` holds them against each other before any work is done; ``run`` then
+returns an `Answer`, whose forms are made when they are asked for, and `deliver` puts them where
+they belong. stdout carries one thing: what is printed, or with ``-o -`` what ``-o`` asks for.
+"""
+
+import argparse
+import codecs
+import io
+import os
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+from multipos.commands.options import warn
+from multipos.errors import MultiposError, UsageError
+from multipos.files import Content, written
+from multipos.formatting import escaped, visible
+from multipos.pipes import STDIN, Pipe, is_pipe
+
+STDOUT = "-"
+# Forms of an answer: the endings that ask for them, and what they are in words.
+FORMS: dict[str, tuple[tuple[str, ...], str]] = {
+    "json": ((".json",), "JSON"),
+    "table": ((".csv",), "the table"),
+    "figure": ((".svg", ".png", ".pdf"), "the figure"),
+    "html": ((".html",), "a page"),
+    "markdown": ((".md",), "Markdown"),
+    "text": ((".txt",), "plain text"),
+    "export": ((), "what the target reads"),
+    "folder": ((), "a folder"),
+}
+# Endings that say what a file is: a command writes it, or refuses.
+KNOWN = frozenset(
+    [".json", ".csv", ".svg", ".png", ".pdf", ".html", ".md", ".xml", ".xlsx", ".parquet"]
+)
+
+_IN_MEMORY = 1 << 24  # bytes of what is printed in pieces; more go to a temporary file
+_PIECE = 1 << 20
+_ESCAPES = "multipos.escapes"  # what an encoding lacks is escaped as JSON does it
+
+
+@dataclass(frozen=True)
+class Output:
+    """What ``-o`` of a command writes.
+
+    Attributes
+    ----------
+    metavar, help : str
+    own : str
+        The form under an ending that is not known, or none.
+    others : tuple of str
+        Forms that have endings of their own.
+    required : bool
+    beside : callable
+        From the arguments, the files written beside the one that is named.
+    """
+
+    metavar: str
+    help: str
+    own: str
+    others: tuple[str, ...] = ()
+    required: bool = False
+    beside: Callable[[argparse.Namespace], Sequence[Path]] = lambda _: ()
+
+    @property
+    def forms(self) -> tuple[str, ...]:
+        """All forms that can be written."""
+        return (self.own, *self.others)
+
+    @property
+    def endings(self) -> str:
+        """The endings that are written, and as what, in words."""
+        said = [f"{' '.join(FORMS[form][0])} ({FORMS[form][1]})" for form in self.forms]
+        return f"{', '.join(said)}, under any other ending {FORMS[self.own][1]}"
+
+    def add_to(self, parser: argparse.ArgumentParser) -> None:
+        """Add ``-o``."""
+        endings = {"export": "; - is stdout", "folder": ""}
+        text = self.help + endings.get(self.own, f"; it writes {self.endings}; - is stdout")
+        parser.add_argument("-o", dest="output", metavar=self.metavar, help=text)
+
+    def form(self, path: str, *, json: bool) -> str:
+        """Return the form that a name asks for; what is printed is JSON under ``--json``.
+
+        Raises
+        ------
+        UsageError
+            The ending is known, but this command does not write it; or it cannot write to stdout.
+        """
+        ending = Path(path).suffix.lower()
+        for form in self.forms:
+            if ending in FORMS[form][0]:
+                return form
+        if ending in KNOWN:
+            way = "give another ending, or none"
+            if self.others:
+                way = f"it writes {self.endings}"
+            raise UsageError(f"-o {path}: this command does not write {ending} files; {way}.")
+        if path == STDOUT and self.own == "folder":
+            raise UsageError("-o -: a folder cannot go to stdout; name one.")
+        if path == STDOUT and json and "json" not in self.forms:
+            raise UsageError("-o - and --json would both go to stdout; leave one out.")
+        return "json" if json and (path == STDOUT or self.own == "text") else self.own
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command found, in every form it can be asked for.
+
+    Attributes
+    ----------
+    text, json : callable
+        What is printed, without and with ``--json``, and the forms of these names.
+    forms : mapping of str to callable
+        What ``-o`` writes beside these two or in their place: text, bytes, pieces of text, a
+        figure, or several files by name.
+    warnings : callable
+        Asked when all else has been made.
+    verbatim : bool
+        What is printed is a table for other programs: only a terminal gets escapes.
+    """
+
+    text: Callable[[], Content]
+    json: Callable[[], Content]
+    forms: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
+    warnings: Callable[[], Sequence[str]] = tuple
+    verbatim: bool = False
+
+    def make(self, form: str, ending: str) -> Any:
+        """Return the answer in a form that ``-o`` asks for."""
+        made: Any = {"text": self.text, "json": self.json, **self.forms}[form]()
+        if form == "figure":
+            from multipos.plots import render
+
+            made = render(made, ending)
+        return made
+
+
+@dataclass(frozen=True)
+class Order:
+    """What was settled: the form and ending that ``-o`` asks for, and the pipes that are held."""
+
+    form: str | None
+    ending: str
+    pipes: tuple[Pipe, ...]
+
+
+def settle(
+    command: str, arguments: argparse.Namespace, inputs: Sequence[str], output: Output
+) -> Order:
+    """Check the files of a command line; each input that is a pipe becomes a `Pipe`.
+
+    Where ``-o`` names the very file or device that stdout goes to, it becomes ``-``.
+
+    Raises
+    ------
+    UsageError
+        ``-o`` is missing, names an input or has an ending that the command does not write; or
+        two inputs are the same pipe.
+    """
+    path: str | None = arguments.output
+    if path is None and output.required:
+        raise UsageError(f"{command} needs -o {output.metavar}.")
+    if path is None:
+        return Order(None, "", _hold_pipes(arguments, inputs))
+    if not path:
+        raise UsageError("-o needs a name; - is stdout.")
+    ending = Path(path).suffix.lower()
+    _refuse_inputs([Path(path), *output.beside(arguments)], _named(arguments, inputs))
+    form = output.form(path, json=arguments.json)
+    if _same(_status(path, None), _status(STDOUT, sys.stdout)):
+        arguments.output = STDOUT
+        form = form if ending else output.form(STDOUT, json=arguments.json)
+    return Order(form, ending, _hold_pipes(arguments, inputs))
+
+
+def _named(arguments: argparse.Namespace, inputs: Sequence[str]) -> Iterator[str]:
+    """Yield the names of all inputs; of schemes that are joined, each."""
+    for name in inputs:
+        value = getattr(arguments, name)
+        for each in value if isinstance(value, list) else [value]:
+            if each is not None:
+                yield from dict.fromkeys([each, *map(str.strip, each.split("+"))])
+
+
+def _refuse_inputs(outputs: Sequence[Path], inputs: Iterable[str]) -> None:
+    for name in inputs:
+        source = _status(name, sys.stdin)
+        if source is None or not stat.S_ISREG(source.st_mode):
+            continue
+        for path in outputs:
+            if _same(source, _status(path, None)):
+                also = "" if str(path) == name else f", the same file as {name}"
+                raise UsageError(
+                    f"-o would write over {path}{also}, which this command reads; give another "
+                    "name."
+                )
+
+
+def _hold_pipes(arguments: argparse.Namespace, inputs: Sequence[str]) -> tuple[Pipe, ...]:
+    pipes: dict[str, Pipe] = {}
+    for name in inputs:
+        value = getattr(arguments, name)
+        if isinstance(value, list):
+            setattr(arguments, name, [_held(each, pipes) for each in value])
+        elif value is not None:
+            setattr(arguments, name, _held(value, pipes))
+    return tuple(pipes.values())
+
+
+def _held(name: str, pipes: dict[str, Pipe]) -> str | Pipe:
+    if name != STDIN and not is_pipe(name):
+        return name
+    status = _status(name, sys.stdin)
+    for other in pipes:
+        if name == other or _same(status, _status(other, sys.stdin)):
+            raise UsageError(
+                f"{name} is given for two inputs, but what comes through it can be read as one; "
+                "put the other into a file."
+            )
+    return pipes.setdefault(name, Pipe(name))
+
+
+def _status(path: str | os.PathLike[str], standard: TextIO | None) -> os.stat_result | None:
+    """Return what is known of a file, ``-`` being a standard stream; None where there is none."""
+    with suppress(OSError, ValueError):
+        if path != STDIN:
+            return Path(path).stat()
+        if standard is not None:
+            return os.fstat(standard.fileno())
+    return None
+
+
+def _same(a: os.stat_result | None, b: os.stat_result | None) -> bool:
+    return a is not None and b is not None and os.path.samestat(a, b)
+
+
+def deliver(answer: Answer, arguments: argparse.Namespace, order: Order) -> None:
+    """Make what was asked for, print what goes to stdout, then put files in their places.
+
+    Raises
+    ------
+    MultiposError
+        A file or stdout cannot be written; no file has been touched.
+    """
+    path: str | None = arguments.output
+    with ExitStack() as stack:
+        made: Any = None
+        if path is not None and order.form not in (None, "folder"):
+            made = answer.make(order.form, order.ending)
+        if path != STDOUT:
+            if path is not None and made is not None:
+                stack.enter_context(written(made if isinstance(made, Mapping) else {path: made}))
+            made = answer.json() if arguments.json else answer.text()
+        pieces = _complete(made, stack)
+        warn(answer.warnings())
+        verbatim = path == STDOUT or (answer.verbatim and not arguments.json)
+        print_out(pieces, verbatim=verbatim)
+
+
+def _complete(made: Content, stack: ExitStack) -> Iterable[str | bytes]:
+    """Return text, bytes, or pieces of text when the last of them is there."""
+    if isinstance(made, str | bytes):
+        return [made]
+    kept = stack.enter_context(_spool())
+    kept.writelines(made)
+    kept.seek(0)
+    return iter(lambda: kept.read(_PIECE), "")
+
+
+def _spool() -> "tempfile.SpooledTemporaryFile[str]":
+    return tempfile.SpooledTemporaryFile(
+        _IN_MEMORY, "w+", encoding="utf-8", errors="surrogatepass", newline=""
+    )
+
+
+def print_out(pieces: Iterable[str | bytes] = (), *, verbatim: bool = False) -> None:
+    """Print on stdout, whatever its encoding, and see that it arrives.
+
+    A reader that has seen enough, as ``head`` has, is no error.
+
+    Parameters
+    ----------
+    pieces : of text or bytes
+    verbatim : bool
+        Control characters are escaped only where stdout is a terminal.
+
+    Raises
+    ------
+    MultiposError
+        stdout cannot be written.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors=_ESCAPES)
+    try:
+        for piece in pieces:
+            if isinstance(piece, bytes):
+                sys.stdout.buffer.write(piece)
+            else:
+                sys.stdout.write(piece if verbatim and not sys.stdout.isatty() else visible(piece))
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _close_stdout()
+    except OSError as error:
+        _close_stdout()
+        raise MultiposError(f"cannot write to stdout: {error.strerror}.") from None
+
+
+def _close_stdout() -> None:
+    # What is still buffered goes nowhere, so that the interpreter does not try again at its end.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _escape(error: UnicodeError) -> tuple[str, int]:
+    assert isinstance(error, UnicodeEncodeError)
+    return escaped(error.object[error.start : error.end]), error.end
+
+
+codecs.register_error(_ESCAPES, _escape)

@@ -1,0 +1,79 @@
+"""What comes through a pipe, kept so that it can be read as often as a file.
+
+A pipe gives its bytes once, but a log is read in two passes, a calibration after a look at its
+kind, and the data of a regression again for its figure. A `Pipe` takes in all that comes when it
+is first opened and is then a path like any other: ``str`` is the name for messages, ``os.fspath``
+a temporary file with the bytes, which goes with the object.
+"""
+
+import contextlib
+import errno
+import os
+import shutil
+import stat
+import sys
+import tempfile
+import weakref
+from pathlib import Path
+from typing import BinaryIO
+
+STDIN = "-"
+
+
+class Pipe(os.PathLike[str]):
+    """A pipe, or stdin, as a path that can be read more than once."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._kept: weakref.finalize[[str], Pipe] | None = None
+
+    def __str__(self) -> str:
+        return "stdin" if self._source == STDIN else self._source
+
+    def __fspath__(self) -> str:
+        if self._kept is None:
+            handle, path = tempfile.mkstemp(prefix="multipos-")
+            self._kept = weakref.finalize(self, _remove, path)
+            try:
+                with os.fdopen(handle, "wb") as kept, _opened(self._source) as stream:
+                    shutil.copyfileobj(stream, kept)
+            except BaseException:
+                self.close()
+                raise
+        found = self._kept.peek()
+        if found is None:
+            raise OSError(errno.EPIPE, "the pipe has been read already")
+        return str(found[2][0])
+
+    def close(self) -> None:
+        """Let go of what was kept."""
+        if self._kept is not None:
+            self._kept()
+
+
+def is_pipe(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a path is there, and neither a file nor a folder: a pipe, a terminal, …."""
+    try:
+        mode = Path(path).stat().st_mode
+    except (OSError, ValueError):  # what cannot be looked at is refused where it is read
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+def rereadable(path: str | os.PathLike[str]) -> os.PathLike[str]:
+    """Return a path that can be read more than once: the path itself, of a pipe a `Pipe`."""
+    if isinstance(path, Pipe):
+        return path
+    return Pipe(os.fspath(path)) if is_pipe(path) else Path(path)
+
+
+def _opened(source: str) -> contextlib.AbstractContextManager[BinaryIO]:
+    if source != STDIN:
+        return Path(source).open("rb")
+    if sys.stdin is None:
+        raise OSError(errno.EBADF, "it is closed")
+    return contextlib.nullcontext(sys.stdin.buffer)
+
+
+def _remove(path: str) -> None:
+    Path(path).unlink(missing_ok=True)

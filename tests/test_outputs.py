@@ -1,0 +1,389 @@
+"""What `-o` writes and what it refuses: inputs, endings, pairs of files, stdout, signals."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import sysconfig
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos import cli
+from multipos.errors import MultiposError
+from multipos.files import format_csv, write_text, written
+
+MULTIPOS = str(Path(sysconfig.get_path("scripts")) / "multipos")
+SIX = """\
+position,direction,ax,ay,az
+1,E-U-S,0.0071,1.0029,-0.0016
+2,E-N-U,-0.0094,-0.0058,1.0008
+3,D-E-S,-0.9965,0.0064,0.0015
+4,W-D-S,-0.0076,-1.0030,0.0032
+5,U-W-S,0.9965,0.0073,0.0027
+6,S-W-D,0.0067,-0.0060,-1.0008
+"""
+SECTIONS = '{"a": {"start": 0, "end": 90}, "b": {"start": 100, "end": 190}}'
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with an input of every kind."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "six.csv").write_text(SIX, encoding="utf-8")
+    cal = mp.fit("six.csv")
+    cal.save("cal.json")
+    up = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    rng = np.random.default_rng(1)
+    samples = np.repeat(up, 100, axis=0) + 1e-3 * rng.standard_normal((200, 3))
+    log = dict(zip(("time", "ax", "ay", "az"), [np.arange(200) / 100, *samples.T], strict=True))
+    write_text("log.csv", format_csv(log))
+    (tmp_path / "sections.json").write_text(SECTIONS)
+    (tmp_path / "budget.toml").write_text("[level]\nu_deg = 0.01\n")
+    (tmp_path / "lab.toml").write_text("[laboratory]\nname = 'Bench'\n")
+    mp.check(cal, "six.csv").save("check.json")
+    mp.export(cal, "c").save("imu.c")
+    (tmp_path / "tumble.csv").write_text(
+        "roll_axis,angle_deg,ax\n" + "".join(
+            f"z,{30 * k},{np.cos(np.radians(30 * k)) + 1e-3 * (-1) ** k:.6f}\n" for k in range(12)
+        )
+    )  # fmt: skip
+    return tmp_path
+
+
+def snapshot(folder):
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def run(capsys, *arguments):
+    status = cli.main(arguments)
+    return status, *capsys.readouterr()
+
+
+# A command line of each command, and the inputs that -o must not name.
+COMMANDS = {
+    "fit": (["six.csv", "--scheme", "six.csv", "--budget", "budget.toml"],
+            ["six.csv", "budget.toml"]),
+    "average": (["log.csv", "--sections", "sections.json", "--scheme", "six.csv"],
+                ["log.csv", "sections.json", "six.csv"]),
+    "apply": (["cal.json", "log.csv"], ["cal.json", "log.csv"]),
+    "check": (["cal.json", "six.csv", "--scheme", "faces-6+six.csv"], ["cal.json", "six.csv"]),
+    "compare": (["cal.json", "check.json"], ["cal.json", "check.json"]),
+    "regress": (["log.csv", "--response", "ax", "--variables", "ay"], ["log.csv"]),
+    "tumble": (["tumble.csv", "--scheme", "six.csv"], ["tumble.csv", "six.csv"]),
+    "simulate": (["cal.json", "--scheme", "six.csv"], ["cal.json", "six.csv"]),
+    "report": (["cal.json", "--lab", "lab.toml", "--check", "check.json"],
+               ["cal.json", "lab.toml", "check.json"]),
+    "export": (["cal.json", "--to", "px4"], ["cal.json"]),
+    "verify-export": (["imu.c", "cal.json"], ["imu.c", "cal.json"]),
+    "schemes": (["faces-6", "six.csv"], ["six.csv"]),
+    "design": (["--positions", "8", "--candidates", "six.csv", "--include", "log.csv",
+                "--region", "tumble.csv"], ["six.csv", "log.csv", "tumble.csv"]),
+    "worth": (["cal.json", "--candidates", "six.csv"], ["cal.json", "six.csv"]),
+}  # fmt: skip
+
+
+def test_every_command_says_what_it_reads():
+    assert {*COMMANDS, "demo"} == set(cli.COMMANDS)  # demo reads nothing
+
+
+@pytest.mark.parametrize("link", ["itself", "symbolic", "hard"])
+@pytest.mark.parametrize(
+    ("command", "given"),
+    [(command, name) for command, (_, names) in COMMANDS.items() for name in names],
+)
+def test_an_output_that_is_an_input_is_refused(command, given, link, here, capsys):
+    output = given
+    if link != "itself":
+        output = "other" + Path(given).suffix
+        (here / output).symlink_to(given) if link == "symbolic" else os.link(given, output)
+    before = snapshot(here)
+    status, out, err = run(capsys, command, *COMMANDS[command][0], "-o", output)
+    assert (status, out) == (2, "")
+    assert f"multipos: error: -o would write over {output}" in err
+    assert snapshot(here) == before
+
+
+def test_the_self_test_of_a_c_file_is_an_output_too(here, capsys):
+    (here / "cal.json").rename("cal_test.c")
+    before = snapshot(here)
+    status, out, err = run(capsys, "export", "cal_test.c", "--to", "c", "-o", "cal.c")
+    assert (status, out) == (2, "")
+    assert "write over cal_test.c, which this command reads" in err
+    assert snapshot(here) == before
+
+
+def test_stdin_from_a_file_is_an_input(here):
+    done = subprocess.run(f"{MULTIPOS} average - -o log.csv < log.csv", shell=True,
+                          capture_output=True, text=True, check=False)  # fmt: skip
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "-o would write over log.csv" in done.stderr
+    assert len((here / "log.csv").read_text().splitlines()) == 201
+
+
+WRITTEN = {
+    "fit": {".json", ".txt"},
+    "average": {".csv", ".json", ".txt"},
+    "apply": {".csv", ".json", ".txt"},
+    "check": {".json", ".txt", ".svg", ".png", ".pdf"},
+    "compare": {".json", ".txt", ".svg", ".png", ".pdf"},
+    "regress": {".json", ".txt", ".svg", ".png", ".pdf"},
+    "tumble": {".json", ".txt", ".svg", ".png", ".pdf"},
+    "simulate": {".csv", ".json", ".txt"},
+    "report": {".html", ".md", ".txt"},
+    "export": set(),
+    "verify-export": {".json", ".txt"},
+    "schemes": {".json", ".txt"},
+    "design": {".csv", ".json", ".txt"},
+    "worth": {".json", ".txt"},
+    "demo": set(),
+}
+RUNS = {
+    **{command: [command, *options] for command, (options, _) in COMMANDS.items()},
+    "average": ["average", "log.csv", "--sections", "sections.json"],
+    "check": ["check", "cal.json", "six.csv"],
+    "compare": ["compare", "cal.json", "cal.json"],
+    "tumble": ["tumble", "tumble.csv"],
+    "design": ["design", "--positions", "6"],
+    "demo": ["demo"],
+}
+BEGINNINGS = {".svg": b"<svg", ".png": b"\x89PNG", ".pdf": b"%PDF", ".html": b"<!DOCTYPE html>"}
+
+
+@pytest.mark.parametrize("command", WRITTEN)
+def test_known_endings_are_written_as_what_they_are_or_refused(command, here, capsys):
+    known = {".json", ".csv", ".svg", ".png", ".pdf", ".html", ".md", ".xml", ".xlsx", ".parquet"}
+    said = " ".join(cli.command_parser(command).format_help().split())
+    for ending in sorted(known | {".txt"}):
+        before = snapshot(here)
+        status, out, err = run(capsys, *RUNS[command], "-o", f"out{ending.upper()}")
+        if ending in WRITTEN[command]:
+            assert status == 0, err
+            assert ending in said
+            raw = Path(f"out{ending.upper()}").read_bytes()
+            assert raw.startswith(BEGINNINGS.get(ending, b""))
+            if ending == ".json":
+                assert isinstance(json.loads(raw), dict)
+        elif ending in known:
+            assert (status, out) == (2, "")
+            assert f"this command does not write {ending} files" in err
+            assert snapshot(here) == before
+
+
+def test_any_other_ending_is_the_commands_own_format(here, capsys):
+    for name in ("own", "own.dat", "own.json.old"):
+        assert run(capsys, "fit", "six.csv", "-o", name)[0] == 0
+        assert mp.load(name).outputs == ("ax", "ay", "az")
+    assert run(capsys, "report", "cal.json", "-o", "own")[0] == 0
+    assert Path("own").read_text().startswith("<!DOCTYPE html>")
+    _, printed, _ = run(capsys, "fit", "six.csv", "-o", "own.txt")
+    assert Path("own.txt").read_text() == printed
+    _, printed, _ = run(capsys, "check", "cal.json", "six.csv", "--json", "-o", "own")
+    assert Path("own").read_text() == printed  # what is printed, and nothing else
+    assert isinstance(json.loads(printed), dict)
+
+
+def test_the_same_figure_gives_the_same_bytes(here, capsys):
+    for ending in ("svg", "png", "pdf"):
+        for name in "ab":
+            assert run(capsys, "compare", "cal.json", "cal.json", "-o", f"{name}.{ending}")[0] == 0
+        assert Path(f"a.{ending}").read_bytes() == Path(f"b.{ending}").read_bytes()
+
+
+# --- stdout
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["fit", "six.csv"], ["average", "log.csv", "--sections", "sections.json"],
+     ["simulate", "cal.json", "--scheme", "faces-6"], ["apply", "cal.json", "log.csv"],
+     ["export", "cal.json", "--to", "c"], ["report", "cal.json"], ["schemes", "faces-6"]],
+    ids=lambda arguments: arguments[0],
+)  # fmt: skip
+def test_a_dash_is_stdout_and_gets_the_file_alone(arguments, here, capsys, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    if arguments[0] == "simulate":
+        arguments = [*arguments, "--seed", "1"]
+    assert run(capsys, *arguments, "-o", "out")[0] == 0
+    status, out, _ = run(capsys, *arguments, "-o", "-")
+    assert status == 0
+    assert out == Path("out").read_text()
+    assert not Path("-").exists()
+
+
+def test_a_dash_and_json_are_one_thing_or_refused(here, capsys):
+    status, out, _ = run(
+        capsys, "average", "log.csv", "--sections", "sections.json", "--json", "-o", "-"
+    )
+    assert status == 0
+    assert len(json.loads(out)["positions"]) == 2
+    for command in ("report", "export"):
+        status, out, err = run(capsys, *RUNS[command], "--json", "-o", "-")
+        assert (status, out) == (2, "")
+        assert "would both go to stdout" in err
+    assert "a folder cannot go to stdout" in run(capsys, "demo", "-o", "-")[2]
+    assert "-o needs a name" in run(capsys, "fit", "six.csv", "-o", "")[2]
+
+
+def shell(command):
+    return subprocess.run(command.replace("multipos", MULTIPOS, 1), shell=True, text=True,
+                          capture_output=True, check=False)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["/dev/stdout", "both.json"])
+def test_an_output_that_is_where_stdout_goes_is_written_once(name, here):
+    done = shell(f"multipos fit six.csv -o {name} > both.json")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(Path("both.json").read_text())["outputs"] == ["ax", "ay", "az"]
+
+
+def test_no_file_where_stdout_cannot_be_written_and_nothing_printed_where_a_device_cannot(here):
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full on this system")
+    done = shell("multipos fit six.csv -o new.json > /dev/full")
+    assert done.returncode == 1
+    assert done.stderr == "multipos: error: cannot write to stdout: No space left on device.\n"
+    assert not Path("new.json").exists()
+    done = shell("multipos fit six.csv -o /dev/full")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "/dev/full: cannot write: No space left" in done.stderr
+    assert "cannot write to stdout" in shell("multipos fit --help > /dev/full").stderr
+
+
+# --- whole or not at all
+
+
+def test_the_two_files_of_c_appear_together_or_not_at_all(here, capsys):
+    (here / "new_test.c").mkdir()
+    status, out, err = run(capsys, "export", "cal.json", "--to", "c", "-o", "new.c")
+    assert (status, out) == (1, "")
+    assert "new_test.c: cannot write: it is a folder" in err
+    assert not Path("new.c").exists()
+    assert run(capsys, "export", "cal.json", "--to", "c", "-o", ".")[::2] == (
+        1, "multipos: error: .: cannot write: it is a folder; check the folder and permissions.\n"
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("existing", [False, True])
+def test_several_files_are_put_back_where_the_last_cannot_take_its_place(
+    existing, tmp_path, monkeypatch
+):
+    first, second = tmp_path / "a", tmp_path / "b"
+    if existing:
+        first.write_text("old")
+    before = snapshot(tmp_path)
+    replace = Path.replace
+
+    def failing(self, target):
+        if target == second:
+            raise OSError(1, "not permitted")
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", failing)
+    with (
+        pytest.raises(MultiposError, match="b: cannot write: not permitted"),
+        written({first: "new", second: "new"}),
+    ):
+        pass
+    assert snapshot(tmp_path) == before
+
+
+def test_nothing_appears_where_the_block_fails(tmp_path):
+    with pytest.raises(ZeroDivisionError), written({tmp_path / "a": "new"}):
+        _ = 1 // 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_longest_name_can_be_written(tmp_path):
+    path = tmp_path / ("x" * 255)
+    write_text(path, "all of it")
+    assert path.read_text() == "all of it"
+    with pytest.raises(MultiposError, match="File name too long"):
+        write_text(tmp_path / ("x" * 256), "")
+
+
+def test_links_that_lead_nowhere(here, capsys):
+    (here / "loop").symlink_to("loop")
+    for arguments in (["six.csv", "-o", "loop"], ["loop"]):
+        status, out, err = run(capsys, "fit", *arguments)
+        assert (status, out) == (1, "")
+        assert "Too many levels of symbolic links" in err
+    assert Path("loop").is_symlink()
+    (here / "dangling").symlink_to("target")
+    assert run(capsys, "fit", "six.csv", "-o", "dangling")[0] == 0
+    assert Path("target").is_file()
+    assert "it is a folder" in run(capsys, "fit", "six.csv", "-o", "new/")[2]
+
+
+def test_file_names_that_are_no_text(here, capsys):
+    name = os.fsdecode(b"caf\xe9")
+    (here / f"{name}.csv").write_text(SIX)
+    command = ["fit", f"{name}.csv", "--unit", "g", "--json", "-o", f"{name}.json"]
+    status, out, err = run(capsys, *command)
+    assert (status, err) == (0, "")
+    assert json.loads(out)["input"]["file"] == r"caf\udce9.csv"
+    Path(f"{name}.json").read_text(encoding="utf-8")  # strict: any program can read it
+    for ending in ("html", "md", "txt"):
+        assert run(capsys, "report", f"{name}.json", "-o", f"{name}.{ending}")[0] == 0
+    for target in ("c", "ros-imu-calib"):
+        command = ["export", f"{name}.json", "--to", target, "-o", f"{name}.{target}"]
+        status, out, _ = run(capsys, *command)
+        assert status == 0
+        assert rf"Written to caf\udce9.{target}" in out
+    assert r"no\udce9.csv: no such file" in shell("multipos fit $(printf 'no\\351.csv')").stderr
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_signal_leaves_no_file(name, here):
+    """A pipe keeps the command waiting with its temporary files; it dies by the signal."""
+    folder = here / "out"
+    folder.mkdir()
+    os.mkfifo(here / "pipe")
+    environment = os.environ | {"TMPDIR": str(folder)}
+    with subprocess.Popen([MULTIPOS, "fit", "pipe", "-o", "out/cal.json"], env=environment,
+                          stderr=subprocess.PIPE, text=True) as child:  # fmt: skip
+        with (here / "pipe").open("w") as pipe:
+            pipe.write(SIX)
+            pipe.flush()
+            while not list(folder.iterdir()):
+                time.sleep(0.01)
+            while child.poll() is None:  # a signal right before a read waits for the next
+                child.send_signal(getattr(signal, name))
+                time.sleep(0.1)
+        assert child.returncode == -getattr(signal, name)
+        assert child.stderr.read() == ""
+    assert list(folder.iterdir()) == []
+
+
+def test_a_signal_while_a_file_is_written_leaves_the_old_one(tmp_path):
+    code = (
+        "import os, signal, sys\n"
+        "from multipos import cli\n"
+        "from multipos.files import write_text\n"
+        "def pieces():\n"
+        "    yield 'half'\n"
+        "    assert len(os.listdir('.')) == 2\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    yield 'the rest'\n"
+        "cli._run = lambda argv: write_text('out', pieces())\n"
+        "sys.exit(cli.main(['fit']))\n"
+    )
+    (tmp_path / "out").write_text("old")
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=False)
+    assert done.returncode == -signal.SIGTERM
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"out": "old"}
+
+
+def test_a_signal_that_is_ignored_stays_ignored(tmp_path):
+    code = (
+        "import os, signal, sys\n"
+        "from multipos import cli\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"  # as nohup does
+        "cli._run = lambda argv: os.kill(os.getpid(), signal.SIGHUP)\n"
+        "sys.exit(cli.main(['fit']))\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
