@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files import Table
+from multipos.logs.isolation import first_line, read_apart
 from multipos.logs.table import Log, Piece, name_columns
 
 Array = NDArray[np.float64]
@@ -92,10 +93,15 @@ def read_npz(path: Path) -> Mapping[str, Any]:
 
 
 def read_mat(path: Path) -> Mapping[str, Any]:
-    """Return the variables of a MATLAB file up to version 7."""
+    """Return the variables of a MATLAB file up to version 7, whose reader a damaged one crashes."""
+    return read_apart(path, load_mat)
+
+
+def load_mat(path: Path) -> Mapping[str, Any]:
+    """Return the variables of a MATLAB file: in a process of its own."""
     from scipy.io import loadmat
 
-    found = _loaded(path, lambda: loadmat(path, squeeze_me=False))
+    found: dict[str, Any] = loadmat(path, squeeze_me=False)
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
@@ -111,5 +117,6 @@ def _loaded(path: Path, load: Callable[[], Any]) -> Any:
     try:
         return load()
     except Exception as error:  # each format has exceptions of its own for a damaged file
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise MultiposError(f"{path}: cannot read the log: {reason}; write it again.") from None
+        raise MultiposError(
+            f"{path}: cannot read the log: {first_line(error)}; write it again."
+        ) from None
