@@ -1,5 +1,6 @@
 """One fit from a perfect table to a hand-held sensor: its limits, its figures and what it says."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,32 @@ def test_small_orientation_error_tends_to_the_linear_fit(model):
         assert_allclose(small.parameters, known.parameters, rtol=0, atol=1e-5 * tolerance + 2e-15)
         assert_allclose(small.u, known.u, rtol=tolerance + 1e-9)
         assert_allclose(small.reference, known.reference, atol=1e-5 * tolerance + 1e-15)
+
+
+@pytest.mark.parametrize("sd_deg", [1e-300, 1e-20, 5e-324])
+def test_an_error_below_the_rounding_of_a_direction_is_none(sd_deg):
+    readings = readings_of(SENSOR, "all-26", rng())
+    known = mp.fit(readings)
+    listed = replace(readings, orientation_sd=np.full(len(readings), np.radians(sd_deg)))
+    for small in (
+        mp.fit(readings, orientation_sd=sd_deg), mp.fit(readings, level_sd=sd_deg), mp.fit(listed)
+    ):  # fmt: skip
+        assert small.estimator == "linear"
+        assert (small.parameters == known.parameters).all()
+        assert (small.covariance == known.covariance).all()
+
+
+@pytest.mark.parametrize("orientation_sd", [0.5, "auto"])
+def test_as_many_equations_as_unknowns_leave_no_uncertainty(orientation_sd):
+    four = readings_of(SENSOR, read_scheme("faces-6").up[[0, 1, 2, 4]], rng())
+    cal = mp.fit(four, orientation_sd=orientation_sd)
+    assert_allclose(cal.residuals, 0.0, atol=1e-12)
+    assert np.isnan(cal.u).all()
+    assert any("nothing is left to estimate the uncertainty" in w for w in cal.diagnostics.warnings)
+    if orientation_sd == "auto":
+        cal = mp.fit(four, orientation_sd="auto", reading_sd=1e-5)
+        assert np.isnan(cal.u).all()
+        assert any("estimate the orientation sd from" in w for w in cal.diagnostics.warnings)
 
 
 @pytest.mark.parametrize("scheme", ["fibonacci-24", "all-26"])
