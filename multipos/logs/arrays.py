@@ -75,10 +75,16 @@ def _flat(found: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
 def read_npy(path: Path) -> Mapping[str, Any]:
     """Return the columns of an array file, which stay on the disk until they are read."""
     array = _loaded(path, lambda: np.load(path, mmap_mode="r", allow_pickle=False))
+    if array.ndim not in (1, 2) or not array.size:
+        raise MultiposError(
+            f"{path}: an array of shape {array.shape}; a log is one column (n,), or one row a "
+            "sample (n, columns)."
+        )
     if array.dtype.names:
         return {name: array[name] for name in array.dtype.names}
-    width = array.shape[1] if array.ndim == 2 else 1
-    return {str(i + 1): array.reshape(len(array), -1)[:, i] for i in range(width)}
+    if array.ndim == 1:
+        array = array[:, None]
+    return {str(i + 1): array[:, i] for i in range(array.shape[1])}
 
 
 def read_npz(path: Path) -> Mapping[str, Any]:
