@@ -69,7 +69,7 @@ def test_no_sample_is_beyond_what_sensors_give(value):
 
 def test_a_unit_so_large_that_readings_vanish_is_no_matter():
     samples, _ = session(np.random.default_rng(5))
-    rests, threshold = detect_static(1e-40 * samples)
+    rests, threshold = detect_static(1e-80 * samples)
     assert len(rests) == 1  # nothing moves by the 1e-18 that is told from nothing
     assert threshold > 0.0
 
