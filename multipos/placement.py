@@ -152,7 +152,7 @@ def state_problem(
         )
     noise = reading_noise(readings)
     if noise is None:
-        size = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2))
+        size = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)) or 1.0  # of one position
         precision = np.full((n, m), 1.0 / (_RELATIVE_NOISE * size) ** 2)
     elif noise.ndim == 1:
         precision = 1.0 / noise.reshape(n, m)

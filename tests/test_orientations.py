@@ -22,6 +22,7 @@ from multipos.identifiability import CANDIDATES
 from multipos.quantiles import chi2_quantile, f_tail
 from multipos.rotations import rotation_matrix, step_on_sphere, tangent_basis
 from multipos.scheme import read_scheme
+from multipos.song_qin import TABLE_2
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 UP = read_scheme("fibonacci-24").up
@@ -95,6 +96,38 @@ def test_as_many_equations_as_unknowns_leave_no_uncertainty(orientation_sd):
         cal = mp.fit(four, orientation_sd="auto", reading_sd=1e-5)
         assert np.isnan(cal.u).all()
         assert any("estimate the orientation sd from" in w for w in cal.diagnostics.warnings)
+
+
+def test_a_tilt_that_explains_all_residuals_leaves_finite_uncertainties():
+    # One residual in five parameters, which the tilt of the table can take whole.
+    one = mp.Readings(TABLE_2[:, :1], outputs=("ax",))
+    cal = mp.fit(one, model="own-quadratic", scheme="song-qin-6", level_sd=0.5)
+    assert np.isfinite(cal.u).all()
+    assert any("hardly determined" in said for said in cal.diagnostics.warnings)
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft-l1", "cauchy"])
+def test_robust_noise_ends_at_what_the_digits_tell(loss):
+    up = read_scheme("fibonacci-24").up
+    exact = mp.fit(mp.Readings(up, up=up), robust=loss)  # no residual at all
+    assert_allclose(exact.residuals, 0.0, atol=1e-14)
+    assert (exact.u < 1e-14).all()
+    assert (exact.parameter_dof > 0.0).all()
+    # Six positions 10 degrees off explain any six readings: noise has no lower end of its own.
+    hidden = mp.fit(readings_of(SENSOR, "faces-6", rng()), robust=loss, orientation_sd=9.8)
+    assert np.isfinite(hidden.u).all()
+    assert np.isfinite(hidden.diagnostics.condition)
+
+
+def test_unknown_orientations_need_scale_factors():
+    readings = mp.Readings(readings_of(SENSOR, UP, rng()).values)
+    with pytest.raises(mp.MultiposError, match="need the scale factor of every output"):
+        mp.fit(readings, model="own^9", unknown_orientation=True)
+
+
+def test_one_position_of_unknown_orientation_is_too_few():
+    with pytest.raises(mp.RankError, match="1 positions give 1 equations for 9 parameters"):
+        mp.fit(mp.Readings([[0.1, 0.2, 0.9]]), unknown_orientation=True)
 
 
 @pytest.mark.parametrize("scheme", ["fibonacci-24", "all-26"])
