@@ -51,7 +51,15 @@ from multipos.model import (
 from multipos.model_selection import select_terms, with_selection
 from multipos.names import Names, split_names
 from multipos.placement import Placement, place
-from multipos.readings import Readings, orient, read_readings, require_range, stated_sd
+from multipos.readings import (
+    LARGEST,
+    SMALLEST,
+    Readings,
+    orient,
+    read_readings,
+    require_range,
+    stated_sd,
+)
 from multipos.scheme import Scheme
 from multipos.turntable import roll_warnings
 from multipos.uncertain import solve_uncertain
@@ -67,6 +75,7 @@ _CONTRADICT = {
     "--unknown-orientation": ("--orientation-sd", "--level-sd"),
 }  # fmt: skip
 _TIED = "the listed directions leave no rotation of the case to choose"
+_FARTHEST = 1e30  # of a column that a model uses, in its ninth power at most
 _ILL_CONDITIONED = 1e4  # scaled condition at which four of the sixteen digits are gone
 
 
@@ -475,8 +484,11 @@ def _with_reading_sd(readings: Readings, reading_sd: ArrayLike) -> Readings:
     m = len(readings.outputs)
     if len(sd) not in (1, m):
         raise UsageError(f"--reading-sd takes 1 or {m} values, got {len(sd)}.")
-    if not (np.isfinite(sd).all() and (sd > 0.0).all()):
-        raise UsageError("--reading-sd must be above 0.")
+    if not ((sd >= SMALLEST) & (sd <= LARGEST)).all():
+        raise UsageError(
+            f"--reading-sd must be above 0, from {SMALLEST:g} to {LARGEST:g}, got "
+            f"{', '.join(f'{each:g}' for each in sd.tolist())}."
+        )
     notes = readings.notes
     if readings.u is not None or readings.covariance is not None:
         notes += ("the readings' own uncertainties are ignored, --reading-sd is used",)
@@ -491,6 +503,14 @@ def _check_environment(readings: Readings, model: Model) -> None:
             raise MultiposError(
                 f"{readings.source or 'the readings'}: row {int(np.argmax(bad)) + 1}, "
                 f"column '{name}' is empty or not finite, but the model uses it."
+            )
+        far = np.abs(readings.environment[name]) > _FARTHEST
+        if far.any():
+            row = int(np.argmax(far))
+            raise MultiposError(
+                f"{readings.source or 'the readings'}: row {row + 1}, column '{name}': "
+                f"{readings.environment[name][row]:g} is beyond {_FARTHEST:g}, whose powers are no "
+                "numbers; correct it."
             )
 
 

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.calibration import Calibration
+from multipos.known import solve_known
 from multipos.model import CONSTANT, Model, linear_term
-from multipos.readings import Readings
+from multipos.readings import Readings, read_readings
 from multipos.selection import Selection, Thresholds, compress, select_stepwise
 
 Array = NDArray[np.float64]
@@ -47,6 +48,11 @@ def select_terms(
     -------
     Model
     dict of output to {terms, path, runner_up, collinear}
+
+    Raises
+    ------
+    RankError
+        The positions cannot separate a bias and a scale factor, which always stay.
     """
     limits = limits or Thresholds()
     phi = model.basis(reference, readings.environment)
@@ -59,6 +65,9 @@ def select_terms(
         names = [str(term) for term in terms]
         always = {CONSTANT, linear_term(axis)}
         forced = [j for j, term in enumerate(terms) if term in always]
+        if forced:  # what stays whatever the readings say, they must be able to tell
+            smallest = model.only(output).keeping([(output, names[j]) for j in forced])
+            solve_known(smallest, reference, read_readings(readings, outputs=[output]))
         w = weight[:, i]
         triangle = compress(phi[:, model.columns[i]] * w[:, None], readings.values[:, i] * w)
         found = select_stepwise(triangle, names, limits, forced=forced)

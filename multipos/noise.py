@@ -26,10 +26,7 @@ Array = NDArray[np.float64]
 
 _ROUNDS = 30  # of noise and solution in turn
 _SETTLED = 1e-5  # change of ln variance at which they agree
-_NOTHING_LEFT = (
-    "as many unknowns as equations: nothing is left to estimate the uncertainty from; "
-    "give --reading-sd or more positions"
-)
+_NOTHING_LEFT = "as many unknowns as equations: nothing is left to estimate the "
 
 
 @dataclass(frozen=True)
@@ -60,11 +57,16 @@ def judge_noise(
     estimate_spread : bool
         Whether the size of the orientation sd is to be estimated.
     """
+    if nu <= 0 and (estimate_spread or not stated):
+        words = (
+            "orientation sd from; state it, or give more positions"
+            if stated
+            else "uncertainty from; give --reading-sd or more positions"
+        )
+        return problem, optimum, Worth(np.nan, 0.0, warnings=(_NOTHING_LEFT + words,))
     if estimate_spread or (problem.has_prior and not stated):
         return _estimate(problem, optimum, stated, estimate_spread)
     if not stated:
-        if nu <= 0:
-            return problem, optimum, Worth(np.nan, 0.0, warnings=(_NOTHING_LEFT,))
         return problem, optimum, Worth(optimum.point.objective / nu, nu)
     chi2 = np.array([optimum.point.objective])
     factor, dof, said = believe(chi2, np.array([nu]), ("all outputs",))

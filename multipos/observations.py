@@ -142,12 +142,18 @@ def _complete(
     return np.setdiff1d(np.arange(table.rows), rows), (note,)
 
 
-def check_columns(source: str, data: Data, variables: Sequence[str], *, constant: bool) -> None:
-    """Refuse a constant variable beside an intercept, and one that another one is already."""
+def check_columns(
+    source: str, data: Data, response: str, variables: Sequence[str], *, constant: bool
+) -> None:
+    """Refuse what is constant beside an intercept, and a variable that another one is already."""
+    if _still(data.response, constant):
+        raise MultiposError(
+            f"{source}: the response '{response}' is constant ({data.response[0]:g}), so there is "
+            "nothing to describe; give another column."
+        )
     for i, name in enumerate(variables):
         column = data.columns[name]
-        spread = float(np.ptp(column))
-        if spread <= 1e-14 * float(np.abs(column).max()) and (constant or not column.any()):
+        if _still(column, constant):
             raise MultiposError(
                 f"{source}: column '{name}' is constant ({column[0]:g}), so nothing depends "
                 "on it; leave it out."
@@ -158,6 +164,13 @@ def check_columns(source: str, data: Data, variables: Sequence[str], *, constant
                     f"{source}: columns '{other}' and '{name}' say the same, one is the other "
                     "in another unit; leave one out."
                 )
+
+
+def _still(column: Array, constant: bool) -> bool:
+    """Tell whether a column never changes; without an intercept it may, unless it is zero."""
+    if not constant:
+        return not column.any()
+    return float(np.ptp(column)) <= 1e-14 * float(np.abs(column).max())
 
 
 def _same(a: Array, b: Array, centred: bool) -> bool:

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 _RELATIVE_NOISE = 1e-3  # of the readings' spread: any value serves where only ratios matter
 _FIRST_SPREAD = np.radians(0.1)  # where the estimate of an orientation sd starts
+_EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no position is known
 
 
 @dataclass(frozen=True)
@@ -82,12 +83,13 @@ def place(
     signed : float [g]
         Magnitude of the reference, negative under the gravity convention.
     orientation_sd : float [degrees], 'auto' or None
-        Instead of the readings' own.
+        Instead of the readings' own. Below the rounding of a unit vector it counts as exact.
     level_sd_deg : float [degrees]
     """
     n = len(readings)
-    names = list(dict.fromkeys(label for label in readings.group or () if label))
-    group = np.array([names.index(label) if label else -1 for label in readings.group or [""] * n])
+    labelled = dict.fromkeys(label for label in readings.group or () if label)
+    number = {label: i for i, label in enumerate(labelled)}
+    group = np.array([number.get(label, -1) for label in readings.group or [""] * n])
     estimate = orientation_sd == "auto"
     if orientation_sd is not None and not estimate:
         spread = np.full(n, np.radians(float(orientation_sd)))
@@ -97,6 +99,9 @@ def place(
         spread = np.where(np.isnan(own), np.where(group >= 0, 0.0, np.inf), own)
     else:
         spread = np.zeros(n)
+    spread = np.where(spread < _EXACT, 0.0, spread)
+    level = float(np.radians(level_sd_deg))
+    level = 0.0 if level < _EXACT else level
     if estimate and not (np.isfinite(spread) & (spread > 0.0)).any():
         spread = np.where(np.isinf(spread), spread, _FIRST_SPREAD)
     up = np.full((n, 3), np.nan) if readings.up is None else readings.up
@@ -112,8 +117,8 @@ def place(
         reference=reference,
         spread=spread,
         group=group,
-        attitude=_attitude(readings, unknown) if level_sd_deg else None,
-        level_sd=float(np.radians(level_sd_deg)),
+        attitude=_attitude(readings, unknown) if level else None,
+        level_sd=level,
         estimate_spread=estimate,
     )
 
@@ -152,7 +157,7 @@ def state_problem(
         )
     noise = reading_noise(readings)
     if noise is None:
-        size = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2))
+        size = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)) or 1.0  # of one position
         precision = np.full((n, m), 1.0 / (_RELATIVE_NOISE * size) ** 2)
     elif noise.ndim == 1:
         precision = 1.0 / noise.reshape(n, m)

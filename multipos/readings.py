@@ -22,6 +22,8 @@ from multipos.scheme import Scheme, read_scheme
 
 Array = NDArray[np.float64]
 
+# Of a reading and its uncertainty, whatever the unit: beyond, squares of squares are no numbers.
+SMALLEST, LARGEST = 1e-50, 1e50
 _RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group"}
 
 
@@ -137,6 +139,7 @@ class Readings(Result):
                 raise MultiposError(
                     f"`{name}` of row {row + 1} is {array[bad][0]:g}; it must be {lowest}."
                 )
+        self._check_sizes()
         if self.u is not None and self.covariance is not None:
             raise MultiposError("`u` and `covariance` both state the reading noise; give one.")
         if self.up is not None:
@@ -147,6 +150,38 @@ class Readings(Result):
             if not known.all() and self.orientation_sd is None:
                 row = int(np.argmin(known))
                 raise MultiposError(f"`up` of row {row + 1} is not finite.")
+
+    def _check_sizes(self) -> None:
+        where = self.source or "the readings"
+        for name in ("values", "u", "sd"):
+            array = getattr(self, name)
+            if array is None:
+                continue
+            far = np.abs(array) > LARGEST
+            if name == "u":
+                far |= array < SMALLEST
+            if far.any():
+                row, i = np.argwhere(far)[0].tolist()
+                column = self.outputs[i] if name == "values" else f"{name}_{self.outputs[i]}"
+                raise MultiposError(
+                    f"{where}: row {row + 1}, column '{column}': {array[row, i]:g} is no number a "
+                    f"sensor gives (from {SMALLEST:g} to {LARGEST:g} in any unit); correct it."
+                )
+        size = np.abs(self.values).max(axis=0)
+        lost = (size > 0.0) & (size < SMALLEST)
+        if lost.any():
+            i = int(np.argmax(lost))
+            raise MultiposError(
+                f"{where}: column '{self.outputs[i]}' is {size[i]:g} at most, too small a number "
+                "to be squared; give the readings in a smaller unit."
+            )
+        if self.orientation_sd is not None and (self.orientation_sd >= np.pi).any():
+            row = int(np.argmax(self.orientation_sd >= np.pi))
+            raise MultiposError(
+                f"{where}: row {row + 1}: an orientation sd of "
+                f"{np.degrees(self.orientation_sd[row]):g} degrees; it must be below 180, or empty "
+                "for unknown."
+            )
 
 
 def read_readings(

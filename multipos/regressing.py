@@ -150,7 +150,7 @@ def regress(
         table, response, [*names, *(name for name in (wanted, branches) if name)], time=time,
         rate_window=rate_window, cluster=cluster, drop_missing=drop_missing,
     )  # fmt: skip
-    check_columns(table.source, read.data, names, constant=plan.constant)
+    check_columns(table.source, read.data, response, names, constant=plan.constant)
     said = list(read.notes)
     edges = given
     if wanted is not None and given is None:

@@ -234,7 +234,7 @@ def _text(r: Regression) -> list[str]:
     if r.cross_validation is not None:
         found = r.cross_validation
         lines.append(
-            f"unseen     rms {found['rms']:.4g}, R² {found['r2']:.4f} "
+            f"unseen     rms {found['rms']:.4g}, R² {number(found['r2'])} "
             f"over {found['blocks']} blocks of time left out in turn"
         )
     lines += ["", _overview(r)]

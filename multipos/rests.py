@@ -26,6 +26,7 @@ from multipos.errors import MultiposError, UsageError
 Array = NDArray[np.float64]
 
 BLOCKS = 8  # of a window
+LARGEST = 1e15  # of a sample: no sensor counts so far, and squares of it are far from overflow
 PIECE = 1 << 13  # samples at a time: what stays in the processor's cache is fast
 _WINDOW = 1.0  # [s]
 _WINDOW_SAMPLES = 96  # where the sample rate is not known
@@ -205,7 +206,7 @@ class Survey:
             )
         # A window can vary by less than the resolution by chance, but a sensor never is that good.
         floor = float(np.nanmax(self.resolution)) / np.sqrt(12.0)
-        first = int((np.log10(floor) - _LOWEST) * _BINS_PER_DECADE)
+        first = max(int((np.log10(floor) - _LOWEST) * _BINS_PER_DECADE), 0)
         counts = self._counts.astype(np.float64)
         counts[first] += counts[:first].sum()
         counts[:first] = 0.0
@@ -319,9 +320,16 @@ def detect_static(
     Raises
     ------
     MultiposError
-        There is nothing like a rest.
+        There is nothing like a rest, or a sample is not finite or beyond what sensors give.
     """
     columns = np.ascontiguousarray(np.asarray(samples, dtype=np.float64).T)
+    bad = ~(np.abs(columns) <= LARGEST)
+    if bad.any():
+        output, row = np.argwhere(bad)[0].tolist()
+        raise MultiposError(
+            f"`samples[{row}, {output}]` is {columns[output, row]:g}, no reading of a sensor; "
+            "leave the row out."
+        )
     grid = choose_grid(rate, min_duration)
     scan, survey, seen = Windows(grid.block), Survey(len(columns), grid), []
     for i in range(0, columns.shape[1], PIECE):

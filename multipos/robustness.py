@@ -33,6 +33,7 @@ from multipos.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.noise import Worth
 from multipos.problem import Optimum, Problem
 from multipos.quantiles import chi2_quantile
+from multipos.variances import FINEST_OF_PLACEMENT
 
 Array = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is st
 _BEYOND_DOUBT = 1e-6  # chance below which a position is set aside
 _ROUNDS = 30  # of noise and solution in turn
 _SETTLED = 1e-4  # change of ln variance far below what a median can tell
-_SMALLEST = 1e-12  # of the noise assumed at the start, where misfits vanish altogether
+_FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits vanish altogether
 
 
 def judge_robustly(
@@ -107,9 +108,12 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
     degrees = problem.degrees[kept]
     median = {m: chi2_quantile(0.5, m) for m in set(degrees.tolist())}
     typical = np.array([median[m] for m in degrees.tolist()])
+    tied = np.isfinite(problem.spread)
+    widest = float(problem.spread[tied].max()) if tied.any() else 0.0
+    finest = (_FINEST + FINEST_OF_PLACEMENT * widest) * float(np.abs(problem.values).max())
     for _ in range(_ROUNDS):
         ratio = float(np.median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
-        ratio = max(ratio, _SMALLEST)
+        ratio = max(ratio, float(np.abs(problem.precision[kept]).max()) * finest**2)
         problem = replace(problem, precision=problem.precision / ratio)
         optimum = resume(problem, optimum)
         if abs(np.log(ratio)) < _SETTLED:

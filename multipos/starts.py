@@ -336,7 +336,10 @@ def too_few(problem: Problem) -> RankError:
     order = [model.axes.index(axis) for axis in ("x", "y", "z")]
     direction = ((values - centre) / half)[:, order]
     length = np.linalg.norm(direction, axis=1)
-    direction = direction / np.where(length > 0.0, length, 1.0)[:, None]
+    seen = length > 0.0
+    direction = np.where(
+        seen[:, None], direction / np.where(seen, length, 1.0)[:, None], [1.0, 0.0, 0.0]
+    )
     theta = np.zeros(p)
     theta[list(model.own_scales)] = 1.0
     unit = replace(problem, precision=np.ones_like(values), reference=direction, robust=None)

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from multipos.calibration import Status, labels
 from multipos.diagnostics import find_outlying_positions
 from multipos.errors import MultiposError
+from multipos.expressions import ExpressionModel
 from multipos.identifiability import condition, formal_only
 from multipos.inverse import parameter_jacobian
 from multipos.known import Solution, reading_noise
@@ -162,6 +163,11 @@ def _require_triad(model: Model) -> None:
             f"unknown orientations need three outputs, one along each axis; got "
             f"{', '.join(model.outputs)} along {', '.join(model.axes)}. Give the orientations."
         )
+    if len(model.own_scales) < 3 and not isinstance(model, ExpressionModel):
+        raise MultiposError(
+            "unknown orientations need the scale factor of every output along its own axis; add "
+            "the term 'own' to the model, or give the orientations."
+        )
 
 
 def _solution(
@@ -179,7 +185,8 @@ def _solution(
         "nij,njp,nip->ni", plain.marginal, jacobian @ np.linalg.inv(information), jacobian
     )
     magnitude = float(np.linalg.norm(problem.reference, axis=1).mean())
-    misfit = point.q / problem.weight / (worth.factor if np.isfinite(worth.factor) else 1.0)
+    told = np.isfinite(worth.factor) and worth.factor > 0.0  # 0 where every residual is
+    misfit = point.q / problem.weight / (worth.factor if told else 1.0)
     robust = problem.robust is not None
     precision = problem.precision if problem.precision.ndim == 2 else np.diagonal(
         problem.precision, axis1=1, axis2=2

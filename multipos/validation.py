@@ -38,8 +38,13 @@ def check_by_blocks(data: Data, blocks: int, fit: Callable[[Data], Regression]) 
     Raises
     ------
     MultiposError
-        A model cannot be fitted without one of the blocks.
+        There are fewer rows than blocks, or a model cannot be fitted without one of them.
     """
+    if blocks > len(data):
+        raise MultiposError(
+            f"--cross-validate {blocks} takes a row or more a block, but there are {len(data)} "
+            "rows; give fewer blocks."
+        )
     order = np.arange(len(data)) if data.order is None else data.order.order
     errors = np.empty(len(data))
     parts = np.array_split(order, blocks)
@@ -53,10 +58,11 @@ def check_by_blocks(data: Data, blocks: int, fit: Callable[[Data], Regression]) 
             ) from None
         unseen = {name: column[left_out] for name, column in data.columns.items()}
         errors[left_out] = data.response[left_out] - model.predict(unseen)
-    mean = data.response.mean()
+    total = float(((data.response - data.response.mean()) ** 2).sum())
     return {
         "blocks": blocks,
         "rms": float(np.sqrt(np.mean(errors**2))),
-        "r2": 1.0 - float((errors**2).sum()) / float(((data.response - mean) ** 2).sum()),
+        # A response that never changes, told without an intercept, has nothing to compare with.
+        "r2": 1.0 - float((errors**2).sum()) / total if total > 0.0 else np.nan,
         "rms_of_blocks": [float(np.sqrt(np.mean(errors[part] ** 2))) for part in parts],
     }

@@ -37,6 +37,9 @@ Array = NDArray[np.float64]
 
 _H = 0.05  # step of the curvature in ln variance: the likelihood is smooth over factors of e
 _LEAST, _MOST = 1e-8, 1e2  # of what either variance would be if all the error were its own
+_FINEST = 1e-9  # [g, rad]: no reading is as quiet, no position as well known
+# Noise that is less of what the placement does would leave no digits of what tells them apart.
+FINEST_OF_PLACEMENT = 1e-6
 _FLAT = 2.0 / 25.0  # curvature of a variance at its boundary: known to a factor e^5
 
 
@@ -145,7 +148,15 @@ def _bounds(linear: Linearised) -> Array:
     gram = np.einsum("nia,nij,nja->n", J, P, J)[tied]
     turned = float(np.sum(linear.spread[tied] ** 2 * gram))
     largest = whole / np.array([error.size, turned if turned > 0.0 else 1.0])
-    return np.asarray(np.log(np.outer(np.maximum(largest, 1e-300), [_LEAST, _MOST])))
+    # Where nothing is left over, as when a tilt explains it all, a variance would go to nothing,
+    # and with it the digits of the information.
+    signal = float(np.einsum("nia,nij,nja->", J, P, J)) / error.size or 1.0
+    widest = float(linear.spread[tied].max()) if tied.any() else 1.0
+    quietest = max(_FINEST, FINEST_OF_PLACEMENT * widest) if tied.any() else _FINEST
+    finest = np.array([quietest**2 * signal, (_FINEST / widest) ** 2])
+    lowest = np.maximum(_LEAST * largest, finest)
+    bounds = np.column_stack([lowest, np.maximum(_MOST * largest, lowest)])
+    return np.asarray(np.log(bounds))
 
 
 def _at(start: Array, free: NDArray[np.bool_], inner: Array) -> Array:

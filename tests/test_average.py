@@ -379,6 +379,31 @@ def test_bad_bytes(name, content, message, tmp_path, capsys):
     assert status == 1
 
 
+@pytest.mark.parametrize("value", ["1e30", "-1e155", "1e308"])
+@pytest.mark.parametrize("name", ["ax", "ambient_p"])
+def test_a_corrupt_number_is_named(name, value, log, tmp_path, capsys):
+    path = write_csv(tmp_path / "log.csv", log | {"ambient_p": np.full(len(log["ax"]), 1e5)})
+    lines = path.read_text().splitlines()
+    place = lines[0].split(",").index(name)
+    cells = lines[701].split(",")
+    cells[place] = value
+    lines[701] = ",".join(cells)
+    path.write_text("\n".join(lines) + "\n")
+    status, error = failing(capsys, "average", path)
+    assert status == 1
+    assert f"row 701 (line 702), column '{name}': {float(value):g} is no reading" in error
+
+
+@pytest.mark.parametrize("shape", [(), (0, 3), (3, 0), (1, 50, 3)])
+def test_an_array_that_is_no_table_is_refused(shape, tmp_path, capsys):
+    np.save(tmp_path / "log.npy", np.zeros(shape))
+    sensor().save(tmp_path / "cal.json")
+    for argv in (["average"], ["apply", tmp_path / "cal.json"]):
+        status, error = failing(capsys, *argv, tmp_path / "log.npy")
+        assert status == 1
+        assert f"an array of shape {shape}; a log is one column (n,), or one row" in error
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -1,5 +1,6 @@
 """One fit from a perfect table to a hand-held sensor: its limits, its figures and what it says."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from multipos.identifiability import CANDIDATES
 from multipos.quantiles import chi2_quantile, f_tail
 from multipos.rotations import rotation_matrix, step_on_sphere, tangent_basis
 from multipos.scheme import read_scheme
+from multipos.song_qin import TABLE_2
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 UP = read_scheme("fibonacci-24").up
@@ -68,6 +70,64 @@ def test_small_orientation_error_tends_to_the_linear_fit(model):
         assert_allclose(small.parameters, known.parameters, rtol=0, atol=1e-5 * tolerance + 2e-15)
         assert_allclose(small.u, known.u, rtol=tolerance + 1e-9)
         assert_allclose(small.reference, known.reference, atol=1e-5 * tolerance + 1e-15)
+
+
+@pytest.mark.parametrize("sd_deg", [1e-300, 1e-20, 5e-324])
+def test_an_error_below_the_rounding_of_a_direction_is_none(sd_deg):
+    readings = readings_of(SENSOR, "all-26", rng())
+    known = mp.fit(readings)
+    listed = replace(readings, orientation_sd=np.full(len(readings), np.radians(sd_deg)))
+    for small in (
+        mp.fit(readings, orientation_sd=sd_deg), mp.fit(readings, level_sd=sd_deg), mp.fit(listed)
+    ):  # fmt: skip
+        assert small.estimator == "linear"
+        assert (small.parameters == known.parameters).all()
+        assert (small.covariance == known.covariance).all()
+
+
+@pytest.mark.parametrize("orientation_sd", [0.5, "auto"])
+def test_as_many_equations_as_unknowns_leave_no_uncertainty(orientation_sd):
+    four = readings_of(SENSOR, read_scheme("faces-6").up[[0, 1, 2, 4]], rng())
+    cal = mp.fit(four, orientation_sd=orientation_sd)
+    assert_allclose(cal.residuals, 0.0, atol=1e-12)
+    assert np.isnan(cal.u).all()
+    assert any("nothing is left to estimate the uncertainty" in w for w in cal.diagnostics.warnings)
+    if orientation_sd == "auto":
+        cal = mp.fit(four, orientation_sd="auto", reading_sd=1e-5)
+        assert np.isnan(cal.u).all()
+        assert any("estimate the orientation sd from" in w for w in cal.diagnostics.warnings)
+
+
+def test_a_tilt_that_explains_all_residuals_leaves_finite_uncertainties():
+    # One residual in five parameters, which the tilt of the table can take whole.
+    one = mp.Readings(TABLE_2[:, :1], outputs=("ax",))
+    cal = mp.fit(one, model="own-quadratic", scheme="song-qin-6", level_sd=0.5)
+    assert np.isfinite(cal.u).all()
+    assert any("hardly determined" in said for said in cal.diagnostics.warnings)
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft-l1", "cauchy"])
+def test_robust_noise_ends_at_what_the_digits_tell(loss):
+    up = read_scheme("fibonacci-24").up
+    exact = mp.fit(mp.Readings(up, up=up), robust=loss)  # no residual at all
+    assert_allclose(exact.residuals, 0.0, atol=1e-14)
+    assert (exact.u < 1e-14).all()
+    assert (exact.parameter_dof > 0.0).all()
+    # Six positions 10 degrees off explain any six readings: noise has no lower end of its own.
+    hidden = mp.fit(readings_of(SENSOR, "faces-6", rng()), robust=loss, orientation_sd=9.8)
+    assert np.isfinite(hidden.u).all()
+    assert np.isfinite(hidden.diagnostics.condition)
+
+
+def test_unknown_orientations_need_scale_factors():
+    readings = mp.Readings(readings_of(SENSOR, UP, rng()).values)
+    with pytest.raises(mp.MultiposError, match="need the scale factor of every output"):
+        mp.fit(readings, model="own^9", unknown_orientation=True)
+
+
+def test_one_position_of_unknown_orientation_is_too_few():
+    with pytest.raises(mp.RankError, match="1 positions give 1 equations for 9 parameters"):
+        mp.fit(mp.Readings([[0.1, 0.2, 0.9]]), unknown_orientation=True)
 
 
 @pytest.mark.parametrize("scheme", ["fibonacci-24", "all-26"])

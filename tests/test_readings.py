@@ -49,6 +49,25 @@ def test_every_column_has_its_meaning():
         assert not array.flags.writeable
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ax": [1.0, -1e308, 3.0]}, "row 2, column 'ax': -1e\\+308 is no number a sensor gives"),
+        ({"u_ax": [0.1, 0.1, 1e-300]}, "row 3, column 'u_ax': 1e-300 is no number"),
+        ({"u_ax": [0.1, 1e155, 0.1]}, "row 2, column 'u_ax': 1e\\+155 is no number"),
+        ({"sd_ax": [1e300, 0.0, 0.0]}, "row 1, column 'sd_ax': 1e\\+300 is no number"),
+        ({"ax": [0.0, 1e-310, 2e-310]}, "column 'ax' is 2e-310 at most, too small a number"),
+        ({"orientation_sd_deg": [0, "", 1e155]}, "row 3: an orientation sd of 1e\\+155 degrees"),
+        ({"orientation_sd_deg": [0, 180, ""]}, "row 2: an orientation sd of 180 degrees"),
+    ],
+)
+def test_numbers_that_cannot_be_squared_are_refused(change, message):
+    columns = {"ax": [1.0, 0.0, 1e-320], "u_ax": [0.1] * 3, "sd_ax": [0.0, 1.0, 1e-320]}
+    assert len(read_readings(columns)) == 3
+    with pytest.raises(MultiposError, match=message):
+        read_readings(columns | change)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
 def test_any_number_of_outputs(count):
     columns = {f"v{i}": [1.0, 2.0] for i in range(count)}

@@ -12,7 +12,7 @@ from test_least_squares import digits
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.files import format_csv, read_table
+from multipos.files import format_csv, read_table, to_json
 from multipos.least_squares import solve
 from multipos.quantiles import f_quantile
 
@@ -405,6 +405,10 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
     ("change", "argv", "status", "message"),
     [
         ({"v": np.full(60, 7.0)}, REGRESS, 1, "column 'v' is constant (7)"),
+        ({"y": np.full(60, 2.5)}, REGRESS, 1, "the response 'y' is constant (2.5)"),
+        ({"y": np.full(60, 2.5)}, [*REGRESS, "--cross-validate", "3"], 1, "is constant (2.5)"),
+        ({}, [*REGRESS, "--cross-validate", "61"], 1, "but there are 60 rows"),
+        ({}, [*REGRESS, "--terms", "t^9223372036854775808"], 2, "must lie between 1 and 30"),
         ({"v": GOOD["t"]}, REGRESS, 1, "columns 't' and 'v' say the same"),
         ({"v": 1.8 * GOOD["t"] + 32}, REGRESS, 1, "columns 't' and 'v' say the same"),
         ({}, [*REGRESS, "--segment", "t:-37"], 1, "rows for 3 terms"),
@@ -468,6 +472,15 @@ def test_missing_cells_are_named_counted_and_dropped_on_request(tmp_path, capsys
 def test_constant_alone_is_refused():
     with pytest.raises(UsageError, match="holds no variable"):
         mp.regress(GOOD, response="y", terms="1")
+
+
+def test_a_constant_told_without_an_intercept_has_no_cross_validated_r2():
+    columns = GOOD | {"y": np.full(60, 2.5)}
+    found = mp.regress(columns, response="y", terms="t", cross_validate=3)
+    assert found.cross_validation["rms"] > 0.0
+    assert np.isnan(found.cross_validation["r2"])
+    assert "R² - over 3 blocks" in str(found)
+    assert json.loads(to_json(found.to_dict()))["cross_validation"]["r2"] is None
 
 
 def test_saturated_backward_is_refused_by_segment():

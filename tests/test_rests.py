@@ -1,5 +1,7 @@
 """Static detection and the uncertainty of means, against truth made here."""
 
+import re
+
 import numpy as np
 import pytest
 from logs import ar1, shared
@@ -53,6 +55,23 @@ def test_any_axis_counts():
     samples[2500:3500, 2] += np.sin(np.arange(1000) / 20.0)  # a wobble that z alone sees
     rests, _ = detect_static(samples, rate=100.0)
     assert [rest.end <= 2500 or rest.start >= 3500 for rest in rests] == [True, True]
+
+
+@pytest.mark.parametrize("value", [1e30, -1e308, np.inf, np.nan])
+def test_no_sample_is_beyond_what_sensors_give(value):
+    samples, _ = session(np.random.default_rng(5))
+    samples[700, 1] = value
+    with pytest.raises(
+        MultiposError, match=re.escape(f"`samples[700, 1]` is {value:g}, no reading")
+    ):
+        detect_static(samples)
+
+
+def test_a_unit_so_large_that_readings_vanish_is_no_matter():
+    samples, _ = session(np.random.default_rng(5))
+    rests, threshold = detect_static(1e-80 * samples)
+    assert len(rests) == 1  # nothing moves by the 1e-18 that is told from nothing
+    assert threshold > 0.0
 
 
 def test_pieces_do_not_matter():

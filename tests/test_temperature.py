@@ -90,6 +90,13 @@ def test_stated_noise_weights_the_choice():
     assert {str(t) for o, t in cal.model.keys if o == "ax"} >= {"temperature", "temperature*x"}
 
 
+def test_what_stepwise_always_keeps_must_be_told():
+    # Positions in one plane, in which the scale factor of z has no effect.
+    outputs = {name: readings(1)[name] for name in ("ax", "ay", "az")}
+    with pytest.raises(mp.RankError, match="`scale_az` has no effect at these positions"):
+        mp.fit(outputs, scheme="roll-z-84", stepwise=True)
+
+
 def test_stepwise_and_closed_form_exclude_each_other(tmp_path, capsys):
     path = tmp_path / "readings.csv"
     path.write_text(format_csv(readings(1)), encoding="utf-8")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files import Table
+from multipos.logs.isolation import first_line, read_apart
 from multipos.logs.table import Log, Piece, name_columns
 
 Array = NDArray[np.float64]
@@ -75,10 +76,16 @@ def _flat(found: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
 def read_npy(path: os.PathLike[str]) -> Mapping[str, Any]:
     """Return the columns of an array file, which stay on the disk until they are read."""
     array = _loaded(path, lambda: np.load(Path(path), mmap_mode="r", allow_pickle=False))
+    if array.ndim not in (1, 2) or not array.size:
+        raise MultiposError(
+            f"{path}: an array of shape {array.shape}; a log is one column (n,), or one row a "
+            "sample (n, columns)."
+        )
     if array.dtype.names:
         return {name: array[name] for name in array.dtype.names}
-    width = array.shape[1] if array.ndim == 2 else 1
-    return {str(i + 1): array.reshape(len(array), -1)[:, i] for i in range(width)}
+    if array.ndim == 1:
+        array = array[:, None]
+    return {str(i + 1): array[:, i] for i in range(array.shape[1])}
 
 
 def read_npz(path: os.PathLike[str]) -> Mapping[str, Any]:
@@ -93,10 +100,15 @@ def read_npz(path: os.PathLike[str]) -> Mapping[str, Any]:
 
 
 def read_mat(path: os.PathLike[str]) -> Mapping[str, Any]:
-    """Return the variables of a MATLAB file up to version 7."""
+    """Return the variables of a MATLAB file up to version 7, whose reader a damaged one crashes."""
+    return read_apart(path, load_mat)
+
+
+def load_mat(path: os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the variables of a MATLAB file: in a process of its own."""
     from scipy.io import loadmat
 
-    found = _loaded(path, lambda: loadmat(path, squeeze_me=False))
+    found: dict[str, Any] = loadmat(path, squeeze_me=False)
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
@@ -112,5 +124,6 @@ def _loaded(path: os.PathLike[str], load: Callable[[], Any]) -> Any:
     try:
         return load()
     except Exception as error:  # each format has exceptions of its own for a damaged file
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise MultiposError(f"{path}: cannot read the log: {reason}; write it again.") from None
+        raise MultiposError(
+            f"{path}: cannot read the log: {first_line(error)}; write it again."
+        ) from None
