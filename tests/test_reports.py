@@ -446,7 +446,7 @@ def test_checks_that_a_report_refuses(checked, six, tmp_path, capsys):
         ("regression.json", "the check of a regression"),
         ("other.json", "the check is of a calibration created 2001-01-01T00:00:00Z"),
         ("damaged.json", "the key 'by_axis' is missing"),
-        ("spoilt.json", "not a check"),
+        ("spoilt.json", "positions[0].after.x is 'a'; a number is needed there"),
         ("six.json", "a calibration is read by multipos.load"),
         ("none.json", "no such file"),
     ):
