@@ -18,6 +18,7 @@ from typing import NoReturn
 
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
+from multipos.records import visible
 
 COMMANDS = {
     "demo": "calibrate the six-position paper's own readings, end to end",
@@ -117,7 +118,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _complain(error: object, status: int) -> int:
-    print(f"multipos: error: {' '.join(str(error).split())}", file=sys.stderr)
+    print(f"multipos: error: {visible(' '.join(str(error).split()))}", file=sys.stderr)
     return status
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.records import control_characters, visible
 
 Column = Sequence[Any] | NDArray[Any]
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # a file, columns, or a data frame
@@ -207,6 +208,11 @@ def _check_header(path: Path, header: list[str]) -> None:
             )
         if name in header[:index]:
             raise MultiposError(f"{path}: column '{name}' appears twice; rename or remove one.")
+        if control_characters(name):
+            raise MultiposError(
+                f"{path}: the name of column {index + 1}, '{visible(name)}', has a control "
+                "character; rename it."
+            )
     if all(math.isfinite(_float(name)) for name in header):
         raise MultiposError(
             f"{path}: the first row holds only numbers; the first row must name the columns."

@@ -5,7 +5,10 @@ them (JCGM 100, 7.2.2); a value without a usable uncertainty is shown with ten d
 """
 
 import math
+import re
 from collections.abc import Sequence
+
+from multipos.records import visible
 
 _SHORTEST = -5  # decimal exponents below this are written as such
 
@@ -40,7 +43,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:
     """Return rows as aligned text, the first `left` columns flush left, the others right."""
-    cells = [list(header), *(list(row) for row in rows)]
+    cells = [[visible(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
     lines = []
     for row in cells:
@@ -53,7 +56,21 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:
-    """Return rows as a Markdown table."""
+    """Return rows of text as a Markdown table."""
     marks = ["---" if i < left else "---:" for i in range(len(header))]
-    lines = [" | ".join(cells) for cells in (header, marks, *rows)]
+    cells = [[markdown_text(cell) for cell in row] for row in (header, *rows)]
+    lines = [" | ".join(line) for line in (cells[0], marks, *cells[1:])]
     return "\n".join(f"| {line} |" for line in lines)
+
+
+def markdown_text(text: str) -> str:
+    """Return text that Markdown shows as it is inside a line: no HTML, link, emphasis or cell."""
+    text = visible(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    text = re.sub(r"([\\`*|])|(\](?=[(\[:]))", r"\\\g<0>", text)
+    # Inside a word, as in scale_ax, it is no mark.
+    return re.sub(r"(?<!\w)_|_(?!\w)", r"\_", text)
+
+
+def markdown_line(text: str) -> str:
+    """Return text that Markdown shows as it is on a line of its own: no heading, list or rule."""
+    return re.sub(r"^(\s*\d*)([#+~=.)-])", r"\1\\\2", markdown_text(text))

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos import attitudes
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Source, Table, read_table
+from multipos.records import control_characters, visible
 from multipos.scheme import Scheme, read_scheme
 
 Array = NDArray[np.float64]
@@ -109,6 +110,9 @@ class Readings:
             for name, column in self.environment.items()
         }
         _set(self, "environment", MappingProxyType(columns))
+        if self.source is not None:  # a file may be called anything
+            _set(self, "source", visible(self.source))
+        self._check_text()
         self._check_values()
 
     def __len__(self) -> int:
@@ -123,6 +127,17 @@ class Readings:
         if len(set(names)) < m:
             raise MultiposError(f"`outputs` names a column twice: {', '.join(names)}.")
         return names
+
+    def _check_text(self) -> None:
+        """Refuse names and labels that would do something to a terminal or a file of lines."""
+        named = {"outputs": self.outputs, "environment": self.environment, "unit": (self.unit,)}
+        for name, labels in {**named, "positions": self.positions, "group": self.group}.items():
+            for row, label in enumerate(labels or (), start=1):
+                if control_characters(label):
+                    raise MultiposError(
+                        f"`{name}` {row} is '{visible(label)}', with a control character; "
+                        "write it without."
+                    )
 
     def _check_values(self) -> None:
         for name, lowest in (("u", "above 0"), ("sd", "0 or more"), ("samples", "above 0"),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from multipos.files import write_text
 from multipos.model import NAMED
+from multipos.records import visible
 
 _LARGE = 1 << 24  # bytes; a smaller file is read before a bar could be seen
 
@@ -122,7 +123,7 @@ def add_orientation(parser: argparse.ArgumentParser) -> None:
 def warn(warnings: Sequence[str]) -> None:
     """Print warnings to stderr, a line each."""
     for warning in warnings:
-        print(f"multipos: warning: {warning}", file=sys.stderr)
+        print(f"multipos: warning: {visible(warning)}", file=sys.stderr)
 
 
 @contextmanager
