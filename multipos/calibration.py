@@ -23,15 +23,18 @@ from multipos.diagnostics import Diagnostics, linearity
 from multipos.errors import MultiposError
 from multipos.expressions import expression_dict, load_expression
 from multipos.files import plain, read_json, to_json, write_text
+from multipos.formats import CALIBRATION
 from multipos.formatting import number, table, uncertain
-from multipos.model import Model, build_model, paper_symbol, parameter_label
+from multipos.model import COMPONENTS, Model, build_model, paper_symbol, parameter_label
 from multipos.quantiles import coverage_factor
 from multipos.readings import Readings
+from multipos.records import require, require_covariance
 from multipos.results import Result
 
 Array = NDArray[np.float64]
 
 SCHEMA = "multipos/calibration/1"
+_SAME = 1e-6  # of the largest reading: how near its residuals a file must come
 _EXTRA = (
     "variance_components",
     "robust_weight",
@@ -369,21 +372,31 @@ def load(path: str | os.PathLike[str]) -> Calibration:
     Raises
     ------
     MultiposError
-        The file is missing, truncated, of another schema, or lacks what a calibration needs.
+        The file is missing, truncated, of another schema, or holds what no calibration does.
     """
-    content = read_json(path, SCHEMA)
+    return from_dict(read_json(path, SCHEMA), str(path))
+
+
+def from_dict(content: Mapping[str, Any], where: str = "the calibration") -> Calibration:
+    """Return the calibration that `Calibration.to_dict` described.
+
+    Raises
+    ------
+    MultiposError
+        A key is missing or not as `multipos.formats` has it, or the parts contradict each other.
+    """
+    require(content, CALIBRATION, where, "fit again")
     try:
-        return from_dict(content)
-    except KeyError as error:
-        raise MultiposError(
-            f"{path}: the key {error} is missing; the file is damaged, fit again."
-        ) from None
-    except (ValueError, TypeError, IndexError, AttributeError) as error:
-        raise MultiposError(f"{path}: not a calibration: {error}; fit again.") from None
+        _check_shapes(content)
+        calibration = _from_dict(content)
+        _check_consistency(calibration, content["parameters"])
+    except ValueError as error:
+        said = str(error).rstrip(".")
+        raise MultiposError(f"{where}: not a calibration: {said}; fit again.") from None
+    return calibration
 
 
-def from_dict(content: Mapping[str, Any]) -> Calibration:
-    """Return the calibration that `Calibration.to_dict` described."""
+def _from_dict(content: Mapping[str, Any]) -> Calibration:
     outputs = tuple(content["outputs"])
     environment = {
         name: _numbers(column) for name, column in content.get("environment", {}).items()
@@ -426,8 +439,8 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
     keys = [(entry["output"], entry["term"]) for entry in parameters]
     if keys != [(output, str(term)) for output, term in model.keys]:
         raise ValueError("its parameters are not those of its model")
-    cross_check = content["cross_check"]
-    calibration = Calibration(
+    cross_check, status, gravity = content["cross_check"], content["status"], content["gravity"]
+    return Calibration(
         model=model,
         parameters=_numbers([entry["value"] for entry in parameters]),
         covariance=_numbers(content["covariance"]),
@@ -438,7 +451,7 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         reference=reference,
         readings=readings,
         convention=convention,
-        gravity=None if content["gravity"] is None else Gravity(**content["gravity"]),
+        gravity=None if gravity is None else Gravity(gravity["value"], gravity["u"]),
         estimator=content["estimator"],
         criterion=content["criterion"],
         confidence=float(content["confidence"]),
@@ -455,7 +468,13 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
             unidentifiable=tuple(found["unidentifiable"]),
             warnings=tuple(found["warnings"]),
         ),
-        status=Status(**content["status"]),
+        status=Status(
+            status["converged"],
+            status["iterations"],
+            status["message"],
+            status.get("last_step", 0.0),
+            status.get("gradient", 0.0),
+        ),
         created=content["created"],
         version=content["multipos_version"],
         cross_check=None
@@ -463,28 +482,64 @@ def from_dict(content: Mapping[str, Any]) -> Calibration:
         else float(cross_check["closed_form_max_difference"]),
         extra={key: content[key] for key in _EXTRA if key in content},
     )
-    _check(calibration)
-    return calibration
 
 
-def _check(c: Calibration) -> None:
-    p, (n, m) = len(c.parameters), c.readings.values.shape
-    shapes = (
-        c.covariance.shape,
-        c.residuals.shape,
-        c.reference.shape,
-        c.diagnostics.leverage.shape,
-    )
-    if shapes != ((p, p), (n, m), (n, 3), (n, m)):
-        raise ValueError("its arrays do not fit together")
+def _check_shapes(c: Mapping[str, Any]) -> None:
+    """Hold the lists of a file to the numbers of its readings, outputs and parameters."""
+    outputs, p, n = c["outputs"], len(c["parameters"]), len(c["readings"])
+    m = len(outputs)
+    known: dict[str, tuple[int, ...]] = {
+        "covariance": (p, p),
+        "readings": (n, m),
+        "residuals": (n, m),
+        "reference": (n, 3),
+        "positions": (n,),
+        "reading_u": (n, m),
+        "reading_covariance": (n * m, n * m),
+        "reading_sd": (n, m),
+        "samples": (n,),
+        "orientation_sd_deg": (n,),
+        "group": (n,),
+        "attitude": (n, 3, 3),
+        "up": (n, 3),
+    }
+    shapes = [(key, c[key], shape) for key, shape in known.items() if key in c]
+    shapes.append(("diagnostics.leverage", c["diagnostics"]["leverage"], (n, m)))
+    for name, column in c.get("environment", {}).items():
+        shapes.append((f"environment.{name}", column, (n,)))
+    if "scatter" in c.get("budget", {}):
+        shapes.append(("budget.scatter", c["budget"]["scatter"], (p, p)))
+    for key in ("robust_weight", "orientation_error_deg"):
+        if key in c:
+            shapes.append((key, c[key], (n, m) if np.ndim(c[key]) > 1 else (n,)))
+    for key, value, shape in shapes:
+        if np.shape(value) != shape:
+            raise ValueError(f"'{key}' has shape {np.shape(value)}, but {shape} fits its others")
+    for key in ("residual_sd", "dof", "selection"):
+        if key in c and set(c[key]) != set(outputs):
+            raise ValueError(f"'{key}' names {', '.join(c[key])}, not its outputs")
+
+
+def _check_consistency(c: Calibration, parameters: list[dict[str, Any]]) -> None:
+    """Hold the numbers of a file to each other: what it says must follow from what it says."""
     columns = [c.readings.environment.get(name, np.nan) for name in c.model.environment]
     if not all(np.isfinite(column).all() for column in columns):
         raise ValueError("its readings lack a column of its model, or a number in it")
-    if not np.isfinite(c.parameters).all() or not 0.0 < c.confidence < 1.0:
-        raise ValueError("its parameters or its confidence are no usable numbers")
-    # NaN is right where nothing was left to estimate an uncertainty from
-    if (np.diag(c.covariance) < 0.0).any() or not (c.parameter_dof >= 0.0).all():
-        raise ValueError("its covariance or degrees of freedom are negative")
+    if c.model.gauge is not None and sorted(c.model.axes) != list(COMPONENTS):
+        raise ValueError(f"its gauge is for outputs on x, y and z, not on {c.model.axes}")
+    # NaN is right where nothing was left to estimate an uncertainty from.
+    require_covariance(c.covariance, _numbers([entry["u"] for entry in parameters]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        left = c.readings.values - c.predict(c.reference, c.readings.environment)
+        off = np.abs(left - c.residuals).max(axis=0)
+    # Rounding in the terms of a model is far below this, a number that was changed far above.
+    size = np.abs(c.readings.values).max(axis=0) + np.abs(c.residuals).max(axis=0)
+    bad = ~(off <= _SAME * size)
+    if bad.any():
+        raise ValueError(
+            f"the residuals of {c.outputs[int(np.argmax(bad))]} are not what its parameters leave "
+            "of its readings, so a number was changed"
+        )
 
 
 def _numbers(value: Any) -> Any:

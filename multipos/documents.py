@@ -17,10 +17,11 @@ from typing import Any
 
 from multipos.calibration import Calibration
 from multipos.certificate import Content, build_content
+from multipos.characters import visible
 from multipos.errors import UsageError
 from multipos.files import write_text
 from multipos.findings import Figure, Grid
-from multipos.formatting import markdown_table
+from multipos.formatting import markdown_line, markdown_table, markdown_text
 from multipos.monte_carlo import MonteCarlo
 from multipos.plots.style import COLOURS
 from multipos.translations import Language
@@ -33,8 +34,9 @@ def html_report(content: Content) -> str:
     from markupsafe import Markup
 
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, keep_trailing_newline=True
-    )
+        autoescape=True, undefined=jinja2.StrictUndefined, keep_trailing_newline=True,
+        finalize=_without_controls,
+    )  # fmt: skip
     template = files("multipos").joinpath("templates", "report.html").read_text(encoding="utf-8")
 
     def svg(figure: Figure, section: int, place: int) -> Any:
@@ -47,25 +49,27 @@ def html_report(content: Content) -> str:
 
 def markdown_report(content: Content) -> str:
     """Return a report as Markdown."""
-    parts = [f"# {content.title}", content.subtitle]
-    parts += [f"## {title}\n\n{_bullets(lines)}" for title, lines in _front(content)]
+    parts = [f"# {content.title}", markdown_line(content.subtitle)]
+    for title, entries in _front(content):
+        parts.append(f"## {title}\n\n{_bullets(entries, markdown_line, _MARKDOWN_BREAK)}")
     for section in content.sections:
         parts.append(f"## {section.title}")
-        parts += section.paragraphs
+        parts += map(markdown_line, section.paragraphs)
         for grid in section.tables:
-            rows = [[cell.replace("|", "\\|") for cell in row] for row in grid.rows]
-            parts.append(f"**{grid.caption}**\n\n{markdown_table(grid.header, rows)}")
+            caption = markdown_text(grid.caption)
+            parts.append(f"**{caption}**\n\n{markdown_table(grid.header, grid.rows)}")
     return "\n\n".join(parts) + "\n"
 
 
 def plain_report(content: Content) -> str:
     """Return a report as plain text."""
-    parts = [_underlined(content.title, "="), content.subtitle]
-    parts += [f"{_underlined(title, '-')}\n{_bullets(lines)}" for title, lines in _front(content)]
+    parts = [_underlined(content.title, "="), visible(content.subtitle)]
+    for title, entries in _front(content):
+        parts.append(f"{_underlined(title, '-')}\n{_bullets(entries, visible, _BREAK)}")
     for section in content.sections:
         parts.append(_underlined(section.title, "-"))
-        parts += [textwrap.fill(paragraph, 96) for paragraph in section.paragraphs]
-        parts += [f"{grid.caption}\n{_aligned(grid)}" for grid in section.tables]
+        parts += [textwrap.fill(visible(paragraph), 96) for paragraph in section.paragraphs]
+        parts += [f"{visible(grid.caption)}\n{_aligned(grid)}" for grid in section.tables]
     return "\n\n".join(parts) + "\n"
 
 
@@ -112,6 +116,8 @@ def write_report(
     write_text(path, _FORMS[suffix](content))
 
 
+# Between the lines of an entry of a list.
+_BREAK, _MARKDOWN_BREAK = "\n  ", "\\\n  "
 _FORMS: dict[str, Callable[[Content], str]] = {
     ".html": html_report,
     ".md": markdown_report,
@@ -128,8 +134,16 @@ def _front(content: Content) -> list[tuple[str, list[str]]]:
     return [(words["Warnings"], said), (words["Administrative data"], fields)]
 
 
-def _bullets(lines: Sequence[str]) -> str:
-    return "\n".join(f"- {line}" for line in lines)
+def _bullets(entries: Sequence[str], show: Callable[[str], str], line_end: str) -> str:
+    """Return entries as a list; one of several lines, such as an address, keeps them."""
+    return "\n".join(f"- {line_end.join(map(show, entry.splitlines()))}" for entry in entries)
+
+
+def _without_controls(value: Any) -> Any:
+    """Return what the page shows, with control characters but line ends made visible."""
+    if type(value) is not str:
+        return value
+    return "\n".join(map(visible, value.splitlines()))
 
 
 def _underlined(title: str, mark: str) -> str:
@@ -142,7 +156,7 @@ def _columns(text: str) -> int:
 
 
 def _aligned(grid: Grid) -> str:
-    cells = [grid.header, *grid.rows]
+    cells = [[visible(cell) for cell in row] for row in (grid.header, *grid.rows)]
     widths = [max(_columns(row[i]) for row in cells) for i in range(len(grid.header))]
     lines = []
     for row in cells:

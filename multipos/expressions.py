@@ -24,8 +24,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
-from multipos.instructions import Instruction, read_instructions, write_instructions
-from multipos.model import COMPONENTS, Block, Gauge, Model, Term
+from multipos.instructions import (
+    Instruction,
+    read_instructions,
+    require_instructions,
+    write_instructions,
+)
+from multipos.model import COMPONENTS, Block, Gauge, Model, Term, check_axes
 from multipos.units import unit_per
 
 Array = NDArray[np.float64]
@@ -253,15 +258,25 @@ def expression_dict(model: Model) -> dict[str, Any]:
 
 
 def load_expression(content: Mapping[str, Any]) -> ExpressionModel:
-    """Return the model that `expression_dict` described, from a calibration's file."""
+    """Return the model that `expression_dict` described, from a calibration's file.
+
+    Raises
+    ------
+    ValueError
+        Instructions that cannot be read, or that do not fit the outputs.
+    """
     outputs, expression = tuple(content["outputs"]), content["expression"]
+    axes, inputs = tuple(content["axes"]), tuple(content["inputs"])
+    check_axes(outputs, axes, inputs)
+    if len(expression["functions"]) != len(outputs):
+        raise ValueError(f"it has {len(expression['functions'])} expressions for its outputs")
+    sizes = (len(COMPONENTS), len(expression["columns"]), len(expression["parameters"]))
+    for program in expression["functions"]:
+        require_instructions(program, sizes)
     symbols = tuple(Symbol(name=name) for name in expression["parameters"])
-    model = ExpressionModel(
-        content["model"], outputs, tuple(content["axes"]), tuple(content["inputs"]),
+    return ExpressionModel(
+        content["model"], outputs, axes, inputs,
         content["unit"], (symbols,) * len(outputs), None,
         tuple(tuple(map(tuple, program)) for program in expression["functions"]),
         tuple(expression["columns"]), (0.0,) * len(symbols),
     )  # fmt: skip
-    if not model.compiled:  # what cannot be computed is refused now, not when it is used
-        raise ValueError("its expression is empty")
-    return model

@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.characters import control_characters, visible
 from multipos.errors import MultiposError
 
 Column = Sequence[Any] | NDArray[Any]
@@ -244,6 +245,11 @@ def _check_header(path: str | os.PathLike[str], header: list[str]) -> None:
             )
         if name in header[:index]:
             raise MultiposError(f"{path}: column '{name}' appears twice; rename or remove one.")
+        if control_characters(name):
+            raise MultiposError(
+                f"{path}: the name of column {index + 1}, '{visible(name)}', has a control "
+                "character; rename it."
+            )
     if all(math.isfinite(_float(name)) for name in header):
         raise MultiposError(
             f"{path}: the first row holds only numbers; the first row must name the columns."

@@ -8,29 +8,9 @@ import math
 import re
 from collections.abc import Sequence
 
+from multipos.characters import visible
+
 _SHORTEST = -5  # decimal exponents below this are written as such
-# Control characters but line feed and tab, separators of lines, and what turns the direction of
-# writing: a terminal would obey them.
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
-
-
-def visible(text: str) -> str:
-    r"""Return text with control characters as escapes, ``\u001b``, which a terminal only shows.
-
-    In JSON an escape is the same character.
-    """
-    return _CONTROL.sub(lambda found: escaped(found[0]), text)
-
-
-def escaped(text: str) -> str:
-    r"""Return each character as ``\uXXXX``, as JSON does, in two where one does not suffice."""
-    raw = text.encode("utf-16-be", "surrogatepass")
-    return "".join(f"\\u{raw[i : i + 2].hex()}" for i in range(0, len(raw), 2))
-
-
-def one_line(text: str) -> str:
-    """Return text as one line that a terminal only shows."""
-    return visible(" ".join(text.split()))
 
 
 def uncertain(value: float, u: float) -> str:
@@ -63,7 +43,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:
     """Return rows as aligned text, the first `left` columns flush left, the others right."""
-    cells = [list(header), *(list(row) for row in rows)]
+    cells = [[visible(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
     lines = []
     for row in cells:
@@ -76,7 +56,21 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:
-    """Return rows as a Markdown table."""
+    """Return rows of text as a Markdown table."""
     marks = ["---" if i < left else "---:" for i in range(len(header))]
-    lines = [" | ".join(cells) for cells in (header, marks, *rows)]
+    cells = [[markdown_text(cell) for cell in row] for row in (header, *rows)]
+    lines = [" | ".join(line) for line in (cells[0], marks, *cells[1:])]
     return "\n".join(f"| {line} |" for line in lines)
+
+
+def markdown_text(text: str) -> str:
+    """Return text that Markdown shows as it is inside a line: no HTML, link, emphasis or cell."""
+    text = visible(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    text = re.sub(r"([\\`*|])|(\](?=[(\[:]))", r"\\\g<0>", text)
+    # Inside a word, as in scale_ax, it is no mark.
+    return re.sub(r"(?<!\w)_|_(?!\w)", r"\_", text)
+
+
+def markdown_line(text: str) -> str:
+    """Return text that Markdown shows as it is on a line of its own: no heading, list or rule."""
+    return re.sub(r"^(\s*\d*)([#+~=.)-])", r"\1\\\2", markdown_text(text))

@@ -11,7 +11,8 @@ with CasADi's names of operations. Reading it builds the expression again from a
 elementary functions alone; anything else is refused.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 Instruction = tuple[Any, ...]
@@ -26,6 +27,16 @@ _BINARY = (
     "add", "sub", "mul", "div", "pow", "constpow", "lt", "le", "eq", "ne", "and", "or", "fmin",
     "fmax", "atan2", "copysign", "if_else_zero", "hypot",
 )  # fmt: skip
+
+# How many numbers follow an operation's name.
+_OPERANDS: Mapping[str, int] = {
+    "input": 3,
+    "const": 2,
+    "output": 1,
+    **dict.fromkeys(_UNARY, 2),
+    **dict.fromkeys(_BINARY, 3),
+}
+_MOST = 10_000  # instructions, and places, of one output
 
 
 def write_instructions(function: Any) -> tuple[Instruction, ...]:
@@ -44,13 +55,50 @@ def write_instructions(function: Any) -> tuple[Instruction, ...]:
     return tuple(program)
 
 
-def read_instructions(program: Sequence[Sequence[Any]], arguments: Sequence[Any]) -> Any:
-    """Return the expression (SX) of a program in terms of its arguments.
+def require_instructions(program: Sequence[Sequence[Any]], sizes: Sequence[int]) -> None:
+    """Hold a program from a file to what `read_instructions` can read.
+
+    Parameters
+    ----------
+    program : sequence of instructions (1)
+    sizes : sequence of int
+        How many components each argument has.
 
     Raises
     ------
     ValueError
-        An instruction that is not among those known, or does not fit.
+        An operation that is not known, a place that is not filled yet, a component that is not
+        there, a constant that is not a finite number, no output, or more than can be meant.
+    """
+    if len(program) > _MOST:
+        raise ValueError(f"the expression has {len(program)} instructions, {_MOST} are the most")
+    filled: set[int] = set()
+    for line, (name, *rest) in enumerate(program, start=1):
+        count = _OPERANDS.get(name) if isinstance(name, str) else None
+        if count is None:
+            raise ValueError(f"the expression has an unknown instruction {name!r:.40}")
+        places = rest[:1] if name == "const" else rest
+        whole = all(type(place) is int and 0 <= place < _MOST for place in places)
+        if len(rest) != count or not whole:
+            fits = False
+        elif name == "input":
+            fits = rest[1] < len(sizes) and rest[2] < sizes[rest[1]]
+        elif name == "const":
+            fits = isinstance(rest[1], int | float) and math.isfinite(rest[1])
+        else:
+            fits = filled.issuperset(rest if name == "output" else rest[1:])
+        if not fits:
+            raise ValueError(f"instruction {line} of the expression, '{name}', has operands amiss")
+        if name != "output":
+            filled.add(rest[0])
+    if not any(name == "output" for name, *_ in program):
+        raise ValueError("the expression has no output")
+
+
+def read_instructions(program: Sequence[Sequence[Any]], arguments: Sequence[Any]) -> Any:
+    """Return the expression (SX) of a program in terms of its arguments.
+
+    The program is one that `write_instructions` wrote or `require_instructions` let through.
     """
     import casadi
 
@@ -64,16 +112,10 @@ def read_instructions(program: Sequence[Sequence[Any]], arguments: Sequence[Any]
             places[place] = arguments[argument][component]
         elif name == "const":
             places[rest[0]] = casadi.SX(float(rest[1]))
-        elif name in _UNARY and len(rest) == 2:
-            operation = getattr(casadi, f"OP_{name.upper()}")
-            places[rest[0]] = casadi.SX.unary(operation, places[rest[1]])
-        elif name in _BINARY and len(rest) == 3:
-            operation = getattr(casadi, f"OP_{name.upper()}")
-            places[rest[0]] = casadi.SX.binary(operation, places[rest[1]], places[rest[2]])
         else:
-            raise ValueError(f"the expression has an unknown instruction '{name}'")
-    if result is None:
-        raise ValueError("the expression has no output")
+            operation = getattr(casadi, f"OP_{name.upper()}")
+            build = casadi.SX.unary if name in _UNARY else casadi.SX.binary
+            places[rest[0]] = build(operation, *(places[place] for place in rest[1:]))
     return result
 
 
@@ -81,5 +123,4 @@ def _operations() -> dict[int, str]:
     """Return CasADi's numbers of the operations that are known, with their names."""
     import casadi
 
-    known = ("input", "const", "output", *_UNARY, *_BINARY)
-    return {getattr(casadi, f"OP_{name.upper()}"): name for name in known}
+    return {getattr(casadi, f"OP_{name.upper()}"): name for name in _OPERANDS}

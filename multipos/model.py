@@ -459,7 +459,7 @@ def build_model(
     UsageError
         Unknown model or column, a formula that cannot be parsed, axes that are not x, y, z.
     """
-    _check_axes(outputs, axes, inputs)
+    check_axes(outputs, axes, inputs)
     name = text.strip()
     formula = NAMED.get(name, name)
     words = (*NAMED, *COMPONENTS, "1", "own", *(known or ()))
@@ -587,7 +587,8 @@ def paper_symbol(model: Model, index: int) -> str | None:
     return f"K_a{axis}{others.index(factor.variable) + 1}"
 
 
-def _check_axes(outputs: tuple[str, ...], axes: tuple[str, ...], inputs: tuple[str, ...]) -> None:
+def check_axes(outputs: tuple[str, ...], axes: tuple[str, ...], inputs: tuple[str, ...]) -> None:
+    """Raise `UsageError` where axes and inputs are not components, or do not fit the outputs."""
     for option, names in (("--axes", axes), ("--inputs", inputs)):
         strange = [name for name in names if name not in COMPONENTS]
         if strange or not names:

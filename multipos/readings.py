@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos import attitudes
+from multipos.characters import control_characters, visible
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Source, Table, read_table
 from multipos.names import Names, split_names
@@ -112,6 +113,9 @@ class Readings(Result):
             for name, column in self.environment.items()
         }
         _set(self, "environment", Frozen(columns))
+        if self.source is not None:  # a file may be called anything
+            _set(self, "source", visible(self.source))
+        self._check_text()
         self._check_values()
 
     def __len__(self) -> int:
@@ -126,6 +130,17 @@ class Readings(Result):
         if len(set(names)) < m:
             raise MultiposError(f"`outputs` names a column twice: {', '.join(names)}.")
         return names
+
+    def _check_text(self) -> None:
+        """Refuse names and labels that would do something to a terminal or a file of lines."""
+        named = {"outputs": self.outputs, "environment": self.environment, "unit": (self.unit,)}
+        for name, labels in {**named, "positions": self.positions, "group": self.group}.items():
+            for row, label in enumerate(labels or (), start=1):
+                if control_characters(label):
+                    raise MultiposError(
+                        f"`{name}` {row} is '{visible(label)}', with a control character; "
+                        "write it without."
+                    )
 
     def _check_values(self) -> None:
         for name, lowest in (("u", "above 0"), ("sd", "0 or more"), ("samples", "above 0"),

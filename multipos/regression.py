@@ -8,6 +8,7 @@ made and never changes.
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError
 from multipos.files import plain, read_json, to_json, write_text
+from multipos.formats import REGRESSION
 from multipos.formatting import number, table, uncertain
 from multipos.hysteresis import BRANCHES, branch_of
+from multipos.records import require
 from multipos.results import Result
 from multipos.segment import Segment, segment_from_dict, segment_to_dict
 from multipos.segmentation import segment_of
@@ -162,21 +165,20 @@ def load_regression(path: str | os.PathLike[str]) -> Regression:
     Raises
     ------
     MultiposError
-        The file is missing, truncated, of another schema, or lacks what a regression needs.
+        The file is missing, truncated, of another schema, or holds what no regression does.
     """
     content = read_json(path, SCHEMA)
+    require(content, REGRESSION, str(path), "run regress again")
     try:
-        return _from_dict(content)
-    except KeyError as error:
-        raise MultiposError(
-            f"{path}: the key {error} is missing; the file is damaged, run regress again."
-        ) from None
-    except (ValueError, TypeError, IndexError, AttributeError) as error:
+        regression = _from_dict(content)
+        _check_consistency(regression)
+    except ValueError as error:
         raise MultiposError(f"{path}: not a regression: {error}; run regress again.") from None
+    return regression
 
 
 def _from_dict(c: Mapping[str, Any]) -> Regression:
-    regression = Regression(
+    return Regression(
         response=c["response"],
         variables=tuple(c["variables"]),
         candidates=tuple(c["candidates"]),
@@ -200,10 +202,22 @@ def _from_dict(c: Mapping[str, Any]) -> Regression:
         version=c["multipos_version"],
         thresholds=c["thresholds"],
     )
-    branches = 1 if regression.branch_column is None else len(BRANCHES)
-    if len(regression.segments) != branches * (len(regression.edges) + 1):
-        raise ValueError("its segments do not fit its edges")
-    return regression
+
+
+def _check_consistency(r: Regression) -> None:
+    """Hold segments, edges, branches and rates of a file to each other."""
+    edges, branches = r.edges, (None,) if r.branch_column is None else BRANCHES
+    if any(low >= high for low, high in pairwise(edges)):
+        raise ValueError("its edges do not ascend")
+    if edges and r.segment_variable is None:
+        raise ValueError("it has edges, but no variable that they are of")
+    expected = [branch for branch in branches for _ in range(len(edges) + 1)]
+    if [segment.branch for segment in r.segments] != expected:
+        raise ValueError("its segments do not fit its edges and branches")
+    if r.segment_variable is None and not r.variables:
+        raise ValueError("it has no variables")
+    if r.rates and (r.time is None or not all(name.endswith("_rate") for name in r.rates)):
+        raise ValueError("it has rates, but no time or column that they are of")
 
 
 def format_span(variable: str, span: tuple[float, float], branch: str | None) -> str:

@@ -22,11 +22,18 @@ from numpy.typing import NDArray
 
 from multipos.model import Factor, Term, evaluate_terms
 from multipos.quantiles import t_tail
+from multipos.records import require_covariance
 from multipos.results import Result
 from multipos.selection import Step, Tested
 from multipos.subsets import Subset
 
 Array = NDArray[np.float64]
+
+# What stands beside 'robust' in a file.
+_ROBUST = (
+    "covariance_robust", "F_robust", "p_robust", "dof_robust", "t_dof_robust", "n_effective",
+    "lag_one",
+)  # fmt: skip
 
 
 class Coefficient(NamedTuple):
@@ -205,15 +212,34 @@ def _step_dict(step: Step) -> dict[str, Any]:
 
 
 def segment_from_dict(c: Mapping[str, Any]) -> Segment:
-    """Return the segment that `segment_to_dict` described."""
+    """Return the segment that `segment_to_dict` described.
+
+    Raises
+    ------
+    ValueError
+        Coefficients, covariances and limits that do not fit each other.
+    """
     terms = tuple(
         Term(tuple(Factor(name, power, modulus) for name, power, modulus in entry["factors"]))
         for entry in c["terms"]
     )
+    covariance = _square(c, "covariance")
+    require_covariance(covariance, _numbers([entry["u"] for entry in c["terms"]]))
+    used = {factor.variable for term in terms for factor in term.factors}
+    if not used.issubset(c["limits"]):
+        raise ValueError("a segment lacks the limits of a variable of its terms")
+    if any(low > high for low, high in (c["range"], *c["limits"].values())):
+        raise ValueError("a segment's range or limits end before they begin")
     robust = None
     if "robust" in c:
+        missing = [key for key in _ROBUST if key not in c]
+        if missing:
+            raise ValueError(f"a segment with 'robust' lacks '{missing[0]}'")
+        wide = _square(c, "covariance_robust")
+        with np.errstate(invalid="ignore"):
+            require_covariance(wide, np.sqrt(np.diag(wide)))
         robust = Robust(
-            c["robust"], _numbers(c["covariance_robust"], len(terms)), _number(c["F_robust"]),
+            c["robust"], wide, _number(c["F_robust"]),
             _number(c["p_robust"]), tuple(map(_number, c["dof_robust"])),  # type: ignore[arg-type]
             _number(c["t_dof_robust"]), c["n_effective"], c["lag_one"],
         )  # fmt: skip
@@ -226,7 +252,7 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
         n=c["n"],
         terms=terms,
         values=np.array([entry["value"] for entry in c["terms"]], dtype=np.float64),
-        covariance=_numbers(c["covariance"], len(terms)),
+        covariance=covariance,
         dof=tuple(c["dof"]),
         r2=_number(c["r2"]),
         adjusted_r2=_number(c["adjusted_r2"]),
@@ -267,5 +293,14 @@ def _number(value: float | None, missing: float = float("nan")) -> float:
     return missing if value is None else float(value)
 
 
-def _numbers(value: Any, size: int) -> Array:
-    return np.array(value, dtype=np.float64).reshape(size, size)
+def _numbers(value: Any) -> Array:
+    return np.array(value, dtype=np.float64)
+
+
+def _square(c: Mapping[str, Any], key: str) -> Array:
+    """Return a covariance of the segment's terms, null as NaN."""
+    size = len(c["terms"])
+    array = _numbers(c[key]).reshape(-1, size) if not size else _numbers(c[key])
+    if array.shape != (size, size):
+        raise ValueError(f"'{key}' of a segment has shape {array.shape} for {size} terms")
+    return array

@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files import read_json, to_json, write_text
+from multipos.formats import CHECK
+from multipos.records import require
 from multipos.results import Result
 
 Array = NDArray[np.float64]
 
 SCHEMA = "multipos/check/1"
+_BY_AXIS = ("reference", "before", "after", "u", "U", "counted", "by_axis")
 VERDICTS = ("pass", "undecided", "fail")  # from best to worst
 
 
@@ -149,21 +152,24 @@ def load_check(path: str | os.PathLike[str]) -> Check:
     Raises
     ------
     MultiposError
-        The file is missing, truncated, of another schema or of a regression.
+        The file is missing, truncated, of another schema or of a regression, or holds what no
+        check does.
     """
     content = read_json(path, SCHEMA)
     if content.get("against") is not None:
         raise MultiposError(
             f"{path}: the check of a regression; a report of a calibration needs a check of it."
         )
-    try:
-        return _from_dict(content)
-    except KeyError as error:
-        raise MultiposError(
-            f"{path}: the key {error} is missing; the file is damaged, run check again."
-        ) from None
-    except (ValueError, TypeError, IndexError, AttributeError) as error:
-        raise MultiposError(f"{path}: not a check: {error}; run check again.") from None
+    require(content, CHECK, str(path), "run check again")
+    axes = set(content["axes"])
+    for row in [*content["positions"], {"by_axis": content["by_axis"]}]:
+        for key, entry in row.items():
+            if key in _BY_AXIS and set(entry) != axes:
+                raise MultiposError(
+                    f"{path}: not a check: '{key}' is of {', '.join(entry)}, not of its axes; run "
+                    "check again."
+                )
+    return _from_dict(content)
 
 
 def _from_dict(c: Mapping[str, Any]) -> Check:

@@ -14,10 +14,12 @@ PACKAGE = Path(__file__).resolve().parents[1] / "multipos"
 # its place here; what is not written yet keeps its own. `__init__.py` is exempt.
 ORDER = (
     "errors",
+    "characters",
     "names",
     "units",
     "results",
     "quantiles",
+    "records",
     "formatting",
     "pipes",
     "files",
@@ -37,6 +39,7 @@ ORDER = (
     "model",
     "instructions",
     "expressions",
+    "formats",
     "extended",
     "least_squares",
     "inverse",

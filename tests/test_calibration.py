@@ -186,7 +186,6 @@ WRONG = (None, "text", -1, [], {"a": 1}, float("nan"), ["a"])
 
 
 @pytest.mark.parametrize("name", ["stated u", "temperature"])
-@pytest.mark.filterwarnings("ignore:invalid value")  # a covariance that is none
 def test_a_damaged_file_is_used_or_refused_in_one_line(name):
     """Any value replaced by any other, or taken away: never an error that is not ours."""
     whole = CALIBRATIONS[name].to_dict()
@@ -204,8 +203,8 @@ def test_a_damaged_file_is_used_or_refused_in_one_line(name):
                 del inner[place[-1]]
             try:
                 cal = from_dict(content)
-            except (ValueError, TypeError, KeyError, IndexError, AttributeError):
-                refused += 1  # what `load` turns into one line
+            except MultiposError:
+                refused += 1
                 continue
             text_report(cal)
             mp.apply(cal, data, uncertainty=True)
@@ -222,7 +221,9 @@ def test_the_line_names_the_file_and_the_key(tmp_path):
         mp.load(path)
     content["covariance"] = [[1.0]]
     path.write_text(json.dumps(content))
-    with pytest.raises(MultiposError, match=r"cal\.json: not a calibration: its arrays do not fit"):
+    with pytest.raises(
+        MultiposError, match=r"'covariance' has shape \(1, 1\), but \(12, 12\) fits"
+    ):
         mp.load(path)
     path.write_text('{"schema": "multipos/regression/1"}')
     with pytest.raises(MultiposError, match="the schema is 'multipos/regression/1'"):

@@ -353,12 +353,9 @@ def test_verify_finds_a_foreign_file(tmp_path, capsys):
         ("part", "CAL_ACC0_XOFF\t1", "parameter CAL_ACC0_YOFF is missing"),
         ("none", None, "no such file"),
         ("code.c", "void a_compensate(const double raw[2], double accel[2])\n{}", "not made for"),
-        ("bad.c", "void a_compensate(const double raw[3], double accel[3])\n{", "does not compile"),
     ):
         if content is not None:
             (tmp_path / name).write_text(content)
-        if name == "bad.c" and shutil.which("cc") is None:
-            continue
         assert main(["verify-export", str(tmp_path / name), str(tmp_path / "cal.json")]) == 1
         out, error = capsys.readouterr()
         assert out == ""

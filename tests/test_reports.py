@@ -14,9 +14,9 @@ from multipos import plots
 from multipos.certificate import LAB_FIELDS, build_content
 from multipos.cli import main
 from multipos.comparison import compare
-from multipos.documents import html_report, write_report
+from multipos.documents import html_report, markdown_report, plain_report, write_report
 from multipos.files import plain
-from multipos.formatting import uncertain
+from multipos.formatting import markdown_text, uncertain
 from multipos.reports import text_report
 from multipos.scheme import read_scheme
 from multipos.translations import Translator
@@ -176,7 +176,7 @@ def test_beyond_one_g_is_marked(calibration, six):
 
 
 def test_markdown_and_text_say_what_the_page_says(calibration, tmp_path):
-    for ending in ("md", "txt"):
+    for ending, show in (("md", markdown_text), ("txt", str)):
         write_report(calibration, tmp_path / f"r.{ending}")
         text = (tmp_path / f"r.{ending}").read_text("utf-8")
         for section in build_content(calibration).sections:
@@ -184,7 +184,7 @@ def test_markdown_and_text_say_what_the_page_says(calibration, tmp_path):
             for table in section.tables:
                 assert table.caption in text
                 for row in table.rows:
-                    assert all(cell.replace("|", "\\|") in text or cell in text for cell in row)
+                    assert all(show(cell) in text for cell in row)
     assert "[to be filled in by the laboratory]" in text
 
 
@@ -446,7 +446,7 @@ def test_checks_that_a_report_refuses(checked, six, tmp_path, capsys):
         ("regression.json", "the check of a regression"),
         ("other.json", "the check is of a calibration created 2001-01-01T00:00:00Z"),
         ("damaged.json", "the key 'by_axis' is missing"),
-        ("spoilt.json", "not a check"),
+        ("spoilt.json", "positions[0].after.x is 'a'; a number is needed there"),
         ("six.json", "a calibration is read by multipos.load"),
         ("none.json", "no such file"),
     ):
@@ -498,3 +498,48 @@ def test_the_page_in_a_browser(pages, language, tmp_path):
         page.pdf(tmp_path / "report.pdf")
         # A4 in points: 595 × 842
         assert b"/MediaBox [0 0 59" in (tmp_path / "report.pdf").read_bytes()
+
+
+MARKS = "<script>x</script>|`a`*b*"
+HOSTILE = MARKS + "\x1b[31m\u202e"
+
+
+@pytest.mark.parametrize("language", ["en", "zh"])
+def test_no_text_from_outside_acts_in_a_report(six, language):
+    spoilt = replace(
+        six,
+        created=HOSTILE,
+        criterion=HOSTILE,
+        model=replace(six.model, unit=MARKS),
+        diagnostics=replace(six.diagnostics, warnings=(HOSTILE,), outliers=(f"# {HOSTILE}",)),
+    )
+    lab = {
+        "report": {"number": HOSTILE},
+        "customer": {"name": HOSTILE, "address": f"Street\n# City\n{HOSTILE}"},
+    }
+    content = build_content(spoilt, lab=lab, language=language)
+    page, markdown, plain_text = (
+        write(content) for write in (html_report, markdown_report, plain_report)
+    )
+    for text in (page, markdown, plain_text):
+        assert "\x1b" not in text
+        assert "\u202e" not in text
+    for text in (page, markdown):
+        assert "<script" not in text
+        assert "&lt;script&gt;x&lt;/script&gt;" in text
+    assert r"\|\`a\`\*b\*" in markdown
+    assert re.search(r"(?<!\\)`", markdown) is None
+    assert "Street\\\n  \\# City\\\n  " in markdown
+    assert "Street\n  # City\n  " in plain_text
+    assert [line for line in markdown.splitlines() if re.match(r"\s*(- )?#\s*\W?[<&]", line)] == []
+
+
+def test_control_characters_reach_no_terminal(six, tmp_path, capsys):
+    six.save(tmp_path / "cal.json")
+    (tmp_path / "r.csv").write_text("position,ax\n\x1b[31m,\x1b[32m\n")
+    assert main(["fit", str(tmp_path / "r.csv")]) == 1
+    (tmp_path / "bad.json").write_text('{"schema": "\\u001b[31m"}')
+    assert main(["report", str(tmp_path / "bad.json"), "-o", str(tmp_path / "r.txt")]) == 1
+    assert main(["fit", str(tmp_path / "r.csv"), "--outputs", "ax"]) == 1
+    out, err = capsys.readouterr()
+    assert "\x1b" not in out + err

@@ -19,10 +19,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
+from multipos.characters import escaped, visible_lines
 from multipos.commands.options import warn
 from multipos.errors import MultiposError, UsageError
 from multipos.files import Content, written
-from multipos.formatting import escaped, visible
 from multipos.pipes import STDIN, Pipe, is_pipe
 
 STDOUT = "-"
@@ -305,7 +305,9 @@ def print_out(pieces: Iterable[str | bytes] = (), *, verbatim: bool = False) -> 
             if isinstance(piece, bytes):
                 sys.stdout.buffer.write(piece)
             else:
-                sys.stdout.write(piece if verbatim and not sys.stdout.isatty() else visible(piece))
+                sys.stdout.write(
+                    piece if verbatim and not sys.stdout.isatty() else visible_lines(piece)
+                )
         sys.stdout.flush()
     except BrokenPipeError:
         _close_stdout()

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+from multipos.characters import one_line
 from multipos.errors import UsageError
-from multipos.formatting import one_line
 from multipos.model import NAMED
 from multipos.names import split_names, split_numbers
 

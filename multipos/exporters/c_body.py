@@ -54,8 +54,22 @@ def function_body(calibration: Calibration, *, single: bool) -> tuple[str, str]:
 
 
 def literal(value: float, single: bool) -> str:
-    """Return a number as C reads it back, to the last digit."""
-    return f"{np.float32(value)!s}f" if single else repr(float(value))
+    """Return a number as C reads it back, to the last digit.
+
+    Raises
+    ------
+    MultiposError
+        The precision cannot hold it.
+    """
+    with np.errstate(over="ignore"):
+        held = np.float32(value) if single else np.float64(value)
+    if not np.isfinite(held):
+        raise MultiposError(
+            f"a number of the C file would be {value:.3g}, beyond "
+            f"{'single' if single else 'double'} precision; fit readings in a unit nearer to "
+            f"their size{', or leave out --float' if single else ''}."
+        )
+    return f"{held!s}f" if single else repr(float(held))
 
 
 def environment_range(calibration: Calibration, name: str) -> tuple[float, float]:
@@ -75,8 +89,7 @@ class _Writer:
         self._sensed = [COMPONENTS[i] for i in sensed_axes(self._model)]
         self._theta = self._model.coefficients(calibration.parameters)
         self._middle = {
-            # A number that single precision holds, so that both are about the same middle.
-            name: float(np.float32(np.mean(environment_range(calibration, name))))
+            name: _held_by_both(float(np.mean(environment_range(calibration, name))))
             for name in self._model.environment
         }
         linear = self._model.linear_map(self._middle) @ calibration.parameters
@@ -272,6 +285,12 @@ class _Writer:
 
     def _number(self, value: float) -> str:
         return literal(value, self._single)
+
+
+def _held_by_both(value: float) -> float:
+    """Return a number that single precision holds, so that both are about the same middle."""
+    with np.errstate(over="ignore"):  # what overflows is refused when it is written
+        return float(np.float32(value))
 
 
 def needed_steps(calibration: Calibration, slope: Array, *, single: bool) -> tuple[int, float]:

@@ -9,8 +9,10 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos import __version__
 from multipos.calibration import Calibration
-from multipos.errors import UsageError
+from multipos.characters import visible
+from multipos.errors import MultiposError, UsageError
 from multipos.exporters.c_body import environment_range, function_body, literal
 from multipos.exporters.c_expression import expression_body
 from multipos.expressions import ExpressionModel
@@ -21,10 +23,12 @@ from multipos.model import COMPONENTS
 Array = NDArray[np.float64]
 
 SIGNATURE = re.compile(
-    r"^void (?P<name>\w+)_compensate\(const (?P<type>double|float) raw\[(?P<raw>\d+)\]"
-    r"(?:, const \w+ env\[(?P<env>\d+)\])?, \w+ accel\[(?P<accel>\d+)\]\)",
-    re.MULTILINE,
+    r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const (?P<type>double|float) raw\[(?P<raw>\d{1,6})\]"
+    r"(?:, const \w+ env\[(?P<env>\d{1,6})\])?, \w+ accel\[(?P<accel>\d{1,6})\]\)",
+    re.MULTILINE | re.ASCII,
 )
+WRITTEN_BY = re.compile(r"^ \* written by +multipos (?P<version>\S+)$", re.MULTILINE)
+_NEGLIGIBLE = 1e-9  # of the largest linear coefficient: what a precision may lose
 
 
 def c_source(calibration: Calibration, name: str, *, single: bool) -> str:
@@ -35,10 +39,11 @@ def c_source(calibration: Calibration, name: str, *, single: bool) -> str:
     UsageError
         `name` is no C identifier.
     MultiposError
-        The steps would not converge.
+        The steps would not converge, or a coefficient is beyond the precision.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         raise UsageError(f"--name '{name}' is no C identifier; use letters, digits and _.")
+    _require_held(calibration, single)
     _vectors(calibration, single)  # which says why, where the model has no inverse
     if isinstance(calibration.model, ExpressionModel):
         body, how, library = expression_body(calibration, single=single)
@@ -100,6 +105,28 @@ int main(void)
 """
 
 
+def _require_held(calibration: Calibration, single: bool) -> None:
+    """Refuse, by name, what a precision cannot hold."""
+    model = calibration.model
+    limits = np.finfo(np.float32 if single else np.float64)
+    largest, smallest = float(limits.max), float(limits.tiny)
+    precision = "single" if single else "double"
+    way = ("leave out --float, or " if single else "") + "fit in a unit nearer to its size"
+    middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
+    slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0]
+    needed = np.repeat(
+        _NEGLIGIBLE * np.abs(slope).max(axis=1), [part.stop - part.start for part in model.slices]
+    )
+    for name, value, least in zip(calibration.names, calibration.parameters, needed, strict=True):
+        size = abs(float(value))
+        if size > largest or least < size < smallest:
+            lost = "overflows" if size > largest else "vanishes"
+            raise MultiposError(f"'{name}' = {value:.3g} {lost} in {precision} precision; {way}.")
+    for name in model.environment:
+        if max(map(abs, environment_range(calibration, name))) > largest:
+            raise MultiposError(f"column '{name}' overflows in {precision} precision; {way}.")
+
+
 def _header(calibration: Calibration, name: str, how: str) -> str:
     c = calibration
     model = c.model
@@ -126,6 +153,7 @@ def _header(calibration: Calibration, name: str, how: str) -> str:
         f"model       {model.text}",
         f"computed by {how}",
         f"calibrated  {c.created} by multipos {c.version}, {len(c.readings)} readings",
+        f"written by  multipos {__version__}",
         f"residual    rms {1e3 * c.rms:.3g} mg after compensation",
         f"valid       |accel| up to {largest:.4g} g; beyond it the model extrapolates",
         f"U           {100 * c.confidence:g} % coverage, of the parameters; model error is extra",
@@ -136,8 +164,12 @@ def _header(calibration: Calibration, name: str, how: str) -> str:
 
 
 def _comment(text: str) -> str:
-    """Return text that cannot end a comment, begin another or continue a line."""
-    return text.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").replace("??", "? ?")
+    """Return text that stays on its line of a comment: it ends none, begins none, continues none.
+
+    A backslash goes first, since it becomes a slash; ``??/`` is a backslash too, a trigraph.
+    """
+    text = visible(text).replace("\\", "/").replace("*/", "* /").replace("/*", "/ *")
+    return re.sub(r"\?(?=\?)", "? ", text)
 
 
 def _vectors(calibration: Calibration, single: bool) -> tuple[Array, Array, Array]:

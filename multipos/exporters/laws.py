@@ -58,7 +58,14 @@ def reduce_to(calibration: Calibration, formula: str, target: str, *, allow_loss
     order = [model.axes.index(axis) for axis in COMPONENTS]
     K = sign * linear[:, 1:] / STANDARD_GRAVITY
     # Columns of T belong to the outputs in the order x, y, z in which consumers hold them.
-    law = Law(np.asarray(np.linalg.inv(K))[:, order], linear[order, 0], lost, 0.0)
+    try:
+        inverse = np.asarray(np.linalg.inv(K))
+    except np.linalg.LinAlgError:
+        raise MultiposError(
+            f"{target} needs the inverse of the sensitivities, and this calibration's have none; "
+            "an output does not sense its axis."
+        ) from None
+    law = Law(inverse[:, order], linear[order, 0], lost, 0.0)
     law = law._replace(rms=rms_left(calibration, law_residuals(calibration, *law[:2])))
     if lost and not allow_lossy:
         raise MultiposError(f"{loss_text(calibration, law, target)}; accept it with --allow-lossy.")

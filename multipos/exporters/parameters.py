@@ -15,11 +15,13 @@ References
 
 import re
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.calibration import Calibration
+from multipos.characters import visible
 from multipos.errors import MultiposError
 from multipos.exporters.laws import DIAGONAL, LINEAR, Law, in_metres, reduce_to
 from multipos.files import to_json
@@ -37,9 +39,12 @@ def write_ros(calibration: Calibration, *, allow_lossy: bool) -> tuple[str, Law,
     """Return the YAML of imu_calib, its law in the unit of the readings, and notes."""
     law = reduce_to(calibration, LINEAR, "ros-imu-calib", allow_lossy=allow_lossy)
     matrix, bias = law.matrix, law.matrix @ law.offset
+    for key, array in (("SM", matrix), ("bias", bias)):
+        for value in array.ravel().tolist():
+            _require_writable(calibration, key, value, np.finfo(np.float64))
     lines = [
         *(f"# {line}" for line in _origin(calibration)),
-        f"# corrected = SM raw - bias in m/s^2, raw in {_unit(calibration)}",
+        f"# corrected = SM raw - bias in m/s^2, raw in {visible(_unit(calibration))}",
         f"SM: {matrix.ravel().tolist()}",
         f"bias: {bias.tolist()}",
     ]
@@ -82,17 +87,28 @@ def read_ros(path: str, text: str) -> tuple[Array, Array]:
         cells = re.findall(r"[^\s,]+", block[1]) if block else []
         found[key] = _numbers(path, key, cells, count)
     matrix = found["SM"].reshape(3, 3)
-    return matrix, np.asarray(np.linalg.solve(matrix, found["bias"]))
+    try:
+        return matrix, np.asarray(np.linalg.solve(matrix, found["bias"]))
+    except np.linalg.LinAlgError:
+        raise MultiposError(f"{path}: SM has no inverse; export again.") from None
 
 
 def read_parameters(path: str, text: str, names: tuple[str, ...]) -> tuple[Array, Array]:
     """Return T and o from the parameters of an autopilot, in m/s²."""
-    values = {}
+    values: dict[str, str] = {}
     for line in text.splitlines():
+        if line.startswith("#"):
+            continue
         cells = re.split(r"[\s,]+", line.strip())
         for name, value in pairwise(cells):
-            if name in names:
-                values[name] = value
+            if name not in names:
+                continue
+            if values.get(name, value) != value:
+                raise MultiposError(
+                    f"{path}: parameter {name} is given twice, as {values[name]!r:.40} and "
+                    f"{value!r:.40}; leave one."
+                )
+            values[name] = value
     missing = [name for name in names if name not in values]
     if missing:
         raise MultiposError(f"{path}: parameter {missing[0]} is missing; export again.")
@@ -105,8 +121,24 @@ def _diagonal(
 ) -> tuple[Law, list[float]]:
     metres = in_metres(calibration, target)
     law = reduce_to(calibration, DIAGONAL, target, allow_lossy=allow_lossy)
-    scale = np.diag(law.matrix) / metres
-    return law, [*(law.offset * metres).tolist(), *scale.tolist()]
+    names = PX4 if target == "px4" else ARDUPILOT
+    scale = (np.diag(law.matrix) / metres).tolist()
+    values = [*(law.offset * metres).tolist(), *scale]
+    for name, value in zip(names, values, strict=True):
+        _require_writable(calibration, name, value, np.finfo(np.float32))
+    return law, values
+
+
+def _require_writable(
+    calibration: Calibration, name: str, value: float, precision: np.finfo[Any]
+) -> None:
+    """Refuse, by name, a number that the consumer's precision cannot hold, or a scale it loses."""
+    least = float(precision.tiny) if "SCAL" in name else 0.0
+    if not least <= abs(value) <= float(precision.max):
+        raise MultiposError(
+            f"{name} would be {value:.3g}, which the consumer cannot hold; fit readings in a unit "
+            f"nearer to their size than '{calibration.model.unit}'."
+        )
 
 
 def _unit(calibration: Calibration) -> str:
@@ -115,6 +147,7 @@ def _unit(calibration: Calibration) -> str:
 
 
 def _origin(calibration: Calibration) -> list[str]:
+    """Return what a file is of, as lines of comments: each stays on its line."""
     source = to_json(calibration.readings.source or "readings").strip()
     lines = [
         f"Accelerometer calibration of {source}, model {calibration.model.text}",
@@ -122,7 +155,7 @@ def _origin(calibration: Calibration) -> list[str]:
     ]
     if calibration.gravity is None:
         lines.append("one g of the calibration, the local gravity, is taken as 9.80665 m/s^2")
-    return lines
+    return [visible(line) for line in lines]
 
 
 def _numbers(path: str, key: str, cells: list[str], count: int) -> Array:

@@ -1,11 +1,17 @@
 """Read an exported file back as its consumer would, and show what is left of the readings.
 
 The consumer's own law is applied to the readings of the calibration: parameters by their formula,
-C by compiling the function with the machine's compiler and running it.
+C by compiling the function with the machine's compiler and running it. A C file may come from
+somebody else, and to compile and run it is to do what it says. So the file is written again from
+the calibration, and where both are the same to the byte, it is the text of this program that is
+compiled. Any other C runs only where the user says so, in a folder of its own, for a limited time.
 """
 
+import contextlib
 import os
+import re
 import shutil
+import signal
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -16,9 +22,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos import __version__
 from multipos.calibration import Calibration, labels
+from multipos.characters import visible
 from multipos.errors import MultiposError
-from multipos.exporters.c_source import SIGNATURE
+from multipos.exporters.c_source import SIGNATURE, WRITTEN_BY, c_source, signature
 from multipos.exporters.laws import (
     DIAGONAL,
     LINEAR,
@@ -38,24 +46,30 @@ Array = NDArray[np.float64]
 
 _COMPILERS = ("cc", "gcc", "clang")
 _SECONDS = 60
+_MEMORY = 4 << 30  # [byte], of the compiler and of the program each
+_LONGEST = 10 << 20  # [byte], far above any file that export writes
+_SHOWN = 60  # characters of a line in a message
 # How far a file may be from the calibration it came from [g].
 _SAME = {"double": 1e-9, "float": 5e-7, "parameters": 1e-6}
 
+# Readings and forces go through files, so that nothing the function prints comes between them.
 _MAIN = """\
 #include <stdio.h>
 {declaration};
 int main(void)
 {{
     double row[{columns}], out[{axes}];
-    while (fread(row, sizeof row, 1, stdin) == 1) {{
+    FILE *readings = fopen("readings", "rb"), *forces = fopen("forces", "wb");
+    if (readings == NULL || forces == NULL) return 1;
+    while (fread(row, sizeof row, 1, readings) == 1) {{
         {kind} raw[{raw}], accel[{axes}];
         for (int i = 0; i < {raw}; ++i) raw[i] = ({kind})row[i];
         {environment}
         {name}_compensate(raw, {between}accel);
         for (int k = 0; k < {axes}; ++k) out[k] = (double)accel[k];
-        if (fwrite(out, sizeof out, 1, stdout) != 1) return 1;
+        if (fwrite(out, sizeof out, 1, forces) != 1) return 1;
     }}
-    return 0;
+    return fclose(forces) ? 1 : 0;
 }}
 """
 
@@ -76,6 +90,8 @@ class Verification(Result):
         magnitude where the orientation was unknown, of the vector otherwise.
     difference : float or None [g]
         Largest difference from what the calibration gives; None where the target says less.
+    foreign : bool
+        Whether C was run that is not what `export` writes of this calibration.
     """
 
     target: str
@@ -85,6 +101,7 @@ class Verification(Result):
     rms: float
     calibration_rms: float
     difference: float | None
+    foreign: bool = False
 
     @cached_property
     def max(self) -> float:
@@ -105,6 +122,7 @@ class Verification(Result):
                 "max": self.max,
                 "calibration_rms": self.calibration_rms,
                 "difference": self.difference,
+                "foreign": self.foreign,
             }
         )
         return result
@@ -125,11 +143,22 @@ class Verification(Result):
         ]
         if self.difference is not None:
             lines.append(f"largest difference from multipos apply: {self.difference:.2g} g")
+        if self.foreign:
+            lines.append("the file is not what export writes of this calibration; it was run as is")
         return "\n".join(lines) + "\n"
 
 
-def verify_export(path: str | os.PathLike[str], calibration: Calibration) -> Verification:
+def verify_export(
+    path: str | os.PathLike[str], calibration: Calibration, *, run_foreign_code: bool = False
+) -> Verification:
     """Apply an exported file to the readings of a calibration, by the consumer's own law.
+
+    Parameters
+    ----------
+    path : path
+    calibration : Calibration
+    run_foreign_code : bool
+        Compile and run C that is not what `export` writes of this calibration.
 
     Raises
     ------
@@ -137,10 +166,16 @@ def verify_export(path: str | os.PathLike[str], calibration: Calibration) -> Ver
         The file is of no known kind, does not come from this calibration, or is C and there is
         no compiler.
     """
-    text = read_bytes(path, "export").decode("utf-8", errors="replace")
+    raw = read_bytes(path, "export")
     where = str(path)
-    if SIGNATURE.search(text):
-        return _verify_c(where, text, calibration)
+    if len(raw) > _LONGEST:
+        raise MultiposError(
+            f"{where}: {len(raw)} bytes are more than any file of multipos export has."
+        )
+    text = raw.decode("utf-8", errors="replace")
+    found = SIGNATURE.search(text)
+    if found:
+        return _verify_c(where, raw, found, calibration, run_foreign_code)
     if "CAL_ACC0_" in text:
         target, formula, law = "px4", DIAGONAL, read_parameters(where, text, PX4)
     elif "INS_ACC" in text:
@@ -153,10 +188,11 @@ def verify_export(path: str | os.PathLike[str], calibration: Calibration) -> Ver
         )
     expected = reduce_to(calibration, formula, target, allow_lossy=True)
     metres = 1.0 if formula == LINEAR else in_metres(calibration, target)
-    matrix, offset = law[0] * metres, law[1] / metres
-    residuals = law_residuals(calibration, matrix, offset)
-    should = law_residuals(calibration, expected.matrix, expected.offset)
-    _refuse_strange(where, float(np.abs(residuals - should).max()), "parameters")
+    with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
+        matrix, offset = law[0] * metres, law[1] / metres
+        residuals = law_residuals(calibration, matrix, offset)
+        should = law_residuals(calibration, expected.matrix, expected.offset)
+        _refuse_strange(where, float(np.abs(residuals - should).max()), "parameters")
     return Verification(
         target=target,
         axes=COMPONENTS,
@@ -168,9 +204,9 @@ def verify_export(path: str | os.PathLike[str], calibration: Calibration) -> Ver
     )
 
 
-def _verify_c(path: str, text: str, calibration: Calibration) -> Verification:
-    found = SIGNATURE.search(text)
-    assert found is not None
+def _verify_c(
+    path: str, raw: bytes, found: re.Match[str], calibration: Calibration, run_foreign_code: bool
+) -> Verification:
     names = calibration.model.environment
     sensed = list(sensed_axes(calibration.model))
     sizes = (len(calibration.outputs), len(names), len(sensed))
@@ -179,13 +215,17 @@ def _verify_c(path: str, text: str, calibration: Calibration) -> Verification:
             f"{path}: {found['name']}_compensate is not made for the outputs of this calibration; "
             "export again."
         )
+    name, single = found["name"], found["type"] == "float"
+    own = c_source(calibration, name, single=single).encode()
+    foreign = raw != own
+    if foreign and not run_foreign_code:
+        raise MultiposError(f"{path}: {_difference(raw, own)}")
     readings = calibration.readings
     columns = {name: readings.environment[name] for name in names}
     rows = np.column_stack([readings.values, *columns.values()])
-    single = found["type"] == "float"
     if single:
         rows = rows.astype(np.float32).astype(np.float64)
-    force = _run_c(path, found, rows)
+    force = _run_c(path, raw if foreign else own, calibration, name, single, rows)
     should = calibration.compensate(
         rows[:, : len(calibration.outputs)],
         dict(zip(names, rows[:, len(calibration.outputs) :].T, strict=True)),
@@ -203,6 +243,36 @@ def _verify_c(path: str, text: str, calibration: Calibration) -> Verification:
         rms=rms_left(calibration, all_axes),
         calibration_rms=calibration.rms,
         difference=difference,
+        foreign=foreign,
+    )
+
+
+def _difference(raw: bytes, own: bytes) -> str:
+    """Return how a file differs from what export writes, and what to do about it."""
+    way = (
+        "; export again, or compile and run it as it stands with --run-foreign-code, which does "
+        "whatever it says."
+    )
+    if raw.replace(b"\r\n", b"\n") == own:
+        return (
+            f"its lines end in CR LF, and in nothing else it differs from what export writes{way}"
+        )
+    given, written = (text.decode("utf-8", errors="replace") for text in (raw, own))
+    version = WRITTEN_BY.search(given)
+    if version and version["version"] != __version__:
+        return (
+            f"it was written by multipos {visible(version['version'])[:_SHOWN]}, and this is "
+            f"{__version__}, which may write it otherwise{way}"
+        )
+    lines = (given.split("\n"), written.split("\n"))
+    number = next((i for i, pair in enumerate(zip(*lines, strict=False)) if pair[0] != pair[1]),
+                  min(map(len, lines)))  # fmt: skip
+    here, there = (
+        f"'{visible(text[number])[:_SHOWN]}'" if number < len(text) else "nothing" for text in lines
+    )
+    return (
+        f"line {number + 1} is {here} where export writes {there} of this calibration, so it was "
+        f"exported from another or changed since{way}"
     )
 
 
@@ -214,47 +284,91 @@ def _refuse_strange(path: str, difference: float, kind: str) -> None:
         )
 
 
-def _run_c(path: str, found: Any, rows: Array) -> Array:
+def _run_c(
+    path: str, text: bytes, calibration: Calibration, name: str, single: bool, rows: Array
+) -> Array:
+    """Return what the function of a C file makes of rows (n, M + E), in a folder of its own."""
     compiler = next(filter(None, map(shutil.which, _COMPILERS)), None)
     if compiler is None:
         raise MultiposError(
             f"no C compiler ({', '.join(_COMPILERS)}) was found to run {path}; install one."
         )
-    kind, raw, axes = found["type"], int(found["raw"]), int(found["accel"])
-    count = int(found["env"] or 0)
+    kind, axes = "float" if single else "double", len(sensed_axes(calibration.model))
+    raw, count = len(calibration.outputs), len(calibration.model.environment)
     environment = (
         f"{kind} env[{count}]; for (int j = 0; j < {count}; ++j) env[j] = ({kind})row[{raw} + j];"
         if count
         else ""
     )
     main = _MAIN.format(
-        declaration=found[0], columns=raw + count, axes=axes, kind=kind, raw=raw,
-        environment=environment, between="env, " if count else "", name=found["name"],
+        declaration=signature(calibration, name, single), columns=raw + count, axes=axes,
+        kind=kind, raw=raw, environment=environment, between="env, " if count else "", name=name,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        source, program = Path(folder) / "main.c", Path(folder) / "main"
-        source.write_text(main, encoding="utf-8")
-        _call(
-            [compiler, "-std=c99", "-O2", "-o", str(program), "-x", "c", str(source), path, "-lm"],
-            path,
-        )
-        out = _call([str(program)], path, np.ascontiguousarray(rows).tobytes())
-    force = np.frombuffer(out).reshape(-1, axes)
-    if len(force) != len(rows):
-        raise MultiposError(f"{path}: the compiled function stopped; export again.")
-    return force
+        inside = Path(folder)
+        (inside / "main.c").write_text(main, encoding="utf-8")
+        (inside / "export.c").write_bytes(text)
+        (inside / "readings").write_bytes(np.ascontiguousarray(rows).tobytes())
+        command = [
+            str(Path(compiler).absolute()),
+            "-std=c99",
+            "-O2",
+            "-o",
+            "main",
+            "main.c",
+            "export.c",
+        ]
+        _call([*command, "-lm"], inside, path)
+        _call([str(inside / "main")], inside, path)
+        forces = inside / "forces"
+        if not forces.is_file() or forces.stat().st_size != 8 * axes * len(rows):
+            raise MultiposError(f"{path}: the compiled function stopped; export again.")
+        return np.frombuffer(forces.read_bytes()).reshape(-1, axes)
 
 
-def _call(command: list[str], path: str, given: bytes = b"") -> bytes:
+def _call(command: list[str], folder: Path, path: str) -> None:
+    """Run a program in a folder, with bounds on time, memory and what it writes."""
+    said = folder / "said"
+    posix = os.name == "posix"
     try:
-        done = subprocess.run(command, input=given, capture_output=True, timeout=_SECONDS,
-                              check=False)  # fmt: skip
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise MultiposError(f"{path}: cannot compile or run it: {error}.") from None
-    if done.returncode:
-        first = done.stderr.decode(errors="replace").strip().splitlines()
+        with said.open("wb") as errors:
+            process = subprocess.Popen(
+                command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                stderr=errors, start_new_session=posix, preexec_fn=_bound if posix else None,
+                env={**os.environ, "TMPDIR": str(folder)},
+            )  # fmt: skip
+            try:
+                status = process.wait(timeout=_SECONDS)
+            finally:
+                if posix:  # with all that it started
+                    with contextlib.suppress(ProcessLookupError):
+                        os.killpg(process.pid, signal.SIGKILL)
+                process.kill()
+                process.wait()
+    except subprocess.TimeoutExpired:
         raise MultiposError(
-            f"{path}: does not compile or run ({first[0] if first else 'no message'}); export "
-            "again."
-        )
-    return done.stdout
+            f"{path}: compiled or ran for more than {_SECONDS} s and was stopped; export again."
+        ) from None
+    except OSError as error:
+        raise MultiposError(f"{path}: cannot compile or run it: {error}.") from None
+    if status:
+        with said.open("rb") as errors:
+            first = errors.read(4096).decode(errors="replace").strip().splitlines()
+        reason = visible(first[0])[:200] if first else "no message"
+        raise MultiposError(f"{path}: does not compile or run ({reason}); export again.")
+
+
+def _bound() -> None:
+    """Bound the memory, the time and the files of the process that is about to start."""
+    import resource
+
+    for what, most in (
+        (resource.RLIMIT_AS, _MEMORY),
+        (resource.RLIMIT_CPU, _SECONDS),
+        (resource.RLIMIT_FSIZE, _MEMORY // 16),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        hard = resource.getrlimit(what)[1]
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        with contextlib.suppress(OSError, ValueError):  # not every system bounds all of these
+            resource.setrlimit(what, (most, most))
