@@ -11,6 +11,8 @@ import multipos as mp
 from multipos.averaging import average
 from multipos.cli import main
 from multipos.logs import open_log, read_log
+from multipos.matching import Match
+from multipos.rest_means import RestSum, zero_density
 
 FERRARIS = ("acc_x", "acc_y", "acc_z")
 
@@ -202,10 +204,6 @@ def test_the_real_log_gives_the_figures_known_for_it():
 
 
 def test_the_real_log_by_unknown_orientation():
-    import inspect
-
-    if "unknown_orientation" not in inspect.signature(mp.fit).parameters:
-        pytest.skip("fit has no unknown_orientation yet")
     path = shared("mpu9150_imu0.log")
     found = average(path, columns="ax,ay,az,wx,wy,wz", outputs="ax,ay,az", rate=100.0)
     readings = mp.Readings(found.readings.values)
@@ -221,6 +219,47 @@ def test_sections_from_csv_and_only(log, tmp_path):
     found = average(path, sections=tmp_path / "s.csv", only=["a", "b"])
     assert [rest.position for rest in found.rests] == ["a", "b"]
     assert [rest.found.n for rest in found.rests] == [290, 250]
+
+
+# --- the mean of one rest, by hand
+
+# Sixteen values of ±1 without mean or slope: the fourteen inner neighbours and the rest agree 11
+# times and differ 4 times, so the lag-1 correlation is r = (11 − 4)/16 = 7/16.
+WAVE = np.array([1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1], dtype=float)
+
+
+def test_spectral_density_of_a_short_series_by_hand():
+    """Eq. (1): order 1 has AICc 16 ln(1 − 49/256) + 64/13 = 1.5, order 0 has 32/14 = 2.3.
+
+    So b u² is (1 − r²)/(1 − r)² = (1 + r)/(1 − r) = 23/9 before the last factor, n_eff = 16 · 9/23,
+    and 1 − m/n_eff = 1 − 23 m/144.
+    """
+    assert zero_density(WAVE, 0) == pytest.approx(23 / 9, rel=1e-12)
+    assert zero_density(WAVE, 1) == pytest.approx(23 / 9 / (121 / 144), rel=1e-12)
+    assert zero_density(WAVE, 2) == pytest.approx(23 / 9 / (98 / 144), rel=1e-12)
+
+
+def test_mean_and_drift_of_a_short_rest_by_hand():
+    """Without a slope the line leaves what the mean leaves; in units of 1e-3 about 0.5."""
+    rest = RestSum(16, 1)
+    rest.feed(0.5 + 1e-3 * WAVE[np.newaxis, :])
+    found = rest.result()
+    assert found.mean == pytest.approx([0.5], rel=1e-12)
+    assert found.sd == pytest.approx([1e-3 * np.sqrt(16 / 15)], rel=1e-9)
+    # u² = 368/121/16 = 23/121 with m = 1
+    assert found.u == pytest.approx([1e-3 * np.sqrt(23) / 11], rel=1e-9)
+    assert found.effective == pytest.approx([16 / 15 * 121 / 23], rel=1e-9)
+    # 368/98/16 = 23/98 with m = 2, and √12 of its root
+    assert found.drift == pytest.approx([0.0], abs=1e-15)
+    assert found.drift_u == pytest.approx([1e-3 * np.sqrt(12 * 23 / 98)], rel=1e-9)
+    # the first value lies 1 off, of which noise explains √(368/98)
+    assert found.edge == pytest.approx([np.sqrt(98 / 368)], rel=1e-9)
+
+
+def test_drift_is_the_rise_of_the_line_over_the_rest():
+    rest = RestSum(20, 1)
+    rest.feed(np.arange(20.0)[np.newaxis, :] * 0.25)
+    assert rest.result().drift == pytest.approx([20 * 0.25], rel=1e-12)
 
 
 # --- matching
@@ -244,6 +283,11 @@ def test_rests_find_their_positions(name, convention):
     assert [rest.position for rest in found.rests] == [scheme.labels[k] for k in order]
     assert max(rest.distance_deg for rest in found.rests) < 10.0
     np.testing.assert_array_equal(found.scheme_up, scheme.up[order])
+
+
+def test_a_match_is_doubtful_beyond_20_degrees_or_half_the_way_to_the_next():
+    match = Match([0] * 5, np.array([9.9, 10.1, 0.1, 19.9, 20.1]), np.array([20, 20, 0.3, 40, 90]))
+    assert match.doubtful.tolist() == [False, True, False, False, True]
 
 
 def test_readings_of_a_matched_log_need_no_scheme(log, tmp_path, capsys):

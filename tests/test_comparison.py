@@ -96,6 +96,31 @@ def test_f_by_hand_for_equal_schemes():
     assert c.dof_total == 6
 
 
+def test_f_by_hand_for_unequal_degrees_of_freedom():
+    """Two readings a side, then four: s² is pooled by degrees of freedom, eq. (2).
+
+    Run 1 has bias 0, scale 1, rss 4 · 0.02² = 16e-4 on 2; run 2 has bias 0.02, scale 1.02, rss
+    8 · 0.01² = 8e-4 on 6. So s² = 24e-4/8 = 3e-4, and either parameter differs by 0.02 with the
+    variance (1/4 + 1/8) s²: Q = 4e-4/1.125e-4 = 32/9.
+    """
+    side = np.array([1.0, 1.0, -1.0, -1.0])
+    first = side + 0.02 * np.array([1, -1, 1, -1])
+    second = np.tile(0.02 + 1.02 * side, 2) + 0.01 * np.tile([1, -1], 4)
+    found = [
+        mp.fit(mp.Readings(values[:, np.newaxis], outputs=("ax",),
+                           up=np.outer(np.resize(side, len(values)), [1.0, 0.0, 0.0])),
+               model="1 + x")
+        for values in (first, second)
+    ]  # fmt: skip
+    c = mp.compare(*found)
+    assert_allclose(c.chi2, 32 / 9, rtol=1e-9)
+    assert c.scatter_dof.tolist() == [8.0, 8.0]
+    assert c.statistic == pytest.approx(64 / 9 / 2, rel=1e-9)
+    assert c.dof_total == [2, 8]
+    # the tail of F on 2 and 8 is (1 + 2 F/8)^-4 = (17/9)^-4
+    assert c.p_total == pytest.approx(6561 / 83521, rel=1e-9)
+
+
 def test_chi_square_where_the_noise_is_known():
     found = repeats(np.random.default_rng(5), 3, reading_sd=SD)
     c = mp.compare(*found)

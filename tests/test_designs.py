@@ -16,6 +16,7 @@ from multipos.cli import main
 from multipos.exchange import choose
 from multipos.information import (
     Criterion,
+    Setting,
     inform,
     kernels,
     log_det,
@@ -153,6 +154,22 @@ def test_uncertain_orientation_lies_between_known_and_unknown():
     assert_allclose(
         inform(full.rows(up))[0][np.ix_(kept, kept)], inform(unknown.rows(up))[0], atol=1e-12
     )
+
+
+@pytest.mark.parametrize("size", [2.0, -2.0])
+def test_information_of_one_position_by_hand(size):
+    """Eq. (1) at u = x: across it a turn of s moves the outputs by s g, along it by nothing.
+
+    V = diag(σ², σ² + s² g², σ² + s² g²) with σ = 0.3, s = 0.1, g = 2: 0.09 and 0.09 + 0.04.
+    """
+    model = build_model("linear", OUTPUTS, AXES)
+    stated = Setting(model, orientation_sd=0.1, sd=np.full(3, 0.3), size=size)
+    (M,) = inform(stated.rows(np.array([[1.0, 0.0, 0.0]])))
+    wanted = np.zeros((12, 12))
+    for output, variance in zip(OUTPUTS, (0.09, 0.13, 0.13), strict=True):
+        pair = [model.index(output, "1"), model.index(output, "x")]
+        wanted[np.ix_(pair, pair)] = np.array([[1.0, size], [size, 4.0]]) / variance
+    assert_allclose(M, wanted, atol=1e-12)
 
 
 def test_norm_row_by_difference():

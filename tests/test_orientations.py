@@ -457,6 +457,22 @@ def test_one_bad_reading_of_24_moves_nothing_and_is_named(loss, mode, stated, of
     assert loss in found.criterion
 
 
+@pytest.mark.parametrize(("off", "aside"), [(5.01, False), (5.04, True)])
+def test_a_position_is_set_aside_at_one_in_a_million(off, aside):
+    """The normal law has 1e-6 beyond 4.8916 standard deviations, both sides together.
+
+    One of eleven readings with x up is `off` standard deviations away. Huber's loss lets it pull
+    like one of 1.345, which moves the ten others by a tenth of that: 5.0261 is the limit.
+    """
+    up = np.repeat([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], 11, axis=0)
+    values = up[:, :1].copy()
+    values[4] += 1e-3 * off
+    readings = mp.Readings(values, outputs=("ax",), up=up)
+    cal = mp.fit(readings, model="1 + x", robust="huber", reading_sd=1e-3)
+    named = [text for text in cal.diagnostics.warnings if "position 5 is set aside" in text]
+    assert bool(named) == aside
+
+
 def test_without_a_loss_the_same_reading_moves_a_lot():
     readings = readings_of(SENSOR, UP, rng(), sd=1e-4)
     values = readings.values.copy()

@@ -1,6 +1,7 @@
 """Segments: edges where the truth has them, none where it has none, and no jump on request."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -47,6 +48,30 @@ def test_dynamic_programming_is_exhaustive_search():
     every = itertools.combinations(range(3, 22), len(cuts))
     allowed = [c for c in every if min(np.diff([0, *c, 24])) >= 3]
     assert cost(cuts) == pytest.approx(min(cost(c) for c in allowed), rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("columns", "worth", "gain"),
+    [
+        # n ln(rss_1/rss_2) must pass (p + 1) ln n
+        (1, 1.0, 2 * math.log(40) / 40),
+        (2, 1.0, 3 * math.log(40) / 40),
+        (1, 0.5, 2 * math.log(20) / 20),
+    ],
+)
+def test_an_edge_costs_its_coefficients_and_one_more(columns, worth, gain):
+    """Eq. (2) by hand, where the 40 rows can be cut at one place only.
+
+    About two levels ±d the rows scatter by ±1: rss is 40 (1 + d²) in one piece and 40 in two. The
+    second column explains nothing in either half.
+    """
+    t = np.repeat([0.0, 1.0], 20)
+    X = np.column_stack((np.ones(40), np.tile([1.0, 1.0, -1.0, -1.0], 10)))[:, :columns]
+    scatter = np.tile([1.0, -1.0], 20)
+    for factor, edges in ((0.98, ()), (1.02, (0.5,))):
+        d = math.sqrt(math.exp(factor * gain) - 1.0)
+        y = scatter + d * (2.0 * t - 1.0)
+        assert find_edges(t, X, y, minimum=5, worth=worth) == edges
 
 
 def test_equal_values_are_never_parted():
