@@ -239,6 +239,25 @@ def test_spectral_density_of_a_short_series_by_hand():
     assert zero_density(WAVE, 2) == pytest.approx(23 / 9 / (98 / 144), rel=1e-12)
 
 
+def test_order_of_the_autoregression_by_hand():
+    """Of 16 values order 1 is better where 16 ln(1 − r²) < 32/14 − 64/13: r² > 0.1520."""
+    ends = WAVE.copy()
+    ends[[0, 1, -2, -1]] *= (
+        2.0  # γ_0 = 28/16, γ_1 = 11/16: r² = 0.1543, and (1 + r)/(1 − r) = 39/17
+    )
+    assert zero_density(ends, 0) == pytest.approx(28 / 16 * 39 / 17, rel=1e-12)
+    first = WAVE.copy()
+    first[0] = 3.0  # γ_0 = 24/16, γ_1 = 9/16: r² = 0.1406
+    assert zero_density(first, 0) == pytest.approx(24 / 16, rel=1e-12)
+
+
+def test_second_order_by_hand_from_twenty_values_on():
+    """Lags 1/20 and −18/20: φ = 2/21, −19/21, σ² = 399/400 · 80/441 = 19/105, over (38/21)²."""
+    pairs = np.tile([1.0, 1.0, -1.0, -1.0], 5)
+    assert zero_density(pairs, 0) == pytest.approx(21 / 380, rel=1e-12)
+    assert zero_density(pairs[:19], 0) == pytest.approx(1.0, rel=1e-12)  # lag 1 is zero
+
+
 def test_mean_and_drift_of_a_short_rest_by_hand():
     """Without a slope the line leaves what the mean leaves; in units of 1e-3 about 0.5."""
     rest = RestSum(16, 1)
@@ -254,6 +273,34 @@ def test_mean_and_drift_of_a_short_rest_by_hand():
     assert found.drift_u == pytest.approx([1e-3 * np.sqrt(12 * 23 / 98)], rel=1e-9)
     # the first value lies 1 off, of which noise explains √(368/98)
     assert found.edge == pytest.approx([np.sqrt(98 / 368)], rel=1e-9)
+
+
+def test_edges_are_a_tenth_of_a_rest():
+    """The first two of twenty are 4 off their mean, the last two 1; noise is that of the drift."""
+    samples = np.array([5, 3, -2, 1, -3, 0, 2, -4, 1, -2, 3, -3, 0, 1, -2, 2, -4, 0, 1, 1.0])
+    assert samples.sum() == 0.0
+    for series in (samples, samples[::-1]):
+        rest = RestSum(20, 1)
+        rest.feed(series[np.newaxis, :])
+        found = rest.result()
+        noise = found.drift_u / np.sqrt(12.0) * np.sqrt(20 / 2)  # of the mean of two
+        assert found.edge == pytest.approx(4.0 / noise, rel=1e-9)
+
+
+def test_rests_are_kept_as_512_to_1023_means():
+    for n, length in ((1023, 1), (1024, 2)):
+        rest = RestSum(n, 1)
+        rest.feed((-1.0) ** np.arange(n)[np.newaxis, :])
+        # means of two are all equal and leave no noise of the drift
+        assert (rest.result().drift_u[0] == 0.0) == (length == 2)
+
+
+def test_extremes_are_counted_over_pieces():
+    rest = RestSum(7, 1)
+    for piece in ([0.0, 1.0, 1.0], [1.0, 0.0], [0.5, 0.5]):
+        rest.feed(np.array([piece]))
+    found = rest.result()
+    assert (found.low, found.at_low, found.high, found.at_high, found.longest) == (0, 2, 1, 3, 3)
 
 
 def test_drift_is_the_rise_of_the_line_over_the_rest():
