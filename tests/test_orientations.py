@@ -1,6 +1,7 @@
 """One fit from a perfect table to a hand-held sensor: its limits, its figures and what it says."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ import multipos as mp
 from multipos.gains import uncertain_gain
 from multipos.identifiability import CANDIDATES
 from multipos.quantiles import chi2_quantile, f_tail
+from multipos.robustness import _huber_factor
 from multipos.rotations import rotation_matrix, step_on_sphere, tangent_basis
 from multipos.scheme import read_scheme
 
@@ -471,6 +473,31 @@ def test_a_position_is_set_aside_at_one_in_a_million(off, aside):
     cal = mp.fit(readings, model="1 + x", robust="huber", reading_sd=1e-3)
     named = [text for text in cal.diagnostics.warnings if "position 5 is set aside" in text]
     assert bool(named) == aside
+
+
+def test_robust_noise_makes_the_median_misfit_normal():
+    """By hand, of 11 readings with x up and 11 with x down: most are ±1e-3 off, one is 20e-3 off.
+
+    The median misfit is (1e-3/σ)², that of χ² on one degree of freedom 0.45494, and 22 readings
+    leave 20 degrees: σ = 1e-3 √(22/20/0.45494) = 1.5550e-3. The bad one pulls the ten beside it by
+    a tenth of 1.345 σ, so its misfit is 20/1.5550 − 0.1345 = 12.73.
+    """
+    up = np.repeat([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], 11, axis=0)
+    even = np.resize([1.0, -1.0], 10).tolist()
+    off = 1e-3 * np.array([*even, 20.0, *even[:8], 1.0, 1.0, -2.0])  # either side without mean
+    readings = mp.Readings(up[:, :1] + off[:, None], outputs=("ax",), up=up)
+    cal = mp.fit(readings, model="1 + x", robust="huber")
+    said = [text for text in cal.diagnostics.warnings if "position 11 is set aside" in text]
+    assert "by 12.7 times the noise" in said[0]
+
+
+def test_huber_factor_by_hand():
+    """Eq. (1): q = 1, 1, 1, 4 count as 1, 1, 1 and 1.345²; ψ' is 1, 1, 1, 0 with variance 3/16."""
+    problem = SimpleNamespace(weight=np.ones(4), degrees=np.ones(4), robust="huber")
+    optimum = SimpleNamespace(point=SimpleNamespace(q=np.array([1.0, 1.0, 1.0, 4.0])))
+    K = 1 + 2 / 4 * (3 / 16) / (3 / 4) ** 2  # four positions, of which two parameters use up two
+    wanted = K**2 * ((3 + 1.345**2) / 2) / (3 / 4) ** 2
+    assert _huber_factor(problem, optimum, 2.0) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_without_a_loss_the_same_reading_moves_a_lot():
