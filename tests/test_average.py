@@ -11,7 +11,7 @@ import multipos as mp
 from multipos.averaging import average
 from multipos.cli import main
 from multipos.logs import open_log, read_log
-from multipos.matching import Match
+from multipos.matching import Match, match_directions
 
 FERRARIS = ("acc_x", "acc_y", "acc_z")
 
@@ -241,6 +241,19 @@ def test_rests_find_their_positions(name, convention):
     assert [rest.position for rest in found.rests] == [scheme.labels[k] for k in order]
     assert max(rest.distance_deg for rest in found.rests) < 10.0
     np.testing.assert_array_equal(found.scheme_up, scheme.up[order])
+
+
+def test_outputs_of_any_scale_and_bias_are_matched():
+    """Scale factors 1, 20 and 300: as they stand, all readings point along z."""
+    scheme = mp.read_scheme("faces-corners-14")
+    order = [13, 0, 7, 5, 2, 9, 11, 1, 8, 3, 12, 4, 10, 6]
+    match = match_directions(
+        [0.5, -40.0, 100.0] + scheme.up[order] * [1.0, 20.0, 300.0], scheme, "specific-force"
+    )
+    assert match.rows == order
+    np.testing.assert_allclose(match.distance_deg, 0.0, atol=1e-6)
+    # from a face to the corners about it acos(1/√3), between corners 2 asin(1/√3), which is more
+    np.testing.assert_allclose(match.second_deg, np.degrees(np.arccos(1 / np.sqrt(3))), rtol=1e-9)
 
 
 def test_a_match_is_doubtful_beyond_20_degrees_or_half_the_way_to_the_next():

@@ -175,6 +175,28 @@ def test_drift_is_per_time_where_the_readings_know_it():
     assert c.drift[0] == pytest.approx(3e-4, rel=1e-9)
 
 
+def test_drift_and_spread_of_three_runs_by_hand():
+    """Biases 0, 3, 3 at hours 0, 1, 5: about the means 2 and 2 the slope is (−3 + 9)/14 = 3/7.
+
+    −8/7, 10/7 and −2/7 are left: 24/7 on one degree, u² = 24/7/14 = 12/49, t = √3/2.
+    """
+    up = read_scheme("faces-6").up
+    found = [
+        mp.fit(mp.Readings(up + bias, environment={"time": np.full(6, hour)}), scheme="faces-6",
+               reading_sd=1e-3)
+        for hour, bias in ((0.0, 0.0), (1.0, 3.0), (5.0, 3.0))
+    ]  # fmt: skip
+    c = mp.compare(*found)
+    bias = found[0].model.index("ax", "1")
+    assert c.drift[bias] == pytest.approx(3 / 7, rel=1e-9)
+    assert c.drift_u[bias] == pytest.approx(math.sqrt(12) / 7, rel=1e-9)
+    # Student's t on one degree of freedom is Cauchy's law
+    assert c.drift_p[bias] == pytest.approx(1 - 2 / math.pi * math.atan(math.sqrt(3) / 2), rel=1e-9)
+    assert c.mean[bias] == pytest.approx(2.0, rel=1e-9)
+    assert c.range[bias] == pytest.approx(3.0, rel=1e-9)
+    assert c.bias_stability["ax"] == pytest.approx(math.sqrt(3), rel=1e-9)
+
+
 def test_a_noisier_run_is_warned_of():
     rng = np.random.default_rng(2)
     found = repeats(rng, 3, scheme="icosahedron-12")

@@ -19,10 +19,12 @@ from orientation_bench import (
 import multipos as mp
 from multipos.gains import uncertain_gain
 from multipos.identifiability import CANDIDATES
+from multipos.model import build_model
 from multipos.quantiles import chi2_quantile, f_tail
 from multipos.robustness import _huber_factor
 from multipos.rotations import rotation_matrix, step_on_sphere, tangent_basis
 from multipos.scheme import read_scheme
+from multipos.uncertain import _scale_bias
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 UP = read_scheme("fibonacci-24").up
@@ -287,6 +289,31 @@ def test_bias_of_second_order_is_stated_where_it_matters():
     assert float(said[0].split("about ")[1].split(" ")[0]) == pytest.approx(0.03**2, rel=0.3)
     quiet = mp.fit(mp.Readings(readings_of(SENSOR, UP, rng()).values), unknown_orientation=True)
     assert not any("sigma^2" in w for w in quiet.diagnostics.warnings)
+
+
+def test_bias_of_second_order_by_hand():
+    """Eq. (1) at g = 2: σ/(k g) = 0.005, 0.0055 and 0.012, and half of it where s² is their mean.
+
+    Of x the others sum to 0.0055² + 0.012² = 1.7425e-4, half of that times k = 2 is 1.7425e-4.
+    """
+    model = build_model("linear", ("ax", "ay", "az"), ("x", "y", "z"))
+    k, theta = np.array([2.0, 4.0, 5.0]), np.zeros(12)
+    theta[list(model.own_scales)] = k
+    sd, u = np.array([0.02, 0.044, 0.12]), np.full(12, 1e-6)
+    mean = (0.005**2 + 0.0055**2 + 0.012**2) / 3
+    for spread, stated in (
+        (np.inf, ["0.00017", "0.00034", "0.00014"]),
+        (np.sqrt(mean), ["8.7e-05", "0.00017", "6.9e-05"]),
+    ):
+        problem = SimpleNamespace(model=model, spread=np.full(5, spread))
+        said = _scale_bias(problem, theta, u, sd, 2.0)
+        assert [text.split("about ")[1].split(" ")[0] for text in said] == stated
+    # stated above a tenth of u
+    unknown = SimpleNamespace(model=model, spread=np.full(5, np.inf))
+    u[list(model.own_scales)] = [1.7e-3, 3.4e-3, 1.3e-3]
+    assert [text.split("`")[1] for text in _scale_bias(unknown, theta, u, sd, 2.0)] == [
+        "scale_ax", "scale_az",
+    ]  # fmt: skip
 
 
 def test_bias_of_second_order_is_what_is_stated():

@@ -6,7 +6,7 @@ from logs import ar1, shared
 
 from multipos import MultiposError, UsageError
 from multipos.rest_means import RestSum, zero_density
-from multipos.rests import PIECE, Finder, Windows, choose_grid, detect_static
+from multipos.rests import PIECE, Finder, Grid, Survey, Windows, choose_grid, detect_static
 
 
 def session(rng, *, noise=1e-3, rests=6, still=1000, moving=200, phi=0.0):
@@ -70,6 +70,49 @@ def test_a_threshold_of_the_user_is_used():
     samples, truth = session(np.random.default_rng(2))
     rests, threshold = detect_static(samples, rate=100.0, threshold=0.01)
     assert (len(rests), threshold) == (len(truth), 0.01)
+
+
+def test_standard_deviation_of_a_window_by_hand():
+    """Eq. (1): sixteen steps of one scatter by 16 · 255/12 = 340 about their mean."""
+    ramp = np.arange(18.0) + 1e6  # blocks of two: two windows, the second a block later
+    means, sd = Windows(2).feed(np.array([0.1 * ramp, ramp]))
+    np.testing.assert_allclose(means[1], [1e6 + 7.5, 1e6 + 9.5], rtol=1e-14)
+    np.testing.assert_allclose(sd, np.sqrt(340 / 15), rtol=1e-9)
+
+
+def test_sizes_of_windows_by_hand():
+    assert choose_grid(200.0, None) == (grid := Grid(25, 400))  # a second, and two of it
+    assert grid.window == 200
+    assert choose_grid(None, None) == Grid(12, 192)
+    assert choose_grid(200.0, 0.4) == Grid(10, 80)  # a window of the shortest rest
+    assert choose_grid(200.0, 3.0) == Grid(25, 600)
+    assert choose_grid(4.0, None) == Grid(2, 32)
+
+
+@pytest.mark.parametrize(
+    ("hill", "factor"),
+    [(None, 10**0.5), (0.53, 10**0.40), (0.47, 10**0.60)],
+    ids=["nothing between", "above the middle", "below the middle"],
+)
+def test_the_threshold_is_between_2_5_and_4_times_the_peak(hill, factor):
+    """In hundredths of a decade 40 to 60 above the peak: 2.5 to 4.0 times, in the middle 3.2."""
+    peak = 10**-2.995
+    survey = Survey(1, Grid(12, 192))
+    samples = 1e-5 * np.arange(300.0)[np.newaxis, :]
+    survey.add(samples, np.zeros((1, 1000)), np.full(1000, peak))
+    if hill is not None:
+        survey.add(samples, np.zeros((1, 100)), np.full(100, peak * 10**hill))
+    assert survey.threshold() == pytest.approx(peak * factor, rel=1e-9)
+
+
+def test_a_sensor_is_no_better_than_its_resolution():
+    """A step of 0.01 is a noise of at least 0.01/√12 = 10^-2.54; its bin has the middle 10^-2.535.
+
+    The threshold is half a decade above.
+    """
+    survey = Survey(1, Grid(12, 192))
+    survey.add(0.01 * np.array([[0.0, 1.0] * 150]), np.zeros((1, 1000)), np.zeros(1000))
+    assert survey.threshold() == pytest.approx(10**-2.035, rel=1e-9)
 
 
 def test_the_shortest_rest_is_the_users():

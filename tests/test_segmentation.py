@@ -114,6 +114,13 @@ def test_rate_is_the_least_squares_slope_of_each_window():
         assert rate[k] == pytest.approx(slope.coefficients[1], rel=1e-9)
 
 
+def test_rate_by_hand():
+    """Rows within 1.5 of t = 2 are 1, 2, 3.5, with means 13/6 and 4: Σ tv = 21/6, Σ t² = 19/6."""
+    rate = smoothed_rate([0.0, 1.0, 2.0, 3.5], [9.0, 2.0, 5.0, 5.0], window=3.0)
+    assert rate[2] == pytest.approx(21 / 19, rel=1e-12)
+    assert rate[3] == pytest.approx(0.0, abs=1e-12)  # 2 and 3.5
+
+
 def test_rate_noise_is_as_stated():
     rng = np.random.default_rng(7)
     time = np.arange(20_000) * 0.1
