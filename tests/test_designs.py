@@ -224,6 +224,24 @@ def test_efficiencies_of_six_faces_by_hand():
     assert entry["dof"] == {"ax": 2, "ay": 2, "az": 2}
 
 
+def test_efficiencies_of_uneven_faces_by_hand():
+    """Eight positions, x faces twice: M = diag(1, 1/2, 1/4, 1/4), at best diag(1, 1/3, 1/3, 1/3).
+
+    A: 1 + 2 + 4 + 4 against 1 + 9; I, with 1 and 1/3 as weights: 1 + 10/3 against 1 + 3; G: four
+    parameters over the largest 1 + 2 x² + 4 y² + 4 z², which is 5.
+    """
+    (entry,) = mp.schemes("faces-6+roll-z-2", reading_sd=0.002)["schemes"]
+    assert entry["log_det"] == pytest.approx(3 * math.log(1 / 32), abs=1e-9)
+    assert entry["d_efficiency"] == pytest.approx((27 / 32) ** 0.25, abs=1e-9)
+    assert entry["a_efficiency"] == pytest.approx(10 / 11, abs=1e-9)
+    assert entry["i_efficiency"] == pytest.approx(4 / (13 / 3), abs=1e-9)
+    assert entry["g_efficiency"] == pytest.approx(4 / 5, abs=1e-9)
+    # eq. (1): σ sqrt([M⁻¹]_jj/n)
+    assert entry["u"]["ay:1"] == pytest.approx(0.002 / math.sqrt(8))
+    assert entry["u"]["ay:x"] == pytest.approx(0.002 * math.sqrt(2 / 8))
+    assert entry["u"]["ay:y"] == pytest.approx(0.002 * math.sqrt(4 / 8))
+
+
 def test_all_named_schemes_come_best_first():
     found = mp.schemes(model="ieee")["schemes"]
     shares = [round(entry["d_efficiency"] or 0.0, 9) for entry in found]

@@ -181,6 +181,22 @@ def test_each_contribution_by_hand():
     assert np.isinf(c.parameter_dof).all()
 
 
+@pytest.mark.parametrize(
+    ("size", "u"),
+    [
+        ({"half_width": 3.0}, 3 / math.sqrt(3)),
+        ({"half_width": 3.0, "distribution": "rectangular"}, 3 / math.sqrt(3)),
+        ({"half_width": 3.0, "distribution": "triangular"}, 3 / math.sqrt(6)),
+        ({"half_width": 3.0, "distribution": "arcsine"}, 3 / math.sqrt(2)),
+        ({"U": 3.0, "k": 2.58}, 3 / 2.58),
+        ({"u": 3.0}, 3.0),
+    ],
+)
+def test_sizes_of_a_budget_by_hand(size, u):
+    """JCGM 100, 4.3.3, 4.3.7 and 4.3.9; the variance of an arcsine law of half-width a is a²/2."""
+    assert read_budget({"gain": size}).quantities["gain"].u == pytest.approx(u, rel=1e-15)
+
+
 def test_a_temperature_term_of_the_model_is_used():
     given = read_scheme("dual-axis-48")
     temperature = np.linspace(10.0, 40.0, 48)
