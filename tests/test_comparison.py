@@ -220,6 +220,42 @@ def test_two_methods_on_the_same_readings():
     assert not mp.compare(spoiled, both[1]).consistent
 
 
+@pytest.mark.parametrize(
+    ("bias", "scale", "moved"),
+    [
+        (2.3263, 2.0537, ("bias_ax", "scale_ax")),  # p = 0.02 < 0.05/2, then 0.04 < 0.05/1
+        (2.3263, 1.8808, ("bias_ax",)),  # 0.02, then 0.06
+        (2.1701, 2.0537, ()),  # 0.03 > 0.05/2
+    ],
+)
+def test_what_moved_by_holm_s_method_by_hand(bias, scale, moved):
+    """Four readings of sd √2: bias and scale factor have u² = 1/2, their differences 1."""
+    side = np.array([1.0, 1.0, -1.0, -1.0])
+    found = [
+        mp.fit(mp.Readings(values[:, None], outputs=("ax",), up=np.outer(side, [1.0, 0.0, 0.0])),
+               model="1 + x", reading_sd=math.sqrt(2))
+        for values in (side, bias + (1.0 + scale) * side)
+    ]  # fmt: skip
+    c = mp.compare(*found)
+    assert_allclose(c.chi2, [bias**2, scale**2], rtol=1e-9)
+    assert c.moved == moved
+
+
+@pytest.mark.parametrize(("ratio", "said"), [(245.0, False), (257.0, True)])
+def test_unequal_scatter_by_hand(ratio, said):
+    """Two variances on two degrees each, r times apart, have ((r + 1)²/4 r)^2 for Bartlett's sum.
+
+    Over 1 + (1/2 + 1/2 − 1/4)/3 = 5/4 its logarithm passes 6.6349, the 1 % point, at r = 250.9.
+    """
+    side, noise = np.array([1.0, 1.0, -1.0, -1.0]), 0.01 * np.array([1.0, -1.0, 1.0, -1.0])
+    found = [
+        mp.fit(mp.Readings((side + factor * noise)[:, None], outputs=("ax",),
+                           up=np.outer(side, [1.0, 0.0, 0.0])), model="1 + x")
+        for factor in (1.0, math.sqrt(ratio))
+    ]  # fmt: skip
+    assert any("Bartlett" in text for text in mp.compare(*found).warnings) == said
+
+
 def test_the_same_calibration_twice():
     (found,) = repeats(np.random.default_rng(1), 1)
     c = mp.compare(found, found)
