@@ -17,7 +17,14 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos import cli
-from multipos.tilt import axis_tilt, axis_tilt_interval, triad_tilt, triad_tilt_u
+from multipos.scheme import read_scheme
+from multipos.tilt import (
+    axis_tilt,
+    axis_tilt_interval,
+    force_uncertainty,
+    triad_tilt,
+    triad_tilt_u,
+)
 
 QUIET = {"reading": 0.0, "table_deg": 0.0, "drift": 0.0}
 
@@ -104,6 +111,28 @@ def test_tilt_beyond_the_vertical_is_empty_and_flagged(tmp_path, capsys):
     for row in rows[2:]:
         assert (row["tilt_x_deg"], row["outside"]) == ("", "1")
     assert 0.5 < float(rows[0]["u_tilt_x_deg"]) < 2.0  # sqrt(2 u/g) at the vertical, not infinite
+
+
+@pytest.mark.parametrize(
+    ("rest", "variance"),
+    [
+        # c f'/w has 0.09375 and 0.075 in its first row: A = ((1, 0.075), (0, 0.90625))/0.90625
+        ([0.6, 0.48, 0.64], (1 + 0.075**2) / 0.90625**2),
+        # just above w = 2 |c f|: 1 − 0.1 f/w
+        ([0.96**0.5, 0.0, 0.2], 1 / (1 - 0.5 * 0.96**0.5) ** 2),
+        # and below: both solutions, 2 c |c f| apart
+        ([0.9639**0.5, 0.0, 0.19], 1 + (0.02 * 0.9639**0.5 / 1e-3) ** 2),
+    ],
+)
+def test_unseen_component_by_hand(rest, variance):
+    """Eq. (4) of a pair whose x feels a tenth of z, c = (0.1, 0), with noise of 1e-3 alone."""
+    up = read_scheme("all-26").up
+    matrix = np.array([[1.0, 0.0, 0.1], [0.0, 1.0, 0.0]])
+    cal = mp.fit(mp.Readings(up @ matrix.T, up=up), reading_sd=1e-9)
+    covariance, dof = force_uncertainty(cal, np.array([rest]), {}, np.full(2, 1e-3))
+    assert_allclose(covariance[0, 0, 0], 1e-6 * variance, rtol=1e-6)
+    assert_allclose(covariance[0, 1, 1], 1e-6, rtol=1e-6)
+    assert np.isinf(dof).all()
 
 
 def test_interval_of_the_arcsine_by_hand():

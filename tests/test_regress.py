@@ -244,6 +244,11 @@ def test_continuous_fit_is_constrained_least_squares():
     covariance = np.linalg.inv(K)[:4, :4] * s2
     assert_allclose(found.segments[1].covariance, covariance[2:, 2:], rtol=1e-8, atol=1e-15)
     assert found.segments[0].dof == (1, 77)
+    # the scatter of a segment is on its rows less their leverage
+    leverage = np.einsum("ij,jk,ik->i", X, np.linalg.inv(K)[:4, :4], X)
+    for segment, rows in zip(found.segments, (low, ~low), strict=True):
+        rss = ((y - X @ truth)[rows] ** 2).sum()
+        assert segment.rms == pytest.approx(np.sqrt(rss / (rows.sum() - leverage[rows].sum())))
 
 
 def hysteresis(gap, seed=3, n=400):
