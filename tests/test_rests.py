@@ -105,6 +105,19 @@ def test_the_threshold_is_between_2_5_and_4_times_the_peak(hill, factor):
     assert survey.threshold() == pytest.approx(peak * factor, rel=1e-9)
 
 
+@pytest.mark.parametrize(("share", "refused"), [(0.049, False), (0.051, True)])
+def test_noise_beyond_a_twentieth_of_the_range_is_no_rest(share, refused):
+    peak = 10**-2.995
+    survey = Survey(1, Grid(12, 192))
+    means = peak / share * np.where(np.arange(1000) % 2, 1.0, -1.0)[np.newaxis, :]
+    survey.add(1e-5 * np.arange(300.0)[np.newaxis, :], means, np.full(1000, peak))
+    if refused:
+        with pytest.raises(MultiposError, match="5 % of what the positions"):
+            survey.threshold()
+    else:
+        assert survey.threshold() > peak
+
+
 def test_a_sensor_is_no_better_than_its_resolution():
     """A step of 0.01 is a noise of at least 0.01/√12 = 10^-2.54; its bin has the middle 10^-2.535.
 

@@ -327,6 +327,21 @@ def test_an_unseen_third_order_term_grows_beyond_what_was_applied():
     assert (force_covariance(c, size, {})[3, 0, 0]) > u[3] ** 2
 
 
+def test_degrees_of_freedom_beyond_what_was_applied_by_hand():
+    """At 2 g 6 κ is added to u, known for certain: ν = 2 ((u² + 36 κ²)/u²)²."""
+    up = read_scheme("faces-6").up
+    values = up + 1e-5 * np.random.default_rng(1).standard_normal(up.shape)
+    how = {"scheme": "faces-6", "model": "linear"}
+    plain = sphere_uncertainty(mp.fit(mp.Readings(values), **how), size=2.0, directions="faces-6")
+    beyond = mp.fit(mp.Readings(values), budget={"third_order": {"u": 2e-6}}, **how)
+    for axis, entry in sphere_uncertainty(beyond, size=2.0, directions="faces-6")["force"].items():
+        u2 = plain["force"][axis]["worst"] ** 2
+        assert plain["force"][axis]["dof"] == pytest.approx(2.0)
+        # the sensor is nominal to some 1e-5
+        assert entry["worst"] ** 2 == pytest.approx(u2 + 36 * 2e-6**2, rel=1e-3)
+        assert entry["dof"] == pytest.approx(2 * ((u2 + 36 * 2e-6**2) / u2) ** 2, rel=1e-3)
+
+
 def test_a_third_order_term_that_was_fitted_is_not_unseen():
     c = calibrate("icosahedron-12", model="own-cubic", reading_sd=1e-5,
                   budget={"third_order": {"u": 1e-3}})  # fmt: skip
