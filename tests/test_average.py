@@ -13,7 +13,7 @@ from multipos.averaging import average
 from multipos.cli import main
 from multipos.logs import open_log, read_log
 from multipos.matching import Match, match_directions
-from multipos.rest_faults import check_units, find_faults
+from multipos.rest_faults import _semi_axes, check_units, find_faults
 from multipos.rest_means import RestMean
 
 FERRARIS = ("acc_x", "acc_y", "acc_z")
@@ -352,6 +352,7 @@ def test_units_are_told_by_the_semi_axes_of_what_was_seen():
     seen = up[up[:, 2] > -0.6]
     for axis in (2.9, 3.1):
         means = [5.0, 0.0, -7.0] + seen * [1.0, 1.0, axis]
+        np.testing.assert_allclose(_semi_axes(means), [1.0, 1.0, axis], rtol=1e-9)
         if axis < 3.0:
             check_units(("a", "b", "c"), means)
             continue
