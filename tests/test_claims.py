@@ -166,6 +166,14 @@ def test_laws_of_the_monte_carlo_have_their_half_width(law, ratio):
     assert draws.std() == pytest.approx(0.5, rel=0.03)
 
 
+def test_spread_of_positions_is_drawn_with_its_degrees_of_freedom():
+    """An sd known to a quarter: of ln s² the u is 1/2, whose square is 2/ν, so ν = 8."""
+    c = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd="auto")
+    told = {"variance_components": {"orientation_sd_deg": {"value": 0.4, "u": 0.1}}}
+    draws = _Draws(replace(c, extra={**c.extra, **told}), np.random.default_rng(1))
+    assert draws.spread_dof == pytest.approx(8.0, rel=1e-12)
+
+
 def test_fourier_view_by_hand():
     """Eight angles and a cos 3t: rss 4 a² on 8 − 3, half of it explained by each: F = 2 a²/0.8 a².
 
