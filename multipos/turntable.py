@@ -120,10 +120,14 @@ def table_errors(calibration: Calibration) -> TableErrors:
     effect = _effects(calibration, rolls, linear)
     # What can be told is a matter of structure: small cross terms must not seem to tell it.
     nominal = _effects(calibration, rolls, own)
-    kept = _separable(_design(model, calibration), nominal)
-    shifts = _shifts(model, readings, rolls)
+    sensor, every = _design(model, calibration), _shifts(model, readings, rolls)
+    free = _separable(sensor, np.column_stack([*every.values(), nominal]))
+    shifts = {key: every[key] for i, key in enumerate(every) if i in free}
+    sensor = np.column_stack([sensor, *shifts.values()])
+    kept = [i - len(every) for i in free if i >= len(every)]
+    kept = [kept[i] for i in _separable(sensor, effect[:, kept])]  # nor may they hide it
     weight = _weights(calibration)
-    design = np.column_stack([_design(model, calibration), *shifts.values(), effect[:, kept]])
+    design = np.column_stack([sensor, effect[:, kept]])
     if (not kept and not shifts) or len(design) <= design.shape[1]:
         return TableErrors(_described(calibration, rolls, nominal, {}), (), 0.0)
     found = solve(design * weight[:, None], readings.values.ravel() * weight)

@@ -2,6 +2,7 @@
 
 import json
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ import multipos as mp
 from multipos.averaging import average
 from multipos.cli import main
 from multipos.logs import open_log, read_log
+from multipos.matching import Match, match_directions
+from multipos.rest_faults import _semi_axes, check_units, find_faults
+from multipos.rest_means import RestMean
 
 FERRARIS = ("acc_x", "acc_y", "acc_z")
 
@@ -202,10 +206,6 @@ def test_the_real_log_gives_the_figures_known_for_it():
 
 
 def test_the_real_log_by_unknown_orientation():
-    import inspect
-
-    if "unknown_orientation" not in inspect.signature(mp.fit).parameters:
-        pytest.skip("fit has no unknown_orientation yet")
     path = shared("mpu9150_imu0.log")
     found = average(path, columns="ax,ay,az,wx,wy,wz", outputs="ax,ay,az", rate=100.0)
     readings = mp.Readings(found.readings.values)
@@ -246,6 +246,24 @@ def test_rests_find_their_positions(name, convention):
     np.testing.assert_array_equal(found.scheme_up, scheme.up[order])
 
 
+def test_outputs_of_any_scale_and_bias_are_matched():
+    """Scale factors 1, 20 and 300: as they stand, all readings point along z."""
+    scheme = mp.read_scheme("faces-corners-14")
+    order = [13, 0, 7, 5, 2, 9, 11, 1, 8, 3, 12, 4, 10, 6]
+    match = match_directions(
+        [0.5, -40.0, 100.0] + scheme.up[order] * [1.0, 20.0, 300.0], scheme, "specific-force"
+    )
+    assert match.rows == order
+    np.testing.assert_allclose(match.distance_deg, 0.0, atol=1e-6)
+    # from a face to the corners about it acos(1/√3), between corners 2 asin(1/√3), which is more
+    np.testing.assert_allclose(match.second_deg, np.degrees(np.arccos(1 / np.sqrt(3))), rtol=1e-9)
+
+
+def test_a_match_is_doubtful_beyond_20_degrees_or_half_the_way_to_the_next():
+    match = Match([0] * 5, np.array([9.9, 10.1, 0.1, 19.9, 20.1]), np.array([20, 20, 0.3, 40, 90]))
+    assert match.doubtful.tolist() == [False, True, False, False, True]
+
+
 def test_readings_of_a_matched_log_need_no_scheme(log, tmp_path, capsys):
     path = write_csv(tmp_path / "log.csv", log)
     out = tmp_path / "r.csv"
@@ -277,6 +295,69 @@ def test_drift_motion_and_gaps_are_named(log):
     moved = average(log, sections={"a": {"start": 0, "end": 400}, "b": {"start": 300, "end": 700}})
     assert any("in motion during" in note for note in moved.rests[1].notes)
     assert moved.rests[0].notes == ()
+
+
+def a_rest(**changes):
+    """Return what one output says at rest: 1000 samples of sd 1e-3, nothing wrong with it."""
+    one, count = np.ones(1), np.ones(1, dtype=np.int64)
+    plain = RestMean(
+        n=1000, mean=0.5 * one, sd=1e-3 * one, u=1e-4 * one, drift=0.0 * one, drift_u=1e-4 * one,
+        edge=0.0 * one, low=0.4 * one, high=0.6 * one, at_low=count, at_high=count, longest=count,
+    )  # fmt: skip
+    new = {name: np.full_like(getattr(plain, name), value) for name, value in changes.items()}
+    return replace(plain, **new)
+
+
+@pytest.mark.parametrize(
+    ("below", "above", "said"),
+    [
+        ({"drift": -4.9e-4}, {"drift": -5.1e-4}, "'a' drifts by -0.00051"),  # five times its u
+        ({"edge": 4.9}, {"edge": 5.1}, "'a' is off at an edge; motion there?"),
+        ({"sd": 2.9e-3}, {"sd": 3.1e-3}, "'a' is unsteady, its sd 3.1 times the usual"),
+        ({"longest": 99}, {"longest": 100}, "'a' repeats one value 100 times"),  # a tenth
+    ],
+)
+def test_faults_of_a_rest_begin_where_they_are_said_to(below, above, said):
+    for changes, notes in ((below, []), (above, [said])):
+        rests = [a_rest(**changes), a_rest(mean=-0.5), a_rest(mean=0.0)]
+        faults, twins = find_faults(("a",), rests, np.array([1e-6]), [0] * 3, [None] * 3, "123")
+        assert faults == [notes, [], []]
+        assert twins == []
+
+
+def test_motion_of_a_section_and_twins_begin_where_they_are_said_to():
+    rests = [a_rest(mean=0.5), a_rest(mean=-0.5), a_rest(mean=0.0), a_rest(mean=0.0)]
+    still = find_faults(("a",), rests, np.array([1e-6]), [0] * 4, [0.09, 0.11, 0.0, 0.0], "1234")
+    assert still[0][:2] == [
+        ["motion at its edges; give fewer rows"], ["in motion during 11 % of the time"],
+    ]  # fmt: skip
+    # two degrees of half the range of 1
+    for apart, twins in ((1.99, 1), (2.01, 0)):
+        rests[3] = a_rest(mean=0.5 * np.radians(apart))
+        found = find_faults(("a",), rests, np.array([1e-6]), [0] * 4, [None] * 4, "1234")
+        assert len(found[1]) == twins
+
+
+def test_a_gap_is_more_than_three_steps_of_the_time(log):
+    for more, notes in ((0.0199, []), (0.0201, ["a gap in the time"])):
+        time = log["time"].copy()
+        time[1500:] += more  # beside the usual step of 0.01 s
+        found = average(log | {"time": time})
+        assert [text for text in found.rests[2].notes if "gap" in text] == notes
+
+
+def test_units_are_told_by_the_semi_axes_of_what_was_seen():
+    """Of the ellipsoid with axes 1, 1 and 2.9 or 3.1 about (5, 0, -7), seen from above only."""
+    up = mp.read_scheme("all-26").up
+    seen = up[up[:, 2] > -0.6]
+    for axis in (2.9, 3.1):
+        means = [5.0, 0.0, -7.0] + seen * [1.0, 1.0, axis]
+        np.testing.assert_allclose(_semi_axes(means), [1.0, 1.0, axis], rtol=1e-9)
+        if axis < 3.0:
+            check_units(("a", "b", "c"), means)
+            continue
+        with pytest.raises(mp.MultiposError, match=r"1 g moves 'c' 3\.1 times as far as '[ab]'"):
+            check_units(("a", "b", "c"), means)
 
 
 # --- bad input: clear words, nothing written

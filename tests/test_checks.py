@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos import cli
+from multipos.checks import _expanded
 from multipos.scheme import read_scheme
 from multipos.sections import check_text
+from multipos.verdicts import judge
 
 FACES = read_scheme("faces-corners-14").up
 SD = 1e-4
@@ -64,6 +67,25 @@ def test_verdict_has_the_uncertainty_as_guard_band(calibration):
             assert mp.check(calibration, columns, scheme=scheme, limit_g=limit).verdict == verdict
     columns["ay"][3] += 0.01
     assert mp.check(calibration, columns, scheme=scheme, limit_g=0.002).verdict == "fail"
+
+
+def test_coverage_factor_of_a_sum_by_hand():
+    """Half of u on 2 degrees and the rest known: ν = 2 · 2⁴ = 32; t at 0.975 from any table."""
+    own, dof = np.array([[1.0, 2.0, 0.0]]), np.array([[2.0, 2.0, 2.0]])
+    k = _expanded(SimpleNamespace(confidence=0.95), own, np.full((1, 3), 2.0), dof)
+    assert_allclose(k, [[2.0369, 4.3027, 1.9600]], rtol=0, atol=5e-5)
+
+
+@pytest.mark.parametrize(
+    ("error", "U", "verdict"),
+    [(0.6, 0.4, "pass"), (-0.6, 0.41, "undecided"), (-1.3, 0.3, "undecided"), (1.4, 0.3, "fail"),
+     (math.nan, 0.1, "fail")],
+)  # fmt: skip
+def test_verdicts_by_hand(error, U, verdict):
+    """Eq. (1) of the verdicts at L = 1; what has no answer fails."""
+    counted = np.array([[True, False]])
+    found = judge(np.array([[error, error]]), np.array([[U, U]]), 1.0, counted)
+    assert found.tolist() == [[verdict, ""]]
 
 
 def test_u_covers_the_error_of_an_independent_run():

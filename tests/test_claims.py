@@ -1,16 +1,20 @@
 """Checks of the claim: Monte Carlo, profiles, influence, and every estimator's own gain."""
 
+import itertools
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
+from multipos import monte_carlo
+from multipos.budgets import Quantity
 from multipos.criticism import aicc, find_influence, fourier_residuals, judge_terms
 from multipos.errors import ConvergenceError, MultiposError, UsageError
-from multipos.monte_carlo import numerical_tolerance, simulate_budget
+from multipos.monte_carlo import _Draws, numerical_tolerance, simulate_budget
 from multipos.profiles import calibration_interval, profile_interval
 from multipos.scheme import read_scheme
 from multipos.sensitivities import estimator_gain
@@ -130,6 +134,58 @@ def test_numerical_tolerance_by_hand():
     # JCGM 101, 7.9.2, examples: u = 0.35 to two digits is 35 × 10⁻², δ = 0.005; 2e-5 to one digit
     assert_allclose(numerical_tolerance(np.array([0.35]), 2), [0.005])
     assert_allclose(numerical_tolerance(np.array([2e-5]), 1), [0.5e-5])
+
+
+@pytest.mark.parametrize(("swing", "trials"), [(0.35, 2800), (1e-3, 2000)])
+def test_trials_of_the_monte_carlo_by_hand(swing, trials, monkeypatch):
+    """Blocks that differ by ±a in turn: of h of them 2 s/√h is 2 a/√(h − 1), h even.
+
+    That is below δ/5 at a = 0.35 δ from h > 1 + 3.5² on: 14 blocks. Not before 100/(1 − 0.95)
+    trials, however (JCGM 101, 7.9.4 with a fifth of δ).
+    """
+    monkeypatch.setattr(monte_carlo, "_BLOCK", 200)
+    c = mp.fit(readings(), scheme="icosahedron-12", reading_sd=1e-3)
+    delta, signs = numerical_tolerance(c.u, 1), itertools.cycle([1.0, -1.0])
+
+    def estimator(drawn):
+        spread = np.linspace(-1.0, 1.0, len(drawn))[:, None] * c.u
+        return c.parameters + next(signs) * swing * delta + spread
+
+    assert simulate_budget(c, estimator=estimator).trials == trials
+
+
+@pytest.mark.parametrize(
+    ("law", "ratio"), [("rectangular", 3**0.5), ("triangular", 6**0.5), ("arcsine", 2**0.5)]
+)
+def test_laws_of_the_monte_carlo_have_their_half_width(law, ratio):
+    quantity = Quantity("gain", 0.5, "", law, math.inf, {})
+    draws = _Draws._law(SimpleNamespace(rng=np.random.default_rng(1)), quantity, (40_000,))
+    # of 40000, the largest of a triangle is some 1/√20000 short of it
+    assert np.abs(draws).max() == pytest.approx(0.5 * ratio, rel=0.02)
+    # a variance of 40000 to 4 √(2/40000)
+    assert draws.std() == pytest.approx(0.5, rel=0.03)
+
+
+def test_spread_of_positions_is_drawn_with_its_degrees_of_freedom():
+    """An sd known to a quarter: of ln s² the u is 1/2, whose square is 2/ν, so ν = 8."""
+    c = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd="auto")
+    told = {"variance_components": {"orientation_sd_deg": {"value": 0.4, "u": 0.1}}}
+    draws = _Draws(replace(c, extra={**c.extra, **told}), np.random.default_rng(1))
+    assert draws.spread_dof == pytest.approx(8.0, rel=1e-12)
+
+
+def test_fourier_view_by_hand():
+    """Eight angles and a cos 3t: rss 4 a² on 8 − 3, half of it explained by each: F = 2 a²/0.8 a².
+
+    The tail of F = 2.5 on 2 and 5 is (1 + 2 · 2.5/5)^(−5/2).
+    """
+    angle = np.arange(8) * math.tau / 8
+    up = read_scheme("roll-z-8").up
+    values = up[:, :1] + 1e-3 * np.cos(3 * angle)[:, None]
+    c = mp.fit(mp.Readings(values), scheme="roll-z-8", inputs="x,y")
+    third = fourier_residuals(c)[0]["harmonics"][2]
+    assert (third["order"], third["amplitude"]) == (3, pytest.approx(1e-3, rel=1e-9))
+    assert third["p"] == pytest.approx(2**-2.5, rel=1e-9)
 
 
 def test_monte_carlo_of_an_unknown_orientation():

@@ -96,6 +96,31 @@ def test_f_by_hand_for_equal_schemes():
     assert c.dof_total == 6
 
 
+def test_f_by_hand_for_unequal_degrees_of_freedom():
+    """Two readings a side, then four: s² is pooled by degrees of freedom, eq. (2).
+
+    Run 1 has bias 0, scale 1, rss 4 · 0.02² = 16e-4 on 2; run 2 has bias 0.02, scale 1.02, rss
+    8 · 0.01² = 8e-4 on 6. So s² = 24e-4/8 = 3e-4, and either parameter differs by 0.02 with the
+    variance (1/4 + 1/8) s²: Q = 4e-4/1.125e-4 = 32/9.
+    """
+    side = np.array([1.0, 1.0, -1.0, -1.0])
+    first = side + 0.02 * np.array([1, -1, 1, -1])
+    second = np.tile(0.02 + 1.02 * side, 2) + 0.01 * np.tile([1, -1], 4)
+    found = [
+        mp.fit(mp.Readings(values[:, np.newaxis], outputs=("ax",),
+                           up=np.outer(np.resize(side, len(values)), [1.0, 0.0, 0.0])),
+               model="1 + x")
+        for values in (first, second)
+    ]  # fmt: skip
+    c = mp.compare(*found)
+    assert_allclose(c.chi2, 32 / 9, rtol=1e-9)
+    assert c.scatter_dof.tolist() == [8.0, 8.0]
+    assert c.statistic == pytest.approx(64 / 9 / 2, rel=1e-9)
+    assert c.dof_total == [2, 8]
+    # the tail of F on 2 and 8 is (1 + 2 F/8)^-4 = (17/9)^-4
+    assert c.p_total == pytest.approx(6561 / 83521, rel=1e-9)
+
+
 def test_chi_square_where_the_noise_is_known():
     found = repeats(np.random.default_rng(5), 3, reading_sd=SD)
     c = mp.compare(*found)
@@ -150,6 +175,28 @@ def test_drift_is_per_time_where_the_readings_know_it():
     assert c.drift[0] == pytest.approx(3e-4, rel=1e-9)
 
 
+def test_drift_and_spread_of_three_runs_by_hand():
+    """Biases 0, 3, 3 at hours 0, 1, 5: about the means 2 and 2 the slope is (−3 + 9)/14 = 3/7.
+
+    −8/7, 10/7 and −2/7 are left: 24/7 on one degree, u² = 24/7/14 = 12/49, t = √3/2.
+    """
+    up = read_scheme("faces-6").up
+    found = [
+        mp.fit(mp.Readings(up + bias, environment={"time": np.full(6, hour)}), scheme="faces-6",
+               reading_sd=1e-3)
+        for hour, bias in ((0.0, 0.0), (1.0, 3.0), (5.0, 3.0))
+    ]  # fmt: skip
+    c = mp.compare(*found)
+    bias = found[0].model.index("ax", "1")
+    assert c.drift[bias] == pytest.approx(3 / 7, rel=1e-9)
+    assert c.drift_u[bias] == pytest.approx(math.sqrt(12) / 7, rel=1e-9)
+    # Student's t on one degree of freedom is Cauchy's law
+    assert c.drift_p[bias] == pytest.approx(1 - 2 / math.pi * math.atan(math.sqrt(3) / 2), rel=1e-9)
+    assert c.mean[bias] == pytest.approx(2.0, rel=1e-9)
+    assert c.range[bias] == pytest.approx(3.0, rel=1e-9)
+    assert c.bias_stability["ax"] == pytest.approx(math.sqrt(3), rel=1e-9)
+
+
 def test_a_noisier_run_is_warned_of():
     rng = np.random.default_rng(2)
     found = repeats(rng, 3, scheme="icosahedron-12")
@@ -171,6 +218,42 @@ def test_two_methods_on_the_same_readings():
     assert np.abs(np.diff(c.values, axis=0)).max() < 1e-14
     spoiled = replace(both[0], parameters=both[0].parameters + 1.0)
     assert not mp.compare(spoiled, both[1]).consistent
+
+
+@pytest.mark.parametrize(
+    ("bias", "scale", "moved"),
+    [
+        (2.3263, 2.0537, ("bias_ax", "scale_ax")),  # p = 0.02 < 0.05/2, then 0.04 < 0.05/1
+        (2.3263, 1.8808, ("bias_ax",)),  # 0.02, then 0.06
+        (2.1701, 2.0537, ()),  # 0.03 > 0.05/2
+    ],
+)
+def test_what_moved_by_holm_s_method_by_hand(bias, scale, moved):
+    """Four readings of sd √2: bias and scale factor have u² = 1/2, their differences 1."""
+    side = np.array([1.0, 1.0, -1.0, -1.0])
+    found = [
+        mp.fit(mp.Readings(values[:, None], outputs=("ax",), up=np.outer(side, [1.0, 0.0, 0.0])),
+               model="1 + x", reading_sd=math.sqrt(2))
+        for values in (side, bias + (1.0 + scale) * side)
+    ]  # fmt: skip
+    c = mp.compare(*found)
+    assert_allclose(c.chi2, [bias**2, scale**2], rtol=1e-9)
+    assert c.moved == moved
+
+
+@pytest.mark.parametrize(("ratio", "said"), [(245.0, False), (257.0, True)])
+def test_unequal_scatter_by_hand(ratio, said):
+    """Two variances on two degrees each, r times apart, have ((r + 1)²/4 r)^2 for Bartlett's sum.
+
+    Over 1 + (1/2 + 1/2 − 1/4)/3 = 5/4 its logarithm passes 6.6349, the 1 % point, at r = 250.9.
+    """
+    side, noise = np.array([1.0, 1.0, -1.0, -1.0]), 0.01 * np.array([1.0, -1.0, 1.0, -1.0])
+    found = [
+        mp.fit(mp.Readings((side + factor * noise)[:, None], outputs=("ax",),
+                           up=np.outer(side, [1.0, 0.0, 0.0])), model="1 + x")
+        for factor in (1.0, math.sqrt(ratio))
+    ]  # fmt: skip
+    assert any("Bartlett" in text for text in mp.compare(*found).warnings) == said
 
 
 def test_the_same_calibration_twice():

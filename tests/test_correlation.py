@@ -18,6 +18,8 @@ from multipos.correlation import (
     window_dof,
 )
 from multipos.least_squares import solve
+from multipos.model import parse_terms
+from multipos.piecewise import _robust_test, _RobustFit
 from multipos.quantiles import f_tail, normal_quantile
 
 
@@ -88,11 +90,74 @@ def test_rows_in_any_order_and_gaps():
 
 
 def test_bandwidth_is_andrews_rule():
-    rho, n = 0.5, 1000
-    alpha = 4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2)
-    assert bandwidth(rho, n) == int(1.1447 * (alpha * n) ** (1 / 3)) + 1
-    assert bandwidth(-0.3, n) == 1
+    # ρ = 1/2: α = 4/4/(1/4 · 9/4) = 16/9, 1.1447 (16000/9)^(1/3) = 13.87
+    assert bandwidth(0.5, 1000) == 14
+    # ρ = 0.2: α = 0.16/(0.64 · 1.44) = 0.1736, 1.1447 · 173.6^(1/3) = 6.39
+    assert bandwidth(0.2, 1000) == 7
+    assert bandwidth(-0.3, 1000) == 1
     assert bandwidth(0.99, 30) == 10
+    # ρ is taken as 0.97 at most: α = 3.7636/(0.03² 1.97²) = 1077.5, 1.1447 (1.0775e6)^(1/3) = 117.4
+    assert bandwidth(0.99, 1000) == 118
+
+
+# Sixteen residuals of ±1: 11 of the 15 neighbours agree and 4 differ, so γ = 16 and the sum of
+# products is 7; as a correlation 7/16 · 16/15 = 7/15.
+WAVE = np.array([1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1], dtype=float)
+# whitened with a = 7/15 + (1 + 3 · 7/15)/16 = 37/60: 16 − 1 − 4 agreeing neighbours leave 23/60,
+# 4 others 97/60, and the first value is √(1 − a²) of itself; in units of 1/3600
+WAVE_POWER = (3600 - 37**2) + 11 * 23**2 + 4 * 97**2
+LONG_RUN = WAVE_POWER / 23**2  # over (1 − a)²
+
+
+def test_a_short_wave_by_hand():
+    order = time_order(np.arange(16.0))
+    assert lag_one(WAVE, order) == (pytest.approx(7 / 15, rel=1e-12), False)  # 1 %: 2.33/√15 = .60
+    twice = np.tile(WAVE, 2)  # one more neighbour agrees: 15/32 · 32/31, 2.33/√31 = .42
+    assert lag_one(twice, time_order(np.arange(32.0))) == (pytest.approx(15 / 31, rel=1e-12), True)
+    # whitened neighbours are correlated by .09 only: B = 1, and n_eff of eq. (4) is n γ/S_e
+    assert effective_size(WAVE, order) == pytest.approx(16 * 16 / LONG_RUN, rel=1e-12)
+    # α = 4 (7/15)²/(1 − (7/15)²)² = 1.424, 1.1447 (16 · 1.424)^(1/3) = 3.24: B = 4, ν = 3 · 16/8
+    assert window_dof(WAVE, order) == 6.0
+
+
+def test_hac_covariance_of_a_mean_by_hand():
+    """Of sixteen rows of a constant: S over 16², times 16/15."""
+    order = time_order(np.arange(16.0))
+    found = hac_covariance(np.ones((16, 1)), WAVE, np.array([[1 / 16]]), order)
+    assert_allclose(found, LONG_RUN / 16**2 * 16 / 15, rtol=1e-12)
+
+
+def test_hac_bandwidth_by_hand():
+    """Twelve residuals ±1 in turn: a = −1, taken as −0.97, leaves ±0.03 and ±√0.0591 at first.
+
+    Their neighbours are correlated by −(0.03 √0.0591 + 10 · 0.0009)/(0.0591 + 11 · 0.0009) = −.236:
+    α = 0.2499, 1.1447 (12 α)^(1/3) = 1.65, so B = 2 and neighbours count with a weight of a half,
+    twice.
+    """
+    e = np.tile([1.0, -1.0], 6)
+    left = 0.0591 + 11 * 0.0009 - (0.03 * math.sqrt(0.0591) + 10 * 0.0009)
+    found = hac_covariance(np.ones((12, 1)), e, np.array([[1 / 12]]), time_order(np.arange(12.0)))
+    assert_allclose(found, left / 1.97**2 / 12**2 * 12 / 11, rtol=1e-10)
+
+
+def test_f_robust_by_hand():
+    """Eq. (5): b = (2, 1) with variances 1 and 1/4, (4 + 4)/2 · (9 − 2 + 1)/9 = 32/9 on 2 and 8."""
+    terms, b = parse_terms("1 + t + v"), np.array([7.0, 2.0, 1.0])
+    covariance = np.diag([100.0, 1.0, 0.25])
+    found = _robust_test(_RobustFit(covariance, "hac", 9.0, 20.0, 0.5), terms, b)
+    assert pytest.approx(32 / 9, rel=1e-12) == found.F
+    assert found.dof == (2, 8.0)
+    assert found.p == pytest.approx((17 / 9) ** -4, rel=1e-9)  # of 2 and ν: (1 + 2 F/ν)^(−ν/2)
+    assert found.t_dof == 9.0
+    # fewer rows in s² is no estimate of a matrix: F on 2 and 9
+    plain = _robust_test(_RobustFit(covariance, "effective", 9.0, 20.0, 0.5), terms, b)
+    assert (plain.F, plain.dof) == (pytest.approx(4.0), (2, 9.0))
+    assert plain.p == pytest.approx((17 / 9) ** -4.5, rel=1e-9)
+
+
+def test_more_than_five_intervals_are_a_gap():
+    assert time_order([0.0, 1.0, 2.0, 7.0, 8.0]).run.tolist() == [0, 0, 0, 0, 0]
+    assert time_order([0.0, 1.0, 2.0, 7.1, 8.1]).run.tolist() == [0, 0, 0, 1, 1]
 
 
 def test_effective_size_of_a_known_process():

@@ -16,6 +16,7 @@ from multipos.cli import main
 from multipos.exchange import choose
 from multipos.information import (
     Criterion,
+    Setting,
     inform,
     kernels,
     log_det,
@@ -155,6 +156,22 @@ def test_uncertain_orientation_lies_between_known_and_unknown():
     )
 
 
+@pytest.mark.parametrize("size", [2.0, -2.0])
+def test_information_of_one_position_by_hand(size):
+    """Eq. (1) at u = x: across it a turn of s moves the outputs by s g, along it by nothing.
+
+    V = diag(σ², σ² + s² g², σ² + s² g²) with σ = 0.3, s = 0.1, g = 2: 0.09 and 0.09 + 0.04.
+    """
+    model = build_model("linear", OUTPUTS, AXES)
+    stated = Setting(model, orientation_sd=0.1, sd=np.full(3, 0.3), size=size)
+    (M,) = inform(stated.rows(np.array([[1.0, 0.0, 0.0]])))
+    wanted = np.zeros((12, 12))
+    for output, variance in zip(OUTPUTS, (0.09, 0.13, 0.13), strict=True):
+        pair = [model.index(output, "1"), model.index(output, "x")]
+        wanted[np.ix_(pair, pair)] = np.array([[1.0, size], [size, 4.0]]) / variance
+    assert_allclose(M, wanted, atol=1e-12)
+
+
 def test_norm_row_by_difference():
     unknown = setting("own-quadratic", unknown_orientation=True)
     model = unknown.model
@@ -205,6 +222,24 @@ def test_efficiencies_of_six_faces_by_hand():
     assert entry["u"]["ax:1"] == pytest.approx(6**-0.5)
     assert entry["u"]["ax:x"] == pytest.approx(2**-0.5)
     assert entry["dof"] == {"ax": 2, "ay": 2, "az": 2}
+
+
+def test_efficiencies_of_uneven_faces_by_hand():
+    """Eight positions, x faces twice: M = diag(1, 1/2, 1/4, 1/4), at best diag(1, 1/3, 1/3, 1/3).
+
+    A: 1 + 2 + 4 + 4 against 1 + 9; I, with 1 and 1/3 as weights: 1 + 10/3 against 1 + 3; G: four
+    parameters over the largest 1 + 2 x² + 4 y² + 4 z², which is 5.
+    """
+    (entry,) = mp.schemes("faces-6+roll-z-2", reading_sd=0.002)["schemes"]
+    assert entry["log_det"] == pytest.approx(3 * math.log(1 / 32), abs=1e-9)
+    assert entry["d_efficiency"] == pytest.approx((27 / 32) ** 0.25, abs=1e-9)
+    assert entry["a_efficiency"] == pytest.approx(10 / 11, abs=1e-9)
+    assert entry["i_efficiency"] == pytest.approx(4 / (13 / 3), abs=1e-9)
+    assert entry["g_efficiency"] == pytest.approx(4 / 5, abs=1e-9)
+    # eq. (1): σ sqrt([M⁻¹]_jj/n)
+    assert entry["u"]["ay:1"] == pytest.approx(0.002 / math.sqrt(8))
+    assert entry["u"]["ay:x"] == pytest.approx(0.002 * math.sqrt(2 / 8))
+    assert entry["u"]["ay:y"] == pytest.approx(0.002 * math.sqrt(4 / 8))
 
 
 def test_all_named_schemes_come_best_first():

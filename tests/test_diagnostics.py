@@ -5,7 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from multipos.diagnostics import bartlett, find_outliers, lack_of_fit, linearity
+from multipos.diagnostics import (
+    bartlett,
+    find_outliers,
+    find_outlying_positions,
+    lack_of_fit,
+    linearity,
+)
 from multipos.least_squares import solve
 from multipos.model import build_model
 
@@ -88,6 +94,37 @@ def test_an_outlier_is_judged_by_its_own_stated_uncertainty():
     assert "ax is off by 8, " in found[0]
     assert not any("position 3:" in t for t in
                    find_outliers(residuals, leverage, [36.0], ["ax"], labels))  # fmt: skip
+
+
+@pytest.mark.parametrize(("r", "named"), [(2.325, 0), (2.333, 1)])
+def test_limit_of_an_outlier_by_hand(r, named):
+    """Ten readings on ν = 6: t on 5 passes its two-sided 0.1 % point, 6.869, at r² = 5.425.
+
+    r² = ν t²/(ν − 1 + t²) = 6 · 47.18/52.18, so r = 2.3292; the sum of squares is 6, so s = 1.
+    """
+    residuals = np.full((10, 1), math.sqrt((6.0 - 0.6 * r**2) / 9))
+    residuals[4] = -r * math.sqrt(0.6)  # of leverage 0.4
+    found = find_outliers(residuals, np.full((10, 1), 0.4), [6.0], ["a"], list("0123456789"))
+    assert len(found) == named
+    assert all("position 4: a is off by -1.81, 2.3 times" in text for text in found)
+
+
+@pytest.mark.parametrize(
+    ("dof", "limit"),
+    [
+        # the tail of F on 2 and ν − 2 is ((ν − q)/ν)^((ν − 2)/2): 0.1 % at q = 12 (1 − 1e-3^(1/5))
+        (12.0, 12 * (1 - 1e-3**0.2)),
+        (math.inf, 2 * math.log(1e3)),  # that of χ² on 2 is exp(−q/2)
+    ],
+)
+def test_limit_of_an_outlying_position_by_hand(dof, limit):
+    for factor, named in ((0.995, 0), (1.005, 1)):
+        q = np.full(10, 0.2)
+        q[7] = factor * limit
+        found = find_outlying_positions(q, np.full(10, 2.0), dof, list("0123456789"))
+        assert len(found) == named
+        size = math.sqrt(q[7] / 2)
+        assert all(t == f"position 7 does not fit: {size:.1f} times the noise" for t in found)
 
 
 def test_clean_data_have_an_outlier_as_rarely_as_said():

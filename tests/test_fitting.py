@@ -150,6 +150,27 @@ def test_pooling_by_hand():
     assert not pooled.diagnostics.warnings
 
 
+def test_pooling_of_unequal_degrees_of_freedom_by_hand():
+    """Eight readings: 1e-3 off on 8 − 2 degrees and 3e-3 on 8 − 3: s² = (8e-6 + 72e-6)/11."""
+    up = np.tile([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]], (2, 1))
+    wave = np.repeat([1e-3, -1e-3], 4)[:, None]  # orthogonal to 1, x and y
+    readings = mp.Readings(up[:, :2] + wave * [1.0, 3.0], up=up)
+    cal = mp.fit(readings, model="1 + x + own", pool=True)
+    assert_array_equal(cal.dof, [11, 11])
+    assert cal["ax", "1"].u == pytest.approx(math.sqrt(80e-6 / 11 / 8), rel=1e-9)
+    assert cal["ay", "y"].u == pytest.approx(math.sqrt(80e-6 / 11 / 4), rel=1e-9)
+
+
+@pytest.mark.parametrize(("ratio", "said"), [(41.0, False), (43.0, True)])
+def test_pooling_is_warned_of_at_five_percent_by_hand(ratio, said):
+    """Two variances on two degrees each, r times apart: 2 ln((r + 1)²/4r)/(5/4) is 3.8415."""
+    side, wave = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1e-3, -1e-3, 1e-3, -1e-3])
+    values = side[:, None] + wave[:, None] * [1.0, math.sqrt(ratio)]  # the limit is r = 42.1
+    readings = mp.Readings(values, outputs=("a", "b"), up=np.outer(side, [1.0, 0.0, 0.0]))
+    cal = mp.fit(readings, model="1 + x", axes="x,x", pool=True)
+    assert any("residual variances differ" in text for text in cal.diagnostics.warnings) == said
+
+
 def test_pooling_warns_where_equality_is_rejected():
     values = sensor(np.random.default_rng(8))
     values[:, 1] += 0.05 * np.random.default_rng(9).standard_normal(14)

@@ -17,6 +17,14 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos import cli
+from multipos.scheme import read_scheme
+from multipos.tilt import (
+    axis_tilt,
+    axis_tilt_interval,
+    force_uncertainty,
+    triad_tilt,
+    triad_tilt_u,
+)
 
 QUIET = {"reading": 0.0, "table_deg": 0.0, "drift": 0.0}
 
@@ -103,6 +111,52 @@ def test_tilt_beyond_the_vertical_is_empty_and_flagged(tmp_path, capsys):
     for row in rows[2:]:
         assert (row["tilt_x_deg"], row["outside"]) == ("", "1")
     assert 0.5 < float(rows[0]["u_tilt_x_deg"]) < 2.0  # sqrt(2 u/g) at the vertical, not infinite
+
+
+@pytest.mark.parametrize(
+    ("rest", "variance"),
+    [
+        # c f'/w has 0.09375 and 0.075 in its first row: A = ((1, 0.075), (0, 0.90625))/0.90625
+        ([0.6, 0.48, 0.64], (1 + 0.075**2) / 0.90625**2),
+        # just above w = 2 |c f|: 1 − 0.1 f/w
+        ([0.96**0.5, 0.0, 0.2], 1 / (1 - 0.5 * 0.96**0.5) ** 2),
+        # and below: both solutions, 2 c |c f| apart
+        ([0.9639**0.5, 0.0, 0.19], 1 + (0.02 * 0.9639**0.5 / 1e-3) ** 2),
+    ],
+)
+def test_unseen_component_by_hand(rest, variance):
+    """Eq. (4) of a pair whose x feels a tenth of z, c = (0.1, 0), with noise of 1e-3 alone."""
+    up = read_scheme("all-26").up
+    matrix = np.array([[1.0, 0.0, 0.1], [0.0, 1.0, 0.0]])
+    cal = mp.fit(mp.Readings(up @ matrix.T, up=up), reading_sd=1e-9)
+    covariance, dof = force_uncertainty(cal, np.array([rest]), {}, np.full(2, 1e-3))
+    assert_allclose(covariance[0, 0, 0], 1e-6 * variance, rtol=1e-6)
+    assert_allclose(covariance[0, 1, 1], 1e-6, rtol=1e-6)
+    assert np.isinf(dof).all()
+
+
+def test_interval_of_the_arcsine_by_hand():
+    """Eq. (3) at g = 2: f/g = 0.5 ± 0.1, on the longer side asin 0.6 − 30°; at 90° asin 0.9."""
+    found = np.degrees(axis_tilt_interval(np.array([1.0, -1.0, 2.0]), 2.0, np.full(3, 0.2)))
+    assert_allclose(found, [6.869898, 6.869898, 25.841933], rtol=0, atol=1e-6)
+    tilt = axis_tilt(np.array([1.0, 2.1, 2.3, -2.1]), 2.0, -1.0, 0.2)
+    assert_allclose(np.degrees(tilt), [-30.0, -90.0, np.nan, 90.0], rtol=1e-12)
+
+
+def test_tilt_of_a_triad_by_hand():
+    """f = (3, 4, 12)/13 stands at asin 3/13, asin 4/13, asin 12/13, whatever its size.
+
+    Of f = (0.6, 0, 0.8) g the tilt of x moves by (0.8, 0, −0.6)/g, that of y by (0, 1, 0)/g,
+    and z against x.
+    """
+    tilt = triad_tilt(np.array([[3.0, 4.0, 12.0], [3.0, 4.0, 12.0]]) * [[1.0], [-2.0]], 1.0)
+    assert_allclose(tilt[0], np.arcsin(np.array([3, 4, 12]) / 13), rtol=1e-12)
+    assert_allclose(tilt[1], -tilt[0], rtol=1e-12)
+    covariance = np.diag([4e-8, 9e-8, 1e-8])
+    covariance[0, 2] = covariance[2, 0] = 1e-8
+    u = triad_tilt_u(2.0 * np.array([[0.6, 0.0, 0.8]]), covariance[None])
+    # 0.64 · 4 + 0.36 · 1 − 2 · 0.48 · 1 = 1.96, of z as of x
+    assert_allclose(u[0], 1e-4 * np.array([1.4, 3.0, 1.4]) / 2.0, rtol=1e-12)
 
 
 def test_tilt_uncertainty_grows_like_the_secant_and_stays_finite():

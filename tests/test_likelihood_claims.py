@@ -13,7 +13,7 @@ import multipos as mp
 from multipos.budgets import read_budget
 from multipos.documents import write_report
 from multipos.errors import MultiposError
-from multipos.joint_tests import judge_jointly
+from multipos.joint_tests import _denominator, judge_jointly
 from multipos.monte_carlo import simulate_budget
 from multipos.profiles import calibration_interval
 from multipos.quantiles import chi2_tail, coverage_factor
@@ -235,6 +235,20 @@ def test_joint_test_of_correlated_readings():
     chi2 = r @ np.linalg.solve(data.covariance, r)
     assert found.dof == (3.0, 57.0)
     assert found.statistic == pytest.approx(wald / 3 / (chi2 / 57), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("dof", "wanted"),
+    [
+        ([7.0], 7.0),  # E = 7/5, 2 E/(E − 1) = 2.8/0.4
+        ([10.0, 10.0], 10.0),  # E = 2 · 10/8, 2 E/(E − 2) = 5/0.5
+        ([6.0, 12.0], 54 / 7),  # E = 1.5 + 1.2, 5.4/0.7
+        ([4.0, 6.0, 12.0], 94 / 17),  # E = 2 + 1.5 + 1.2, 9.4/1.7
+        ([1.5, 12.0], 1.5),  # no mean: no more than the least
+    ],
+)
+def test_degrees_of_freedom_of_a_joint_test_by_hand(dof, wanted):
+    assert _denominator(np.array(dof)) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_terms_that_the_positions_cannot_tell_are_left_out():

@@ -57,3 +57,18 @@ def test_constants_keep_the_efficiency(name):
 def test_far_misfits_grow_as_their_modulus(name):
     far = value(name, np.array([1e4, 4e4]), 1.0)
     assert far[1] / far[0] == pytest.approx(4.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "rho", "weight"),
+    [
+        # q = 12 on three degrees is z = 2
+        ("huber", 3 * (2 * 1.345 * 2 - 1.345**2), 1.345 / 2),
+        ("soft-l1", 6 * 1.345**2 * ((1 + 4 / 1.345**2) ** 0.5 - 1), (1 + 4 / 1.345**2) ** -0.5),
+        ("cauchy", 3 * 2.385**2 * np.log(1 + 4 / 2.385**2), 1 / (1 + 4 / 2.385**2)),
+    ],
+)
+def test_losses_and_weights_by_hand(name, rho, weight):
+    q, degrees = np.array([12.0]), np.array([3.0])
+    assert loss(name, q, degrees) == pytest.approx([rho], rel=1e-12)
+    assert loss_weight(name, q, degrees) == pytest.approx([weight], rel=1e-12)

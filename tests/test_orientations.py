@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,10 +20,13 @@ from orientation_bench import (
 import multipos as mp
 from multipos.gains import uncertain_gain
 from multipos.identifiability import CANDIDATES
+from multipos.model import build_model
 from multipos.quantiles import chi2_quantile, f_tail
+from multipos.robustness import _huber_factor
 from multipos.rotations import rotation_matrix, step_on_sphere, tangent_basis
 from multipos.scheme import read_scheme
 from multipos.song_qin import TABLE_2
+from multipos.uncertain import _scale_bias
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 UP = read_scheme("fibonacci-24").up
@@ -347,6 +351,31 @@ def test_bias_of_second_order_is_stated_where_it_matters():
     assert not any("sigma^2" in w for w in quiet.diagnostics.warnings)
 
 
+def test_bias_of_second_order_by_hand():
+    """Eq. (1) at g = 2: σ/(k g) = 0.005, 0.0055 and 0.012, and half of it where s² is their mean.
+
+    Of x the others sum to 0.0055² + 0.012² = 1.7425e-4, half of that times k = 2 is 1.7425e-4.
+    """
+    model = build_model("linear", ("ax", "ay", "az"), ("x", "y", "z"))
+    k, theta = np.array([2.0, 4.0, 5.0]), np.zeros(12)
+    theta[list(model.own_scales)] = k
+    sd, u = np.array([0.02, 0.044, 0.12]), np.full(12, 1e-6)
+    mean = (0.005**2 + 0.0055**2 + 0.012**2) / 3
+    for spread, stated in (
+        (np.inf, ["0.00017", "0.00034", "0.00014"]),
+        (np.sqrt(mean), ["8.7e-05", "0.00017", "6.9e-05"]),
+    ):
+        problem = SimpleNamespace(model=model, spread=np.full(5, spread))
+        said = _scale_bias(problem, theta, u, sd, 2.0)
+        assert [text.split("about ")[1].split(" ")[0] for text in said] == stated
+    # stated above a tenth of u
+    unknown = SimpleNamespace(model=model, spread=np.full(5, np.inf))
+    u[list(model.own_scales)] = [1.7e-3, 3.4e-3, 1.3e-3]
+    assert [text.split("`")[1] for text in _scale_bias(unknown, theta, u, sd, 2.0)] == [
+        "scale_ax", "scale_az",
+    ]  # fmt: skip
+
+
 def test_bias_of_second_order_is_what_is_stated():
     """Scale factors of a thousand fits, against eq. (1) of multipos.uncertain, unequal noise."""
     sd = np.array([0.02, 0.05, 0.03])
@@ -515,6 +544,47 @@ def test_one_bad_reading_of_24_moves_nothing_and_is_named(loss, mode, stated, of
     weight = np.asarray(found.extra["robust_weight"])
     assert (weight.reshape(24, -1)[worst].min()) == 0.0
     assert loss in found.criterion
+
+
+@pytest.mark.parametrize(("off", "aside"), [(5.01, False), (5.04, True)])
+def test_a_position_is_set_aside_at_one_in_a_million(off, aside):
+    """The normal law has 1e-6 beyond 4.8916 standard deviations, both sides together.
+
+    One of eleven readings with x up is `off` standard deviations away. Huber's loss lets it pull
+    like one of 1.345, which moves the ten others by a tenth of that: 5.0261 is the limit.
+    """
+    up = np.repeat([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], 11, axis=0)
+    values = up[:, :1].copy()
+    values[4] += 1e-3 * off
+    readings = mp.Readings(values, outputs=("ax",), up=up)
+    cal = mp.fit(readings, model="1 + x", robust="huber", reading_sd=1e-3)
+    named = [text for text in cal.diagnostics.warnings if "position 5 is set aside" in text]
+    assert bool(named) == aside
+
+
+def test_robust_noise_makes_the_median_misfit_normal():
+    """By hand, of 11 readings with x up and 11 with x down: most are ±1e-3 off, one is 20e-3 off.
+
+    The median misfit is (1e-3/σ)², that of χ² on one degree of freedom 0.45494, and 22 readings
+    leave 20 degrees: σ = 1e-3 √(22/20/0.45494) = 1.5550e-3. The bad one pulls the ten beside it by
+    a tenth of 1.345 σ, so its misfit is 20/1.5550 − 0.1345 = 12.73.
+    """
+    up = np.repeat([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], 11, axis=0)
+    even = np.resize([1.0, -1.0], 10).tolist()
+    off = 1e-3 * np.array([*even, 20.0, *even[:8], 1.0, 1.0, -2.0])  # either side without mean
+    readings = mp.Readings(up[:, :1] + off[:, None], outputs=("ax",), up=up)
+    cal = mp.fit(readings, model="1 + x", robust="huber")
+    said = [text for text in cal.diagnostics.warnings if "position 11 is set aside" in text]
+    assert "by 12.7 times the noise" in said[0]
+
+
+def test_huber_factor_by_hand():
+    """Eq. (1): q = 1, 1, 1, 4 count as 1, 1, 1 and 1.345²; ψ' is 1, 1, 1, 0 with variance 3/16."""
+    problem = SimpleNamespace(weight=np.ones(4), degrees=np.ones(4), robust="huber")
+    optimum = SimpleNamespace(point=SimpleNamespace(q=np.array([1.0, 1.0, 1.0, 4.0])))
+    K = 1 + 2 / 4 * (3 / 16) / (3 / 4) ** 2  # four positions, of which two parameters use up two
+    wanted = K**2 * ((3 + 1.345**2) / 2) / (3 / 4) ** 2
+    assert _huber_factor(problem, optimum, 2.0) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_without_a_loss_the_same_reading_moves_a_lot():

@@ -51,6 +51,28 @@ def test_parity_by_hand(calibration):
     assert_allclose(found.size, np.abs((raw - bias).sum(axis=1)) / 2, rtol=0, atol=3e-4)
 
 
+def test_tail_of_a_parity_by_hand():
+    """Two pairs along x and y, the first 2 s apart on either side: χ² = 8 on 2, p = exp(−4)."""
+    up, axes = read_scheme("fibonacci-24").up, [0, 1, 2, 0, 1]
+    names = ("a", "b", "c", "d", "e")
+    exact = dict(zip(names, up[:, axes].T, strict=True))
+    cal = mp.fit(exact, scheme="fibonacci-24", axes="x,y,z,x,y", reading_sd=1e-9)
+    raw = up[:1, axes] + SD * np.array([[2.0, 0.0, 0.0, -2.0, 0.0]])
+    found = parity(cal, raw, cal.compensate(raw), {}, np.full(5, SD))
+    assert_allclose(found.size, 2 * math.sqrt(2) * SD, rtol=1e-9)
+    assert_allclose(found.p, math.exp(-4.0), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "fault"), [(3.26, 0), (3.32, 1)])
+def test_a_fault_is_one_in_a_thousand_by_hand(size, fault):
+    """1e-3 of the normal law lies beyond 3.2905 sd, and 1 + 4/3000 is the variance of a parity."""
+    up = read_scheme("fibonacci-3000").up
+    exact = columns(1.2 * up @ TETRAHEDRON.T)
+    cal = mp.fit(exact, scheme="fibonacci-3000", axes="x,y,z,x", reading_sd=SD)
+    raw = 1.2 * up[:1] @ TETRAHEDRON.T + SD * size / 2  # (1, 1, 1, 1)/2 sees twice as much
+    assert mp.apply(cal, columns(raw))["fault"] == [fault]
+
+
 def test_false_alarms_come_at_the_stated_rate(calibration):
     up = np.random.default_rng(3).standard_normal((4000, 3))
     up /= np.linalg.norm(up, axis=1)[:, None]

@@ -11,9 +11,13 @@ from test_least_squares import digits
 
 import multipos as mp
 from multipos.cli import main
+from multipos.correlation import time_order
 from multipos.errors import MultiposError, UsageError
 from multipos.files import format_csv, read_table, to_json
+from multipos.hysteresis import compare_branches
 from multipos.least_squares import solve
+from multipos.model import parse_terms
+from multipos.observations import Data
 from multipos.quantiles import f_quantile
 
 
@@ -158,6 +162,38 @@ def test_no_intercept_is_uncentred():
     assert any("no intercept" in said for said in found.warnings)
 
 
+def test_four_rows_by_hand():
+    """x = 1 … 4 and y = 1, 3, 2, 4: slope 4/5, 5 · 0.8² = 3.2 explained, 1.8 left on 2."""
+    columns = {"x": np.array([1.0, 2.0, 3.0, 4.0]), "y": np.array([1.0, 3.0, 2.0, 4.0])}
+    segment = mp.regress(columns, response="y", variables="x").segments[0]
+    slope = segment.coefficients[1]
+    assert segment.dof == (1, 2)
+    assert pytest.approx(3.2 / 0.9, rel=1e-12) == segment.F
+    # with two degrees p is 1 − t/√(2 + t²), here 1 − 0.8
+    assert segment.p == pytest.approx(0.2, rel=1e-9)
+    assert (slope.value, slope.u) == (pytest.approx(0.8), pytest.approx(np.sqrt(0.9 / 5)))
+    assert slope.t == pytest.approx(np.sqrt(32 / 9))
+    assert segment.rms == pytest.approx(np.sqrt(0.9))
+    assert segment.r2 == pytest.approx(0.64)
+    assert segment.adjusted_r2 == pytest.approx(1 - 0.9 / (5 / 3))
+    # residuals −0.3, 0.9, −0.9, 0.3 over 1 − h = 0.3, 0.7, 0.7, 0.3
+    assert segment.press == pytest.approx(np.sqrt(65 / 49))
+    # without an intercept 29/30 is the slope and 29²/30 of 30 are explained, on 1 and 3
+    through = mp.regress(columns, response="y", terms="x").segments[0]
+    assert through.dof == (1, 3)
+    assert pytest.approx(841 / 30 / (59 / 90), rel=1e-12) == through.F
+
+
+def test_cross_validation_by_hand():
+    """Two blocks, slopes 7/5 and 6/5 through the origin: each predicts the rows of the other."""
+    columns = {"x": np.array([1.0, 2.0, 1.0, 2.0]), "y": np.array([1.0, 3.0, 2.0, 2.0])}
+    found = mp.regress(columns, response="y", terms="x", cross_validate=2).cross_validation
+    # errors −0.2, 0.6 and 0.6, −0.8, about their mean of 2 the responses have a sum of 2
+    assert found["rms"] == pytest.approx(np.sqrt(1.4 / 4), rel=1e-12)
+    assert found["r2"] == pytest.approx(1 - 1.4 / 2, rel=1e-12)
+    assert found["rms_of_blocks"] == pytest.approx([np.sqrt(0.2), np.sqrt(0.5)], rel=1e-12)
+
+
 # --- segments and branches
 
 
@@ -208,6 +244,11 @@ def test_continuous_fit_is_constrained_least_squares():
     covariance = np.linalg.inv(K)[:4, :4] * s2
     assert_allclose(found.segments[1].covariance, covariance[2:, 2:], rtol=1e-8, atol=1e-15)
     assert found.segments[0].dof == (1, 77)
+    # the scatter of a segment is on its rows less their leverage
+    leverage = np.einsum("ij,jk,ik->i", X, np.linalg.inv(K)[:4, :4], X)
+    for segment, rows in zip(found.segments, (low, ~low), strict=True):
+        rss = ((y - X @ truth)[rows] ** 2).sum()
+        assert segment.rms == pytest.approx(np.sqrt(rss / (rows.sum() - leverage[rows].sum())))
 
 
 def hysteresis(gap, seed=3, n=400):
@@ -226,6 +267,26 @@ def test_branches_where_they_differ_and_not_where_they_do_not():
     together = mp.regress(hysteresis(0.0), response="y", variables="t", branches="t_rate")
     assert [s.branch for s in together.segments] == [None]
     assert any("do not differ" in said for said in together.warnings)
+
+
+def test_branches_are_compared_by_hand():
+    """±1 about 3 while it heats and about −3 while it cools: rss 16 apart, 16 · 9 more together.
+
+    F = 144/(16/14) on 1 and 14. In time the ±1 agree with 11 of 15 neighbours, and 16 rows are
+    worth as many as `test_correlation` says of the same series.
+    """
+    wave = np.array([1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1], dtype=float)
+    rate = np.repeat([1.0, -1.0], 8)
+    columns = {"t": np.arange(16.0), "t_rate": rate}
+    how = (parse_terms("1"), "t_rate", None, (), 0.95)
+    found = compare_branches(how[0], Data(columns, wave + 3.0 * rate), *how[1:])
+    assert found["F"] == pytest.approx(126.0, rel=1e-12)
+    assert found["dof"] == [1, 14.0]
+    worth = 16 * 16 * 23**2 / (3600 - 37**2 + 11 * 23**2 + 4 * 97**2)
+    ordered = Data(columns, wave + 3.0 * rate, time_order(np.arange(16.0)))
+    found = compare_branches(how[0], ordered, *how[1:])
+    assert found["F"] == pytest.approx(126.0 * worth / 16, rel=1e-12)
+    assert found["dof"] == [1, pytest.approx(worth - 2, rel=1e-12)]
 
 
 def test_rates_are_formed_from_time_and_used_again(tmp_path, capsys):

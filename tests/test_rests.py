@@ -7,8 +7,8 @@ import pytest
 from logs import ar1, shared
 
 from multipos import MultiposError, UsageError
-from multipos.rest_means import RestSum
-from multipos.rests import PIECE, Finder, Windows, choose_grid, detect_static
+from multipos.rest_means import RestSum, zero_density
+from multipos.rests import PIECE, Finder, Grid, Survey, Windows, choose_grid, detect_static
 
 
 def session(rng, *, noise=1e-3, rests=6, still=1000, moving=200, phi=0.0):
@@ -89,6 +89,62 @@ def test_a_threshold_of_the_user_is_used():
     samples, truth = session(np.random.default_rng(2))
     rests, threshold = detect_static(samples, rate=100.0, threshold=0.01)
     assert (len(rests), threshold) == (len(truth), 0.01)
+
+
+def test_standard_deviation_of_a_window_by_hand():
+    """Eq. (1): sixteen steps of one scatter by 16 · 255/12 = 340 about their mean."""
+    ramp = np.arange(18.0) + 1e6  # blocks of two: two windows, the second a block later
+    means, sd = Windows(2).feed(np.array([0.1 * ramp, ramp]))
+    np.testing.assert_allclose(means[1], [1e6 + 7.5, 1e6 + 9.5], rtol=1e-14)
+    np.testing.assert_allclose(sd, np.sqrt(340 / 15), rtol=1e-9)
+
+
+def test_sizes_of_windows_by_hand():
+    assert choose_grid(200.0, None) == (grid := Grid(25, 400))  # a second, and two of it
+    assert grid.window == 200
+    assert choose_grid(None, None) == Grid(12, 192)
+    assert choose_grid(200.0, 0.4) == Grid(10, 80)  # a window of the shortest rest
+    assert choose_grid(200.0, 3.0) == Grid(25, 600)
+    assert choose_grid(4.0, None) == Grid(2, 32)
+
+
+@pytest.mark.parametrize(
+    ("hill", "factor"),
+    [(None, 10**0.5), (0.53, 10**0.40), (0.47, 10**0.60)],
+    ids=["nothing between", "above the middle", "below the middle"],
+)
+def test_the_threshold_is_between_2_5_and_4_times_the_peak(hill, factor):
+    """In hundredths of a decade 40 to 60 above the peak: 2.5 to 4.0 times, in the middle 3.2."""
+    peak = 10**-2.995
+    survey = Survey(1, Grid(12, 192))
+    samples = 1e-5 * np.arange(300.0)[np.newaxis, :]
+    survey.add(samples, np.zeros((1, 1000)), np.full(1000, peak))
+    if hill is not None:
+        survey.add(samples, np.zeros((1, 100)), np.full(100, peak * 10**hill))
+    assert survey.threshold() == pytest.approx(peak * factor, rel=1e-9)
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.049, False), (0.051, True)])
+def test_noise_beyond_a_twentieth_of_the_range_is_no_rest(share, refused):
+    peak = 10**-2.995
+    survey = Survey(1, Grid(12, 192))
+    means = peak / share * np.where(np.arange(1000) % 2, 1.0, -1.0)[np.newaxis, :]
+    survey.add(1e-5 * np.arange(300.0)[np.newaxis, :], means, np.full(1000, peak))
+    if refused:
+        with pytest.raises(MultiposError, match="5 % of what the positions"):
+            survey.threshold()
+    else:
+        assert survey.threshold() > peak
+
+
+def test_a_sensor_is_no_better_than_its_resolution():
+    """A step of 0.01 is a noise of at least 0.01/√12 = 10^-2.54; its bin has the middle 10^-2.535.
+
+    The threshold is half a decade above.
+    """
+    survey = Survey(1, Grid(12, 192))
+    survey.add(0.01 * np.array([[0.0, 1.0] * 150]), np.zeros((1, 1000)), np.zeros(1000))
+    assert survey.threshold() == pytest.approx(10**-2.035, rel=1e-9)
 
 
 def test_the_shortest_rest_is_the_users():
@@ -204,3 +260,89 @@ def test_drift_is_found_and_noise_is_not():
     (moved,) = means_of(noise[:1] + np.linspace(0.0, 3.0, 1000))
     assert abs(moved.drift[0] - still[0].drift[0] - 3.0) < 0.01
     assert moved.drift[0] > 5.0 * moved.drift_u[0]
+
+
+# Sixteen values of ±1 without mean or slope: the fourteen inner neighbours and the rest agree 11
+# times and differ 4 times, so the lag-1 correlation is r = (11 − 4)/16 = 7/16.
+WAVE = np.array([1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1], dtype=float)
+
+
+def test_spectral_density_of_a_short_series_by_hand():
+    """Eq. (1): order 1 has AICc 16 ln(1 − 49/256) + 64/13 = 1.5, order 0 has 32/14 = 2.3.
+
+    So b u² is (1 − r²)/(1 − r)² = (1 + r)/(1 − r) = 23/9 before the last factor, n_eff = 16 · 9/23,
+    and 1 − m/n_eff = 1 − 23 m/144.
+    """
+    assert zero_density(WAVE, 0) == pytest.approx(23 / 9, rel=1e-12)
+    assert zero_density(WAVE, 1) == pytest.approx(23 / 9 / (121 / 144), rel=1e-12)
+    assert zero_density(WAVE, 2) == pytest.approx(23 / 9 / (98 / 144), rel=1e-12)
+
+
+def test_order_of_the_autoregression_by_hand():
+    """Of 16 values order 1 is better where 16 ln(1 − r²) < 32/14 − 64/13: r² > 0.1520."""
+    ends = WAVE.copy()
+    ends[[0, 1, -2, -1]] *= (
+        2.0  # γ_0 = 28/16, γ_1 = 11/16: r² = 0.1543, and (1 + r)/(1 − r) = 39/17
+    )
+    assert zero_density(ends, 0) == pytest.approx(28 / 16 * 39 / 17, rel=1e-12)
+    first = WAVE.copy()
+    first[0] = 3.0  # γ_0 = 24/16, γ_1 = 9/16: r² = 0.1406
+    assert zero_density(first, 0) == pytest.approx(24 / 16, rel=1e-12)
+
+
+def test_second_order_by_hand_from_twenty_values_on():
+    """Lags 1/20 and −18/20: φ = 2/21, −19/21, σ² = 399/400 · 80/441 = 19/105, over (38/21)²."""
+    pairs = np.tile([1.0, 1.0, -1.0, -1.0], 5)
+    assert zero_density(pairs, 0) == pytest.approx(21 / 380, rel=1e-12)
+    assert zero_density(pairs[:19], 0) == pytest.approx(1.0, rel=1e-12)  # lag 1 is zero
+
+
+def test_mean_and_drift_of_a_short_rest_by_hand():
+    """Without a slope the line leaves what the mean leaves; in units of 1e-3 about 0.5."""
+    rest = RestSum(16, 1)
+    rest.feed(0.5 + 1e-3 * WAVE[np.newaxis, :])
+    found = rest.result()
+    assert found.mean == pytest.approx([0.5], rel=1e-12)
+    assert found.sd == pytest.approx([1e-3 * np.sqrt(16 / 15)], rel=1e-9)
+    # u² = 368/121/16 = 23/121 with m = 1
+    assert found.u == pytest.approx([1e-3 * np.sqrt(23) / 11], rel=1e-9)
+    assert found.effective == pytest.approx([16 / 15 * 121 / 23], rel=1e-9)
+    # 368/98/16 = 23/98 with m = 2, and √12 of its root
+    assert found.drift == pytest.approx([0.0], abs=1e-15)
+    assert found.drift_u == pytest.approx([1e-3 * np.sqrt(12 * 23 / 98)], rel=1e-9)
+    # the first value lies 1 off, of which noise explains √(368/98)
+    assert found.edge == pytest.approx([np.sqrt(98 / 368)], rel=1e-9)
+
+
+def test_edges_are_a_tenth_of_a_rest():
+    """The first two of twenty are 4 off their mean, the last two 1; noise is that of the drift."""
+    samples = np.array([5, 3, -2, 1, -3, 0, 2, -4, 1, -2, 3, -3, 0, 1, -2, 2, -4, 0, 1, 1.0])
+    assert samples.sum() == 0.0
+    for series in (samples, samples[::-1]):
+        rest = RestSum(20, 1)
+        rest.feed(series[np.newaxis, :])
+        found = rest.result()
+        noise = found.drift_u / np.sqrt(12.0) * np.sqrt(20 / 2)  # of the mean of two
+        assert found.edge == pytest.approx(4.0 / noise, rel=1e-9)
+
+
+def test_rests_are_kept_as_512_to_1023_means():
+    for n, length in ((1023, 1), (1024, 2)):
+        rest = RestSum(n, 1)
+        rest.feed((-1.0) ** np.arange(n)[np.newaxis, :])
+        # means of two are all equal and leave no noise of the drift
+        assert (rest.result().drift_u[0] == 0.0) == (length == 2)
+
+
+def test_extremes_are_counted_over_pieces():
+    rest = RestSum(7, 1)
+    for piece in ([0.0, 1.0, 1.0], [1.0, 0.0], [0.5, 0.5]):
+        rest.feed(np.array([piece]))
+    found = rest.result()
+    assert (found.low, found.at_low, found.high, found.at_high, found.longest) == (0, 2, 1, 3, 3)
+
+
+def test_drift_is_the_rise_of_the_line_over_the_rest():
+    rest = RestSum(20, 1)
+    rest.feed(np.arange(20.0)[np.newaxis, :] * 0.25)
+    assert rest.result().drift == pytest.approx([20 * 0.25], rel=1e-12)

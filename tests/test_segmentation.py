@@ -1,6 +1,7 @@
 """Segments: edges where the truth has them, none where it has none, and no jump on request."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -49,6 +50,30 @@ def test_dynamic_programming_is_exhaustive_search():
     assert cost(cuts) == pytest.approx(min(cost(c) for c in allowed), rel=1e-10)
 
 
+@pytest.mark.parametrize(
+    ("columns", "worth", "gain"),
+    [
+        # n ln(rss_1/rss_2) must pass (p + 1) ln n
+        (1, 1.0, 2 * math.log(40) / 40),
+        (2, 1.0, 3 * math.log(40) / 40),
+        (1, 0.5, 2 * math.log(20) / 20),
+    ],
+)
+def test_an_edge_costs_its_coefficients_and_one_more(columns, worth, gain):
+    """Eq. (2) by hand, where the 40 rows can be cut at one place only.
+
+    About two levels ±d the rows scatter by ±1: rss is 40 (1 + d²) in one piece and 40 in two. The
+    second column explains nothing in either half.
+    """
+    t = np.repeat([0.0, 1.0], 20)
+    X = np.column_stack((np.ones(40), np.tile([1.0, 1.0, -1.0, -1.0], 10)))[:, :columns]
+    scatter = np.tile([1.0, -1.0], 20)
+    for factor, edges in ((0.98, ()), (1.02, (0.5,))):
+        d = math.sqrt(math.exp(factor * gain) - 1.0)
+        y = scatter + d * (2.0 * t - 1.0)
+        assert find_edges(t, X, y, minimum=5, worth=worth) == edges
+
+
 def test_equal_values_are_never_parted():
     t = np.repeat([0.0, 1.0, 2.0, 3.0], 10)
     rng = np.random.default_rng(4)
@@ -87,6 +112,13 @@ def test_rate_is_the_least_squares_slope_of_each_window():
         near = np.abs(time - time[k]) <= 2.5
         slope = solve(np.column_stack((np.ones(near.sum()), time[near])), values[near])
         assert rate[k] == pytest.approx(slope.coefficients[1], rel=1e-9)
+
+
+def test_rate_by_hand():
+    """Rows within 1.5 of t = 2 are 1, 2, 3.5, with means 13/6 and 4: Σ tv = 21/6, Σ t² = 19/6."""
+    rate = smoothed_rate([0.0, 1.0, 2.0, 3.5], [9.0, 2.0, 5.0, 5.0], window=3.0)
+    assert rate[2] == pytest.approx(21 / 19, rel=1e-12)
+    assert rate[3] == pytest.approx(0.0, abs=1e-12)  # 2 and 3.5
 
 
 def test_rate_noise_is_as_stated():

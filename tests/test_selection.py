@@ -21,7 +21,7 @@ from multipos.selection import (
     select_stepwise,
     thresholds,
 )
-from multipos.subsets import all_subsets, residual_sums
+from multipos.subsets import all_subsets, criteria, residual_sums
 
 NAMES = ["1", "x1", "x2", "x3", "x4"]
 HALD = compress(hald.DESIGN, hald.RESPONSE)
@@ -91,6 +91,23 @@ def test_hald_all_sixteen_subsets():
     assert best[0].columns == (0, 1, 2)
     assert best[0].r2 == pytest.approx(0.97868, abs=5e-6)
     assert all_subsets(HALD, forced=[0], criterion="adjusted_r2")[0].columns == (0, 1, 2, 4)
+
+
+def test_criteria_by_hand():
+    """Ten rows, rss 10, two coefficients and the variance: K = 3."""
+    aicc, bic = criteria(10.0, 10, 2)
+    assert aicc == pytest.approx(0 + 6 + 24 / 6)
+    assert bic == pytest.approx(3 * math.log(10))
+    assert criteria(20.0, 10, 2)[1] - bic == pytest.approx(10 * math.log(2))
+    assert math.isinf(criteria(1.0, 4, 2)[0])
+
+
+@pytest.mark.parametrize(("forced", "total"), [([0], 12), ([], 13)])
+def test_adjusted_r2_of_hald_by_hand(forced, total):
+    """x1 and x2 leave 57.904 on 10, of 2715.763 on 12; of y'y on 13 where no constant must be."""
+    chosen = next(s for s in all_subsets(HALD, forced=forced) if s.columns == (0, 1, 2))
+    tss = 2715.763 if forced else float(hald.RESPONSE @ hald.RESPONSE)
+    assert chosen.adjusted_r2 == pytest.approx(1 - (57.904 / 10) / (tss / total), abs=2e-6)
 
 
 # --- against refits, whatever the problem

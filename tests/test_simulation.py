@@ -7,6 +7,7 @@ import pytest
 from logs import sensor
 
 import multipos as mp
+from multipos import simulation
 from multipos.cli import main
 
 
@@ -80,6 +81,16 @@ def test_turns_pass_between_opposite_positions():
     assert np.linalg.norm(turn, axis=1).min() > 0.7  # around, not through the middle
     assert force[99, 0] == pytest.approx(1.0, abs=1e-4)
     assert force[300, 0] == pytest.approx(-1.0, abs=1e-4)
+
+
+def test_a_turn_is_the_one_of_least_jerk_by_hand(monkeypatch):
+    """10 t³ − 15 t⁴ + 6 t⁵ of a quarter turn: 53/512 at a quarter of the time, half at half."""
+    monkeypatch.setattr(simulation, "_TREMBLE", 0.0)
+    x, y = np.eye(3)[:2]
+    path = simulation._turn(2.0 * x, 2.0 * y, 3, np.random.default_rng(0))
+    angle = np.pi / 2 * np.array([53 / 512, 1 / 2, 459 / 512])
+    wanted = 2.0 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    np.testing.assert_allclose(path, wanted, atol=1e-12)
 
 
 def test_temperature_runs():

@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos import cli
+from multipos.harmonics import Harmonic, find_rolls, residual_series, strange_harmonics
+from multipos.model import build_model
 from multipos.scheme import read_scheme
 from multipos.sections import tumble_text
-from multipos.single_axis import COEFFICIENTS
+from multipos.single_axis import COEFFICIENTS, _weak
 
 TRUTH = {
     "K0": 2e-3, "K1": 1.3, "K2": 1e-4, "K3": 3e-5, "Koq": -2e-5, "Kip": 5e-5, "Kio": -4e-5,
@@ -92,6 +95,40 @@ def test_harmonics_at_n_points_are_the_transform_of_the_sampled_terms(points):
 def test_fourier_view_gives_the_answer_of_least_squares(name):
     found = tumble(name, sd=1e-4)
     assert found.fourier_max_difference < 1e-13
+
+
+def test_residual_harmonics_by_hand():
+    """Eight angles, 3 cos 2t + cos 3t left by 1, cos t and sin t: rss = 36 + 4 on 5.
+
+    Order 2: F = (36/2)/(4/3) on 2 and 3, whose tail is (1 + 2 F/3)^(−3/2); order 3: (4/2)/(36/3).
+    """
+    angle = np.arange(8) * math.tau / 8
+    (roll,) = find_rolls(mp.Readings(np.zeros(8), up=read_scheme("roll-z-8").up))
+    design = np.column_stack([np.ones(8), np.cos(angle), np.sin(angle)])
+    residual = 3.0 * np.cos(2 * angle) + np.cos(3 * angle)
+    found = residual_series([roll], residual, design, 1e-12)
+    assert [h.order for h in found] == [0, 1, 2, 3, 4]
+    assert [h.p for h in found[:2]] == [None, None]  # what the model explains
+    assert found[2].p == pytest.approx(10**-1.5, rel=1e-9)
+    assert found[3].p == pytest.approx((10 / 9) ** -1.5, rel=1e-9)
+    assert found[4].p == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize(("p", "named"), [(0.0033, 1), (0.0034, 0)])
+def test_of_three_harmonics_tested_one_is_strange_at_a_third_of_a_percent(p, named):
+    found = [Harmonic("xy", order, 1.0, 0.0, chance)
+             for order, chance in enumerate([None, 0.5, p, 0.9])]  # fmt: skip
+    assert len(strange_harmonics(found)) == named
+
+
+@pytest.mark.parametrize(("rho", "said"), [(-0.979, 0), (-0.981, 1)])
+def test_weakly_told_by_hand(rho, said):
+    """u grows by 1/√(1 − ρ²), which is five times at |ρ| = 0.9798."""
+    model = build_model("1 + x + x^3 + x*|x|", ("E",), ("x",))
+    correlation = np.eye(4)
+    pair = [model.index("E", "x^3"), model.index("E", "x*|x|")]
+    correlation[pair, pair[::-1]] = rho
+    assert len(_weak(SimpleNamespace(model=model, correlation=correlation), "x")) == said
 
 
 def test_fourier_view_is_not_claimed_for_uneven_points():

@@ -130,6 +130,12 @@ def test_curves_are_sums_of_parameters():
     assert_allclose(bias.value, expected, rtol=1e-12)
     assert bias.u[1] == pytest.approx(cal["ax", "1"].u)
     assert bias.U[1] == pytest.approx(cal["ax", "1"].U)
+    # u² = w' C w with w = (1, 45, 45², 45³)
+    place = [cal.model.index("ax", "1"), *(
+        cal.model.index("ax", f"temperature{power}") for power in ("", "^2", "^3")
+    )]  # fmt: skip
+    w = 45.0 ** np.arange(4)
+    assert bias.u[2] == pytest.approx(np.sqrt(w @ cal.covariance[np.ix_(place, place)] @ w))
     assert_allclose(bias.value, 0.01 + 1e-4 * t + 1e-6 * t**2, atol=3 * bias.band.max())
     assert_allclose(scale.value, 1 + 3e-5 * t, atol=3 * scale.band.max())
     assert (bias.unit, scale.unit) == ("g", "1")

@@ -97,6 +97,31 @@ def test_zero_shift_is_seen_and_warned_of():
     assert sum("shifted by" in warning for warning in cal.diagnostics.warnings) == 2
 
 
+@pytest.mark.parametrize("scheme", ["edges-12", "all-26"])
+@pytest.mark.parametrize("model", ["linear", "own-quadratic", "1 + x + y + x^2"])
+def test_a_pair_is_fitted_whatever_its_rolls_cannot_tell(scheme, model):
+    """Zero shifts of three rolls can do what the table or the second order does: not a fault."""
+    up = read_scheme(scheme).up
+    values = up[:, :2] + 1e-5 * np.random.default_rng(2).standard_normal((len(up), 2))
+    cal = mp.fit(mp.Readings(values, up=up), model=model, inputs="x,y")
+    assert_allclose(cal["ax", "x"].value, 1.0, atol=1e-4)
+    told = [error for error in mp.table_errors(cal).errors if error.value_deg is not None]
+    assert told
+    assert all(abs(error.value_deg) < 0.01 for error in told)  # noise of 1e-5 is 0.0006 degrees
+
+
+def test_uncertainty_of_a_table_error_by_hand():
+    """24 angles and a cos 5t, which nothing explains: rss = 12 a² on 24 − 7.
+
+    Of (sin t − sin 3t)/2 the model leaves −sin 3t/2, whose squares sum to 3: u² = 4 a²/17.
+    """
+    noise = 1e-5 * np.cos(5 * T)
+    cal = mp.fit({"E": np.cos(T) + noise}, scheme="tumble-24", model="1 + x + y + x^2 + x^3 + x*y")
+    error = next(e for e in mp.table_errors(cal).errors if e.quantity == "second_cos")
+    assert_allclose(np.radians(error.u_deg), 2e-5 / math.sqrt(17), rtol=1e-4)  # K1 is 1 so far
+    assert_allclose(error.U_deg / error.u_deg, 2.1098, rtol=1e-4)  # t of 17 at 0.975
+
+
 def test_stated_bench_puts_the_drift_into_u():
     cal = mp.fit(rolls(T, sd=1e-5), scheme="dual-axis-48", unit="V")
     known = mp.state_bench(cal, reading_sd=1e-5, zero_drift=3e-4)

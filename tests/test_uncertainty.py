@@ -181,6 +181,22 @@ def test_each_contribution_by_hand():
     assert np.isinf(c.parameter_dof).all()
 
 
+@pytest.mark.parametrize(
+    ("size", "u"),
+    [
+        ({"half_width": 3.0}, 3 / math.sqrt(3)),
+        ({"half_width": 3.0, "distribution": "rectangular"}, 3 / math.sqrt(3)),
+        ({"half_width": 3.0, "distribution": "triangular"}, 3 / math.sqrt(6)),
+        ({"half_width": 3.0, "distribution": "arcsine"}, 3 / math.sqrt(2)),
+        ({"U": 3.0, "k": 2.58}, 3 / 2.58),
+        ({"u": 3.0}, 3.0),
+    ],
+)
+def test_sizes_of_a_budget_by_hand(size, u):
+    """JCGM 100, 4.3.3, 4.3.7 and 4.3.9; the variance of an arcsine law of half-width a is a²/2."""
+    assert read_budget({"gain": size}).quantities["gain"].u == pytest.approx(u, rel=1e-15)
+
+
 def test_a_temperature_term_of_the_model_is_used():
     given = read_scheme("dual-axis-48")
     temperature = np.linspace(10.0, 40.0, 48)
@@ -309,6 +325,21 @@ def test_an_unseen_third_order_term_grows_beyond_what_was_applied():
     assert_allclose(u[:2], 0.0, atol=1e-15)
     assert_allclose(u[2:], [1e-3 * 6, 1e-3 * 120], rtol=0.02)
     assert (force_covariance(c, size, {})[3, 0, 0]) > u[3] ** 2
+
+
+def test_degrees_of_freedom_beyond_what_was_applied_by_hand():
+    """At 2 g 6 κ is added to u, known for certain: ν = 2 ((u² + 36 κ²)/u²)²."""
+    up = read_scheme("faces-6").up
+    values = up + 1e-5 * np.random.default_rng(1).standard_normal(up.shape)
+    how = {"scheme": "faces-6", "model": "linear"}
+    plain = sphere_uncertainty(mp.fit(mp.Readings(values), **how), size=2.0, directions="faces-6")
+    beyond = mp.fit(mp.Readings(values), budget={"third_order": {"u": 2e-6}}, **how)
+    for axis, entry in sphere_uncertainty(beyond, size=2.0, directions="faces-6")["force"].items():
+        u2 = plain["force"][axis]["worst"] ** 2
+        assert plain["force"][axis]["dof"] == pytest.approx(2.0)
+        # the sensor is nominal to some 1e-5
+        assert entry["worst"] ** 2 == pytest.approx(u2 + 36 * 2e-6**2, rel=1e-3)
+        assert entry["dof"] == pytest.approx(2 * ((u2 + 36 * 2e-6**2) / u2) ** 2, rel=1e-3)
 
 
 def test_a_third_order_term_that_was_fitted_is_not_unseen():

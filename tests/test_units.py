@@ -53,6 +53,18 @@ def test_normal_gravity_falls_with_height():
     assert normal_gravity(45, -100) > normal_gravity(45)
 
 
+def test_normal_gravity_at_a_height_by_hand():
+    """At 45° 1 + f + m − 2 f sin² is 1 + m, m = 0.00344979, and a = 6378137 m.
+
+    At 10 km: 1 − 2 · 1.00344979 · 1e4/a + 3e8/a² = 1 − 3.1465265e-3 + 7.3745e-6 = 0.9968608.
+    At the equator 1 + f + m, at the pole 1 − f + m, with f = 1/298.257.
+    """
+    for latitude, first in ((45, 1.00344979), (0, 1.00680260), (90, 1.00009698)):
+        factor = 1 - 2 * first * 1e4 / 6378137 + 3 * (1e4 / 6378137) ** 2
+        found = normal_gravity(latitude, 1e4) / normal_gravity(latitude)
+        assert found == pytest.approx(factor, abs=1e-10)
+
+
 @pytest.mark.parametrize("place", [(91, 0), (math.nan, 0), (0, math.nan), (0, 1e6), (0, -2000)])
 def test_normal_gravity_refuses_places_that_are_not(place):
     with pytest.raises(ValueError, match="must lie between"):

@@ -1,6 +1,7 @@
 """Restricted maximum likelihood against its definition with full matrices, and textbook cases."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,13 @@ from test_likelihood import KINDS, a_problem
 
 import multipos as mp
 from multipos.likelihood import evaluate, linearise
-from multipos.variances import Linearised, _restricted, components, maximise_restricted
+from multipos.variances import (
+    Linearised,
+    _restricted,
+    components,
+    linearised,
+    maximise_restricted,
+)
 
 BOTH = np.array([True, True])
 NOISE = np.array([True, False])
@@ -128,7 +135,17 @@ def test_a_variance_of_which_nothing_is_left_is_known_to_be_hardly_known():
     linear = replace(linear, error=1e-2 * noise, spread=np.full(len(linear.spread), 1e-9))
     v = maximise_restricted(linear, np.zeros(2), BOTH)
     told = components(linear, v, BOTH)
-    assert np.sqrt(told.log_covariance[1, 1]) / 2.0 > 1.0
+    # as flat as the likelihood is at its boundary, the variance is known to a factor of e^5
+    assert told.log_covariance[1, 1] == pytest.approx(25.0, rel=1e-3)
+
+
+def test_a_tilt_of_the_table_has_the_information_that_is_stated():
+    problem, state = a_problem("everything")
+    assert problem.level_spread > 0.0
+    optimum = SimpleNamespace(state=state, point=evaluate(problem, state))
+    prior = linearised(problem, optimum).prior
+    assert_allclose(prior[-2:], 1.0 / problem.level_spread**2, rtol=1e-15)
+    assert not prior[:-2].any()
 
 
 def test_a_variance_on_less_than_one_contrast_counts_as_one():
