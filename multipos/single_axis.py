@@ -46,6 +46,7 @@ from multipos.least_squares import name_combinations, separability, solve
 from multipos.model import COMPONENTS, Model, build_model, default_axes
 from multipos.readings import Readings, orient, read_readings
 from multipos.scheme import Scheme
+from multipos.tilt import reading_noise
 from multipos.turntable import TableErrors, table_errors
 
 Array = NDArray[np.float64]
@@ -211,17 +212,16 @@ def tumble(
         confidence=confidence,
     )
     signal = calibration.readings.values[:, 0]
+    rounding = _ROUNDING * float(np.abs(signal).max())
     residual = residual_series(
-        rolls,
-        calibration.residuals[:, 0],
-        _design(calibration.model, calibration),
-        _ROUNDING * float(np.abs(signal).max()),
+        rolls, calibration.residuals[:, 0], _design(calibration.model, calibration), rounding
     )
+    sd = float(reading_noise(calibration)[0])
     return Tumble(
         coefficients=_coefficients(calibration, axis),
         calibration=calibration,
         rolls=rolls,
-        harmonics=series(rolls, signal),
+        harmonics=series(rolls, signal, sd if sd > rounding else None),
         residual_harmonics=residual,
         fourier_max_difference=_fourier_difference(calibration, rolls),
         table_errors=table_errors(calibration),
