@@ -105,6 +105,7 @@ class Roll(Result):
 class Harmonic(Result):
     """A coefficient pair of a Fourier series, in reading units; order 0 is the mean in `cos`.
 
+    `u_cos` and `u_sin` are what the noise of a reading makes of them, None where it is not known.
     For residuals `p` is the chance of as much where neither table nor model has this harmonic;
     None where the model explains it whatever it is.
     """
@@ -113,6 +114,8 @@ class Harmonic(Result):
     order: int
     cos: float
     sin: float
+    u_cos: float | None = None
+    u_sin: float | None = None
     p: float | None = None
 
     @property
@@ -221,16 +224,28 @@ def transform(roll: Roll) -> Array:
     return np.asarray(np.linalg.pinv(basis))
 
 
-def series(rolls: Sequence[Roll], signal: Array) -> tuple[Harmonic, ...]:
-    """Return the harmonics of a signal (n,) on every roll that spans a turn."""
+def series(rolls: Sequence[Roll], signal: Array, sd: float | None = None) -> tuple[Harmonic, ...]:
+    """Return the harmonics of a signal (n,) on every roll that spans a turn.
+
+    Parameters
+    ----------
+    rolls : sequence of Roll
+    signal : (n,) array
+    sd : float, optional
+        Standard deviation of a reading, for the uncertainties.
+    """
     found = []
     for roll in rolls:
         if not roll.spans_a_turn:
             continue
-        values = transform(roll) @ roll.average(signal[roll.rows])
-        found.append(Harmonic(roll.plane, 0, float(values[0]), 0.0))
-        for order, (cos, sin) in enumerate(values[1:].reshape(-1, 2).tolist(), start=1):
-            found.append(Harmonic(roll.plane, order, cos, sin))
+        weights = transform(roll)
+        values = (weights @ roll.average(signal[roll.rows])).tolist()
+        u = [None] * len(values)
+        if sd is not None:
+            u = (sd * np.sqrt((weights**2 / np.bincount(roll.groups)).sum(axis=1))).tolist()
+        found.append(Harmonic(roll.plane, 0, values[0], 0.0, u[0], None if sd is None else 0.0))
+        for k in range(1, len(values), 2):
+            found.append(Harmonic(roll.plane, (k + 1) // 2, *values[k : k + 2], *u[k : k + 2]))
     return tuple(found)
 
 
@@ -287,4 +302,5 @@ def power(roll: Roll) -> Array:
 def _basis(angle: Array, order: int) -> Array:
     multiples = np.outer(angle, np.arange(1, order + 1))
     columns = np.stack([np.cos(multiples), np.sin(multiples)], axis=2)
+    columns[np.abs(columns) < _SAME] = 0.0  # a sine that no angle sees is no sine of 1e-16
     return np.column_stack([np.ones(len(angle)), columns.reshape(len(angle), -1)])

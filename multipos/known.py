@@ -219,13 +219,8 @@ def _solve_jointly(model: Model, phi: Array, readings: Readings, covariance: Arr
         design.reshape(n * m, p), readings.values.ravel(), covariance=covariance, names=model.names
     )
     residuals = found.residuals.reshape(n, m)
-    blocks = covariance.reshape(n, m, n, m)
-    chi2 = [
-        float(residuals[:, i] @ np.linalg.solve(blocks[:, i, :, i], residuals[:, i]))
-        for i in range(m)
-    ]
     return _Fits(
-        found.coefficients, found.cofactor, residuals, np.array(chi2),
+        found.coefficients, found.cofactor, residuals, chi_squares(residuals, covariance),
         found.leverage.reshape(n, m), found.condition,
     )  # fmt: skip
 
@@ -239,6 +234,24 @@ def reading_noise(readings: Readings) -> Array | None:
         return None
     variances = np.diag(covariance)
     return variances.copy() if not np.any(covariance - np.diag(variances)) else covariance
+
+
+def chi_squares(residuals: Array, noise: Array | None) -> Array:
+    """Return r'V⁻¹r of each output by itself (M,), V as `reading_noise` has it; 1 where it is None.
+
+    Parameters
+    ----------
+    residuals : (n, M) array
+    noise : (n M,) or (n M, n M) array, optional
+    """
+    n, m = residuals.shape
+    if noise is None or noise.ndim == 1:
+        variances = np.ones((n, m)) if noise is None else noise.reshape(n, m)
+        return np.asarray(np.sum(residuals**2 / variances, axis=0))
+    blocks = noise.reshape(n, m, n, m)
+    return np.array(
+        [residuals[:, i] @ np.linalg.solve(blocks[:, i, :, i], residuals[:, i]) for i in range(m)]
+    )
 
 
 def believe(

@@ -21,6 +21,7 @@ D. M. Bates, D. G. Watts, *Nonlinear Regression Analysis and Its Applications*, 
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,8 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.calibration import Calibration
 from multipos.descent import maximise
 from multipos.errors import ConvergenceError, MultiposError
-from multipos.known import reading_noise
+from multipos.known import chi_squares, reading_noise
+from multipos.likelihood import linearise, moved, recentred
 from multipos.quantiles import coverage_factor
 from multipos.restatement import estimated_variances, noise_factor, restate, return_to_optimum
 from multipos.variances import components, linearised
@@ -81,45 +83,51 @@ def profile_interval(
     """
     best = np.asarray(estimate, dtype=np.float64)
     smallest = float(np.sum(residuals(best) ** 2))
+    slope = _follow(residuals, best, index)
 
-    def walk() -> Profile:
-        start = np.delete(best, index)  # each point starts from its neighbour's answer
+    def rise(value: float) -> float:
+        start = np.delete(best + (value - best[index]) * slope, index)
+        return _profiled(residuals, start, index, value) - smallest
 
-        def rise(value: float) -> float:
-            nonlocal start
-            found, start = _profiled(residuals, start, index, value)
-            return found - smallest
-
-        return rise
-
-    return _search_ends(walk, float(best[index]), coverage_factor(confidence, dof), u)
+    return _search_ends(rise, float(best[index]), coverage_factor(confidence, dof), u)
 
 
-def _search_ends(walk: Callable[[], Profile], centre: float, k: float, u: float) -> Interval:
-    """Return where a profile has risen by k², each side on a walk of its own."""
+def _follow(residuals: Callable[[Array], Array], best: Array, index: int) -> Array:
+    """Return how all parameters (p,) move with one where the sum of squares stays least."""
+    from scipy.optimize import least_squares
+
+    slopes = np.asarray(least_squares(residuals, best, x_scale="jac", max_nfev=1).jac)
+    others = np.linalg.lstsq(np.delete(slopes, index, axis=1), -slopes[:, index], rcond=None)[0]
+    return np.insert(others, index, 1.0)
+
+
+def _search_ends(rise: Profile, centre: float, k: float, u: float) -> Interval:
+    """Return where a profile has risen by k², to either side.
+
+    A profile is nearly a parabola, so its root, which is nearly a straight line, is what is
+    searched. The first step goes beyond k u, where the profile of a linear fit ends.
+    """
     from scipy.optimize import brentq
+
+    @cache  # the search compares signs at points it has seen: they must not change by rounding
+    def excess(step: float) -> float:
+        found = rise(centre + step)
+        if found < -1e-6 * k * k:
+            raise ConvergenceError(
+                "the estimate is not where the sum of squares is least; fit again from where "
+                f"the parameter is {centre + step:.6g}."
+            )
+        return math.sqrt(max(found, 0.0)) - k
 
     ends = []
     for side in (-1.0, 1.0):
-        rise = walk()
-
-        def excess(step: float, side: float = side, rise: Profile = rise) -> float:
-            found = rise(centre + side * step)
-            if found < -1e-6 * k * k:
-                raise ConvergenceError(
-                    "the estimate is not where the sum of squares is least; fit again from where "
-                    f"the parameter is {centre + side * step:.6g}."
-                )
-            return found - k * k
-
-        reach = k * u
-        while excess(reach) < 0.0 and reach < _FARTHEST * k * u:
-            reach *= 1.5
-        ends.append(
-            side * math.inf
-            if reach >= _FARTHEST * k * u
-            else centre + side * float(brentq(excess, 0.0, reach, xtol=1e-10 * k * u))
-        )
+        near, reach = 0.0, 1.25 * side * k * u
+        while excess(reach) < 0.0 and abs(reach) < _FARTHEST * k * u:
+            near, reach = reach, 1.5 * reach
+        if excess(reach) < 0.0:
+            ends.append(side * math.inf)
+        else:
+            ends.append(centre + float(brentq(excess, near, reach, xtol=1e-10 * k * u)))
     return Interval(*ends)
 
 
@@ -141,13 +149,10 @@ def calibration_interval(calibration: Calibration, output: str, term: str) -> In
     index = c.model.index(output, term)
     if c.estimator.endswith("orientation"):
         return _likelihood_interval(c, index)
+    residuals, best = _known_problem(c)
     dof = float(c.dof[c.outputs.index(output)])
-    residuals = calibration_residuals(c)
-    start = c.parameters
-    if c.estimator == "closed-form":
-        start = fit_residuals(residuals, start)
     return profile_interval(
-        residuals, start, index, u=float(c.u[index]), dof=dof, confidence=c.confidence
+        residuals, best, index, u=float(c.u[index]), dof=dof, confidence=c.confidence
     )
 
 
@@ -161,59 +166,80 @@ def _likelihood_interval(c: Calibration, index: int) -> Interval:
     if free.any():
         dof = float(components(linearised(problem, best), np.zeros(2), free).dof[index])
 
-    def walk() -> Profile:
-        state = best.state  # each point starts from its neighbour's answer
+    normal = linearise(problem, best.state, best.point)
+    slope = np.zeros(len(normal.information))  # how all unknowns follow the parameter
+    others = np.arange(len(slope)) != index
+    slope[index] = 1.0
+    slope[others] = -np.linalg.lstsq(
+        normal.information[np.ix_(others, others)], normal.information[others, index], rcond=None
+    )[0]
 
-        def rise(value: float) -> float:
-            nonlocal state
-            theta = state.theta.copy()
-            theta[index] = value
-            found = maximise(held, replace(state, theta=theta))
-            if not found.converged:
-                raise ConvergenceError(
-                    f"no fit was found with `{c.names[index]}` held at {value:.6g}; choose a model "
-                    "with fewer terms."
-                )
-            state = found.state
-            return (found.point.objective - best.point.objective) / factor
-
-        return rise
+    def rise(value: float) -> float:
+        step = (value - best.state.theta[index]) * slope
+        start = recentred(problem, moved(problem, best.state, best.point, normal, step, 0.0))
+        found = maximise(held, start)
+        if not found.converged:
+            raise ConvergenceError(
+                f"no fit was found with `{c.names[index]}` held at {value:.6g}; choose a model "
+                "with fewer terms."
+            )
+        return (found.point.objective - best.point.objective) / factor
 
     k = coverage_factor(c.confidence, dof)
-    return _search_ends(walk, float(best.state.theta[index]), k, float(c.u[index]))
+    return _search_ends(rise, float(best.state.theta[index]), k, float(c.u[index]))
 
 
-def calibration_residuals(calibration: Calibration) -> Callable[[Array], Array]:
-    """Return the whitened residuals (n M,) at known orientations as a function of (p,)."""
-    c = calibration
+def _known_problem(c: Calibration) -> tuple[Callable[[Array], Array], Array]:
+    """Return the whitened residuals (n M,) of parameters (p,) at known orientations, and the best.
+
+    The noise is that of the fit: as stated with the readings, or of variance one, times χ²/ν where
+    that was not believed or not stated.
+    """
     noise = reading_noise(c.readings)
-    n, m = c.readings.values.shape
-    believed = noise is not None and noise.ndim == 1 and bool(np.isinf(c.dof).all())
-    sd = np.broadcast_to(c.residual_sd, (n, m))
-    if believed and noise is not None:
-        sd = np.sqrt(noise).reshape(n, m)
+    full = noise is not None and noise.ndim == 2
+    root = np.ones(c.readings.values.size) if noise is None else noise
+    root = np.asarray(np.linalg.cholesky(root) if full else np.sqrt(root))
+
+    def left(p: Array) -> Array:
+        found = c.model.predict(p, c.reference, c.readings.environment)
+        return np.asarray(c.readings.values - found)
+
+    def whitened(residuals: Array) -> Array:
+        flat = residuals.ravel()
+        return np.asarray(np.linalg.solve(root, flat) if full else flat / root)
+
+    best = c.parameters
+    if c.estimator == "closed-form":
+        best = fit_residuals(lambda p: whitened(left(p)), best)
+    sd = np.sqrt(_variance_factor(c, chi_squares(left(best), noise)))
 
     def residuals(p: Array) -> Array:
-        y = c.model.predict(p, c.reference, c.readings.environment)
-        return np.asarray(((c.readings.values - y) / sd).ravel())
+        return whitened(left(p) / sd)
 
-    return residuals
+    # a factor for each output moves the best parameters where outputs are correlated
+    return residuals, fit_residuals(residuals, best) if full else best
 
 
-def _profiled(
-    residuals: Callable[[Array], Array], start: Array, index: int, value: float
-) -> tuple[float, Array]:
-    """Return the least sum of squares with one parameter held, and where the others are then."""
+def _variance_factor(c: Calibration, chi2: Array) -> Array:
+    """Return what the fit multiplied each output's variance by (M,)."""
+    nu = len(c.readings) - np.array([len(terms) for terms in c.model.terms])
+    if c.dof[0] == nu.sum():  # pooled, or one output
+        return np.full(len(nu), chi2.sum() / nu.sum())
+    return np.where(np.isinf(c.dof), 1.0, chi2 / np.maximum(nu, 1))
+
+
+def _profiled(residuals: Callable[[Array], Array], start: Array, index: int, value: float) -> float:
+    """Return the least sum of squares with one parameter held."""
     from scipy.optimize import least_squares
 
     if not len(start):
-        return float(np.sum(residuals(np.array([value])) ** 2)), start
+        return float(np.sum(residuals(np.array([value])) ** 2))
 
     def held(others: Array) -> Array:
         return residuals(np.insert(others, index, value))
 
     found = least_squares(held, start, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
-    return 2.0 * float(found.cost), np.asarray(found.x)
+    return 2.0 * float(found.cost)
 
 
 def fit_residuals(residuals: Callable[[Array], Array], start: ArrayLike) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 
 from multipos.calibration import Calibration
 from multipos.formatting import number, table, uncertain
+from multipos.harmonics import Harmonic
 from multipos.single_axis import Tumble
 from multipos.turntable import TableErrors
 from multipos.verdicts import VERDICTS, Check, worst
@@ -88,8 +89,8 @@ def tumble_sections(found: Tumble) -> list[tuple[str, str]]:
     for h in found.harmonics:
         left = residual[h.plane, h.order]
         rows.append(
-            [h.plane, str(h.order), *(f"{v:.6g}" for v in (h.cos, h.sin, h.amplitude)),
-             f"{left.amplitude:.2g}", number(left.p, 2)]
+            [h.plane, str(h.order), *_harmonic_cells(h), f"{left.amplitude:.2g}",
+             number(left.p, 2)]
         )  # fmt: skip
     if rows:
         header = ["plane", "order", f"cos [{unit}]", "sin", "amplitude", "left by the model", "p"]
@@ -108,6 +109,14 @@ def tumble_text(found: Tumble) -> str:
             f"\nFourier against least squares: {found.fourier_max_difference:.1e} of a reading\n"
         )
     return text
+
+
+def _harmonic_cells(h: Harmonic) -> list[str]:
+    """Return cosine, sine and amplitude, to the digits that the noise leaves of them."""
+    if h.u_cos is None or h.u_sin is None:
+        return [number(value, 6) for value in (h.cos, h.sin, h.amplitude)]
+    larger = max(h.u_cos, h.u_sin)  # the u of an amplitude lies between the two
+    return [uncertain(h.cos, h.u_cos), uncertain(h.sin, h.u_sin), uncertain(h.amplitude, larger)]
 
 
 def check_sheets(found: Check) -> list[Sheet]:

@@ -49,6 +49,7 @@ from multipos.names import Names
 from multipos.readings import Readings, orient, read_readings
 from multipos.results import Result
 from multipos.scheme import Scheme
+from multipos.tilt import reading_noise
 from multipos.turntable import TableErrors, table_errors
 
 Array = NDArray[np.float64]
@@ -214,17 +215,16 @@ def tumble(
         confidence=confidence,
     )
     signal = calibration.readings.values[:, 0]
+    rounding = _ROUNDING * float(np.abs(signal).max())
     residual = residual_series(
-        rolls,
-        calibration.residuals[:, 0],
-        _design(calibration.model, calibration),
-        _ROUNDING * float(np.abs(signal).max()),
+        rolls, calibration.residuals[:, 0], _design(calibration.model, calibration), rounding
     )
+    sd = float(reading_noise(calibration)[0])
     return Tumble(
         coefficients=_coefficients(calibration, axis),
         calibration=calibration,
         rolls=rolls,
-        harmonics=series(rolls, signal),
+        harmonics=series(rolls, signal, sd if sd > rounding else None),
         residual_harmonics=residual,
         fourier_max_difference=_fourier_difference(calibration, rolls),
         table_errors=table_errors(calibration),

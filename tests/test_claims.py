@@ -226,14 +226,39 @@ def test_progress_and_limits():
 # --- profiles
 
 
-@pytest.mark.parametrize("options", [{}, {"reading_sd": 1e-3}, {"closed_form": True}])
-def test_profile_of_a_linear_fit_is_its_interval(options):
-    scheme = "faces-6" if "closed_form" in options else "icosahedron-12"
-    c = mp.fit(readings(scheme), scheme=scheme, **options)
-    for output, term in (("ax", "1"), ("ay", "x"), ("az", "z")):
-        p = c[output, term]
-        low, high = calibration_interval(c, output, term)
-        assert_allclose([low, high], [p.value - p.U, p.value + p.U], atol=1e-6 * p.U)
+def random_linear_fit(kind, rng):
+    """A calibration at known orientations, its sensor and noise drawn at random."""
+    up = read_scheme("faces-6" if kind == "closed form" else "icosahedron-12").up
+    size = up.size
+    sd = rng.uniform(0.5e-3, 2e-3, up.shape)
+    covariance = np.diag(sd.ravel() ** 2)
+    if kind == "correlated":
+        mixed = np.eye(size) + 0.1 * rng.standard_normal((size, size)) / np.sqrt(size)
+        covariance = mixed @ covariance @ mixed.T
+    noise = np.linalg.cholesky(covariance) @ rng.standard_normal(size)
+    sensor = np.diag(rng.uniform(0.5, 2.0, 3)) + 0.05 * rng.standard_normal((3, 3))
+    values = rng.standard_normal(3) + up @ sensor.T + noise.reshape(up.shape)
+    stated = {
+        "stated": {"u": sd}, "denied": {"u": sd / 3.0}, "one denied": {"u": sd / [3.0, 1.0, 1.0]},
+        "correlated": {"covariance": covariance},
+    }.get(kind, {})  # fmt: skip
+    options = {"pooled": {"pool": True}, "closed form": {"closed_form": True}}.get(kind, {})
+    return mp.fit(mp.Readings(values, up=up, unit="g", **stated), **options)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["unstated", "pooled", "stated", "denied", "one denied", "correlated", "closed form"],
+)
+def test_profile_of_a_linear_fit_is_its_interval(kind):
+    rng = np.random.default_rng(1515)
+    for _ in range(4):
+        c = random_linear_fit(kind, rng)
+        for output, term in c.model.keys:
+            p = c[output, str(term)]
+            ends = calibration_interval(c, output, str(term))
+            # the search for an end stops at 1e-10 U; residuals of 1e-3 are known to 1e-13
+            assert_allclose(ends, [p.value - p.U, p.value + p.U], rtol=0, atol=1e-9 * p.U)
 
 
 def test_profile_needs_the_least_sum_of_squares():

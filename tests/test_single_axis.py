@@ -89,6 +89,30 @@ def test_harmonics_at_n_points_are_the_transform_of_the_sampled_terms(points):
         assert_allclose([h.cos, h.sin], [value.real, -value.imag], rtol=0, atol=1e-14)
 
 
+def test_uncertainty_of_a_harmonic_by_hand():
+    # N even points: the mean of N, and 2/N sum y cos ht, whose squared cosines sum to N/2
+    sd = 3e-4
+    found = tumble("tumble-12+tumble-12", reading_sd=sd, sd=sd)  # two readings at each point
+    by_order = {h.order: h for h in found.harmonics}
+    assert by_order[0].u_cos == pytest.approx(sd / math.sqrt(24))
+    assert by_order[1].u_cos == pytest.approx(sd * math.sqrt(2 / 24))
+    assert by_order[1].u_sin == pytest.approx(sd * math.sqrt(2 / 24))
+    # sin 6t is zero at all of them, and cos 6t is ±1
+    assert by_order[6].u_cos == pytest.approx(sd / math.sqrt(24))
+    assert by_order[6].u_sin == by_order[6].sin == 0.0
+    assert tumble("tumble-12").harmonics[1].u_cos is None  # nothing but rounding is left
+
+
+def test_harmonics_are_printed_to_the_digits_of_their_u():
+    def mean_of(found):
+        lines = (line.split() for line in tumble_text(found).splitlines())
+        return next(cells[2] for cells in lines if cells[:2] == ["xy", "0"])
+
+    noisy, exact = tumble("tumble-12", sd=1e-4, seed=3), tumble("tumble-12")
+    assert mean_of(noisy) == "0.002655(41)"
+    assert mean_of(exact) == f"{exact.harmonics[0].cos:.6g}"
+
+
 @pytest.mark.parametrize(
     "name", ["tumble-4", "tumble-8", "tumble-12", "roll-z-12+roll-y-12", "roll-z-24+roll-y-24"]
 )
