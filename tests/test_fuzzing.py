@@ -176,6 +176,24 @@ def test_each_breach_has_its_signature(main, signature, tmp_path):
 
 
 @FORKS
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        (b"    {0.1f, -inff},\n", ["export: inf is written as a number"]),
+        (b"CAL_ACC0_XOFF nan\n", ["export: nan is written as a number"]),
+        (b"/* a sensor\n * of unit nan, inf */\n    {0.1f, 1e30f},\n", []),
+    ],
+)
+def test_an_export_holds_numbers(line, found, tmp_path):
+    def writes(argv):
+        Path("o.c").write_bytes(line)
+        return 0
+
+    made = Case(("export", "in.json", "-o", "o.c"), {})
+    assert judge(made, run(made, tmp_path, writes, LIMITS), LIMITS) == found
+
+
+@FORKS
 def test_what_waits_for_ever_is_ended(tmp_path):
     limits = Limits(wall=1)
     (found,) = judge(CASE, run(CASE, tmp_path, waits_for_ever, limits), limits)

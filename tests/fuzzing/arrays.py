@@ -2,6 +2,7 @@
 
 import io
 import random
+import zipfile
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from . import raw
 
-ROWS = (0, 1, 2, 50, 400)
+ROWS = (0, 1, 50, *[900] * 6)
 SCALES = (1.0, 1.0, 1.0, 1e308, 1e30, 1e-320, 1e4)
 NAMES = ("acc", "ax", "data", "log", "x y", "é", "time", "n" * 31)
 RECORDS = (
@@ -20,10 +21,10 @@ TYPES = ("f4", "f8", ">f8", "f2", "i2", ">i2", "u8", "i8", "c16", "?", "S8", "U4
 
 
 def log(rng: random.Random) -> np.ndarray:
-    """A log of three outputs that rests in a few positions."""
+    """A log of three outputs: rests of three seconds at 100 Hz, one an axis."""
     rows = rng.choice(ROWS)
     draws = np.random.default_rng(rng.randrange(2**32))
-    up = np.eye(3)[(np.arange(rows) // 100) % 3]
+    up = np.eye(3)[(np.arange(rows) // 300) % 3]
     return (up + draws.normal(0.0, 1e-3, (rows, 3))) * rng.choice(SCALES)
 
 
@@ -65,7 +66,7 @@ def _spoilt(rng: random.Random, samples: np.ndarray) -> Any:
 
 
 FORMS: tuple[Callable[[random.Random, np.ndarray], Any], ...] = (
-    *(_plain, _with_time, _structured),
+    *(_plain, _plain, _plain, _with_time, _structured),
     *(_typed, _typed, _shaped, _shaped, _spoilt, _spoilt),
 )
 
@@ -83,14 +84,22 @@ def _named(rng: random.Random, array: Any) -> dict[str, Any]:
         "text": np.array("note"),
         "other": np.zeros((2, 2)),
     }
-    chosen = rng.sample(sorted(others), rng.randrange(3))
-    return {rng.choice(NAMES): array} | {name: others[name] for name in chosen}
+    chosen = {name: others[name] for name in rng.sample(sorted(others), rng.randrange(3))}
+    if np.ndim(array) == 2 and np.shape(array)[1] in (3, 4) and rng.random() < 0.6:
+        columns = dict(zip(("ax", "ay", "az", "time"), np.transpose(array), strict=False))
+        return columns | {rng.choice(sorted(columns)): array[: rng.choice((None, -1)), 0]}
+    return {rng.choice(NAMES): array} | chosen
 
 
 def _npz(rng: random.Random, array: Any) -> bytes:
     stream = io.BytesIO()
-    save = np.savez_compressed if rng.random() < 0.5 else np.savez
-    save(stream, **_named(rng, array))
+    way = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
+    with zipfile.ZipFile(stream, "w", way) as archive:
+        for name, column in _named(rng, array).items():
+            inside = _npy(rng, column)  # damaged here, its checksum is right
+            if rng.random() < 0.1:
+                inside = raw.damage(rng, inside, raw.BINARY_DAMAGES)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), inside, way)
     return stream.getvalue()
 
 
@@ -123,9 +132,9 @@ WRITERS: dict[str, Callable[[random.Random, Any], bytes]] = {
 
 
 def draw(rng: random.Random, suffix: str) -> bytes:
-    """Return a file of this kind, two in three of them damaged in their bytes too."""
+    """Return a file of this kind, one in two of them damaged in its bytes too."""
     array = rng.choice(FORMS)(rng, log(rng))
     data = WRITERS[suffix](rng, array)
-    for _ in range(rng.choice((0, 1, 2))):
+    for _ in range(rng.choice((0, 0, 1, 2))):
         data = raw.damage(rng, data, raw.BINARY_DAMAGES)
     return data

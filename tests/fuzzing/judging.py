@@ -15,6 +15,10 @@ from .running import Limits, Run
 PACKAGE = str(Path(multipos.__file__).parent)
 _FRAME = re.compile(rf'File "{re.escape(PACKAGE)}/([^"]+)", line (\d+),? in (\S+)')
 _WARNING = re.compile(r"^(\S+\.py):(\d+): (\w*Warning): (.*)$", re.MULTILINE)
+# How the command line's last handler speaks of what it did not foresee.
+_LAST_HANDLER = re.compile(r"error: unexpected|unexpected \w*([Ee]rror|Exception)\b")
+# In a line that is no comment, where a number stands in C or in a file of parameters.
+_NO_NUMBER = re.compile(r"^(?! ?[#*/]).*[\s,={(\[-](inf|nan)f?(?![\w.])", re.MULTILINE)
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\x80-\x9f]")
 
 
@@ -76,7 +80,7 @@ def _failure(case: Case, run: Run, stderr: str) -> Iterator[str]:
     lines = stderr.splitlines()
     if not lines or not lines[-1].startswith("multipos: error: "):
         yield "stderr: does not end in 'multipos: error: '"
-    elif re.search(r"\bunexpected\b(?! end of data)", lines[-1]):  # csv says the latter
+    elif _LAST_HANDLER.search(lines[-1]):
         yield f"unexpected: {_masked(lines[-1])[:80]}"
     yield from _strange_lines(lines[:-1])
     if _CONTROL.search(stderr):
@@ -129,7 +133,7 @@ def _folder(case: Case, run: Run) -> Iterator[str]:
         what = "gone" if name not in run.after else "changed"
         yield f"files: an input is {what} (status {run.status}, {case.argv[0]})"
     changed -= case.files.keys()
-    if run.signal in ("SIGXCPU", "SIGKILL"):
+    if run.signal is not None:
         return  # what was cut short cannot tidy up
     if run.status == 0:
         strange = changed - _expected(case, run, changed)
@@ -182,6 +186,10 @@ def _written(case: Case, run: Run) -> Iterator[str]:
     suffix = PurePath(case.output).suffix
     if run.before.get(case.output) == state:
         yield f"files: the output was not written ({case.argv[0]})"
+    elif case.argv[0] == "export" and (
+        number := _NO_NUMBER.search(data.decode("utf-8", "replace"))
+    ):
+        yield f"export: {number[1]} is written as a number"
     elif suffix == ".json" and (fault := _json_fault(data)):
         yield f"json: the file of {case.argv[0]} is {fault}"
     elif suffix == ".svg":

@@ -127,21 +127,23 @@ def _export(rng: random.Random, data: bytes) -> bytes:
     return raw.damage(rng, changed) if rng.random() < 0.3 else changed
 
 
-ARRAY_COMMANDS = (
-    "average {}",
-    "average {} --rate 100 --json",
-    "average {} --columns time,ax,ay,az -o o.csv",
-    "apply lin.json {}",
-    "apply lin.json {} --columns ax,ay,az -o o.csv",
-    "apply lin.json {} --columns time,ax,ay,az --json",
-    "apply plain-reg.json {}",
-    "fit {}",
-)
+ARRAY_COMMANDS = {
+    "average {} --outputs ax,ay,az": 4,
+    "average {} --rate 100 --json": 6,
+    "average {} --columns time,ax,ay,az -o o.csv": 4,
+    "average {} --rate 100 --columns ax,ay,az": 4,
+    "apply lin.json {}": 6,
+    "apply lin.json {} --columns ax,ay,az -o o.csv": 4,
+    "apply lin.json {} --columns time,ax,ay,az --json": 4,
+    "apply plain-reg.json {}": 1,
+    "fit {}": 1,
+}  # and how often each is drawn
 
 
 def _arrays(rng: random.Random, valid: Files) -> Case:
     name = f"log{rng.choice(tuple(arrays.WRITERS))}"
-    words = rng.choice(ARRAY_COMMANDS).format(name).split()
+    command = rng.choices(list(ARRAY_COMMANDS), ARRAY_COMMANDS.values())[0]
+    words = command.format(name).split()
     return _case(_with_options(rng, words), valid, {name: arrays.draw(rng, name[3:])})
 
 
