@@ -1,0 +1,199 @@
+"""Hold the promise against what a case did; each breach is a signature that groups its like."""
+
+import json
+import os
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path, PurePath
+
+import multipos
+
+from .kinds import Case
+from .running import Limits, Run
+
+PACKAGE = str(Path(multipos.__file__).parent)
+_FRAME = re.compile(rf'File "{re.escape(PACKAGE)}/([^"]+)", line (\d+),? in (\S+)')
+_WARNING = re.compile(r"^(\S+\.py):(\d+): (\w*Warning): (.*)$", re.MULTILINE)
+# How the command line's last handler speaks of what it did not foresee.
+_LAST_HANDLER = re.compile(r"error: unexpected|unexpected \w*([Ee]rror|Exception)\b")
+# In a line that is no comment, where a number stands in C or in a file of parameters.
+_NO_NUMBER = re.compile(r"^(?! ?[#*/]).*[\s,={(\[-](inf|nan)f?(?![\w.])", re.MULTILINE)
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\x80-\x9f]")
+
+
+def judge(case: Case, run: Run, limits: Limits) -> list[str]:
+    """Return the signatures of all that is wrong; an empty list where the promise was kept."""
+    return [*_process(case, run, limits), *_folder(case, run)]
+
+
+def _process(case: Case, run: Run, limits: Limits) -> Iterator[str]:
+    """What is wrong with the end of the process, its streams and its cost."""
+    stderr = run.stderr.decode("utf-8", "replace")
+    if run.signal == "SIGXCPU" or (run.signal is None and run.cpu > limits.cpu):
+        yield f"slow: more than {limits.cpu} s of CPU in {_innermost(run.fault)}"
+    elif run.signal == "SIGALRM":
+        yield f"waits: more than {limits.wall} s in {_innermost(run.fault)}"
+    elif run.signal is not None:
+        yield f"killed: {run.signal} in {_innermost(run.fault)}"
+    elif "Traceback (most recent call last)" in stderr:
+        yield _traceback(stderr)
+    elif run.status not in (0, 1, 2):
+        yield f"status: {run.status}"
+    elif run.status:
+        yield from _failure(case, run, stderr)
+    else:
+        yield from _success(case, run, stderr)
+    for file, line, category, text in _WARNING.findall(stderr):
+        where = file.removeprefix(f"{PACKAGE}/") if file.startswith(PACKAGE) else Path(file).name
+        yield f"warning: {category} at {where}:{line}: {text[:60]}"
+    if run.memory > limits.memory or "fit into memory" in stderr:
+        yield f"memory: more than {limits.memory >> 20} MB asked for by {case.argv[0]}"
+
+
+def _traceback(stderr: str) -> str:
+    """The exception and the innermost line of the package."""
+    raised = [line for line in stderr.splitlines() if re.match(r"[A-Za-z_][\w.]*(:|$)", line)]
+    raised = [line for line in raised if not line.startswith("multipos:")]
+    name, _, text = (raised[-1] if raised else "?").partition(":")
+    return f"traceback: {name}: {_masked(text)[:60]} at {_innermost(stderr.encode(), last=True)}"
+
+
+def _innermost(text: bytes, last: bool = False) -> str:
+    frames = _FRAME.findall(text.decode("utf-8", "replace"))
+    if not frames:
+        return "?"
+    file, line, function = frames[-1 if last else 0]
+    return f"{file}:{line} {function}"
+
+
+def _masked(text: str) -> str:
+    """Without what differs from case to case."""
+    return re.sub(r"'[^']*'|\"[^\"]*\"", "'…'", re.sub(r"\d+", "N", text)).strip()
+
+
+def _failure(case: Case, run: Run, stderr: str) -> Iterator[str]:
+    if run.stdout:
+        yield f"stdout: not empty on {run.status}"
+    if case.stderr != "open":
+        return
+    lines = stderr.splitlines()
+    if not lines or not lines[-1].startswith("multipos: error: "):
+        yield "stderr: does not end in 'multipos: error: '"
+    elif _LAST_HANDLER.search(lines[-1]):
+        yield f"unexpected: {_masked(lines[-1])[:80]}"
+    yield from _strange_lines(lines[:-1])
+    if _CONTROL.search(stderr):
+        yield "stderr: a control character"
+
+
+def _success(case: Case, run: Run, stderr: str) -> Iterator[str]:
+    if case.stderr == "open":
+        yield from _strange_lines(stderr.splitlines())
+        if _CONTROL.search(stderr):
+            yield "stderr: a control character"
+    if "--json" in case.argv and case.stdout == "open" and not _to_stdout(case):
+        fault = _json_fault(run.stdout)
+        if fault:
+            yield f"json: stdout of {case.argv[0]} is {fault}"
+
+
+def _strange_lines(lines: list[str]) -> Iterator[str]:
+    """Lines that are neither a warning of the program nor its usage."""
+    usage = False
+    for line in lines:
+        usage = line.startswith("usage: ") or (usage and line.startswith(" "))
+        if not usage and not line.startswith("multipos: warning: ") and not _WARNING.match(line):
+            if line.startswith("  "):  # the source line that Python shows below its warning
+                continue
+            yield f"stderr: a strange line, {_masked(line)[:60]!r}"
+            return
+
+
+def _to_stdout(case: Case) -> bool:
+    return case.output in ("-", "/dev/stdout")
+
+
+def _json_fault(data: bytes) -> str | None:
+    def refuse(constant: str) -> None:
+        raise ValueError(f"not finite: {constant}")
+
+    try:
+        value = json.loads(data.decode(), parse_constant=refuse)
+    except ValueError as error:
+        return f"no JSON: {_masked(str(error))[:40]}"
+    return None if isinstance(value, dict) else "no object"
+
+
+def _folder(case: Case, run: Run) -> Iterator[str]:
+    """What is wrong with the files: inputs, outputs, and what was left."""
+    names = run.before.keys() | run.after.keys()
+    changed = {name for name in names if run.before.get(name) != run.after.get(name)}
+    for name in sorted(changed & case.files.keys()):
+        what = "gone" if name not in run.after else "changed"
+        yield f"files: an input is {what} (status {run.status}, {case.argv[0]})"
+    changed -= case.files.keys()
+    if run.signal is not None:
+        return  # what was cut short cannot tidy up
+    if run.status == 0:
+        strange = changed - _expected(case, run, changed)
+        if strange:
+            yield f"files: beside the output, {_shape(case, min(strange))} ({case.argv[0]})"
+        yield from _written(case, run)
+    elif changed and case.stdout != "open":
+        yield from _written(case, run)  # the output was whole before stdout failed
+    elif changed:
+        what = "made" if min(changed) not in run.before else "touched"
+        yield f"files: {what} on failure, {_shape(case, min(changed))} ({case.argv[0]})"
+
+
+def _expected(case: Case, run: Run, changed: set[str]) -> set[str]:
+    """Of the names that changed, those that the output accounts for."""
+    output = case.output or ("multipos-demo" if case.argv[0] == "demo" else "")
+    if not output:
+        return set()
+    allowed = set()
+    for path in (output, os.path.realpath(run.folder / output)):
+        short = os.path.relpath(run.folder / path, run.folder)
+        own = PurePath(short)
+        # An export to C has its self-test beside it.
+        companion = str(own.with_name(f"{own.stem}_test{own.suffix}")) if own.name else short
+        allowed |= {short, companion}
+    inside = {
+        name
+        for name in changed
+        for path in allowed
+        if case.argv[0] == "demo" and (path == "." or name.startswith(f"{path}/"))
+    }
+    return (changed & allowed) | inside
+
+
+def _shape(case: Case, name: str) -> str:
+    """A name that is the same for all cases of a kind."""
+    if name.startswith("TMPDIR/"):
+        return "a temporary file"
+    if PurePath(name).name.startswith(".") and name != case.output:
+        return "a hidden file"
+    return "the output" if name == case.output else f"*{PurePath(name).suffix[:10]}"
+
+
+def _written(case: Case, run: Run) -> Iterator[str]:
+    """What a run that succeeded has written must be there, and whole."""
+    state = run.after.get(case.output or "")
+    if state is None or state[0] != "file":
+        return
+    _, data = state[1]
+    suffix = PurePath(case.output).suffix
+    if run.before.get(case.output) == state:
+        yield f"files: the output was not written ({case.argv[0]})"
+    elif case.argv[0] == "export" and (
+        number := _NO_NUMBER.search(data.decode("utf-8", "replace"))
+    ):
+        yield f"export: {number[1]} is written as a number"
+    elif suffix == ".json" and (fault := _json_fault(data)):
+        yield f"json: the file of {case.argv[0]} is {fault}"
+    elif suffix == ".svg":
+        try:
+            ET.fromstring(data)
+        except ET.ParseError as error:
+            yield f"svg: {_masked(str(error))[:40]} ({case.argv[0]})"

@@ -1,0 +1,283 @@
+"""The kinds of input, and one case of each: what `case(kind, seed, number, bases)` returns.
+
+A case depends on its kind, seed and number alone. Every kind starts from a valid command line and
+damages one thing, now and then with an option beside it.
+"""
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from . import (
+    arrays,
+    bases,
+    formulas,
+    hostile,
+    json_files,
+    options,
+    raw,
+    recipes,
+    tables,
+    toml_files,
+)
+from .hostile import listed
+
+Files = dict[str, bytes]
+Mutate = Callable[[random.Random, bytes], bytes]
+
+OLD_OUTPUT = b"what stood here before\n"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run of the command line, with all that it finds in its folder.
+
+    Attributes
+    ----------
+    argv : tuple of str
+    files : dict of str to bytes
+        What the command may read; none of it may change.
+    old : tuple of str
+        Outputs that are there already, with `OLD_OUTPUT` in them.
+    links : dict of str to str
+        Symbolic links and what they name.
+    folders : tuple of str
+    stdin : bytes or None
+        What comes through a pipe; None is an empty stdin.
+    stdout, stderr : str
+        "open", "closed", "full" or "broken" (a pipe that nobody reads).
+    """
+
+    argv: tuple[str, ...]
+    files: Files
+    old: tuple[str, ...] = ()
+    links: dict[str, str] = field(default_factory=dict)
+    folders: tuple[str, ...] = ()
+    stdin: bytes | None = None
+    stdout: str = "open"
+    stderr: str = "open"
+
+    @property
+    def output(self) -> str | None:
+        """What follows the last -o."""
+        places = [i for i, word in enumerate(self.argv[:-1]) if word == "-o"]
+        return self.argv[places[-1] + 1] if places else None
+
+
+def case(kind: str, seed: int, number: int, valid: Files) -> Case:
+    """Return the case of this kind, seed and number."""
+    rng = random.Random(f"{kind}/{seed}/{number}")
+    made = KINDS[kind](rng, valid)
+    output = made.output
+    if output in options.OUTPUTS and output not in made.files and rng.random() < 0.5:
+        made = replace(made, old=(output,))
+    return made
+
+
+def _case(words: list[str], valid: Files, changed: Files | None = None) -> Case:
+    """A case of this command line, with those of the valid files that it names."""
+    files = {word: valid[word] for word in words if word in valid}
+    return Case(tuple(word.replace("\0", "") for word in words), files | (changed or {}))
+
+
+def _with_options(rng: random.Random, words: list[str], odds: float = 0.25) -> list[str]:
+    """Now and then an option more, or another output, for a command that has its inputs."""
+    inputs = tuple(word for word in words[1:] if word in bases.NAMES)
+    words = list(words)
+    while rng.random() < odds:
+        words += options.draw(rng, words[0], (*inputs, *bases.SCHEMES, *bases.BUDGETS))
+        odds /= 2
+    if rng.random() < 0.05:
+        words = _replace_output(words, options.output(rng, inputs))
+    return words
+
+
+def _replace_output(words: list[str], name: str) -> list[str]:
+    if "-o" in words:
+        at = words.index("-o")
+        words = words[:at] + words[at + 2 :]
+    return [*words, "-o", name]
+
+
+def _damaged(names: tuple[str, ...], mutate: Mutate) -> Callable[[random.Random, Files], Case]:
+    """A kind: a command line that reads one of these files, with that file damaged."""
+
+    def make(rng: random.Random, valid: Files) -> Case:
+        words = list(recipes.draw(rng, names).words)
+        name = rng.choice([word for word in words if word in names])
+        changed = {name: mutate(rng, valid[name])}
+        return _case(_with_options(rng, words), valid, changed)
+
+    return make
+
+
+def _sections(rng: random.Random, data: bytes) -> bytes:
+    return (json_files if data.startswith(b"{") else tables).mutate(rng, data)
+
+
+def _export(rng: random.Random, data: bytes) -> bytes:
+    """Numbers, words and bytes of an exported file."""
+    text = data.decode()
+    words = text.split(" ")
+    for _ in range(rng.choice((1, 1, 2, 5))):
+        i = rng.randrange(len(words))
+        new = rng.choice((hostile.number, hostile.number, hostile.text_with_controls))(rng)
+        words[i] = rng.choice((new, words[i] + new, "", words[i] + " " + words[i]))
+    changed = " ".join(words).encode("utf-8", "surrogatepass")
+    return raw.damage(rng, changed) if rng.random() < 0.3 else changed
+
+
+ARRAY_COMMANDS = {
+    "average {} --outputs ax,ay,az": 4,
+    "average {} --rate 100 --json": 6,
+    "average {} --columns time,ax,ay,az -o o.csv": 4,
+    "average {} --rate 100 --columns ax,ay,az": 4,
+    "apply lin.json {}": 6,
+    "apply lin.json {} --columns ax,ay,az -o o.csv": 4,
+    "apply lin.json {} --columns time,ax,ay,az --json": 4,
+    "apply plain-reg.json {}": 1,
+    "fit {}": 1,
+}  # and how often each is drawn
+
+
+def _arrays(rng: random.Random, valid: Files) -> Case:
+    name = f"log{rng.choice(tuple(arrays.WRITERS))}"
+    command = rng.choices(list(ARRAY_COMMANDS), ARRAY_COMMANDS.values())[0]
+    words = command.format(name).split()
+    return _case(_with_options(rng, words), valid, {name: arrays.draw(rng, name[3:])})
+
+
+def _options(rng: random.Random, valid: Files) -> Case:
+    """Valid files, and options that nobody gives together."""
+    words = list(recipes.draw(rng).words)
+    inputs = tuple(word for word in words[1:] if word in valid)
+    for _ in range(rng.choice((1, 1, 1, 2, 2, 3))):
+        words += options.draw(rng, words[0], (*inputs, *bases.SCHEMES, *bases.BUDGETS))
+    if rng.random() < 0.1:
+        words.remove(rng.choice(words[1:] or words))
+    if rng.random() < 0.2:
+        words = _replace_output(words, options.output(rng, inputs))
+    return _case(words, valid)
+
+
+def _scheme_names(rng: random.Random, valid: Files) -> Case:
+    """Schemes as files or, one in three times, as names."""
+    if rng.random() < 0.67:
+        return _SCHEME_FILES(rng, valid)
+    words = list(recipes.draw(rng, bases.SCHEMES).words)
+    at = rng.choice([i for i, word in enumerate(words) if word in bases.SCHEMES])
+    names = rng.choices(options.SCHEMES, k=rng.choice((1, 1, 1, 2, 3)))
+    words[at] = "+".join(names) if rng.random() < 0.9 else hostile.text(rng)
+    if words[at].startswith("-"):
+        words[at] = f"x{words[at]}"
+    return _case(_with_options(rng, words), valid)
+
+
+FORMULA_COMMANDS = {
+    "fit warm.csv --model": 8,
+    "fit r26.csv --json --model": 4,
+    "fit six.csv --model": 4,
+    "fit warm.csv --stepwise --model": 4,
+    "fit r26.csv --unknown-orientation --model": 1,
+    "fit r26.csv --orientation-sd 0.5 --reading-sd 0.001 --model": 2,
+    "fit r26.csv --budget bench.toml --model": 1,
+    "schemes faces-6 --model": 2,
+    "tumble tumble.csv --outputs ax --model": 4,
+    "design --positions 7 --model": 0.1,
+    "regress data.csv --response y --variables T,H,T_rate --terms": 10,
+    "regress data.csv --response y --variables T --segment T:15,25 --json --terms": 3,
+}  # and how often each is drawn
+
+
+def _formulas(rng: random.Random, valid: Files) -> Case:
+    words = rng.choices(list(FORMULA_COMMANDS), FORMULA_COMMANDS.values())[0].split()
+    factors = formulas.OF_DATA if words[0] == "regress" else formulas.OF_SENSORS
+    words[-1] = f"{words[-1]}={formulas.draw(rng, factors)}"
+    return _case(_with_options(rng, words, odds=0.15), valid)
+
+
+def _streams(rng: random.Random, valid: Files) -> Case:
+    """An input through a pipe, -o to stdout, and streams that are closed, full or broken."""
+    words = list(recipes.draw(rng).words)
+    inputs = [i for i, word in enumerate(words) if word in valid]
+    stdin, files = None, {word: valid[word] for word in words if word in valid}
+    if inputs and rng.random() < 0.8:
+        at = rng.choice(inputs)
+        name, words[at] = words[at], rng.choice(("-", "/dev/stdin"))
+        stdin = _mutate_any(rng, name, valid[name]) if rng.random() < 0.4 else valid[name]
+        if name not in words:
+            del files[name]
+        if rng.random() < 0.05:
+            words[rng.choice(inputs)] = words[at]
+    if rng.random() < 0.3:
+        words = _replace_output(words, rng.choice(("-", "-", "/dev/stdout")))
+    state = ("open", "closed", "full", "broken")
+    stdout = rng.choices(state, (8, 1, 1, 1))[0]
+    stderr = rng.choices(state, (10, 1, 1, 1))[0]
+    return Case(tuple(words), files, stdin=stdin, stdout=stdout, stderr=stderr)
+
+
+def _mutate_any(rng: random.Random, name: str, data: bytes) -> bytes:
+    """Damage a file as its ending asks for."""
+    mutators = {".csv": tables.mutate, ".json": json_files.mutate, ".toml": toml_files.mutate}
+    return mutators.get(name[name.rfind(".") :], raw.damage)(rng, data)
+
+
+NAMES = (
+    *listed(
+        "caf\udce9.csv é.csv 日本.json '.csv -x.csv --json +.csv %s.csv x.CSV x .csv .hidden ~"
+    ),
+    *listed("faces-6 <b>.csv $HOME *.csv CON x.csv. \x1b[31m.csv"),
+    *(" ", "a b.csv", "a\nb.csv", "n" * 250 + ".csv", "n" * 256),
+)
+PLACES = (
+    *listed(
+        "missing/o.csv folder folder/o.json . .. loop dangling link beside.csv /dev/null folder/"
+    ),
+    *listed("inside/../o.csv caf\udce9.json six.csv/x o.csv/ o.json o_test.c o.c o.svg"),
+    *("", " ", "o\n.csv", "n" * 250 + ".json", "n" * 256),
+)
+
+
+def _paths(rng: random.Random, valid: Files) -> Case:
+    """Names of files: inputs and outputs that are strange, the same, links, folders, missing."""
+    words = list(recipes.draw(rng).words)
+    files = {word: valid[word] for word in words if word in valid}
+    inputs = [i for i, word in enumerate(words) if word in valid]
+    target = words[rng.choice(inputs)] if inputs else "nothing"
+    links = {"loop": "loop", "dangling": "nowhere", "link": target, "beside.csv": "missing/x.csv"}
+    if inputs and rng.random() < 0.5:
+        at = rng.choice(inputs)
+        if rng.random() < 0.5:
+            name = rng.choice(NAMES)
+            files[name] = files[words[at]]
+        else:
+            name = rng.choice(PLACES)
+        words[at] = name
+    if rng.random() < 0.7:
+        same = [f"{rng.choice(('', './'))}{words[i]}" for i in inputs]
+        named = (*PLACES, "/dev/full", *NAMES, *same * 3)
+        words = _replace_output(words, rng.choice(named))
+    return Case(tuple(words), files, links=links, folders=("folder",))
+
+
+_SCHEME_FILES = _damaged(bases.SCHEMES, tables.mutate)
+
+KINDS: dict[str, Callable[[random.Random, Files], Case]] = {
+    "readings": _damaged(bases.READINGS, tables.mutate),
+    "schemes": _scheme_names,
+    "logs": _damaged(bases.LOGS, tables.mutate),
+    "arrays": _arrays,
+    "sections": _damaged(bases.SECTIONS, _sections),
+    "data": _damaged(bases.DATA, tables.mutate),
+    "calibrations": _damaged(bases.CALIBRATIONS, json_files.mutate),
+    "regressions": _damaged(bases.REGRESSIONS, json_files.mutate),
+    "checks": _damaged(bases.CHECKS, json_files.mutate),
+    "budgets": _damaged(bases.BUDGETS, toml_files.mutate),
+    "laboratories": _damaged(bases.LABORATORIES, toml_files.mutate),
+    "exports": _damaged(bases.EXPORTS, _export),
+    "options": _options,
+    "formulas": _formulas,
+    "streams": _streams,
+    "paths": _paths,
+}
