@@ -171,8 +171,6 @@ REMOVED = object()
         ("cal", ["parameters", 3, "u"], "x", "parameters[3].u is 'x'; a number is needed there"),
         ("cal", ["parameters", 3, "u"], REMOVED, "the key 'parameters[3].u' is missing"),
         ("cal", ["parameters", 3, "u"], 1.0, "the squared uncertainties on its diagonal"),
-        ("cal", ["parameters", 3, "value"], 0.5, "the residuals of ax are not what its parameters"),
-        ("cal", ["readings", 2, 1], 0.5, "the residuals of ay are not what its parameters leave"),
         ("cal", ["readings", 2], [0.5], "readings[2] is a list of 1; a list of 3 is needed there"),
         ("cal", ["reference", 2, 1], 1e300, "reference[2][1] is 1e+300"),
         ("cal", ["axes"], ["x", "y"], "not a calibration: --axes names 2 axes for 3 outputs"),
