@@ -127,10 +127,12 @@ def test_rows_outside_are_counted_to_the_end(saved, log, tmp_path, capsys, monke
         ("1,2,3\n1,2,3\n", "the columns are 1, 2, 3"),
         ('ax,ay,az,note\n1,2,3,a\n1,2,3,"b\n1,2,3,c\n', "log.csv: line 3: a quote is not closed"),
         ('ax,ay,az,"note\n1,2,3,a\n', "log.csv: line 1: a quote is not closed"),
-        ("ax,ay,az,note\n" + 60 * "1,2,3,a\n" + f'1,2,3,"{140_000 * "b"}\n',
-         "log.csv: line 62: field larger than field limit"),
+        (
+            "ax,ay,az,note\n" + 60 * "1,2,3,a\n" + f'1,2,3,"{140_000 * "b"}\n',
+            "log.csv: line 62: field larger than field limit",
+        ),
     ],
-)  # fmt: skip
+)
 def test_bad_logs(saved, text, message, tmp_path, capsys):
     path, out = tmp_path / "log.csv", tmp_path / "out.csv"
     path.write_text(text)

@@ -375,10 +375,13 @@ def deep(depth):
 
 @pytest.mark.parametrize(
     ("fault", "said"),
-    [(lambda: 1 // 0, "ZeroDivisionError"), (lambda: deep(0), "RecursionError"),
-     (lambda: mp.read_readings({"ax": [1]}).values.reshape(7, 7), "ValueError"),
-     (lambda: (_ for _ in ()).throw(KeyError("a\nb\x1b")), "KeyError")],
-)  # fmt: skip
+    [
+        (lambda: 1 // 0, "ZeroDivisionError"),
+        (lambda: deep(0), "RecursionError"),
+        (lambda: mp.read_readings({"ax": [1]}).values.reshape(7, 7), "ValueError"),
+        (lambda: (_ for _ in ()).throw(KeyError("a\nb\x1b")), "KeyError"),
+    ],
+)
 def test_what_nobody_thought_of_is_one_line_too(fault, said, capsys, monkeypatch):
     monkeypatch.setattr(cli, "_run", lambda argv: fault())
     assert cli.main(["fit"]) == 1
@@ -412,13 +415,18 @@ def test_a_warning_of_python_is_one_line(capsys, monkeypatch):
     err = capsys.readouterr().err
     assert re.fullmatch(
         r"multipos: warning: overflow encountered in scalar multiply \(RuntimeWarning at "
-        r"test_cli.py line \d+\)\n", err
-    )  # fmt: skip
+        r"test_cli.py line \d+\)\n",
+        err,
+    )
 
 
 def shell(command):
-    return subprocess.run(["bash", "-c", command.replace("multipos", MULTIPOS, 1)], text=True,
-                          capture_output=True, check=False)  # fmt: skip
+    return subprocess.run(
+        ["bash", "-c", command.replace("multipos", MULTIPOS, 1)],
+        text=True,
+        capture_output=True,
+        check=False,
+    )
 
 
 def test_closed_streams(here, monkeypatch):
@@ -434,7 +442,7 @@ def test_closed_streams(here, monkeypatch):
     assert "warning" in expected.stderr
     done = shell("multipos fit six.csv --convention gravity 2>&-")
     assert (done.returncode, done.stdout) == (0, expected.stdout)
-    assert json.loads(shell("multipos fit six.csv --json <&- 2>&-").stdout)["unit"] is None
+    assert json.loads(shell("multipos fit six.csv --json <&- 2>&-").stdout)["unit"] == "reading"
 
 
 # --- control characters

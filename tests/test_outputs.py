@@ -48,10 +48,11 @@ def here(tmp_path, monkeypatch):
     mp.check(cal, "six.csv").save("check.json")
     mp.export(cal, "c").save("imu.c")
     (tmp_path / "tumble.csv").write_text(
-        "roll_axis,angle_deg,ax\n" + "".join(
+        "roll_axis,angle_deg,ax\n"
+        + "".join(
             f"z,{30 * k},{np.cos(np.radians(30 * k)) + 1e-3 * (-1) ** k:.6f}\n" for k in range(12)
         )
-    )  # fmt: skip
+    )
     return tmp_path
 
 
@@ -66,25 +67,42 @@ def run(capsys, *arguments):
 
 # A command line of each command, and the inputs that -o must not name.
 COMMANDS = {
-    "fit": (["six.csv", "--scheme", "six.csv", "--budget", "budget.toml"],
-            ["six.csv", "budget.toml"]),
-    "average": (["log.csv", "--sections", "sections.json", "--scheme", "six.csv"],
-                ["log.csv", "sections.json", "six.csv"]),
+    "fit": (
+        ["six.csv", "--scheme", "six.csv", "--budget", "budget.toml"],
+        ["six.csv", "budget.toml"],
+    ),
+    "average": (
+        ["log.csv", "--sections", "sections.json", "--scheme", "six.csv"],
+        ["log.csv", "sections.json", "six.csv"],
+    ),
     "apply": (["cal.json", "log.csv"], ["cal.json", "log.csv"]),
     "check": (["cal.json", "six.csv", "--scheme", "faces-6+six.csv"], ["cal.json", "six.csv"]),
     "compare": (["cal.json", "check.json"], ["cal.json", "check.json"]),
     "regress": (["log.csv", "--response", "ax", "--variables", "ay"], ["log.csv"]),
     "tumble": (["tumble.csv", "--scheme", "six.csv"], ["tumble.csv", "six.csv"]),
     "simulate": (["cal.json", "--scheme", "six.csv"], ["cal.json", "six.csv"]),
-    "report": (["cal.json", "--lab", "lab.toml", "--check", "check.json"],
-               ["cal.json", "lab.toml", "check.json"]),
-    "export": (["cal.json", "--to", "px4"], ["cal.json"]),
+    "report": (
+        ["cal.json", "--lab", "lab.toml", "--check", "check.json"],
+        ["cal.json", "lab.toml", "check.json"],
+    ),
+    "export": (["cal.json", "--to", "c"], ["cal.json"]),
     "verify-export": (["imu.c", "cal.json"], ["imu.c", "cal.json"]),
     "schemes": (["faces-6", "six.csv"], ["six.csv"]),
-    "design": (["--positions", "8", "--candidates", "six.csv", "--include", "log.csv",
-                "--region", "tumble.csv"], ["six.csv", "log.csv", "tumble.csv"]),
+    "design": (
+        [
+            "--positions",
+            "8",
+            "--candidates",
+            "six.csv",
+            "--include",
+            "log.csv",
+            "--region",
+            "tumble.csv",
+        ],
+        ["six.csv", "log.csv", "tumble.csv"],
+    ),
     "worth": (["cal.json", "--candidates", "six.csv"], ["cal.json", "six.csv"]),
-}  # fmt: skip
+}
 
 
 def test_every_command_says_what_it_reads():
@@ -118,8 +136,13 @@ def test_the_self_test_of_a_c_file_is_an_output_too(here, capsys):
 
 
 def test_stdin_from_a_file_is_an_input(here):
-    done = subprocess.run(f"{MULTIPOS} average - -o log.csv < log.csv", shell=True,
-                          capture_output=True, text=True, check=False)  # fmt: skip
+    done = subprocess.run(
+        f"{MULTIPOS} average - -o log.csv < log.csv",
+        shell=True,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert (done.returncode, done.stdout) == (2, "")
     assert "-o would write over log.csv" in done.stderr
     assert len((here / "log.csv").read_text().splitlines()) == 201
@@ -135,7 +158,7 @@ WRITTEN = {
     "tumble": {".json", ".txt", ".svg", ".png", ".pdf"},
     "simulate": {".csv", ".json", ".txt"},
     "report": {".html", ".md", ".txt"},
-    "export": set(),
+    "export": {".json"},
     "verify-export": {".json", ".txt"},
     "schemes": {".json", ".txt"},
     "design": {".csv", ".json", ".txt"},
@@ -199,11 +222,17 @@ def test_the_same_figure_gives_the_same_bytes(here, capsys):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["fit", "six.csv"], ["average", "log.csv", "--sections", "sections.json"],
-     ["simulate", "cal.json", "--scheme", "faces-6"], ["apply", "cal.json", "log.csv"],
-     ["export", "cal.json", "--to", "c"], ["report", "cal.json"], ["schemes", "faces-6"]],
+    [
+        ["fit", "six.csv"],
+        ["average", "log.csv", "--sections", "sections.json"],
+        ["simulate", "cal.json", "--scheme", "faces-6"],
+        ["apply", "cal.json", "log.csv"],
+        ["export", "cal.json", "--to", "c"],
+        ["report", "cal.json"],
+        ["schemes", "faces-6"],
+    ],
     ids=lambda arguments: arguments[0],
-)  # fmt: skip
+)
 def test_a_dash_is_stdout_and_gets_the_file_alone(arguments, here, capsys, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     if arguments[0] == "simulate":
@@ -221,17 +250,21 @@ def test_a_dash_and_json_are_one_thing_or_refused(here, capsys):
     )
     assert status == 0
     assert len(json.loads(out)["positions"]) == 2
-    for command in ("report", "export"):
-        status, out, err = run(capsys, *RUNS[command], "--json", "-o", "-")
-        assert (status, out) == (2, "")
-        assert "would both go to stdout" in err
+    status, out, err = run(capsys, "report", "cal.json", "--json", "-o", "-")
+    assert (status, out) == (2, "")
+    assert "would both go to stdout" in err
     assert "a folder cannot go to stdout" in run(capsys, "demo", "-o", "-")[2]
     assert "-o needs a name" in run(capsys, "fit", "six.csv", "-o", "")[2]
 
 
 def shell(command):
-    return subprocess.run(command.replace("multipos", MULTIPOS, 1), shell=True, text=True,
-                          capture_output=True, check=False)  # fmt: skip
+    return subprocess.run(
+        command.replace("multipos", MULTIPOS, 1),
+        shell=True,
+        text=True,
+        capture_output=True,
+        check=False,
+    )
 
 
 @pytest.mark.parametrize("name", ["/dev/stdout", "both.json"])
@@ -254,6 +287,17 @@ def test_no_file_where_stdout_cannot_be_written_and_nothing_printed_where_a_devi
     assert "cannot write to stdout" in shell("multipos fit --help > /dev/full").stderr
 
 
+def test_an_export_in_json_is_one_file_with_both_texts(here, capsys):
+    assert run(capsys, "export", "cal.json", "--to", "c", "-o", "new.c")[0] == 0
+    command = ["export", "cal.json", "--to", "c", "-o"]
+    assert run(capsys, *command, "new.json")[1] == "Written to new.json\n"
+    content = json.loads(Path("new.json").read_text())
+    assert content["text"] == Path("new.c").read_text()
+    assert content["test"] == Path("new_test.c").read_text()
+    assert json.loads(run(capsys, *command, "-", "--json")[1]) == content
+    assert not Path("new_test.json").exists()
+
+
 # --- whole or not at all
 
 
@@ -264,8 +308,9 @@ def test_the_two_files_of_c_appear_together_or_not_at_all(here, capsys):
     assert "new_test.c: cannot write: it is a folder" in err
     assert not Path("new.c").exists()
     assert run(capsys, "export", "cal.json", "--to", "c", "-o", ".")[::2] == (
-        1, "multipos: error: .: cannot write: it is a folder; check the folder and permissions.\n"
-    )  # fmt: skip
+        1,
+        "multipos: error: .: cannot write: it is a folder; check the folder and permissions.\n",
+    )
 
 
 @pytest.mark.parametrize("existing", [False, True])
@@ -344,8 +389,12 @@ def test_a_signal_leaves_no_file(name, here):
     folder.mkdir()
     os.mkfifo(here / "pipe")
     environment = os.environ | {"TMPDIR": str(folder)}
-    with subprocess.Popen([MULTIPOS, "fit", "pipe", "-o", "out/cal.json"], env=environment,
-                          stderr=subprocess.PIPE, text=True) as child:  # fmt: skip
+    with subprocess.Popen(
+        [MULTIPOS, "fit", "pipe", "-o", "out/cal.json"],
+        env=environment,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as child:
         with (here / "pipe").open("w") as pipe:
             pipe.write(SIX)
             pipe.flush()

@@ -124,18 +124,27 @@ def test_a_pipe_gives_what_the_file_gives(command, here, capsys, monkeypatch):
 def test_stdin_is_read_by_every_name(here):
     """More than the 64 KiB that a pipe holds, so that nothing can be sought."""
     assert Path("log.csv").stat().st_size > 1 << 16
-    expected = subprocess.run([MULTIPOS, "apply", "cal.json", "log.csv"], check=True,
-                              capture_output=True).stdout  # fmt: skip
+    expected = subprocess.run(
+        [MULTIPOS, "apply", "cal.json", "log.csv"], check=True, capture_output=True
+    ).stdout
     assert expected.count(b"\n") == 4001
-    for command in ("cat log.csv | multipos apply cal.json /dev/stdin",
-                    "cat log.csv | multipos apply cal.json -",
-                    "multipos apply cal.json - < log.csv",
-                    "multipos apply <(cat cal.json) <(cat log.csv)"):  # fmt: skip
-        done = subprocess.run(["bash", "-c", command.replace("multipos", MULTIPOS)], check=True,
-                              capture_output=True)  # fmt: skip
+    for command in (
+        "cat log.csv | multipos apply cal.json /dev/stdin",
+        "cat log.csv | multipos apply cal.json -",
+        "multipos apply cal.json - < log.csv",
+        "multipos apply <(cat cal.json) <(cat log.csv)",
+    ):
+        done = subprocess.run(
+            ["bash", "-c", command.replace("multipos", MULTIPOS)], check=True, capture_output=True
+        )
         assert done.stdout == expected, command
-    done = subprocess.run([MULTIPOS, "apply", "cal.json", "/dev/stdin"], capture_output=True,
-                          text=True, input="", check=False)  # fmt: skip
+    done = subprocess.run(
+        [MULTIPOS, "apply", "cal.json", "/dev/stdin"],
+        capture_output=True,
+        text=True,
+        input="",
+        check=False,
+    )
     assert done.returncode == 1
     assert (
         done.stderr
@@ -158,8 +167,9 @@ def test_what_is_said_of_stdin(here, capsys, monkeypatch):
     ("first", "second"), [("-", "-"), ("-", "/dev/stdin"), ("/dev/stdin", "-")]
 )
 def test_one_pipe_cannot_be_two_inputs(first, second, here):
-    done = subprocess.run([MULTIPOS, "apply", first, second], input="x", capture_output=True,
-                          text=True, check=False)  # fmt: skip
+    done = subprocess.run(
+        [MULTIPOS, "apply", first, second], input="x", capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stdout) == (2, "")
     assert f"multipos: error: {second} is given for two inputs" in done.stderr
 

@@ -78,13 +78,14 @@ class Output:
     @property
     def endings(self) -> str:
         """The endings that are written, and as what, in words."""
-        said = [f"{' '.join(FORMS[form][0])} ({FORMS[form][1]})" for form in self.forms]
+        known = [FORMS[form] for form in self.forms if FORMS[form][0]]
+        said = [f"{' '.join(endings)} ({meaning})" for endings, meaning in known]
         return f"{', '.join(said)}, under any other ending {FORMS[self.own][1]}"
 
     def add_to(self, parser: argparse.ArgumentParser) -> None:
         """Add ``-o``."""
-        endings = {"export": "; - is stdout", "folder": ""}
-        text = self.help + endings.get(self.own, f"; it writes {self.endings}; - is stdout")
+        endings = "" if self.own == "folder" else f"; it writes {self.endings}; - is stdout"
+        text = f"{self.help}{endings}"
         parser.add_argument("-o", dest="output", metavar=self.metavar, help=text)
 
     def form(self, path: str, *, json: bool) -> str:

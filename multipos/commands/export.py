@@ -9,6 +9,22 @@ from multipos.exporters import TARGETS, export, self_test
 from multipos.files import to_json
 
 
+def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
+    alone = arguments.to != "c" or Path(arguments.output).suffix.lower() == ".json"
+    return () if alone else self_test(arguments.output)
+
+
+INPUTS = ("calibration",)
+OUTPUT = Output(
+    "FILE",
+    "file to write; C gets FILE_test.c, its self-test, as well",
+    "export",
+    ("json",),
+    required=True,
+    beside=_beside,
+)
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
@@ -23,20 +39,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
-    return self_test(arguments.output) if arguments.to == "c" else ()
-
-
-INPUTS = ("calibration",)
-OUTPUT = Output(
-    "FILE",
-    "file to write; C gets FILE_test.c, its self-test, as well",
-    "export",
-    required=True,
-    beside=_beside,
-)
-
-
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     exported = export(
@@ -46,12 +48,22 @@ def run(arguments: argparse.Namespace) -> Answer:
         float=arguments.float,
         allow_lossy=arguments.allow_lossy,
     )
-    files = exported.files(arguments.output)
-    names = list(map(str, files))
+    names = [arguments.output, *map(str, _beside(arguments))]
     listing = {"target": exported.target, "files": names, "notes": exported.notes}
+    content = {
+        "target": exported.target,
+        "text": exported.text,
+        "test": exported.test,
+        "notes": exported.notes,
+    }
     return Answer(
         text=lambda: f"Written to {', '.join(names)}\n",
         json=lambda: to_json(listing),
-        forms={"export": lambda: exported.text if arguments.output == STDOUT else files},
+        forms={
+            "export": lambda: (
+                exported.text if arguments.output == STDOUT else exported.files(arguments.output)
+            ),
+            "json": lambda: to_json(content),
+        },
         warnings=lambda: exported.notes,
     )
