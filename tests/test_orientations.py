@@ -19,13 +19,15 @@ from orientation_bench import (
 
 import multipos as mp
 from multipos.gains import uncertain_gain
-from multipos.identifiability import CANDIDATES
+from multipos.identifiability import CANDIDATES, condition, plausible_range
 from multipos.model import build_model
+from multipos.noise import _in_words
 from multipos.quantiles import chi2_quantile, f_tail
 from multipos.robustness import _huber_factor
 from multipos.rotations import rotation_matrix, step_on_sphere, tangent_basis
 from multipos.scheme import read_scheme
 from multipos.song_qin import TABLE_2
+from multipos.starts import _require_sphere
 from multipos.uncertain import _scale_bias
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
@@ -790,6 +792,59 @@ def test_uncertain_orientation_names_the_need(readings, message):
 def test_parameters_that_are_estimable_only_formally_are_named():
     badly = mp.fit(readings_of(SENSOR, UP, rng()), reading_sd=1e-6, orientation_sd=60.0)
     assert any("cross_ax_y` is estimable only" in t for t in badly.diagnostics.unidentifiable)
+
+
+def test_plausible_uncertainties_by_hand():
+    """Half a scale factor at one g: of k = 4 and g = 2 that is 4, 2 and 1 by degree."""
+    model = build_model("own-quadratic", ("ax", "ay", "az"), ("x", "y", "z"))
+    theta = np.zeros(15)
+    theta[list(model.own_scales)] = 4.0, -3.0, 5.0  # of any sign, in the mean 4
+    limit = plausible_range(model, theta, 2.0)
+    for term, wanted in (("1", 4.0), ("x", 2.0), ("x^2", 1.0)):
+        assert limit[model.index("ax", term)] == pytest.approx(wanted, rel=1e-15)
+
+
+def test_condition_by_hand():
+    """Two parameters correlated by r: eigenvalues 1 ± r, whatever their units; 1e-12 is nothing."""
+    units = np.outer([1.0, 1e5], [1.0, 1e5])
+    assert condition(units * [[1.0, 0.6], [0.6, 1.0]]) == pytest.approx(2.0, rel=1e-9)
+    for left, told in ((4e-12, True), (1e-12, False)):  # of which 1 + r makes half
+        assert np.isfinite(condition(np.array([[1.0, 1.0 - left], [1.0 - left, 1.0]]))) == told
+
+
+@pytest.mark.parametrize(("size", "refused"), [(0.97, False), (1.03, True)])
+def test_scatter_about_the_ellipsoid_by_hand(size, refused):
+    """Twelve misfits of one size r on 12 − 9: r/0.6745 √(12/3), at k = 5 and g = 2 to 20 %."""
+    far = size * 0.2 * 10.0 * 0.6745 / 2.0
+    problem = SimpleNamespace(
+        spread=np.full(12, np.inf), degrees=np.ones(12), unknowns=9, values=np.zeros((12, 3)),
+        reference=np.array([[0.0, 2.0, 0.0]]), model=SimpleNamespace(own_scales=(0, 1, 2)),
+    )  # fmt: skip
+    optimum = SimpleNamespace(
+        state=SimpleNamespace(theta=np.array([4.0, -5.0, 6.0])),
+        point=SimpleNamespace(residuals=far * np.array([[0.6, 0.0, -0.8]] * 12)),
+    )
+    if refused:
+        with pytest.raises(mp.MultiposError, match="scatter by 21 % about the ellipsoid"):
+            _require_sphere(problem, optimum)
+    else:
+        _require_sphere(problem, optimum)
+
+
+def test_estimated_standard_deviations_in_words_by_hand():
+    """The u of a standard deviation is half that of ln of its variance, and ν is 2 over its square.
+
+    Of ln a the variance is 0.16 and of ln b 0.04: 20 % and 10 %.
+    """
+    problem = SimpleNamespace(precision=np.full((4, 3), 2e-3**-2), spread=np.full(4, 0.01))
+    told = SimpleNamespace(log_covariance=np.diag([0.16, 0.04]))
+    words, said = _in_words(problem, told, np.array([True, True]))
+    assert words == ["reading noise 0.002 (to 20 %)", "orientation error 0.573 degrees (to 10 %)"]
+    assert said["reading_sd"] == pytest.approx({"value": 2e-3, "u": 4e-4})
+    assert said["orientation_sd_deg"]["u"] == pytest.approx(0.0573, rel=1e-3)
+    cal = mp.fit(readings_of(SENSOR, UP, rng(), sd=1e-4, off_deg=0.01), orientation_sd=0.01)
+    found = cal.extra["variance_components"]["reading_sd"]
+    assert_allclose(cal.dof, (found["value"] / found["u"]) ** 2 / 2)
 
 
 def test_bad_condition_is_a_warning():
