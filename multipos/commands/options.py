@@ -131,11 +131,13 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[int], object]]:
 
     Yields the function that is told how much is done.
     """
+    if not sys.stderr.isatty():
+        yield lambda done: None
+        return
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
-                  ) as progress:  # fmt: skip
+    with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=total)
         yield lambda done: progress.update(task, completed=done)
 
