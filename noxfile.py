@@ -1,6 +1,14 @@
-"""The project's chores, each in an environment of its own: `nox`, or `nox -s tests`."""
+"""The project's chores, each in an environment of its own: `nox`, or one as in `nox -s tests`.
 
-import tomllib
+What follows `--` goes to the program, as in `nox -s tests -- -m slow`. `OPENBLAS_CORETYPE=Nehalem
+nox -s tests` tests another kernel of the linear algebra library. `.ci/run` runs all of it.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import nox
@@ -8,46 +16,84 @@ import nox
 nox.options.default_venv_backend = "venv"
 nox.options.sessions = ["lint", "types", "tests", "docs"]
 
+PROJECT = nox.project.load_toml("pyproject.toml")["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+
+Version = tuple[int, int]
+
+
+def pythons() -> dict[Version, str]:
+    """Return every Python from 3.11 on, of PATH and of pyenv, the oldest first."""
+    folders = [Path(folder) for folder in os.environ["PATH"].split(os.pathsep)]
+    if shutil.which("pyenv"):
+        root = subprocess.run(["pyenv", "root"], capture_output=True, text=True, check=False)
+        folders += Path(root.stdout.strip()).glob("versions/*/bin")
+    found = {sys.version_info[:2]: sys.executable}
+    for folder in folders:
+        for path in folder.glob("python3.*"):
+            minor = re.fullmatch(r"python3\.(\d+)", path.name)
+            version = (3, int(minor[1]) if minor else 0)
+            if version >= (3, 11) and version not in found and _makes_environments(path):
+                found[version] = str(path)
+    return dict(sorted(found.items()))
+
+
+def _makes_environments(python: Path) -> bool:
+    """Tell whether this is a finished release that works; the shims of pyenv may not."""
+    asked = "import ensurepip, sys, venv; sys.exit(sys.version_info.releaselevel != 'final')"
+    return subprocess.run([python, "-c", asked], capture_output=True, check=False).returncode == 0
+
+
+PYTHONS = pythons()
+OLDEST, NEWEST = min(PYTHONS), max(PYTHONS)
+
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    session.install("-e", ".[test]")
+    session.install("-e", ".[test,oracles]")
     session.run("pytest", "-n", "auto", *session.posargs)
 
 
-@nox.session
-def slow(session: nox.Session) -> None:
-    session.install("-e", ".[test]")
-    session.run("pytest", "-n", "auto", "-m", "slow", *session.posargs)
-
-
-@nox.session
+@nox.session(python=PYTHONS[OLDEST])
 def lowest(session: nox.Session) -> None:
     """Test with the oldest versions that pyproject.toml promises to work with."""
-    project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
-    oldest = [requirement.replace(">=", "==") for requirement in project["dependencies"]]
+    if OLDEST > (3, 12):
+        session.skip("NumPy 1.26, the oldest promised, is not made for a Python beyond 3.12")
+    oldest = [requirement.replace(">=", "==") for requirement in PROJECT["dependencies"]]
     # A pyparsing newer than the oldest Matplotlib warns of it, and warnings are errors.
     session.install("-e", ".[test]", *oldest, "pyparsing<3.3")
     session.run("pytest", "-n", "auto", *session.posargs)
 
 
+@nox.session(python=PYTHONS[NEWEST])
+def newest(session: nox.Session) -> None:
+    """Test with the newest Python to be found, and the newest versions of everything."""
+    if sys.version_info[:2] == NEWEST:
+        session.skip(f"no Python newer than {sys.version.split()[0]} was found here")
+    try:
+        session.install("--only-binary=:all:", "-e", ".[test,oracles]")
+    except nox.command.CommandFailed:
+        session.skip(f"not everything is made for {PYTHONS[NEWEST]} yet, see above")
+    session.run("pytest", "-n", "auto", *session.posargs)
+
+
 @nox.session
 def lint(session: nox.Session) -> None:
-    session.install("ruff")
+    session.install(*EXTRAS["lint"])
     session.run("ruff", "check")
     session.run("ruff", "format", "--check")
 
 
 @nox.session
 def types(session: nox.Session) -> None:
-    session.install("-e", ".", "mypy", "scipy-stubs")
+    session.install("-e", ".[types]")
     session.run("mypy")
 
 
 @nox.session
 def docs(session: nox.Session) -> None:
     session.install("-e", ".[docs]")
-    session.run("sphinx-build", "-W", "--keep-going", "docs", "docs/_build/html")
+    session.run("sphinx-build", "-W", "--keep-going", "-q", "docs", "docs/_build/html")
 
 
 @nox.session

@@ -256,7 +256,7 @@ def _roughly(matrices: list[Array], criterion: Criterion) -> Array:
             value += np.where(sound, size, -np.inf)
         else:
             safe = np.where(sound[:, None, None], M, np.eye(M.shape[1]))
-            trace = np.trace(np.linalg.solve(safe, criterion.weight[b]), axis1=1, axis2=2)
+            trace = np.trace(np.linalg.solve(safe, criterion.weight[b][None]), axis1=1, axis2=2)
             value -= np.where(sound & (trace > 0.0), trace, np.inf)  # rounding may make it negative
     return value
 

@@ -38,6 +38,15 @@ Array = NDArray[np.float64]
 Expression = Callable[..., Any]
 
 
+def load_casadi() -> Any:
+    """Return CasADi, with symbols that take ``abs``: by themselves they do from 3.8 on."""
+    import casadi
+
+    if not hasattr(casadi.SX, "__abs__"):
+        casadi.SX.__abs__ = casadi.SX.fabs  # type: ignore[method-assign]
+    return casadi
+
+
 @dataclass(frozen=True)
 class Symbol(Term):
     """A parameter of an expression, in the place of a term."""
@@ -182,8 +191,7 @@ def build_expression(
     UsageError
         The function takes no parameter, or does not return one expression.
     """
-    import casadi
-
+    casadi = load_casadi()
     arguments = signature(expression).parameters.values()
     if any(a.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD) for a in arguments):
         raise UsageError("the model's function must name each of its arguments.")

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from multipos.errors import UsageError
+from multipos.expressions import load_casadi
 from multipos.model import NAMED, build_model, formula_columns, paper_symbol, parameter_label
 
 OUTPUTS, AXES = ("ax", "ay", "az"), ("x", "y", "z")
@@ -185,8 +186,7 @@ def test_terms_against_their_arithmetic_and_finite_differences(force, temperatur
 
 
 def test_terms_take_casadi_symbols():
-    import casadi
-
+    casadi = load_casadi()
     model = build("ieee-odd", ("a",), ("x",))
     symbols = dict(zip("xyz", casadi.vertsplit(casadi.SX.sym("f", 3)), strict=True))
     row = casadi.vertcat(*[term.evaluate(symbols) for term in model.basis_terms])

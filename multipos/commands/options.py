@@ -119,12 +119,13 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[int], object]]:
 
     Yields the function that is told how much is done.
     """
+    if sys.stderr is None or not sys.stderr.isatty():
+        yield lambda done: None
+        return
     from rich.console import Console
     from rich.progress import Progress
 
-    terminal = sys.stderr is not None and sys.stderr.isatty()
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not terminal) as progress:
+    with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=total)
         yield lambda done: progress.update(task, completed=done)
 
