@@ -7,12 +7,9 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path, PurePath
 
-import multipos
-
 from .kinds import Case
-from .running import Limits, Run
+from .running import PACKAGE, Limits, Run
 
-PACKAGE = str(Path(multipos.__file__).parent)
 _FRAME = re.compile(rf'File "{re.escape(PACKAGE)}/([^"]+)", line (\d+),? in (\S+)')
 _WARNING = re.compile(r"^(\S+\.py):(\d+): (\w*Warning): (.*)$", re.MULTILINE)
 # How the command line's last handler speaks of what it did not foresee.

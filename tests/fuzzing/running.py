@@ -21,8 +21,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
+import multipos
+
 from .kinds import OLD_OUTPUT, Case
 
+PACKAGE = str(Path(multipos.__file__).parent)
 Main = Callable[[Sequence[str]], int]
 Snapshot = dict[str, tuple[str, object]]
 OLD_TIME = 1_000_000_000  # [s] so that a file that was touched has another time
@@ -277,6 +280,12 @@ def _show_warnings() -> None:
         warnings.simplefilter("ignore", category)
 
     def show(message, category, filename, lineno, file=None, line=None):
+        # A library's warning is told where the package called it.
+        frame = sys._getframe(1)
+        while frame is not None and not frame.f_code.co_filename.startswith(PACKAGE):
+            frame = frame.f_back
+        if frame is not None:
+            filename, lineno = frame.f_code.co_filename, frame.f_lineno
         if sys.stderr is not None:
             sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))
 
