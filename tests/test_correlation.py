@@ -157,7 +157,11 @@ def test_f_robust_by_hand():
 
 def test_more_than_five_intervals_are_a_gap():
     assert time_order([0.0, 1.0, 2.0, 7.0, 8.0]).run.tolist() == [0, 0, 0, 0, 0]
-    assert time_order([0.0, 1.0, 2.0, 7.1, 8.1]).run.tolist() == [0, 0, 0, 1, 1]
+    parted = time_order([0.0, 1.0, 2.0, 7.1, 8.1])
+    assert parted.run.tolist() == [0, 0, 0, 1, 1]
+    # rows left out part runs as well, also beside a gap
+    few = parted.of(np.array([0, 1, 4])).run
+    assert few[0] == few[1] != few[2]
 
 
 def test_effective_size_of_a_known_process():

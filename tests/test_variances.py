@@ -146,6 +146,7 @@ def test_a_tilt_of_the_table_has_the_information_that_is_stated():
     prior = linearised(problem, optimum).prior
     assert_allclose(prior[-2:], 1.0 / problem.level_spread**2, rtol=1e-15)
     assert not prior[:-2].any()
+    assert len(prior) == len(state.theta) + problem.shared
 
 
 def test_a_variance_on_less_than_one_contrast_counts_as_one():
