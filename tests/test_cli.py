@@ -450,28 +450,32 @@ def test_closed_streams(here, monkeypatch):
 RED = "\x1b[31m\x9b\u202ered"
 
 
-def test_labels_do_not_reach_the_terminal_as_commands(here, capsys):
-    (here / "six.csv").write_text(SIX.replace("\n1,", f"\n{RED},"), encoding="utf-8")
-    seen = r"\u001b[31m\u009b\u202ered"
-    status, out, err = run(capsys, "fit", "six.csv", "--outputs", "ax")
-    assert status == 0
-    assert not set(RED[:6]) & set("\x1b\x9b\u202e") & set(out + err)
-    _, out, _ = run(capsys, "fit", "six.csv")
-    assert seen in out
-    _, out, _ = run(capsys, "fit", "six.csv", "--json", "-o", "cal.json")
-    assert seen in out
-    assert json.loads(out)["positions"][0] == RED == mp.load("cal.json").readings.positions[0]
-    (here / "bad.csv").write_text(SIX.replace("E-U-S", RED), encoding="utf-8")
-    _, _, err = run(capsys, "fit", "bad.csv")
-    assert seen in err
-    _, out, _ = run(capsys, "apply", "cal.json", "six.csv")
-    assert out.splitlines()[1].startswith(RED)  # a table for other programs stays as it is
+@pytest.fixture
+def red(here, capsys):
+    """A calibration, and readings whose first label would turn a terminal red."""
+    (here / "six.csv").write_text(SIX, encoding="utf-8")
+    run(capsys, "fit", "six.csv", "-o", "cal.json")
+    (here / "red.csv").write_text(SIX.replace("\n1,", f"\n{RED},"), encoding="utf-8")
+    return "red.csv"
 
 
-def test_a_terminal_gets_escapes_in_tables_too(here, capsys, monkeypatch):
-    (here / "six.csv").write_text(SIX.replace("\n1,", f"\n{RED},"), encoding="utf-8")
+@pytest.mark.parametrize("place", ["\n1,", "E-U-S"])
+def test_labels_do_not_reach_the_terminal_as_commands(place, here, capsys):
+    (here / "bad.csv").write_text(SIX.replace(place, place.replace("1", RED).replace("E-U-S", RED)))
+    status, out, err = run(capsys, "fit", "bad.csv")
+    assert (status, out) == (1, "")
+    assert r"\u001b[31m\u009b\u202ered" in err
+    assert not set("\x1b\x9b\u202e") & set(err)
+
+
+def test_a_table_for_other_programs_stays_as_it_is(red, capsys):
+    _, out, _ = run(capsys, "apply", "cal.json", red)
+    assert out.splitlines()[1].startswith(RED)
+
+
+def test_a_terminal_gets_escapes_in_tables_too(red, capsys, monkeypatch):
     monkeypatch.setattr(type(sys.stdout), "isatty", lambda self: True)
-    _, out, _ = run(capsys, "apply", "cal.json", "six.csv")
+    _, out, _ = run(capsys, "apply", "cal.json", red)
     assert out.splitlines()[1].startswith(r"\u001b[31m\u009b\u202ered")
 
 

@@ -140,8 +140,10 @@ def test_residual_harmonics_by_hand():
 
 @pytest.mark.parametrize(("p", "named"), [(0.0033, 1), (0.0034, 0)])
 def test_of_three_harmonics_tested_one_is_strange_at_a_third_of_a_percent(p, named):
-    found = [Harmonic("xy", order, 1.0, 0.0, chance)
-             for order, chance in enumerate([None, 0.5, p, 0.9])]  # fmt: skip
+    found = [
+        Harmonic("xy", order, 1.0, 0.0, p=chance)
+        for order, chance in enumerate([None, 0.5, p, 0.9])
+    ]
     assert len(strange_harmonics(found)) == named
 
 

@@ -79,7 +79,7 @@ def test_the_first_line_that_differs_is_named(cal, tmp_path, capsys):
     (tmp_path / "f.c").write_text("\n".join(lines))
     status, _, said = verify(capsys, tmp_path / "f.c", tmp_path / "cal.json")
     assert status == 1
-    assert f"line {row + 1} is '    accel[1] = 0.0; \\x1b[31m' where export writes" in (
+    assert f"line {row + 1} is '    accel[1] = 0.0; \\u001b[31m' where export writes" in (
         said.replace("is ' accel", "is '    accel")  # the command line closes up blanks
     )
 
