@@ -222,7 +222,7 @@ def _held(name: str, pipes: dict[str, Pipe]) -> str | Pipe:
         return name
     status = _status(name, sys.stdin)
     for other in pipes:
-        if name == other or _same(status, _status(other, sys.stdin)):
+        if _same(status, _status(other, sys.stdin)):
             raise UsageError(
                 f"{name} is given for two inputs, but what comes through it can be read as one; "
                 "put the other into a file."
