@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from multipos.calibration import Calibration, labels
 from multipos.model import COMPONENTS, linear_term
-from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series
+from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, scale_by_powers, write
 from multipos.uncertainty import Evaluation
 
 if TYPE_CHECKING:
@@ -62,9 +62,9 @@ def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
         x, y = up[on, 0] * radius, up[on, 1] * radius
         axes.plot(centre + x, y, MARKERS[0] if side > 0 else MARKERS[1], linestyle="none",
                   color=COLOURS[0] if side > 0 else COLOURS[1])  # fmt: skip
-        axes.text(centre, -1.24, "+z" if side > 0 else "-z", ha="center", va="center")
+        write(axes, centre, -1.24, "+z" if side > 0 else "-z", ha="center", va="center")
         for name, px, py in (("+x", 1.13, 0.0), ("+y", 0.0, 1.1)):
-            axes.text(centre + px, py, name, ha="center", va="center", fontsize=7)
+            write(axes, centre + px, py, name, ha="center", va="center", fontsize=7)
     axes.set_aspect("equal")
     axes.set_xlim(-2.4, 2.5)
     axes.set_ylim(-1.4, 1.25)
@@ -97,7 +97,7 @@ def draw_errors(calibration: Calibration, axes: "Axes") -> None:
     tiny = 1e-3 * max(float(np.nanmax(before)), 1e-12)
     axes.plot(at, np.maximum(before, tiny), MARKERS[1], color=COLOURS[1], label="before")
     axes.plot(at, np.maximum(after, tiny * 1e-3), MARKERS[0], color=COLOURS[0], label="after")
-    axes.set_yscale("log")
+    scale_by_powers(axes, "y")
     axes.set_ylabel("error [g]")
     _name_positions(axes, labels(c.readings))
     name_series(axes, 2)
@@ -169,7 +169,7 @@ def draw_correlation(calibration: Calibration, axes: "Axes") -> None:
     for i in range(p):
         for j in range(p):
             if i != j and abs(values[i, j]) >= 0.05 and p <= 20:
-                axes.text(j + 0.5, i + 0.5, f"{values[i, j]:.1f}".replace("0.", "."), ha="center",
+                write(axes, j + 0.5, i + 0.5, f"{values[i, j]:.1f}".replace("0.", "."), ha="center",
                           va="center", fontsize=6,
                           color="#ffffff" if abs(values[i, j]) > 0.6 else "#222222")  # fmt: skip
     axes.set_xticks(np.arange(p) + 0.5, list(c.names), rotation=90, fontsize=7)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure
+from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, scale_by_powers
 from multipos.verdicts import Check
 
 if TYPE_CHECKING:
@@ -28,17 +28,24 @@ def draw_check(found: Check, axes: "Axes", *, axis: str) -> None:
     )
     axes.plot(known, before, MARKERS[1], color=COLOURS[1], fillstyle="none", label="before")
     axes.errorbar(
-        known, after, U, fmt=MARKERS[0], color=COLOURS[0], elinewidth=0.8, label="after, with U"
+        known,
+        after,
+        U,
+        fmt=MARKERS[0],
+        color=COLOURS[0],
+        elinewidth=0.8,
+        capsize=0.0,
+        label="after, with U",
     )
     if found.limit is not None:
         for sign in (-1.0, 1.0):
             axes.axhline(sign * found.limit, color="#555555", linestyle="--", linewidth=0.8)
         axes.annotate(
             f"limit ±{found.limit:g} {found.unit}", (1.0, found.limit), va="bottom", ha="right",
-            xycoords=("axes fraction", "data"), color="#555555",
+            xycoords=("axes fraction", "data"), color="#555555", fontsize=9.0,
         )  # fmt: skip
         if np.abs(before).max() > _WIDE * found.limit:  # else the limits would be one line
-            axes.set_yscale("symlog", linthresh=2.0 * found.limit)
+            scale_by_powers(axes, "y", linthresh=2.0 * found.limit)
     axes.axhline(0.0, color="#999999", linewidth=0.5)
     unit = f" [{found.unit}]" if found.unit else ""
     axes.set_xlabel(found.against or f"{found.quantity} of {axis}{unit}")

@@ -31,7 +31,8 @@ def draw_runs(comparison: Comparison, axes: "Axes", *, term: str = "1") -> None:
         axes.errorbar(
             runs + 0.06 * (series - (len(wanted) - 1) / 2.0), values,
             yerr=np.where(np.isfinite(U), U, 0.0), color=COLOURS[series % 6],
-            marker=MARKERS[series % 8], capsize=2.0, linewidth=0.9, label=model.names[i],
+            marker=MARKERS[series % 8], capsize=2.0, capthick=1.0, linewidth=0.9,
+            label=model.names[i],
         )  # fmt: skip
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     axes.set_xticks(runs)

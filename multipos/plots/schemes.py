@@ -10,7 +10,7 @@ from multipos.assessment import read_setting
 from multipos.files import Source
 from multipos.information import Criterion, inform, kernels, sensitivity
 from multipos.model import COMPONENTS
-from multipos.plots.style import COLOURS, MARKERS
+from multipos.plots.style import COLOURS, MARKERS, dress_axis, name_series, write
 from multipos.scheme import Scheme, read_scheme
 
 if TYPE_CHECKING:
@@ -53,16 +53,20 @@ def draw_scheme(
             r * np.cos(t) + side * _APART, r * np.sin(t), values,
             vmin=low, vmax=top, cmap="cividis", shading="gouraud", rasterized=True,
         )  # fmt: skip
-        axes.text(side * _APART, -1.2, f"z {'down' if side else 'up'}", ha="center")
+        write(axes, side * _APART, -1.2, f"z {'down' if side else 'up'}", ha="center")
         for angle, name in ((0.0, "x"), (0.5 * np.pi, "y")):
             place = 1.12 * np.cos(angle) + side * _APART, 1.12 * np.sin(angle)
-            axes.text(*place, name, ha="center", va="center")
+            write(axes, *place, name, ha="center", va="center")
     _draw_positions(up, axes)
     axes.set_xlim(-1.15, 1.25 + _APART)
     axes.set_ylim(-1.3, 1.25)
     axes.set_aspect("equal")
     axes.set_axis_off()
-    axes.figure.colorbar(mesh, ax=axes, shrink=0.8, label="variance, best scheme ≤ 1")
+    bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.8)
+    bar.outline.set(edgecolor="#000000", linewidth=0.8)
+    bar.ax.set_axisbelow("line")
+    dress_axis(bar.ax.yaxis)
+    bar.ax.set_ylabel("variance, best scheme ≤ 1")
 
 
 def _draw_positions(up: Array, axes: "Axes") -> None:
@@ -77,7 +81,7 @@ def _draw_positions(up: Array, axes: "Axes") -> None:
                 markersize=6.0 if count == 1 else 11.0,
             )  # fmt: skip
             if count > 1:
-                axes.text(*place, str(count), ha="center", va="center_baseline", fontsize=7.0)
+                write(axes, *place, str(count), ha="center", va="center_baseline", fontsize=7.0)
 
 
 def draw_efficiency(designs: Mapping[str, Sequence[Mapping[str, Any]]], axes: "Axes") -> None:
@@ -93,4 +97,4 @@ def draw_efficiency(designs: Mapping[str, Sequence[Mapping[str, Any]]], axes: "A
     axes.locator_params(axis="x", integer=True)
     axes.set_xlabel("positions")
     axes.set_ylabel("efficiency per position")
-    axes.legend(frameon=False)
+    name_series(axes, min(len(designs), 4))

@@ -2,42 +2,54 @@
 
 Colours are those of Okabe and Ito, which colour-blind people can tell apart, and every series has
 a second cue: a marker, a line style, a hatch or a number.
+
+A figure carries its look with it. Matplotlib's own settings (`rcParams`) belong to the whole
+process: a program that draws changes them under the hands of all others, and whoever has changed
+them changes the figures of all others. So nothing here sets them, and what they would decide is
+decided here: sizes and colours when the axes are made, type and ids when the figure is written.
 """
 
 import re
-from typing import TYPE_CHECKING, Any
+from functools import cache
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999", "#f0e442")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 HATCHES = ("", "//", "\\\\", "xx", "--", "||", "++", "////")  # dots would weigh 150 kB each
 
+_INK = "#000000"
+_SIZE = 9.0  # of type, in points
+_FONT = "DejaVu Sans"  # comes with Matplotlib, so that a figure is measured alike everywhere
+_FONTS = f"'{_FONT}', 'Bitstream Vera Sans', Verdana, Geneva, Arial, Helvetica, sans-serif"
+_HATCH_WIDTH = 0.6
 _DPI = 200  # dots per inch of a .png
-_STYLE: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "multipos",
-    "font.size": 9.0,
-    "font.family": "sans-serif",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 9.0,
-    "axes.titlelocation": "left",
-    "hatch.linewidth": 0.6,
-    "lines.markersize": 4.0,
-}
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+# Matplotlib is not thread-safe, says its manual, and asks those who use threads to draw one after
+# the other. Making a figure needs no lock, as each has its own artists.
+_DRAWING = Lock()
 
 
 def new_figure(rows: int = 1, *, width: float = 5.8, height: float = 2.6) -> "tuple[Figure, Any]":
     """Return a figure of so many axes below each other, and the axes (rows,); sizes in inches."""
-    from matplotlib import rc_context
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    with rc_context(_STYLE):
-        figure = Figure(figsize=(width, height * rows), layout="constrained")
-        axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
+    layout = ConstrainedLayoutEngine(h_pad=0.04167, w_pad=0.04167, hspace=0.02, wspace=0.02)
+    figure = Figure(
+        figsize=(width, height * rows), dpi=100.0, facecolor="#ffffff", edgecolor="#ffffff",
+        linewidth=0.0, frameon=True, layout=layout,
+    )  # fmt: skip
+    edges = {"left": 0.125, "right": 0.9, "bottom": 0.11, "top": 0.88}  # before the layout
+    axes = figure.subplots(rows, 1, squeeze=False, gridspec_kw=edges)[:, 0]
+    for one in axes:
+        _dress(one)
     return figure, axes
 
 
@@ -45,15 +57,29 @@ def to_svg(figure: "Figure") -> str:
     """Return a figure as an SVG element, without date: the same drawing gives the same bytes."""
     from io import StringIO
 
-    from matplotlib import rc_context
+    from matplotlib.backends import backend_mixed
 
     stream = StringIO()
-    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with rc_context(_STYLE):
-        figure.savefig(stream, format="svg", transparent=True, metadata=nothing)
-    text = stream.getvalue()
-    text = text[text.index("<svg") :]
-    return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    width, height = figure.get_size_inches()
+    patches = [figure.patch, *(axes.patch for axes in figure.axes)]
+    kept = figure.canvas, figure.dpi, [patch.get_facecolor() for patch in patches]
+    for patch in patches:
+        patch.set_facecolor("none")  # whatever the page is like
+    _settle(figure)
+    with _DRAWING:
+        figure.dpi = 72.0  # that of SVG
+        vectors = _renderer()(72.0 * width, 72.0 * height, stream, image_dpi=kept[1],
+                              metadata=dict.fromkeys(("Date", "Creator", "Format", "Type"))
+                              )  # fmt: skip
+        _canvas()(figure, vectors)
+        mixed: Any = backend_mixed  # without types
+        figure.draw(mixed.MixedModeRenderer(figure, width, height, kept[1], vectors))
+        vectors.finalize()
+    figure.set_canvas(kept[0])
+    figure.dpi = kept[1]
+    for patch, colour in zip(patches, kept[2], strict=True):
+        patch.set_facecolor(colour)
+    return _plain(stream.getvalue())
 
 
 def render(figure: "Figure", ending: str) -> str | bytes:
@@ -62,16 +88,200 @@ def render(figure: "Figure", ending: str) -> str | bytes:
         return to_svg(figure)
     from io import BytesIO
 
-    from matplotlib import rc_context
-
     stream = BytesIO()
     dates = {"CreationDate": None} if ending == ".pdf" else None
-    with rc_context(_STYLE):
-        figure.savefig(stream, format=ending.removeprefix("."), dpi=_DPI, metadata=dates)
+    _settle(figure)
+    with _DRAWING:
+        figure.savefig(stream, format=ending.removeprefix("."), dpi=_DPI, facecolor="#ffffff",
+                       transparent=False, metadata=dates)  # fmt: skip
     return stream.getvalue()
 
 
 def name_series(axes: "Axes", columns: int) -> None:
     """Name the series above the axes, where no datum is."""
     axes.legend(loc="lower right", ncols=columns, fontsize=8, bbox_to_anchor=(1.0, 1.0),
-                frameon=False, borderaxespad=0.0)  # fmt: skip
+                frameon=False, borderaxespad=0.0, borderpad=0.4, labelspacing=0.5, markerscale=1.0,
+                handlelength=2.0, handleheight=0.7, handletextpad=0.8, columnspacing=2.0,
+                numpoints=1, labelcolor=_INK)  # fmt: skip
+
+
+def write(axes: "Axes", x: float, y: float, text: str, **look: Any) -> None:
+    """Write a word into the axes, by default in the size and colour of the other type."""
+    axes.text(x, y, text, **{"fontsize": _SIZE, "color": _INK, **look})
+
+
+def write_title(axes: "Axes", text: str) -> None:
+    """Write a title above the axes, on the left."""
+    axes.set_title(text, loc="left", fontsize=_SIZE, color=_INK, fontweight="normal", pad=6.0)
+
+
+def scale_by_powers(axes: "Axes", which: Literal["x", "y"], **beyond: float) -> None:
+    """Make an axis logarithmic, or so beyond a threshold `linthresh`, labelled 10⁻³."""
+    kind = "symlog" if beyond else "log"
+    if which == "x":
+        axes.set_xscale(kind, **beyond)
+    else:
+        axes.set_yscale(kind, **beyond)
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axis.set_major_formatter(_powers()())
+    if not beyond:
+        axis.set_minor_formatter(_powers()())
+
+
+def dress_axis(axis: "Axis") -> None:
+    """Give an axis its ticks, labels and numbers."""
+    from matplotlib.ticker import MaxNLocator, NullLocator
+
+    axis.set_tick_params(which="both", reset=False, direction="out", color=_INK, labelcolor=_INK,
+                         labelsize=_SIZE)  # fmt: skip
+    axis.set_tick_params(which="major", size=3.5, width=0.8, pad=3.5)
+    axis.set_tick_params(which="minor", size=2.0, width=0.6, pad=3.4)
+    axis.set_major_locator(MaxNLocator(nbins="auto", steps=[1, 2, 2.5, 5, 10]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(_numbers()())
+    axis.label.set(color=_INK, fontsize=_SIZE, fontweight="normal")
+    axis.offsetText.set(color=_INK, fontsize=_SIZE)
+    axis.labelpad = 4.0
+    axis.grid(False, which="both")
+
+
+def _dress(axes: "Axes") -> None:
+    from cycler import cycler
+
+    for side, spine in axes.spines.items():
+        spine.set(visible=side in ("left", "bottom"), edgecolor=_INK, linewidth=0.8)
+    axes.tick_params(which="both", top=False, right=False, bottom=True, left=True, labeltop=False,
+                     labelright=False, labelbottom=True, labelleft=True)  # fmt: skip
+    for axis in (axes.xaxis, axes.yaxis):
+        dress_axis(axis)
+    axes.set_facecolor("#ffffff")
+    axes.set_axisbelow("line")
+    axes.margins(0.05)
+    # What a line is like where the call that draws it does not say.
+    axes.set_prop_cycle(
+        cycler(color=[COLOURS[0]], linewidth=[1.5], linestyle=["-"], marker=["None"],
+               markersize=[4.0], markeredgewidth=[1.0], fillstyle=["full"])
+    )  # fmt: skip
+
+
+def _settle(figure: "Figure") -> None:
+    """Decide what is still open of the type and the lines of a figure that has been drawn."""
+    from matplotlib.lines import Line2D
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):  # ticks that are made later take after the first
+        text.set(usetex=False, fontproperties=_plain_font(float(text.get_fontsize())))
+    for line in figure.findobj(Line2D):
+        line.set(solid_capstyle="projecting", dash_capstyle="butt", solid_joinstyle="round",
+                 dash_joinstyle="round")  # fmt: skip
+
+
+def _plain_font(size: float) -> Any:
+    from matplotlib.font_manager import FontProperties
+
+    return FontProperties(family=[_FONT], style="normal", variant="normal", weight=400,
+                          stretch="normal", size=size)  # fmt: skip
+
+
+def _plain(text: str) -> str:
+    """Return the SVG element alone, with ids that are numbers and everywhere the same type."""
+    text = text[text.index("<svg") :]
+    text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'(<svg [^>]*?) id="[^"]*"', r"\1", text, count=1)
+    text = re.sub(
+        r"<pattern .*?</pattern>",
+        lambda match: re.sub(r"stroke-width: [\d.]+", f"stroke-width: {_HATCH_WIDTH}", match[0]),
+        text,
+        flags=re.DOTALL,
+    )
+    # Ids are drawn by lot where `svg.hashsalt` is not set.
+    numbers: dict[str, str] = {}
+    return re.sub(
+        r'(\bid="|url\(#|href="#)([^")]+)',
+        lambda match: match[1] + numbers.setdefault(match[2], f"i{len(numbers)}"),
+        text.replace(f"'{_FONT}'", _FONTS),
+    )
+
+
+@cache
+def _renderer() -> Any:
+    """Return the class that writes SVG, with all text as text and none as mathematics."""
+    from matplotlib.backends.backend_svg import RendererSVG
+
+    # Its own methods have no types.
+    base: Any = RendererSVG
+
+    class Renderer(base):  # type: ignore[misc]
+        def draw_text(
+            self, gc: Any, x: float, y: float, s: str, prop: Any, angle: float,
+            ismath: bool = False, mtext: Any = None,
+        ) -> None:  # fmt: skip
+            # `svg.fonttype` would decide between text and outlines: reports translate text.
+            self._draw_text_as_text(gc, x, y, s, prop, angle, False, mtext)
+
+        def get_text_width_height_descent(self, s: str, prop: Any, ismath: object) -> Any:
+            return super().get_text_width_height_descent(s, prop, False)
+
+        def draw_path(self, gc: Any, path: Any, transform: Any, rgbFace: Any = None) -> None:
+            gc.set_sketch_params()
+            path.simplify_threshold = 1.0 / 9.0
+            path.should_simplify = path.codes is None and len(path) >= 128
+            super().draw_path(gc, path, transform, rgbFace)
+
+        def option_image_nocomposite(self) -> bool:
+            return False
+
+    return Renderer
+
+
+@cache
+def _canvas() -> Any:
+    """Return the class of canvas that lets the layout measure with the renderer that draws."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    class Canvas(FigureCanvasBase):
+        def __init__(self, figure: "Figure", renderer: Any) -> None:
+            super().__init__(figure)
+            self._measures = renderer
+
+        def get_renderer(self) -> Any:
+            return self._measures
+
+    return Canvas
+
+
+@cache
+def _numbers() -> Any:
+    """Return the class that writes the numbers along an axis."""
+    from matplotlib.ticker import ScalarFormatter
+
+    class Numbers(ScalarFormatter):
+        def __init__(self) -> None:
+            super().__init__(useOffset=True, useMathText=False, useLocale=False)
+            self._usetex = False
+            self.set_powerlimits((-5, 6))
+
+        @staticmethod
+        def fix_minus(s: str) -> str:
+            return s.replace("-", "−")
+
+    return Numbers
+
+
+@cache
+def _powers() -> Any:
+    """Return the class that writes the numbers along a logarithmic axis."""
+    from math import floor, log10
+
+    from matplotlib.ticker import LogFormatter
+
+    class Powers(LogFormatter):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            if x == 0.0 or not super().__call__(x, pos):  # which of them are labelled
+                return "0" if x == 0.0 else ""
+            exponent = floor(log10(abs(x)) + 1e-9)
+            digits = round(abs(x) / 10.0**exponent)
+            sign, times = "−" if x < 0.0 else "", "" if digits == 1 else f"{digits}×"
+            return f"{sign}{times}10{str(exponent).translate(_SUPERSCRIPT)}"
+
+    return Powers

@@ -6,7 +6,13 @@ import numpy as np
 
 from multipos.correction import correct, range_column, read_predictors
 from multipos.files import Source, read_table
-from multipos.plots.style import COLOURS, new_figure
+from multipos.plots.style import (
+    COLOURS,
+    name_series,
+    new_figure,
+    scale_by_powers,
+    write_title,
+)
 from multipos.regression import Regression, format_span
 from multipos.segment import Segment
 from multipos.temperature import Curve
@@ -55,7 +61,7 @@ def draw_correction(
             axes.axvline(edge, color="black", linewidth=0.8, linestyle="--")
     axes.axhline(0.0, color="black", linewidth=0.5)
     axes.set(xlabel=name, ylabel=target)
-    axes.legend(frameon=False)
+    name_series(axes, 2)
 
 
 def draw_curve(curve: Curve, axes: "Axes") -> None:
@@ -68,7 +74,7 @@ def draw_curve(curve: Curve, axes: "Axes") -> None:
                   label="U, one temperature" if sign > 0.0 else None)  # fmt: skip
     axes.plot(t, curve.value, color=COLOURS[0], linewidth=1.2, label=curve.name)
     axes.set(xlabel="temperature", ylabel=f"{curve.name} [{curve.unit}]")
-    axes.legend(frameon=False)
+    name_series(axes, 3)
 
 
 def draw_path(segment: Segment, axes: "Axes") -> None:
@@ -80,7 +86,7 @@ def draw_path(segment: Segment, axes: "Axes") -> None:
     for row, step in enumerate(steps):
         added = step.action == "add"
         axes.barh(row, step.F, color=COLOURS[0] if added else "none", edgecolor=COLOURS[0],
-                  hatch="" if added else "//")  # fmt: skip
+                  hatch="" if added else "//", linewidth=1.0)  # fmt: skip
         if step.runner_up is not None and step.runner_up.F > 0.0:
             axes.plot(step.runner_up.F, row, marker="D", color=COLOURS[1], linestyle="none")
     axes.set_yticks(
@@ -88,14 +94,14 @@ def draw_path(segment: Segment, axes: "Axes") -> None:
         [f"{'+' if step.action == 'add' else '−'} {step.term}" for step in steps],
     )
     if steps:
-        axes.set_xscale("log")
+        scale_by_powers(axes, "x")
         axes.set_xlim(left=min([1.0, *(0.5 * step.F for step in steps if step.F > 0.0)]))
     axes.invert_yaxis()
     axes.set(xlabel="F to enter or to remove; ◆ the runner-up")
 
 
 def regression_figure(regression: Regression, data: Source) -> "Figure":
-    """Return the response before and after, and the path of every selection,.
+    """Return the response before and after, and the path of every selection.
 
     Rows with an empty cell, which the regression may have dropped, are not drawn.
     """
@@ -111,5 +117,5 @@ def regression_figure(regression: Regression, data: Source) -> "Figure":
         draw_path(segment, one)
         span = format_span(regression.range_variable, segment.range, segment.branch)
         title = "all segments" if regression.continuous else span
-        one.set_title(title, loc="left", fontsize=9.0)
+        write_title(one, title)
     return figure

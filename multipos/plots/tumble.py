@@ -82,10 +82,12 @@ def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
         )  # fmt: skip
         for x, h in zip(place.tolist(), left, strict=True):
             if f"harmonic {h.order} in plane {h.plane} " in named:
-                axes.annotate("*", (x, h.amplitude), ha="center", va="bottom")
+                axes.annotate(
+                    "*", (x, h.amplitude), ha="center", va="bottom", fontsize=9.0, color="#000000"
+                )
     axes.set_xlabel("order")
     axes.set_ylabel(f"left by the model [{found.calibration.model.unit}]")
-    axes.legend(frameon=False)
+    name_series(axes, 3)
 
 
 def tumble_figure(found: Tumble) -> "Figure":
