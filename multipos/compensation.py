@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from multipos.calibration import Calibration
 from multipos.errors import MultiposError, UsageError
-from multipos.files import Column, Source, Table, format_csv, read_table
+from multipos.files import LARGEST, Column, Source, Table, format_csv, read_table
 from multipos.inverse import sensed_axes
 from multipos.logs import Log, Piece
-from multipos.model import COMPONENTS
+from multipos.model import COMPONENTS, largest_value
 from multipos.parity import FAULT_LEVEL, parity
 from multipos.tilt import at_rest, reading_noise, tilt_at_rest
 from multipos.validity import force_covariance
@@ -190,8 +190,12 @@ def add_columns(
     calibration: Calibration, table: Table, *, tilt: bool, uncertainty: bool, outside: str
 ) -> dict[str, Array]:
     """Return the columns that a table gets, each row from itself alone, in order."""
-    raw = np.column_stack([table.number(name) for name in calibration.outputs])
-    environment = {name: table.number(name) for name in calibration.model.environment}
+    raw = np.column_stack([table.number(name, largest=LARGEST) for name in calibration.outputs])
+    terms = [term for _, term in calibration.model.keys]
+    environment = {
+        name: table.number(name, largest=largest_value(terms, name))
+        for name in calibration.model.environment
+    }
     beyond, clamped = _environment_outside(calibration, table, environment)
     if outside == "clamp":
         environment = clamped

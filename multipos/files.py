@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 
 Column = Sequence[Any] | NDArray[Any]
+SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
+LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # a file, columns, or a data frame
 
 
@@ -58,23 +60,35 @@ class Table:
         """Return a column as labels; whole numbers lose a trailing ``.0``."""
         return tuple(_label(cell) for cell in self.columns[name])
 
-    def number(self, name: str, *, empty: bool = False) -> NDArray[np.float64]:
+    def number(
+        self, name: str, *, empty: bool = False, largest: float = math.inf
+    ) -> NDArray[np.float64]:
         """Return a column as finite numbers (n,); with `empty`, empty cells become NaN.
 
         Raises
         ------
         MultiposError
-            A cell is text, empty or not finite; the message names file, row and column.
+            A cell is text, empty, not finite or beyond `largest`; the message names file, row and
+            column.
         """
         cells = self.columns[name]
         values = self._parse(cells)
         bad = ~np.isfinite(values)
+        if empty and isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
+            bad &= ~np.isnan(values)
         if bad.any():
             for row in np.flatnonzero(bad).tolist():
                 cell = _label(cells[row])
                 if cell in ("", "nan") and empty:
                     continue
                 raise MultiposError(f"{self.where(row, name)}: {_fault(cell, self.decimal_comma)}")
+        far = np.abs(values) > largest
+        if far.any():  # a float with a flipped bit, whose square may be no number
+            row = int(np.argmax(far))
+            raise MultiposError(
+                f"{self.where(row, name)}: {values[row]:g} is no number that is measured (beyond "
+                f"{largest:g}); correct it or leave the row out."
+            )
         return values
 
     def is_text(self, name: str) -> bool:

@@ -36,13 +36,16 @@ answer(task["module"], task["reader"], task["file"])
 
 
 def read_apart(
-    path: Path, reader: Callable[[Path], Mapping[str, Any]], *, patience: float = _PATIENCE
+    path: os.PathLike[str],
+    reader: Callable[[Path], Mapping[str, Any]],
+    *,
+    patience: float = _PATIENCE,
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays that a reader finds in a file, read in a process of its own.
 
     Parameters
     ----------
-    path : Path
+    path : path-like
     reader : function
         Of a module, so that the child can import it. What is no array of plain cells is left out.
     patience : float [s]
@@ -57,9 +60,9 @@ def read_apart(
         "path": [str(place) for place in sys.path],
         "module": reader.__module__,
         "reader": reader.__qualname__,
-        "file": str(path),
+        "file": os.fspath(path),
     }
-    limit = patience + path.stat().st_size / _SLOWEST
+    limit = patience + Path(path).stat().st_size / _SLOWEST
     with tempfile.TemporaryFile() as answers:
         try:
             done = subprocess.run(
