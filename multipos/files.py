@@ -22,10 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.columns import Cells, read_plain
 from multipos.errors import MultiposError
 
 Column = Sequence[Any] | NDArray[Any]
 SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
+_LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
 LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # a file, columns, or a data frame
 
@@ -72,7 +74,7 @@ class Table:
             column.
         """
         cells = self.columns[name]
-        values = self._parse(cells)
+        values = self._numbers(cells)
         bad = ~np.isfinite(values)
         if empty and isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
             bad &= ~np.isnan(values)
@@ -93,12 +95,17 @@ class Table:
 
     def is_text(self, name: str) -> bool:
         """Tell whether no cell of the column is a number."""
-        return not np.isfinite(self._parse(self.columns[name])).any()
+        return not np.isfinite(self._numbers(self.columns[name])).any()
 
     def where(self, row: int, name: str) -> str:
         """Return the place of a cell in words."""
         line = "" if self.lines is None else f" (line {self.lines[row]})"
         return f"{self.source}: row {self.first + row + 1}{line}, column '{name}'"
+
+    def _numbers(self, cells: Column) -> NDArray[np.float64]:
+        if isinstance(cells, Cells):
+            return cells.numbers(self._parse, decimal_comma=self.decimal_comma)
+        return self._parse(cells)
 
     def _parse(self, cells: Column) -> NDArray[np.float64]:
         if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiub":
@@ -162,6 +169,17 @@ def read_table(source: Source, *, what: str = "table") -> Table:
 
 def _read_csv(path: Path, what: str) -> Table:
     raw = read_bytes(path, what)
+    plain = read_plain(raw) if len(raw) > _LONG else None
+    if plain is not None:
+        _check_header(path, plain.header)
+        return Table(
+            source=str(path),
+            columns=dict(zip(plain.header, plain.columns, strict=True)),
+            rows=len(plain.lines),
+            lines=plain.lines,
+            sha256=hashlib.sha256(raw).hexdigest(),
+            delimiter=plain.delimiter,
+        )
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -214,13 +232,15 @@ def _read_csv(path: Path, what: str) -> Table:
 
 
 def _check_header(path: Path, header: list[str]) -> None:
+    seen = set()
     for index, name in enumerate(header):
         if not name:
             raise MultiposError(
                 f"{path}: column {index + 1} has no name; name it or remove the separator."
             )
-        if name in header[:index]:
+        if name in seen:
             raise MultiposError(f"{path}: column '{name}' appears twice; rename or remove one.")
+        seen.add(name)
     if all(math.isfinite(_float(name)) for name in header):
         raise MultiposError(
             f"{path}: the first row holds only numbers; the first row must name the columns."

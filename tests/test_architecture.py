@@ -17,6 +17,7 @@ ORDER = (
     "units",
     "quantiles",
     "formatting",
+    "columns",
     "files",
     "rates",
     "attitudes",
