@@ -14,8 +14,9 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from multipos.errors import MultiposError
 
 Column = Sequence[Any] | NDArray[Any]
 SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
+_CELLS = 1 << 14  # of a column in a piece of JSON
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
 LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # a file, columns, or a data frame
@@ -359,6 +361,28 @@ def format_csv(columns: Mapping[str, Column], delimiter: str = ",") -> str:
 def to_json(value: Any) -> str:
     """Return one JSON object as text; what is not finite becomes null."""
     return json.dumps(plain(value), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
+
+
+def json_table(columns: Mapping[str, Column], rows: int) -> Iterator[str]:
+    """Yield one JSON object of columns in pieces, {"rows": …, "columns": {name: [..]}}.
+
+    Together they are what `to_json` would return, without all of it in memory.
+    """
+    yield f'{{\n "rows": {rows},\n "columns": {{'
+    between = "\n  "
+    for name, column in columns.items():
+        yield f"{between}{json.dumps(str(name), ensure_ascii=False)}: ["
+        between = ",\n  "
+        cells = iter(column)
+        for start in range(0, rows, _CELLS):
+            whole = isinstance(column, np.ndarray)
+            part = column[start : start + _CELLS] if whole else list(islice(cells, _CELLS))
+            text = json.dumps(
+                plain(part), ensure_ascii=False, allow_nan=False, separators=(",\n   ", ": ")
+            )
+            yield f"{',' if start else ''}\n   {text[1:-1]}"
+        yield "\n  ]"
+    yield "\n }\n}\n"
 
 
 def plain(value: Any) -> Any:

@@ -2,15 +2,17 @@
 
 import argparse
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
+
+import numpy as np
 
 from multipos.calibration import load
 from multipos.commands.options import add_output, file_progress, names, warn
-from multipos.compensation import apply, apply_log
+from multipos.compensation import apply_log
 from multipos.correction import correct
 from multipos.errors import UsageError
-from multipos.files import Column, format_csv, read_schema, read_table, to_json, write_text
-from multipos.logs import open_log, read_log
+from multipos.files import format_csv, json_table, read_schema, read_table, write_text
+from multipos.logs import open_log
 from multipos.regression import SCHEMA, load_regression
 
 _IN_MEMORY = 1 << 24  # bytes of the table; more go to a temporary file
@@ -48,18 +50,17 @@ def run(arguments: argparse.Namespace) -> str | Iterator[str]:
         "outside": arguments.outside,
     }
     log = open_log(arguments.data, columns=arguments.columns)
-    if arguments.json:
-        return _finish(arguments, apply(calibration, read_log(log), **options), log.delimiter)
     with file_progress(arguments.data, "applying") as progress:
         applied = apply_log(calibration, log, progress=progress, **options)
+        columns = applied.columns() if arguments.json else {}
         if arguments.output:
             write_text(arguments.output, applied)
-        text = "" if arguments.output else _keep(applied)
+        text = "" if arguments.output or arguments.json else _keep(applied)
     _warn_outside(applied.beyond, applied.rows)
-    return text
+    return json_table(columns, applied.rows) if arguments.json else text
 
 
-def _correct(arguments: argparse.Namespace) -> str:
+def _correct(arguments: argparse.Namespace) -> str | Iterator[str]:
     """Apply a regression: whole, because a rate needs the rows before and after."""
     if arguments.tilt:
         raise UsageError("--tilt goes with a calibration; a regression corrects a column.")
@@ -71,17 +72,12 @@ def _correct(arguments: argparse.Namespace) -> str:
         uncertainty=arguments.uncertainty,
         outside=arguments.outside,
     )
-    return _finish(arguments, columns, table.delimiter)
-
-
-def _finish(arguments: argparse.Namespace, columns: Mapping[str, Column], delimiter: str) -> str:
-    text = format_csv(columns, delimiter or ",")
+    text = format_csv(columns, table.delimiter)
     if arguments.output:
         write_text(arguments.output, text)
-    rows = len(columns["outside"])
-    _warn_outside(int(sum(columns["outside"])), rows)
+    _warn_outside(int(np.sum(columns["outside"])), table.rows)
     if arguments.json:
-        return to_json({"rows": rows, "columns": columns})
+        return json_table(columns, table.rows)
     return "" if arguments.output else text
 
 
