@@ -110,4 +110,4 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
 
 def _grid(sheet: Sheet, tr: Translator, left: int = 1) -> Grid:
     rows = tuple(tuple(map(tr, row)) for row in sheet.rows)
-    return Grid(tr(sheet.title), tuple(map(tr.label, sheet.header)), rows, left)
+    return Grid(tr.message(sheet.title), tuple(map(tr.label, sheet.header)), rows, left)

@@ -168,6 +168,13 @@ class Calibration(Result):
         return np.array([factors[dof] for dof in self.parameter_dof])
 
     @property
+    def relative_residuals(self) -> Array:
+        """The largest residual of each position (n,), in standard deviations of its output."""
+        told = np.isfinite(self.residual_sd) & (self.residual_sd > 0.0)
+        sd = np.where(told, self.residual_sd, 1.0)
+        return np.asarray(np.abs(self.residuals / sd).max(axis=1))
+
+    @property
     def U(self) -> Array:
         """Expanded uncertainties (p,), U = k u."""
         return self.k * self.u

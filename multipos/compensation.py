@@ -15,7 +15,7 @@ A table in memory is done at once (`apply`), a file piece by piece (`apply_log`)
 be of any length.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from multipos.calibration import Calibration
 from multipos.errors import MultiposError, UsageError
-from multipos.files import Column, Source, Table, format_csv, read_table
+from multipos.files import LARGEST, Column, Source, Table, format_csv, read_table
 from multipos.inverse import sensed_axes
-from multipos.logs import Log, Piece
-from multipos.model import COMPONENTS
+from multipos.logs import Log, Piece, read_log
+from multipos.model import COMPONENTS, largest_value
 from multipos.parity import FAULT_LEVEL, parity
 from multipos.results import Record
 from multipos.tilt import at_rest, reading_noise, tilt_at_rest
@@ -119,9 +119,30 @@ class AppliedLog:
 
     def __iter__(self) -> Iterator[str]:
         """Yield header and rows; under 'refuse' the error comes when all rows have been seen."""
+        carried = () if self.log.text else self.log.numeric  # rows of text are written as they are
+        begun = False
+        for piece, added in self._applied(carried):
+            if not begun:
+                yield format_csv(dict.fromkeys((*self._kept, *added), ()), self._delimiter)
+            begun = True
+            if not self.beyond or self.outside != "refuse":
+                yield self._text(piece, added)
+
+    def columns(self) -> dict[str, Column]:
+        """Return all columns at once; what is added to them is computed piece by piece."""
+        found: dict[str, list[Array]] = {}
+        for _, added in self._applied(()):
+            for name, column in added.items():
+                found.setdefault(name, []).append(column)
+        return {
+            **read_log(self.log),
+            **{name: np.concatenate(all_) for name, all_ in found.items()},
+        }
+
+    def _applied(self, carried: Sequence[str]) -> Iterator[tuple[Piece, dict[str, Array]]]:
+        """Yield pieces with what is added to them; under 'refuse' the error comes at the end."""
         self.rows = self.beyond = 0
         first = None
-        carried = () if self.log.text else self.log.numeric  # rows of text are written as they are
         for piece in self.log.read(self._needed, carried):
             added = add_columns(
                 self.calibration,
@@ -133,12 +154,9 @@ class AppliedLog:
             beyond = added["outside"].astype(bool)
             if first is None and beyond.any():
                 first = piece.table.where(int(np.argmax(beyond)), self.calibration.outputs[0])
-            if not self.rows:
-                yield format_csv(dict.fromkeys((*self._kept, *added), ()), self._delimiter)
             self.rows += piece.table.rows
             self.beyond += int(beyond.sum())
-            if first is None or self.outside != "refuse":
-                yield self._text(piece, added)
+            yield piece, added
             if self.progress is not None:
                 self.progress(piece.done)
         if first is not None and self.outside == "refuse":
@@ -193,8 +211,12 @@ def add_columns(
     calibration: Calibration, table: Table, *, tilt: bool, uncertainty: bool, outside: Outside
 ) -> dict[str, Array]:
     """Return the columns that a table gets, each row from itself alone, in order."""
-    raw = np.column_stack([table.number(name) for name in calibration.outputs])
-    environment = {name: table.number(name) for name in calibration.model.environment}
+    raw = np.column_stack([table.number(name, largest=LARGEST) for name in calibration.outputs])
+    terms = [term for _, term in calibration.model.keys]
+    environment = {
+        name: table.number(name, largest=largest_value(terms, name))
+        for name in calibration.model.environment
+    }
     beyond, clamped = _environment_outside(calibration, table, environment)
     if outside == "clamp":
         environment = clamped

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from multipos.compensation import Outside, check_outside
 from multipos.errors import MultiposError
-from multipos.files import Column, Source, Table, read_table
+from multipos.files import LARGEST, Column, Source, Table, read_table
+from multipos.model import largest_value
 from multipos.rates import smoothed_rate
 from multipos.regression import Regression
 from multipos.results import Record
@@ -66,7 +67,7 @@ def correct(
             f"{table.source}: no column '{target}' to correct; name one with --correct, of "
             f"{', '.join(table.columns)}."
         )
-    raw = table.number(target)
+    raw = table.number(target, largest=LARGEST)
     columns = read_predictors(regression, table)
     place = regression.segment_of(columns) if columns else np.zeros(table.rows, dtype=np.intp)
     beyond, clamped = _outside(regression, columns, place)
@@ -99,6 +100,7 @@ def correct(
 def read_predictors(regression: Regression, table: Table) -> dict[str, Array]:
     """Return the columns that a prediction needs; rates from the time column as for the fit."""
     columns = {}
+    terms = [term for segment in regression.segments for term in segment.terms]
     for name in regression.needed:
         window = None if name in table else regression.rates.get(name)
         source, time = name.removesuffix("_rate"), regression.time
@@ -110,9 +112,10 @@ def read_predictors(regression: Regression, table: Table) -> dict[str, Array]:
                     f"the columns are {', '.join(table.columns)}."
                 )
         if window is None or time is None:
-            columns[name] = table.number(name)
+            columns[name] = table.number(name, largest=largest_value(terms, name))
         else:
-            columns[name] = smoothed_rate(table.number(time), table.number(source), window=window)
+            at, values = (table.number(each, largest=LARGEST) for each in (time, source))
+            columns[name] = smoothed_rate(at, values, window=window)
     return columns
 
 

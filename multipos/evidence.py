@@ -3,17 +3,19 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos import plots
 from multipos.calibration import Calibration, labels
 from multipos.criticism import find_influence, fourier_residuals, judge_terms
 from multipos.expressions import ExpressionModel
 from multipos.findings import Figure, Grid, Section, draw_svg
-from multipos.formatting import number
+from multipos.formatting import largest_rows, number
 from multipos.joint_tests import judge_jointly
 from multipos.monte_carlo import MonteCarlo
 from multipos.translations import Translator
 
+_SHOWN = " (the {shown} largest of {count}; the calibration file has all)"
 _WIDE = 16  # parameters beyond which the correlation matrix is only a figure
 
 
@@ -24,9 +26,10 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
         for output, one in zip(c.outputs, axes, strict=True):
             plots.draw_residuals(c, one, output=output)
 
+    shown, suffix = _largest(tr, c.relative_residuals)
+    names = labels(c.readings)
     rows = [
-        (label, *(f"{value:+.3e}" for value in residual))
-        for label, residual in zip(labels(c.readings), c.residuals.tolist(), strict=True)
+        (names[row], *(f"{value:+.3e}" for value in c.residuals[row].tolist())) for row in shown
     ]
     paragraphs = [
         tr("Residual = reading − model. The bars are ±2 standard deviations of each residual.")
@@ -52,7 +55,7 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
         ),
         (
             Grid(
-                tr("Residuals at every position"),
+                tr("Residuals at every position") + suffix,
                 (tr("Position"), *(f"{output} [{c.model.unit}]" for output in c.outputs)),
                 tuple(rows),
             ),
@@ -63,9 +66,10 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
 def errors_section(c: Calibration, tr: Translator) -> Section:
     """Return the errors before and after compensation, and linearity."""
     before, after = plots.nominal_error(c), plots.compensated_error(c)
+    shown, suffix = _largest(tr, after)
+    names = labels(c.readings)
     rows = [
-        (label, number(b, 3), number(a, 3))
-        for label, b, a in zip(labels(c.readings), before.tolist(), after.tolist(), strict=True)
+        (names[row], number(float(before[row]), 3), number(float(after[row]), 3)) for row in shown
     ]
     for name, size in (("largest", np.max), ("rms", lambda e: np.sqrt(np.mean(e**2)))):
         rows.append((tr(name), number(float(size(before)), 3), number(float(size(after)), 3)))
@@ -96,8 +100,8 @@ def errors_section(c: Calibration, tr: Translator) -> Section:
             ),
         ),
         (
-            Grid(tr("Size of the error [g]"), tuple(map(tr, ("Position", "before", "after"))),
-                 tuple(rows)),
+            Grid(tr("Size of the error [g]") + suffix,
+                 tuple(map(tr, ("Position", "before", "after"))), tuple(rows)),
             Grid(
                 tr("Linearity [%]"),
                 tuple(map(tr, ("Output", "without the model", "with the model"))),
@@ -111,12 +115,13 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
     """Return where the positions were and what each decides."""
     up = c.reference / np.linalg.norm(c.reference, axis=1)[:, None]
     up = (-up if c.convention == "gravity" else up) + 0.0
+    leverage, names = c.diagnostics.leverage, labels(c.readings)
+    shown, suffix = _largest(tr, leverage.max(axis=1))
     rows = [
-        (label, *(f"{value:.4f}" for value in where), *(f"{value:.3f}" for value in leverage))
-        for label, where, leverage in zip(
-            labels(c.readings), up.tolist(), c.diagnostics.leverage.tolist(), strict=True
-        )
-    ]
+        (names[row], *(f"{value:.4f}" for value in up[row].tolist()),
+         *(f"{value:.3f}" for value in leverage[row].tolist()))
+        for row in shown
+    ]  # fmt: skip
     return Section(
         tr("Positions"),
         (
@@ -140,7 +145,7 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
         ),
         (
             Grid(
-                tr("Up vector and leverage of every position"),
+                tr("Up vector and leverage of every position") + suffix,
                 (tr("Position"), "x", "y", "z", *(f"h {output}" for output in c.outputs)),
                 tuple(rows),
             ),
@@ -254,17 +259,19 @@ def _criticism(c: Calibration, tr: Translator) -> list[Grid]:
     if terms:
         grids.append(Grid(tr("Tests of single terms"), tuple(map(tr, header)), tuple(terms), 3))
     found = find_influence(c)
+    names = labels(c.readings)
+    shown, suffix = _largest(tr, np.abs(found.studentised).max(axis=1))
     influence = [
-        (label, *(number(value, 3) for i in range(len(c.outputs)) for value in (
+        (names[row], *(number(value, 3) for i in range(len(c.outputs)) for value in (
             float(found.studentised[row, i]), float(found.cook[row, i]),
             float(found.left_out[row, i]))))
-        for row, label in enumerate(labels(c.readings))
+        for row in shown
     ]  # fmt: skip
     columns = [f"{name} {output}" for output in c.outputs for name in ("r", "D", "e")]
     grids.append(
         Grid(
             tr("Influence of each position: studentised residual r, Cook's D, leave-one-out "
-               "error e"),
+               "error e") + suffix,
             (tr("Position"), *columns), tuple(influence),
         )
     )  # fmt: skip
@@ -280,6 +287,14 @@ def _criticism(c: Calibration, tr: Translator) -> list[Grid]:
                  (tr("Roll about"), tr("Output"), *orders), tuple(waves), 2)
         )  # fmt: skip
     return grids
+
+
+def _largest(tr: Translator, sizes: NDArray[np.float64]) -> tuple[list[int], str]:
+    """Return the positions that a table shows, and what its title says where it leaves some out."""
+    shown = largest_rows(sizes.tolist())
+    if len(shown) == len(sizes):
+        return shown, ""
+    return shown, tr(_SHOWN, shown=str(len(shown)), count=str(len(sizes)))
 
 
 def _float(value: object) -> float | None:

@@ -21,6 +21,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,9 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.characters import control_characters, visible
+from multipos.columns import Cells, read_plain
 from multipos.errors import MultiposError
 
 Column = Sequence[Any] | NDArray[Any]
+SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
+_CELLS = 1 << 14  # of a column in a piece of JSON
+_LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
+LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # a file, columns, or a data frame
 
 _SURROGATE = re.compile("[\ud800-\udfff]")  # what UTF-8 does not have, a byte of a file name
@@ -67,33 +73,50 @@ class Table:
         """Return a column as labels; whole numbers lose a trailing ``.0``."""
         return tuple(_label(cell) for cell in self.columns[name])
 
-    def number(self, name: str, *, empty: bool = False) -> NDArray[np.float64]:
+    def number(
+        self, name: str, *, empty: bool = False, largest: float = math.inf
+    ) -> NDArray[np.float64]:
         """Return a column as finite numbers (n,); with `empty`, empty cells become NaN.
 
         Raises
         ------
         MultiposError
-            A cell is text, empty or not finite; the message names file, row and column.
+            A cell is text, empty, not finite or beyond `largest`; the message names file, row and
+            column.
         """
         cells = self.columns[name]
-        values = self._parse(cells)
+        values = self._numbers(cells)
         bad = ~np.isfinite(values)
+        if empty and isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
+            bad &= ~np.isnan(values)
         if bad.any():
             for row in np.flatnonzero(bad).tolist():
                 cell = _label(cells[row])
                 if cell in ("", "nan") and empty:
                     continue
                 raise MultiposError(f"{self.where(row, name)}: {_fault(cell, self.decimal_comma)}")
+        far = np.abs(values) > largest
+        if far.any():  # a float with a flipped bit, whose square may be no number
+            row = int(np.argmax(far))
+            raise MultiposError(
+                f"{self.where(row, name)}: {values[row]:g} is no number that is measured (beyond "
+                f"{largest:g}); correct it or leave the row out."
+            )
         return values
 
     def is_text(self, name: str) -> bool:
         """Tell whether no cell of the column is a number."""
-        return not np.isfinite(self._parse(self.columns[name])).any()
+        return not np.isfinite(self._numbers(self.columns[name])).any()
 
     def where(self, row: int, name: str) -> str:
         """Return the place of a cell in words."""
         line = "" if self.lines is None else f" (line {self.lines[row]})"
         return f"{self.source}: row {self.first + row + 1}{line}, column '{name}'"
+
+    def _numbers(self, cells: Column) -> NDArray[np.float64]:
+        if isinstance(cells, Cells):
+            return cells.numbers(self._parse, decimal_comma=self.decimal_comma)
+        return self._parse(cells)
 
     def _parse(self, cells: Column) -> NDArray[np.float64]:
         if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiub":
@@ -157,6 +180,17 @@ def read_table(source: Source, *, what: str = "table") -> Table:
 
 def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
     raw = read_bytes(path, what)
+    plain = read_plain(raw) if len(raw) > _LONG else None
+    if plain is not None:
+        _check_header(path, plain.header)
+        return Table(
+            source=str(path),
+            columns=dict(zip(plain.header, plain.columns, strict=True)),
+            rows=len(plain.lines),
+            lines=plain.lines,
+            sha256=hashlib.sha256(raw).hexdigest(),
+            delimiter=plain.delimiter,
+        )
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -238,13 +272,15 @@ def _records(
 
 
 def _check_header(path: str | os.PathLike[str], header: list[str]) -> None:
+    seen = set()
     for index, name in enumerate(header):
         if not name:
             raise MultiposError(
                 f"{path}: column {index + 1} has no name; name it or remove the separator."
             )
-        if name in header[:index]:
+        if name in seen:
             raise MultiposError(f"{path}: column '{name}' appears twice; rename or remove one.")
+        seen.add(name)
         if control_characters(name):
             raise MultiposError(
                 f"{path}: the name of column {index + 1}, '{visible(name)}', has a control "
@@ -449,7 +485,33 @@ def to_json(value: Any) -> str:
     Of a file name that is no text, each byte that is none is written as an escape.
     """
     text = json.dumps(plain(value), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
+    return _escaped(text)
+
+
+def _escaped(text: str) -> str:
     return _SURROGATE.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text)
+
+
+def json_table(columns: Mapping[str, Column], rows: int) -> Iterator[str]:
+    """Yield one JSON object of columns in pieces, {"rows": …, "columns": {name: [..]}}.
+
+    Together they are what `to_json` would return, without all of it in memory.
+    """
+    yield f'{{\n "rows": {rows},\n "columns": {{'
+    between = "\n  "
+    for name, column in columns.items():
+        yield f"{between}{_escaped(json.dumps(str(name), ensure_ascii=False))}: ["
+        between = ",\n  "
+        cells = iter(column)
+        for start in range(0, rows, _CELLS):
+            whole = isinstance(column, np.ndarray)
+            part = column[start : start + _CELLS] if whole else list(islice(cells, _CELLS))
+            text = json.dumps(
+                plain(part), ensure_ascii=False, allow_nan=False, separators=(",\n   ", ": ")
+            )
+            yield f"{',' if start else ''}\n   {_escaped(text[1:-1])}"
+        yield "\n  ]"
+    yield "\n }\n}\n"
 
 
 def plain(value: Any) -> Any:

@@ -35,7 +35,7 @@ from multipos.calibration import Calibration, Gravity
 from multipos.diagnostics import Diagnostics, lack_of_fit
 from multipos.errors import MultiposError, UsageError
 from multipos.expressions import Expression, build_expression
-from multipos.files import Source
+from multipos.files import LARGEST, SMALLEST, Source
 from multipos.known import Solution, closed_form_difference, solve_closed_form, solve_known
 from multipos.losses import LOSSES, Loss
 from multipos.model import (
@@ -46,14 +46,13 @@ from multipos.model import (
     build_model,
     default_axes,
     formula_columns,
+    largest_value,
     linear_term,
 )
 from multipos.model_selection import select_terms, with_selection
 from multipos.names import Names, split_names
 from multipos.placement import Placement, place
 from multipos.readings import (
-    LARGEST,
-    SMALLEST,
     Readings,
     orient,
     read_readings,
@@ -75,7 +74,6 @@ _CONTRADICT = {
     "--unknown-orientation": ("--orientation-sd", "--level-sd"),
 }  # fmt: skip
 _TIED = "the listed directions leave no rotation of the case to choose"
-_FARTHEST = 1e30  # of a column that a model uses, in its ninth power at most
 _ILL_CONDITIONED = 1e4  # scaled condition at which four of the sixteen digits are gone
 
 
@@ -504,13 +502,14 @@ def _check_environment(readings: Readings, model: Model) -> None:
                 f"{readings.source or 'the readings'}: row {int(np.argmax(bad)) + 1}, "
                 f"column '{name}' is empty or not finite, but the model uses it."
             )
-        far = np.abs(readings.environment[name]) > _FARTHEST
+        limit = largest_value((term for _, term in model.keys), name)
+        far = np.abs(readings.environment[name]) > limit
         if far.any():
             row = int(np.argmax(far))
             raise MultiposError(
                 f"{readings.source or 'the readings'}: row {row + 1}, column '{name}': "
-                f"{readings.environment[name][row]:g} is beyond {_FARTHEST:g}, whose powers are no "
-                "numbers; correct it."
+                f"{readings.environment[name][row]:g} is beyond {limit:.0e}, whose powers are no "
+                "numbers in this model; correct it, or give the column in another unit."
             )
 
 

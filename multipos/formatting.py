@@ -4,12 +4,14 @@ The digits in brackets are the standard uncertainty in units of the last digits 
 them (JCGM 100, 7.2.2); a value without a usable uncertainty is shown with ten digits.
 """
 
+import heapq
 import math
 import re
 from collections.abc import Sequence
 
 from multipos.characters import visible
 
+_MOST_ROWS, _LARGEST_ROWS = 100, 20  # of a table: beyond the former only so many are shown
 _SHORTEST = -5  # decimal exponents below this are written as such
 
 
@@ -39,6 +41,17 @@ def number(value: float | None, digits: int = 4) -> str:
     if value is None or math.isnan(value):
         return "-"
     return "inf" if math.isinf(value) else f"{value:.{digits}g}"
+
+
+def largest_rows(sizes: Sequence[float]) -> list[int]:
+    """Return the rows of a long table to show, the largest first: twenty of more than a hundred.
+
+    Of fewer all are shown, in order. NaN counts as the largest.
+    """
+    if len(sizes) <= _MOST_ROWS:
+        return list(range(len(sizes)))
+    key = [math.inf if math.isnan(size) else size for size in sizes]
+    return heapq.nlargest(_LARGEST_ROWS, range(len(key)), key=key.__getitem__)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:

@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import UsageError
+from multipos.files import LARGEST, SMALLEST
 from multipos.inverse import parameter_jacobian
 from multipos.model import COMPONENTS, Model, Term
 
@@ -43,6 +44,8 @@ Blocks = tuple[Array, ...]
 
 # A scheme that serves one parameter alone would leave others unknown: they count this much.
 _OTHERS = 1e-4
+# Standard uncertainties of a reading in that of an orientation from which no digit is left of it.
+_AS_UNKNOWN = 2e7
 # Multiplications of a product from which BLAS may start threads: on a busy machine their waiting
 # for each other costs a hundred times what they gain on products of this size.
 _PIECE = 200_000
@@ -153,8 +156,10 @@ def make_setting(
     reading_sd : float [g]
         At a nominal sensor; it matters beside `orientation_sd` only.
     """
-    if not 0.0 < reading_sd < math.inf:
-        raise UsageError(f"--reading-sd must be above 0, got {reading_sd}.")
+    if not SMALLEST <= reading_sd <= LARGEST:
+        raise UsageError(
+            f"--reading-sd must be above 0, from {SMALLEST:g} to {LARGEST:g}, got {reading_sd}."
+        )
     if unknown_orientation and orientation_sd is not None:
         raise UsageError("--unknown-orientation and --orientation-sd exclude each other; give one.")
     if unknown_orientation:
@@ -166,9 +171,11 @@ def make_setting(
         return Setting(model.with_gauge("lower"), math.inf)
     if orientation_sd is None:
         return Setting(model)
-    if not 0.0 <= orientation_sd < math.inf:
+    if not 0.0 <= math.radians(orientation_sd) <= _AS_UNKNOWN * reading_sd:
         raise UsageError(
-            f"--orientation-sd must be 0 or more, in degrees, got {orientation_sd}; "
+            "--orientation-sd must be 0 or more, in degrees, and beside a reading of standard "
+            f"uncertainty {reading_sd:g} g below {math.degrees(_AS_UNKNOWN * reading_sd):.0e}, got "
+            f"{orientation_sd}; "
             "for unknown orientations give --unknown-orientation."
         )
     return Setting(model, math.radians(orientation_sd) / reading_sd)

@@ -14,8 +14,9 @@ Formulas are parsed, never evaluated: `formula = term ('+' term)*`, `term = fact
 `factor = '1' | name ['^' power] | '|' name '|' ['^' power]`.
 """
 
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal, get_args
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
+from multipos.files import LARGEST
 from multipos.names import Names, near, split_names
 from multipos.results import Result
 from multipos.units import unit_per
@@ -43,6 +45,7 @@ NAMED = {
 }
 Gauge = Literal["lower", "symmetric"]
 GAUGES: tuple[Gauge, ...] = get_args(Gauge)
+_LARGEST_POWER = 100.0  # log10 of what a term may reach: its square is a number still
 HIGHEST_POWER = 9  # beyond it a term of specific force within 1 g says nothing new
 
 
@@ -138,6 +141,13 @@ def evaluate_terms(terms: Sequence[Term], columns: Mapping[str, Array], n: int) 
     for column, term in enumerate(terms):
         design[:, column] = term.evaluate(columns)
     return design
+
+
+def largest_value(terms: Iterable[Term], variable: str) -> float:
+    """Return how large a variable may be for its powers in terms to be squared and summed."""
+    factors = (factor for term in terms for factor in term.factors)
+    degree = max((f.degree for f in factors if f.variable == variable), default=1)
+    return min(LARGEST, math.pow(10.0, _LARGEST_POWER / degree))
 
 
 def linear_term(variable: str) -> Term:
@@ -634,6 +644,7 @@ def _parse_term(part: str, text: str, axis: str, highest: int = HIGHEST_POWER) -
     """Parse ``x*|own|`` for the output whose own axis is given."""
     plain: dict[str, int] = {}
     modulus: dict[str, int] = {}
+    refused = f"must lie between 1 and {highest}."
     for factor in part.split("*"):
         if factor.strip() == "1":
             continue
@@ -643,15 +654,16 @@ def _parse_term(part: str, text: str, axis: str, highest: int = HIGHEST_POWER) -
                 f"model '{text}': cannot read '{factor.strip() or part}'; a term is a product of "
                 "1, x, y, z, own, |own| and column names, each with ^power."
             )
-        power = int(match["power"] or 1)
+        digits = match["power"] or "1"
+        power = int(digits) if len(digits) <= len(str(highest)) else highest + 1
         if not 1 <= power <= highest:
-            raise UsageError(
-                f"model '{text}': the power in '{factor.strip()}' must lie between 1 and {highest}."
-            )
+            raise UsageError(f"model '{text}': the power in '{factor.strip()}' {refused}")
         name = match["name"] or match["modulus"]
         counts = plain if match["name"] else modulus
         name = axis if name == "own" else name
         counts[name] = counts.get(name, 0) + power
+        if plain.get(name, 0) + modulus.get(name, 0) > highest:
+            raise UsageError(f"model '{text}': the power of {name} in '{part.strip()}' {refused}")
     factors = []
     for name in sorted({*plain, *modulus}):
         # |v|^2 = v^2, so at most one modulus stays.

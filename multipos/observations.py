@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from multipos.correlation import TimeOrder, time_order
 from multipos.errors import MultiposError
-from multipos.files import Table
+from multipos.files import LARGEST, Table
 from multipos.rates import default_window, smoothed_rate
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ class Observations:
 def read_observations(
     table: Table, response: str, wanted: Sequence[str], *, time: str | None = None,
     rate_window: float | None = None,
-    cluster: str | None = None, drop_missing: bool = False,
+    cluster: str | None = None, drop_missing: bool = False, largest: Mapping[str, float],
 ) -> Observations:  # fmt: skip
     """Return the columns that are used, in the rows that are complete.
 
@@ -74,11 +74,13 @@ def read_observations(
         Of rates, in the unit of time.
     cluster : str, optional
     drop_missing : bool
+    largest : mapping of str to float
+        How large a variable may be for its powers to be numbers.
 
     Raises
     ------
     MultiposError
-        A column is missing, a cell is empty or no number.
+        A column is missing, a cell is empty, no number or too large a one.
     """
     if time is None and "time" in table and not table.is_text("time"):
         time = "time"
@@ -99,7 +101,9 @@ def read_observations(
             f"{table.source}: no column '{formed[0]}', and no time column to form it from; "
             "name one with --time."
         )
-    columns = {name: table.number(name, empty=True) for name in needed}
+    columns = {
+        name: table.number(name, empty=True, largest=largest.get(name, LARGEST)) for name in needed
+    }
     kept, notes = _complete(table, columns, drop_missing)
     columns = {name: column[kept] for name, column in columns.items()}
     rates = {}
@@ -108,6 +112,13 @@ def read_observations(
         window = default_window(columns[time]) if rate_window is None else rate_window
         columns[name] = smoothed_rate(columns[time], columns[source], window=window)
         rates[name] = window
+        far = ~(np.abs(columns[name]) <= largest.get(name, LARGEST))
+        if far.any():
+            row = int(kept[np.argmax(far)])
+            raise MultiposError(
+                f"{table.where(row, source)}: the rate there is {columns[name][np.argmax(far)]:g}, "
+                f"whose powers are no numbers; check the steps of column '{time}'."
+            )
     groups = None
     if cluster is not None:
         labels = np.array(table.text(cluster))[kept]

@@ -16,15 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from multipos import attitudes
 from multipos.characters import control_characters, visible
 from multipos.errors import MultiposError, UsageError
-from multipos.files import Source, Table, read_table
+from multipos.files import LARGEST, SMALLEST, Source, Table, read_table
 from multipos.names import Names, split_names
 from multipos.results import Frozen, Result
 from multipos.scheme import Scheme, read_scheme
 
 Array = NDArray[np.float64]
 
-# Of a reading and its uncertainty, whatever the unit: beyond, squares of squares are no numbers.
-SMALLEST, LARGEST = 1e-50, 1e50
 _RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group"}
 
 
@@ -179,8 +177,8 @@ class Readings(Result):
                 row, i = np.argwhere(far)[0].tolist()
                 column = self.outputs[i] if name == "values" else f"{name}_{self.outputs[i]}"
                 raise MultiposError(
-                    f"{where}: row {row + 1}, column '{column}': {array[row, i]:g} is no number a "
-                    f"sensor gives (from {SMALLEST:g} to {LARGEST:g} in any unit); correct it."
+                    f"{where}: row {row + 1}, column '{column}': {array[row, i]:g} is no number "
+                    f"that is measured (from {SMALLEST:g} to {LARGEST:g} in any unit); correct it."
                 )
         size = np.abs(self.values).max(axis=0)
         lost = (size > 0.0) & (size < SMALLEST)
@@ -263,7 +261,7 @@ def read_readings(
     oriented = attitudes.read_attitudes(table, None if spread is None else np.isnan(spread))
     columns = _environment(table, names, environment, notes)
     return Readings(
-        values=np.column_stack([table.number(name) for name in names]),
+        values=np.column_stack([table.number(name, largest=LARGEST) for name in names]),
         outputs=names,
         positions=table.text("position") if "position" in table else None,
         up=None if oriented is None else oriented.up,

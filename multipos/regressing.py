@@ -23,7 +23,7 @@ from multipos.correlation import effective_size
 from multipos.errors import UsageError
 from multipos.files import Source, read_table
 from multipos.hysteresis import BRANCHES, branch_of, compare_branches
-from multipos.model import evaluate_terms
+from multipos.model import evaluate_terms, largest_value
 from multipos.names import Names, split_numbers
 from multipos.observations import Data, check_columns, read_observations
 from multipos.piecewise import (
@@ -149,6 +149,7 @@ def regress(
     read = read_observations(
         table, response, [*names, *(name for name in (wanted, branches) if name)], time=time,
         rate_window=rate_window, cluster=cluster, drop_missing=drop_missing,
+        largest={name: largest_value(candidates, name) for name in names},
     )  # fmt: skip
     check_columns(table.source, read.data, response, names, constant=plan.constant)
     said = list(read.notes)

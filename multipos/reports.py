@@ -8,7 +8,7 @@ of every position, and how the result was checked.
 import math
 
 from multipos.calibration import Calibration, labels, parameter_rows
-from multipos.formatting import number, table
+from multipos.formatting import largest_rows, number, table
 from multipos.inverse import sensed_axes
 from multipos.model import COMPONENTS
 from multipos.sections import installation_sheets, table_error_sheets
@@ -62,15 +62,18 @@ def _summary(calibration: Calibration) -> str:
 def _residuals(calibration: Calibration) -> str:
     c = calibration
     header = ["position", "x", "y", "z", *(f"{output} [{c.model.unit}]" for output in c.outputs)]
+    names, shown = labels(c.readings), largest_rows(c.relative_residuals.tolist())
     rows = [
-        [label, *(f"{value:.4g}" for value in reference), *(f"{value:+.3e}" for value in residual)]
-        for label, reference, residual in zip(
-            labels(c.readings), c.reference.tolist(), c.residuals.tolist(), strict=True
-        )
-    ]
+        [names[row], *(f"{value:.4g}" for value in c.reference[row].tolist()),
+         *(f"{value:+.3e}" for value in c.residuals[row].tolist())]
+        for row in shown
+    ]  # fmt: skip
     sd = ["s", "", "", "", *(number(value, 3) for value in c.residual_sd.tolist())]
     dof = ["dof", "", "", "", *(number(value) for value in c.dof.tolist())]
-    return table(header, [*rows, sd, dof])
+    text = table(header, [*rows, sd, dof])
+    if len(shown) == len(names):
+        return text
+    return f"{text}\nthe largest {len(shown)} of {len(names)} positions; --json has all"
 
 
 def _checks(calibration: Calibration) -> str:

@@ -26,8 +26,9 @@ from multipos.errors import MultiposError, UsageError
 Array = NDArray[np.float64]
 
 BLOCKS = 8  # of a window
-LARGEST = 1e15  # of a sample: no sensor counts so far, and squares of it are far from overflow
+LARGEST_SAMPLE = 1e15  # no sensor counts so far, and sums of squares are far from overflow
 PIECE = 1 << 13  # samples at a time: what stays in the processor's cache is fast
+SLOWEST, FASTEST = 1e-12, 1e7  # [Hz]
 _WINDOW = 1.0  # [s]
 _WINDOW_SAMPLES = 96  # where the sample rate is not known
 _SMALLEST_BLOCK = 2
@@ -83,10 +84,12 @@ def choose_grid(rate: float | None, min_duration: float | None) -> Grid:
     Raises
     ------
     UsageError
-        `min_duration` without `rate`, or either not above 0.
+        `min_duration` without `rate`, or either out of range.
     """
-    if rate is not None and not 0.0 < rate < np.inf:
-        raise UsageError(f"--rate must be above 0, got {rate:g}.")
+    if rate is not None and not SLOWEST <= rate <= FASTEST:
+        raise UsageError(
+            f"--rate must be above 0, from {SLOWEST:g} to {FASTEST:g} Hz, got {rate:g}."
+        )
     if min_duration is None:
         samples = _WINDOW_SAMPLES if rate is None else rate * _WINDOW
         block = max(_SMALLEST_BLOCK, round(samples / BLOCKS))
@@ -205,8 +208,8 @@ class Survey:
                 "every sample of the log is the same; the sensor is stuck or not connected."
             )
         # A window can vary by less than the resolution by chance, but a sensor never is that good.
-        floor = float(np.nanmax(self.resolution)) / np.sqrt(12.0)
-        first = max(int((np.log10(floor) - _LOWEST) * _BINS_PER_DECADE), 0)
+        floor = max(float(np.nanmax(self.resolution)) / np.sqrt(12.0), 10.0**_LOWEST)
+        first = int((np.log10(floor) - _LOWEST) * _BINS_PER_DECADE)
         counts = self._counts.astype(np.float64)
         counts[first] += counts[:first].sum()
         counts[:first] = 0.0
@@ -323,7 +326,7 @@ def detect_static(
         There is nothing like a rest, or a sample is not finite or beyond what sensors give.
     """
     columns = np.ascontiguousarray(np.asarray(samples, dtype=np.float64).T)
-    bad = ~(np.abs(columns) <= LARGEST)
+    bad = ~(np.abs(columns) <= LARGEST_SAMPLE)
     if bad.any():
         output, row = np.argwhere(bad)[0].tolist()
         raise MultiposError(

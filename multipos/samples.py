@@ -1,16 +1,25 @@
 """The numbers of a log, read once and kept: in memory while few, in a temporary file when many."""
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import IO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files import Table
 from multipos.logs import Log
-from multipos.rests import LARGEST, PIECE, Grid, Rest, Survey, Windows, choose_grid
+from multipos.rests import (
+    FASTEST,
+    LARGEST_SAMPLE,
+    PIECE,
+    SLOWEST,
+    Grid,
+    Rest,
+    Survey,
+    Windows,
+    choose_grid,
+)
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], object]  # is told how much of the log has been read, 0 to 1
@@ -89,10 +98,11 @@ class Samples:
                 scan, found = Windows(grid.block), Survey(self.outputs, grid)
             assert scan is not None
             assert found is not None
-            columns = (*self._names, *self.others, *time_column)
-            data = np.array([table.columns[name] for name in columns])
-            limits = [LARGEST] * self.outputs + [_LATEST] * (len(columns) - self.outputs)
-            _refuse_corrupt(table, columns, data, limits)
+            data = np.array(
+                [table.number(name, largest=LARGEST_SAMPLE) for name in self._names]
+                + [table.number(name, empty=True, largest=_LATEST) for name in self.others]
+                + [table.number(name, largest=_LATEST) for name in time_column]
+            )
             self._kept.write(data.tobytes())
             self._sizes.append(table.rows)
             self.rows += table.rows
@@ -131,25 +141,17 @@ class Samples:
                 f"{self.log.source}: column '{self.time_column}' does not move on; "
                 "it must hold the time in seconds, or give --rate."
             )
+        if not SLOWEST <= 1.0 / usual <= FASTEST:
+            raise MultiposError(
+                f"{self.log.source}: column '{self.time_column}' steps by {usual:g}, no time "
+                f"between samples in seconds ({1.0 / FASTEST:g} to {1.0 / SLOWEST:g}); correct it, "
+                "or give --rate."
+            )
         if usual >= 10.0:
             self.notes.append(
                 f"column '{self.time_column}' steps by {usual:g}; it must be in seconds"
             )
         return 1.0 / usual, usual
-
-
-def _refuse_corrupt(
-    table: Table, names: Sequence[str], data: Array, limits: Sequence[float]
-) -> None:
-    """Refuse numbers that no sensor gives: floats with a flipped bit, before they are squared."""
-    for name, column, limit in zip(names, data, limits, strict=True):
-        far = np.abs(column) > limit  # an empty cell, NaN, is not
-        if far.any():
-            row = int(np.argmax(far))
-            raise MultiposError(
-                f"{table.where(row, name)}: {column[row]:g} is no reading of a sensor "
-                f"({int(far.sum())} here beyond {limit:g}); the row is corrupt, remove it."
-            )
 
 
 def small_pieces(samples: Array) -> Iterator[Array]:

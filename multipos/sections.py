@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.calibration import Calibration
-from multipos.formatting import number, table, uncertain
+from multipos.formatting import largest_rows, number, table, uncertain
 from multipos.harmonics import Harmonic
 from multipos.single_axis import Tumble
 from multipos.turntable import TableErrors
@@ -142,14 +142,18 @@ def check_sheets(found: Check) -> list[Sheet]:
     for axis in found.axes:
         header += [f"{axis} [{unit}]", "before", "after", "U"]
     rows = []
-    for row, label in enumerate(found.positions):
-        cells = [label]
+    shown = largest_rows(np.abs(found.after).max(axis=1).tolist())
+    for row in shown:
+        cells = [found.positions[row]]
         for column in np.arange(len(found.axes)):
             cells += [f"{found.reference[row, column]:.6g}"]
             cells += [_signed(found.before[row, column]), _signed(found.after[row, column])]
             cells += [number(float(found.U[row, column]), 2)]
         rows.append([*cells, worst(found.verdicts[row]) or "-"])
-    parts.append(Sheet("Every position", [*header, "verdict"], rows))
+    title = "Every position"
+    if len(shown) < len(found.positions):
+        title += f" (the {len(shown)} farthest off of {len(found.positions)}; JSON has all)"
+    parts.append(Sheet(title, [*header, "verdict"], rows))
     return parts
 
 

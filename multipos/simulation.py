@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.calibration import Calibration
 from multipos.errors import UsageError
-from multipos.files import Column, Source
+from multipos.files import LARGEST, Column, Source
 from multipos.results import Record
 from multipos.scheme import Scheme, read_scheme
 from multipos.units import gravity_ratio
@@ -147,8 +147,10 @@ def _session(
     rng: np.random.Generator,
 ) -> tuple[Array, dict[str, Array]]:
     """Return the force (n, 3) [g] of eq. (1), and the columns of the model, at each position."""
-    if not 0.0 <= orientation_sd < math.inf:
-        raise UsageError(f"--orientation-sd must be 0 or more, got {orientation_sd:g}.")
+    if not 0.0 <= orientation_sd < 180.0:
+        raise UsageError(
+            f"--orientation-sd must be 0 or more and below 180 degrees, got {orientation_sd:g}."
+        )
     sign = -1.0 if calibration.convention == "gravity" else 1.0
     size = gravity_ratio(None if calibration.gravity is None else calibration.gravity.value)
     tilt = np.radians(orientation_sd) * rng.normal(size=scheme.up.shape)
@@ -223,6 +225,6 @@ def _sd(calibration: Calibration, given: ArrayLike, option: str) -> Array:
     outputs = len(calibration.outputs)
     if len(sd) not in (1, outputs):
         raise UsageError(f"{option} takes 1 or {outputs} values, got {len(sd)}.")
-    if not (np.isfinite(sd).all() and (sd >= 0.0).all()):
-        raise UsageError(f"{option} must be 0 or more.")
+    if not ((sd >= 0.0) & (sd <= LARGEST)).all():
+        raise UsageError(f"{option} must be 0 or more, and no more than {LARGEST:g}.")
     return sd

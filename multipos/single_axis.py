@@ -336,6 +336,11 @@ def _coefficients(calibration: Calibration, axis: str) -> dict[str, Coefficient]
             f"the model '{model.text}' has no term {_term('K1', axis)}; a tumble divides by K1."
         ) from None
     K1, u1 = float(c.parameters[scale]), float(c.u[scale])
+    if K1 == 0.0:
+        raise MultiposError(
+            f"the scale factor K1 of {output} is 0, and all other coefficients are divided by it; "
+            "the output does not follow the angle, check its column and cable."
+        )
     result = {}
     for name, (_, sign, unit, customary) in COEFFICIENTS.items():
         try:

@@ -22,6 +22,7 @@ ORDER = (
     "records",
     "formatting",
     "pipes",
+    "columns",
     "files",
     "rates",
     "attitudes",

@@ -401,6 +401,10 @@ BAD = {
     "too short": (lambda log: {n: c[:50] for n, c in log.items()}, [], 1, "fewer than one rest"),
     "no such output": (lambda log: log, ["--outputs", "bx"], 1, "no column 'bx'"),
     "too many outputs": (lambda log: log | {"wx": log["ax"]}, [], 2, "--outputs"),
+    "a clock too fast": (
+        lambda log: log | {"time": 1e-20 * log["time"]}, [], 1,
+        "column 'time' steps by 1e-22, no time between samples in seconds",
+    ),
     "two clocks": (lambda log: log, ["--rate", "5", "--time-column", "time"], 2, "give one"),
     "threshold": (lambda log: log, ["--threshold", "-1"], 2, "--threshold must be above 0"),
     "columns": (lambda log: log, ["--columns", "a,b"], 2, "names 2 columns, but"),
@@ -472,7 +476,8 @@ def test_a_corrupt_number_is_named(name, value, log, tmp_path, capsys):
     path.write_text("\n".join(lines) + "\n")
     status, error = failing(capsys, "average", path)
     assert status == 1
-    assert f"row 701 (line 702), column '{name}': {float(value):g} is no reading" in error
+    where = f"row 701 (line 702), column '{name}'"
+    assert f"{where}: {float(value):g} is no number that is measured" in error
 
 
 @pytest.mark.parametrize("shape", [(), (0, 3), (3, 0), (1, 50, 3)])

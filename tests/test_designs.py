@@ -619,6 +619,9 @@ def test_design_writes_a_scheme_that_schemes_reads(tmp_path):
         ("design --model linear --positions 6 --seed -1", 2, "--seed must be 0"),
         ("design --model linear", 2, "--positions"),
         ("schemes faces-6 --reading-sd 0", 2, "--reading-sd must be above 0"),
+        ("schemes faces-6 --reading-sd 1e308", 2, "--reading-sd must be above 0, from 1e-40"),
+        ("schemes faces-6 --orientation-sd 1e308", 2, "give --unknown-orientation"),
+        ("schemes faces-6 --orientation-sd 1 --reading-sd 1e-20", 2, "below 1e-11, got 1.0"),
         ("worth gone.json", 1, "no such file"),
     ],
 )

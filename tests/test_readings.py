@@ -52,7 +52,7 @@ def test_every_column_has_its_meaning():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"ax": [1.0, -1e308, 3.0]}, "row 2, column 'ax': -1e\\+308 is no number a sensor gives"),
+        ({"ax": [1.0, -1e308, 3.0]}, "row 2, column 'ax': -1e\\+308 is no number that is measured"),
         ({"u_ax": [0.1, 0.1, 1e-300]}, "row 3, column 'u_ax': 1e-300 is no number"),
         ({"u_ax": [0.1, 1e155, 0.1]}, "row 2, column 'u_ax': 1e\\+155 is no number"),
         ({"sd_ax": [1e300, 0.0, 0.0]}, "row 1, column 'sd_ax': 1e\\+300 is no number"),

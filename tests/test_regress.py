@@ -470,6 +470,14 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
         ({"y": np.full(60, 2.5)}, [*REGRESS, "--cross-validate", "3"], 1, "is constant (2.5)"),
         ({}, [*REGRESS, "--cross-validate", "61"], 1, "but there are 60 rows"),
         ({}, [*REGRESS, "--terms", "t^9223372036854775808"], 2, "must lie between 1 and 30"),
+        ({"y": 1e300 * GOOD["y"]}, REGRESS, 1, "row 1 (line 2), column 'y': "),
+        ({"v": 1e20 * GOOD["v"]}, [*REGRESS, "--degree", "9"], 1, "(beyond 1.29155e+11)"),
+        (
+            {"time": 1e-39 * np.arange(60.0), "t": 1e35 * GOOD["t"]},
+            [*REGRESS, "--variables", "t_rate"],
+            1,
+            "column 't': the rate there is",
+        ),
         ({"v": GOOD["t"]}, REGRESS, 1, "columns 't' and 'v' say the same"),
         ({"v": 1.8 * GOOD["t"] + 32}, REGRESS, 1, "columns 't' and 'v' say the same"),
         ({}, [*REGRESS, "--segment", "t:-37"], 1, "rows for 3 terms"),
@@ -542,6 +550,15 @@ def test_a_constant_told_without_an_intercept_has_no_cross_validated_r2():
     assert np.isnan(found.cross_validation["r2"])
     assert "R² - over 3 blocks" in str(found)
     assert json.loads(to_json(found.to_dict()))["cross_validation"]["r2"] is None
+
+
+@pytest.mark.parametrize("column", ["t", "y"])
+def test_a_corrupt_number_is_not_corrected(column):
+    found = mp.regress(GOOD, response="y", variables="t,v")
+    bad = {name: values.copy() for name, values in GOOD.items()}
+    bad[column][7] = -1e155
+    with pytest.raises(MultiposError, match=rf"row 8, column '{column}': -1e\+155 is no number"):
+        mp.correct(found, bad)
 
 
 def test_saturated_backward_is_refused_by_segment():

@@ -19,6 +19,7 @@ from multipos.files import plain
 from multipos.formatting import markdown_text, uncertain
 from multipos.reports import text_report
 from multipos.scheme import read_scheme
+from multipos.sections import check_text
 from multipos.translations import Translator
 from multipos.uncertainty import evaluate_budget
 
@@ -275,6 +276,50 @@ def test_a_translation_keeps_what_is_put_in():
         if set(re.findall(r"\{\w+\}", text)) != set(re.findall(r"\{\w+\}", other))
     ]  # fmt: skip
     assert wrong == []
+
+
+def many_positions(count):
+    up = mp.read_scheme(f"fibonacci-{count}").up
+    values = up + 1e-4 * np.random.default_rng(1).normal(size=up.shape)
+    values[7, 1] += 0.01
+    return mp.Readings(values, up=up)
+
+
+def test_long_tables_show_their_largest_twenty(tmp_path, capsys):
+    all_of_them, long = (mp.fit(many_positions(count)) for count in (100, 101))
+    assert "\n57 " in text_report(all_of_them)
+    assert "largest 20" not in text_report(all_of_them)
+    residuals = text_report(long).partition("Residuals\n---------\n")[2].partition("\nChecks\n")[0]
+    lines = residuals.strip().splitlines()
+    assert lines[-1] == "the largest 20 of 101 positions; --json has all"
+    assert [line.split()[0] for line in (lines[0], lines[1], *lines[-3:-1])] == [
+        "position", "8", "s", "dof"
+    ]  # fmt: skip
+    assert len(lines) == 1 + 20 + 2 + 1
+    assert len(long.to_dict()["residuals"]) == 101
+    tables = {
+        table.caption: table
+        for part in build_content(long).sections for table in part.tables
+        if "largest" in table.caption
+    }  # fmt: skip
+    said = "(the 20 largest of 101; the calibration file has all)"
+    assert [name.removesuffix(said) for name in tables] == [
+        "Residuals at every position ", "Size of the error [g] ",
+        "Up vector and leverage of every position ",
+        "Influence of each position: studentised residual r, Cook's D, leave-one-out error e ",
+    ]  # fmt: skip
+    for name, table in tables.items():
+        assert len(table.rows) in (20, 22)
+        assert (table.rows[0][0] == "8") is not name.startswith("Up vector")
+    assert "（101 个中最大的 20 个；全部见校准文件）" in html_report(
+        build_content(long, language="zh")
+    )
+    long.save(tmp_path / "c.json")
+    found = mp.check(long, many_positions(101))
+    assert "Every position (the 20 farthest off of 101; JSON has all)" in check_text(found)
+    assert len(found.to_dict()["positions"]) == 101
+    content = build_content(long, check=found, language="zh")
+    assert "各位置（101 个中误差最大的 20 个；全部见 JSON）" in html_report(content)
 
 
 def test_the_check_by_monte_carlo_is_reported(calibration, tmp_path, capsys):

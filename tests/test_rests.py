@@ -69,9 +69,10 @@ def test_no_sample_is_beyond_what_sensors_give(value):
 
 def test_a_unit_so_large_that_readings_vanish_is_no_matter():
     samples, _ = session(np.random.default_rng(5))
-    rests, threshold = detect_static(1e-80 * samples)
-    assert len(rests) == 1  # nothing moves by the 1e-18 that is told from nothing
-    assert threshold > 0.0
+    for size in (1e-80, 1e-320):
+        rests, threshold = detect_static(size * samples)
+        assert len(rests) == 1  # nothing moves by the 1e-18 that is told from nothing
+        assert threshold > 0.0
 
 
 def test_pieces_do_not_matter():
@@ -179,6 +180,8 @@ def test_a_log_without_rest_says_so(samples, message):
     [
         (None, 2.0, "--rate or --time-column"),
         (0.0, None, "--rate must be above 0"),
+        (1e308, None, r"--rate must be above 0, from 1e-12 to 1e\+07 Hz"),
+        (1e-300, None, "--rate must be above 0, from 1e-12"),
         (100.0, -1.0, "--min-duration must be above 0"),
     ],
 )

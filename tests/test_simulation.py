@@ -139,6 +139,8 @@ def test_command_writes_what_python_gives(tmp_path, capsys):
         (["--reading-sd", "-1"], "--reading-sd must be 0 or more"),
         (["--reading-sd", "1,2"], "--reading-sd takes 1 or 3 values, got 2"),
         (["--orientation-sd", "-1"], "--orientation-sd must be 0 or more"),
+        (["--reading-sd", "1e308"], "--reading-sd must be 0 or more, and no more than 1e+40"),
+        (["--orientation-sd", "180"], "below 180 degrees, got 180"),
         (["--temperature", "20"], "--temperature takes the first and the last"),
         (["--log", "--rate", "0"], "--rate must be above 0"),
         (["--log", "--turn", "-1"], "--turn must be 0 or more"),

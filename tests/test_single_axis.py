@@ -323,6 +323,11 @@ def test_one_angle_again_and_again_tells_nothing(tmp_path, capsys):
     fails(capsys, ["tumble", path], 1, "cannot tell K0 from K1")
 
 
+def test_an_output_that_does_not_follow_the_angle(tmp_path, capsys):
+    path = roll_file(tmp_path / "r.csv", np.arange(0.0, 360.0, 15.0), np.zeros(24))
+    fails(capsys, ["tumble", path], 1, "the scale factor K1 of E is 0", "check its column")
+
+
 def test_readings_outside_the_range(tmp_path, capsys):
     angles = np.arange(0.0, 360.0, 30.0)
     values = np.cos(np.radians(angles))

@@ -7,11 +7,11 @@ from functools import cache
 from multipos.calibration import load
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import file_progress, names
-from multipos.compensation import apply, apply_log
+from multipos.compensation import apply_log
 from multipos.correction import correct
 from multipos.errors import UsageError
-from multipos.files import Column, Content, format_csv, read_schema, read_table, to_json
-from multipos.logs import open_log, read_log
+from multipos.files import Column, Content, format_csv, json_table, read_schema, read_table
+from multipos.logs import open_log
 from multipos.regression import SCHEMA, load_regression
 
 INPUTS = ("calibration", "data")
@@ -52,16 +52,14 @@ def run(arguments: argparse.Namespace) -> Answer:
 
     @cache
     def columns() -> Mapping[str, Column]:
-        return apply(calibration, read_log(log), **options)
+        with file_progress(arguments.data, "applying") as applied.progress:
+            return applied.columns()
 
     def table() -> Iterator[str]:
         with file_progress(arguments.data, "applying") as applied.progress:
             yield from applied
 
-    def warnings() -> tuple[str, ...]:
-        return _outside(applied.beyond, applied.rows) if applied.rows else _beyond(columns())
-
-    return _answer(arguments, table, columns, warnings)
+    return _answer(arguments, table, columns, lambda: _outside(applied.beyond, applied.rows))
 
 
 def _correct(arguments: argparse.Namespace) -> Answer:
@@ -92,7 +90,7 @@ def _answer(
 ) -> Answer:
     return Answer(
         text=table if arguments.output is None else str,
-        json=lambda: to_json({"rows": len(columns()["outside"]), "columns": columns()}),
+        json=lambda: json_table(columns(), len(columns()["outside"])),
         forms={"table": table, "text": table},
         warnings=warnings,
         verbatim=True,

@@ -55,11 +55,13 @@ def name_columns(
         header = list(given)
     if header is None:
         return tuple(str(i + 1) for i in range(width))
+    seen = set()
     for i, name in enumerate(header):
         if not name:
             raise MultiposError(f"{source}: column {i + 1} has no name; name it or give --columns.")
-        if name in header[:i]:
+        if name in seen:
             raise MultiposError(
                 f"{source}: column '{name}' appears twice; rename one or give --columns."
             )
+        seen.add(name)
     return tuple(header)
