@@ -48,6 +48,7 @@ SETTINGS = {
         "svg.hashsalt": "another",
     },
 }  # fmt: skip
+ENDINGS = (".svg", ".png", ".pdf")
 STYLES = ("dark_background", "fivethirtyeight", "seaborn-v0_8", "fast")
 SETTINGS |= {name: matplotlib.style.library[name] for name in STYLES}
 
@@ -73,8 +74,12 @@ def draw():
     """Return a report and every other kind of figure."""
     runs, check, regression, data = results()
     page = html_report(build_content(runs[0], check=check))
-    others = plots.runs_svg(mp.compare(runs)), plots.regression_svg(regression, data)
-    return page, *others, plots.check_svg(check)
+    figures = (
+        plots.runs_figure(mp.compare(runs)),
+        plots.regression_figure(regression, data),
+        plots.check_figure(check),
+    )
+    return page, *(plots.render(figure, ending) for figure in figures for ending in ENDINGS)
 
 
 @cache

@@ -93,7 +93,7 @@ def render(figure: "Figure", ending: str) -> str | bytes:
     _settle(figure)
     with _DRAWING:
         figure.savefig(stream, format=ending.removeprefix("."), dpi=_DPI, facecolor="#ffffff",
-                       transparent=False, metadata=dates)  # fmt: skip
+                       bbox_inches=figure.bbox_inches, transparent=False, metadata=dates)  # fmt: skip
     return stream.getvalue()
 
 
