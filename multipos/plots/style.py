@@ -179,7 +179,7 @@ def _settle(figure: "Figure") -> None:
 def _plain_font(size: float) -> Any:
     from matplotlib.font_manager import FontProperties
 
-    return FontProperties(family=[_FONT], style="normal", variant="normal", weight=400,
+    return FontProperties(family=[_FONT], style="normal", variant="normal", weight="normal",
                           stretch="normal", size=size)  # fmt: skip
 
 
