@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.timing import Ratio, paired_ratio
-from multipos.benches import read_bench
-from multipos.exchange import choose
-from multipos.information import (
+from multipos.designs.exchange import choose
+from multipos.designs.information import (
     Blocks,
     Criterion,
     inform,
@@ -25,9 +24,10 @@ from multipos.information import (
     objective,
     sensitivity,
 )
-from multipos.model import build_model
-from multipos.optimum import optimise_candidates
-from multipos.scheme import read_scheme
+from multipos.designs.optimum import optimise_candidates
+from multipos.positions.benches import read_bench
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.model import build_model
 
 MODEL = build_model("own-quadratic", ("ax", "ay", "az"), ("x", "y", "z"))
 SETTING = make_setting(MODEL)

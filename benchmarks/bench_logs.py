@@ -11,12 +11,12 @@ import numpy as np
 
 import multipos as mp
 from benchmarks.timing import Ratio, paired_ratio
-from multipos.averaging import average
-from multipos.compensation import apply_log
-from multipos.exporters import export
-from multipos.files import write_text
+from multipos.compensation.applying import apply_log
+from multipos.compensation.targets import export
+from multipos.files.tables import write_text
 from multipos.logs import open_log
-from multipos.rests import detect_static
+from multipos.logs.averaging import average
+from multipos.logs.rests import detect_static
 
 ROWS = 1_000_000
 OUTPUTS = ("ax", "ay", "az")

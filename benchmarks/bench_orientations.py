@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from benchmarks.timing import Ratio, paired_ratio
-from multipos.descent import maximise
-from multipos.ellipsoid import ellipsoid_start
-from multipos.model import COMPONENTS, build_model
-from multipos.problem import Problem, State, start_state
-from multipos.scheme import read_scheme
+from multipos.estimation.descent import maximise
+from multipos.estimation.ellipsoid import ellipsoid_start
+from multipos.estimation.problem import Problem, State, start_state
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.model import COMPONENTS, build_model
 
 Array = NDArray[np.float64]
 

@@ -18,43 +18,43 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 _PUBLIC = {
-    "Averages": "averages",
-    "Calibration": "calibration",
-    "Check": "verdicts",
+    "Averages": "logs.averages",
+    "Calibration": "sensor.calibration",
+    "Check": "verification.verdicts",
     "ConvergenceError": "errors",
-    "Model": "model",
+    "Model": "sensor.model",
     "MultiposError": "errors",
     "RankError": "errors",
-    "Readings": "readings",
-    "Regression": "regression",
-    "Scheme": "scheme",
-    "Tumble": "single_axis",
+    "Readings": "positions.readings",
+    "Regression": "regression.result",
+    "Scheme": "positions.scheme",
+    "Tumble": "verification.single_axis",
     "UsageError": "errors",
-    "apply": "compensation",
-    "average": "averaging",
-    "compare": "comparison",
-    "correct": "correction",
-    "check": "checks",
+    "apply": "compensation.applying",
+    "average": "logs.averaging",
+    "compare": "verification.comparison",
+    "correct": "compensation.correction",
+    "check": "verification.checks",
     "demo": "song_qin",
-    "design": "designs",
-    "export": "exporters",
+    "design": "designs.designing",
+    "export": "compensation.targets",
     "fit": "fitting",
-    "load": "calibration",
-    "load_check": "verdicts",
-    "load_regression": "regression",
+    "load": "sensor.calibration",
+    "load_check": "verification.verdicts",
+    "load_regression": "regression.result",
     "normal_gravity": "units",
-    "over_temperature": "temperature",
-    "read_readings": "readings",
-    "read_scheme": "scheme",
+    "over_temperature": "sensor.temperature",
+    "read_readings": "positions.readings",
+    "read_scheme": "positions.scheme",
     "regress": "regressing",
-    "schemes": "assessment",
-    "simulate": "simulation",
-    "simulate_log": "simulation",
-    "state_bench": "turntable",
-    "table_errors": "turntable",
-    "tumble": "single_axis",
-    "verify_export": "exporters",
-    "worth": "prospects",
+    "schemes": "designs.assessment",
+    "simulate": "sensor.simulation",
+    "simulate_log": "sensor.simulation",
+    "state_bench": "uncertainty.turntable",
+    "table_errors": "uncertainty.turntable",
+    "tumble": "verification.single_axis",
+    "verify_export": "compensation.reading_back",
+    "worth": "designs.prospects",
 }
 
 __all__ = [
@@ -99,31 +99,32 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from multipos.assessment import schemes
-    from multipos.averages import Averages
-    from multipos.averaging import average
-    from multipos.calibration import Calibration, load
-    from multipos.checks import check
-    from multipos.comparison import compare
-    from multipos.compensation import apply
-    from multipos.correction import correct
-    from multipos.designs import design
+    from multipos.compensation.applying import apply
+    from multipos.compensation.correction import correct
+    from multipos.compensation.reading_back import verify_export
+    from multipos.compensation.targets import export
+    from multipos.designs.assessment import schemes
+    from multipos.designs.designing import design
+    from multipos.designs.prospects import worth
     from multipos.errors import ConvergenceError, MultiposError, RankError, UsageError
-    from multipos.exporters import export, verify_export
     from multipos.fitting import fit
-    from multipos.model import Model
-    from multipos.prospects import worth
-    from multipos.readings import Readings, read_readings
+    from multipos.logs.averages import Averages
+    from multipos.logs.averaging import average
+    from multipos.positions.readings import Readings, read_readings
+    from multipos.positions.scheme import Scheme, read_scheme
     from multipos.regressing import regress
-    from multipos.regression import Regression, load_regression
-    from multipos.scheme import Scheme, read_scheme
-    from multipos.simulation import simulate, simulate_log
-    from multipos.single_axis import Tumble, tumble
+    from multipos.regression.result import Regression, load_regression
+    from multipos.sensor.calibration import Calibration, load
+    from multipos.sensor.model import Model
+    from multipos.sensor.simulation import simulate, simulate_log
+    from multipos.sensor.temperature import over_temperature
     from multipos.song_qin import demo
-    from multipos.temperature import over_temperature
-    from multipos.turntable import state_bench, table_errors
+    from multipos.uncertainty.turntable import state_bench, table_errors
     from multipos.units import normal_gravity
-    from multipos.verdicts import Check, load_check
+    from multipos.verification.checks import check
+    from multipos.verification.comparison import compare
+    from multipos.verification.single_axis import Tumble, tumble
+    from multipos.verification.verdicts import Check, load_check
 
 
 def __getattr__(name: str) -> Any:

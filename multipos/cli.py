@@ -22,10 +22,10 @@ from types import FrameType, ModuleType
 from typing import Any, NoReturn, TextIO
 
 from multipos import __version__
-from multipos.characters import one_line
 from multipos.commands.answers import deliver, print_out, settle
 from multipos.commands.options import warn
 from multipos.errors import MultiposError, UsageError
+from multipos.files.characters import one_line
 
 COMMANDS = {
     "demo": "calibrate the six-position paper's own readings, end to end",

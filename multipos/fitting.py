@@ -28,17 +28,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos import __version__
-from multipos.attitudes import CONVENTIONS, Convention, check_convention
-from multipos.budgets import Budget, read_budget
-from multipos.budgets import Source as BudgetSource
-from multipos.calibration import Calibration, Gravity
-from multipos.diagnostics import Diagnostics, lack_of_fit
 from multipos.errors import MultiposError, UsageError
-from multipos.expressions import Expression, build_expression
-from multipos.files import LARGEST, SMALLEST, Source
-from multipos.known import Solution, closed_form_difference, solve_closed_form, solve_known
-from multipos.losses import LOSSES, Loss
-from multipos.model import (
+from multipos.estimation.known import (
+    Solution,
+    closed_form_difference,
+    solve_closed_form,
+    solve_known,
+)
+from multipos.estimation.losses import LOSSES, Loss
+from multipos.estimation.model_selection import select_terms, with_selection
+from multipos.estimation.placement import Placement, place
+from multipos.estimation.uncertain import solve_uncertain
+from multipos.files.lists import Names, split_names
+from multipos.files.tables import LARGEST, SMALLEST, Source
+from multipos.positions.attitudes import CONVENTIONS, Convention, check_convention
+from multipos.positions.readings import Readings, orient, read_readings, require_range, stated_sd
+from multipos.positions.scheme import Scheme
+from multipos.sensor.calibration import Calibration, Gravity
+from multipos.sensor.diagnostics import Diagnostics, lack_of_fit
+from multipos.sensor.expressions import Expression, build_expression
+from multipos.sensor.model import (
     COMPONENTS,
     GAUGES,
     Gauge,
@@ -49,20 +58,10 @@ from multipos.model import (
     largest_value,
     linear_term,
 )
-from multipos.model_selection import select_terms, with_selection
-from multipos.names import Names, split_names
-from multipos.placement import Placement, place
-from multipos.readings import (
-    Readings,
-    orient,
-    read_readings,
-    require_range,
-    stated_sd,
-)
-from multipos.scheme import Scheme
-from multipos.turntable import roll_warnings
-from multipos.uncertain import solve_uncertain
-from multipos.uncertainty import with_budget
+from multipos.uncertainty.budgets import Budget, read_budget
+from multipos.uncertainty.budgets import Source as BudgetSource
+from multipos.uncertainty.propagation import with_budget
+from multipos.uncertainty.turntable import roll_warnings
 from multipos.units import gravity_ratio, normal_gravity
 
 Array = NDArray[np.float64]
@@ -113,7 +112,7 @@ def fit(
         The orientation of each position; otherwise the readings' own columns say it.
     model : str or function
         'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2', or a Python
-        function of the components and the parameters (see `multipos.expressions`).
+        function of the components and the parameters (see `multipos.sensor.expressions`).
     convention : str
         'specific-force': the axis that points up reads +1; 'gravity': the one that points down.
     outputs, axes, inputs : sequences of str, or comma-separated str, optional
@@ -142,7 +141,7 @@ def fit(
     level_sd : float [degrees]
         Standard deviation of a tilt that all positions share, about each level axis.
     budget : path, tables or Budget, optional
-        What is known of the measurement beside the readings (`multipos.budgets`).
+        What is known of the measurement beside the readings (`multipos.uncertainty.budgets`).
     unit : str, optional
         Unit of the readings.
     range : (low, high), optional

@@ -1,7 +1,7 @@
 """The front door of regression: from a table to a tested piecewise model.
 
 `regress` reads the columns, forms rates and the list of terms, cuts the rows into segments and
-branches, has every segment fitted (`multipos.piecewise`), and says what a reader should know before
+branches, has every segment fitted (`multipos.regression.piecewise`), and says what a reader should know before
 believing it.
 
 Where a rate is named, heating and cooling are modelled apart if they differ.
@@ -18,15 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos import __version__
-from multipos.candidates import read_candidates
-from multipos.correlation import effective_size
 from multipos.errors import UsageError
-from multipos.files import Source, read_table
-from multipos.hysteresis import BRANCHES, branch_of, compare_branches
-from multipos.model import evaluate_terms, largest_value
-from multipos.names import Names, split_numbers
-from multipos.observations import Data, check_columns, read_observations
-from multipos.piecewise import (
+from multipos.files.lists import Names, split_numbers
+from multipos.files.tables import Source, read_table
+from multipos.numerics.selection import thresholds
+from multipos.numerics.subsets import CRITERIA, SubsetCriterion
+from multipos.regression.candidates import read_candidates
+from multipos.regression.correlation import effective_size
+from multipos.regression.hysteresis import BRANCHES, branch_of, compare_branches
+from multipos.regression.observations import Data, check_columns, read_observations
+from multipos.regression.piecewise import (
     METHODS,
     ROBUST,
     Plan,
@@ -34,12 +35,11 @@ from multipos.piecewise import (
     fit_continuous,
     fit_segment,
 )
-from multipos.regression import Regression, format_span
-from multipos.segment import Segment
-from multipos.segmentation import check_edges, find_edges, segment_of
-from multipos.selection import thresholds
-from multipos.subsets import CRITERIA, SubsetCriterion
-from multipos.validation import check_by_blocks
+from multipos.regression.result import Regression, format_span
+from multipos.regression.segment import Segment
+from multipos.regression.segmentation import check_edges, find_edges, segment_of
+from multipos.regression.validation import check_by_blocks
+from multipos.sensor.model import evaluate_terms, largest_value
 
 Array = NDArray[np.float64]
 

@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.calibration import Calibration
 from multipos.errors import MultiposError
-from multipos.files import Column, format_csv, to_json, write_text
+from multipos.files.numbers import number, table
+from multipos.files.tables import Column, format_csv, to_json, write_text
 from multipos.fitting import fit
-from multipos.formatting import number, table
-from multipos.readings import Readings
-from multipos.reports import text_report
+from multipos.positions.readings import Readings
+from multipos.reports.summary import text_report
 from multipos.results import Result
+from multipos.sensor.calibration import Calibration
 
 Array = NDArray[np.float64]
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from multipos.readings import Readings
-from multipos.rotations import step_on_sphere, tangent_basis
-from multipos.scheme import read_scheme
+from multipos.numerics.rotations import step_on_sphere, tangent_basis
+from multipos.positions.readings import Readings
+from multipos.positions.scheme import read_scheme
 
 BIAS = np.array([0.012, -0.02, 0.03])
 MATRIX = np.array([[0.99, 0.012, -0.008], [-0.015, 1.015, 0.011], [0.009, -0.013, 1.004]])

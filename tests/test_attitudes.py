@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from multipos.attitudes import from_up, parse_direction, read_attitudes
 from multipos.errors import MultiposError
-from multipos.files import read_table
+from multipos.files.tables import read_table
+from multipos.positions.attitudes import from_up, parse_direction, read_attitudes
 
 LEVEL = {"E": (1, 0, 0), "N": (0, 1, 0), "U": (0, 0, 1)}
 LEVEL |= {"W": (-1, 0, 0), "S": (0, -1, 0), "D": (0, 0, -1)}

@@ -9,12 +9,12 @@ import pytest
 from logs import sensor, shared, write_csv
 
 import multipos as mp
-from multipos.averaging import average
 from multipos.cli import main
 from multipos.logs import open_log, read_log
-from multipos.matching import Match, match_directions
-from multipos.rest_faults import _semi_axes, check_units, find_faults
-from multipos.rest_means import RestMean
+from multipos.logs.averaging import average
+from multipos.logs.matching import Match, match_directions
+from multipos.logs.rest_faults import _semi_axes, check_units, find_faults
+from multipos.logs.rest_means import RestMean
 
 FERRARIS = ("acc_x", "acc_y", "acc_z")
 

@@ -9,10 +9,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import multipos as mp
-from multipos.calibration import from_dict
-from multipos.diagnostics import linearity
 from multipos.errors import MultiposError
-from multipos.reports import text_report
+from multipos.reports.summary import text_report
+from multipos.sensor.calibration import from_dict
+from multipos.sensor.diagnostics import linearity
 
 # INTERFACE, "JSON out"
 PROMISED = """

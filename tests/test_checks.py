@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos import cli
-from multipos.checks import _expanded
-from multipos.scheme import read_scheme
-from multipos.sections import check_text
-from multipos.verdicts import judge
+from multipos.positions.scheme import read_scheme
+from multipos.reports.sections import check_text
+from multipos.verification.checks import _expanded
+from multipos.verification.verdicts import judge
 
 FACES = read_scheme("faces-corners-14").up
 SD = 1e-4

@@ -10,16 +10,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos import monte_carlo
-from multipos.budgets import Quantity
-from multipos.criticism import aicc, find_influence, fourier_residuals, judge_terms
+from multipos.doubts.criticism import aicc, find_influence, fourier_residuals, judge_terms
 from multipos.errors import ConvergenceError, MultiposError, UsageError
-from multipos.monte_carlo import _Draws, numerical_tolerance, simulate_budget
-from multipos.profiles import calibration_interval, profile_interval
-from multipos.scheme import read_scheme
-from multipos.sensitivities import estimator_gain
-from multipos.uncertainty import evaluate_budget
-from multipos.validity import sphere_uncertainty
+from multipos.positions.scheme import read_scheme
+from multipos.uncertainty import monte_carlo
+from multipos.uncertainty.budgets import Quantity
+from multipos.uncertainty.monte_carlo import _Draws, numerical_tolerance, simulate_budget
+from multipos.uncertainty.profiles import calibration_interval, profile_interval
+from multipos.uncertainty.propagation import evaluate_budget
+from multipos.uncertainty.sensitivities import estimator_gain
+from multipos.uncertainty.validity import sphere_uncertainty
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
 BIAS = np.array([0.01, -0.02, 0.015])

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from multipos import fit
-from multipos.closed_form import closed_form_weights, six_positions
 from multipos.errors import MultiposError, UsageError
-from multipos.readings import Readings
-from multipos.scheme import read_scheme
+from multipos.estimation.closed_form import closed_form_weights, six_positions
+from multipos.positions.readings import Readings
+from multipos.positions.scheme import read_scheme
 from multipos.song_qin import PRINTED, TABLE_2
 
 FACES = read_scheme("faces-6").up

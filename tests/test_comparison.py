@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.quantiles import chi2_tail, f_tail
-from multipos.scheme import read_scheme
+from multipos.numerics.quantiles import chi2_tail, f_tail
+from multipos.positions.scheme import read_scheme
 
 SD = np.array([1e-3, 1e-2, 3e-3])  # the outputs differ
 

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from multipos import correlation
-from multipos.correlation import (
+from multipos.numerics.least_squares import solve
+from multipos.numerics.quantiles import f_tail, normal_quantile
+from multipos.regression import correlation
+from multipos.regression.correlation import (
     bandwidth,
     cluster_covariance,
     effective_size,
@@ -17,10 +19,8 @@ from multipos.correlation import (
     wald,
     window_dof,
 )
-from multipos.least_squares import solve
-from multipos.model import parse_terms
-from multipos.piecewise import _robust_test, _RobustFit
-from multipos.quantiles import f_tail, normal_quantile
+from multipos.regression.piecewise import _robust_test, _RobustFit
+from multipos.sensor.model import parse_terms
 
 
 def autoregressive(rng, n, rho, columns=1):

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from multipos.derived import installation_deg, intrinsic
-from multipos.model import build_model
+from multipos.sensor.derived import installation_deg, intrinsic
+from multipos.sensor.model import build_model
 
 TRIAD = ("ax", "ay", "az"), ("x", "y", "z")
 

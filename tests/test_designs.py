@@ -11,10 +11,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.benches import read_bench
 from multipos.cli import main
-from multipos.exchange import choose
-from multipos.information import (
+from multipos.designs.exchange import choose
+from multipos.designs.information import (
     Criterion,
     Setting,
     inform,
@@ -25,10 +24,11 @@ from multipos.information import (
     objective,
     sensitivity,
 )
-from multipos.model import build_model
-from multipos.optimum import optimise_candidates, optimise_sphere
-from multipos.scheme import read_scheme
-from multipos.travel import order_positions, travel_deg
+from multipos.designs.optimum import optimise_candidates, optimise_sphere
+from multipos.designs.travel import order_positions, travel_deg
+from multipos.positions.benches import read_bench
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.model import build_model
 
 AXES = ("x", "y", "z")
 OUTPUTS = ("ax", "ay", "az")
@@ -377,7 +377,7 @@ def test_fourteen_runs_of_a_quadratic_in_three_factors():
 def test_eight_runs_of_least_average_variance(exhaustive, monkeypatch):
     # skpr: 1 + a + b + a² + b² on the 3² grid, moments of the square; 167/360
     if not exhaustive:
-        monkeypatch.setattr("multipos.exchange._ALL", 0)
+        monkeypatch.setattr("multipos.designs.exchange._ALL", 0)
     points = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=2)))
     X = np.column_stack([np.ones(9), points, points**2])[:, np.newaxis, :]
     moments = np.diag([1.0, 1 / 3, 1 / 3, 1 / 5, 1 / 5])
@@ -394,7 +394,7 @@ def test_exchange_meets_every_choice_there_is(monkeypatch):
     criterion = make_criterion("A", asked)
     rng = np.random.default_rng(0)
     everything = choose(rows, 5, criterion, rng=rng)[0][0]
-    monkeypatch.setattr("multipos.exchange._ALL", 0)
+    monkeypatch.setattr("multipos.designs.exchange._ALL", 0)
     assert choose(rows, 5, criterion, rng=rng)[0][0] == pytest.approx(everything, rel=1e-9)
 
 

@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from multipos.diagnostics import (
+from multipos.numerics.least_squares import solve
+from multipos.sensor.diagnostics import (
     bartlett,
     find_outliers,
     find_outlying_positions,
     lack_of_fit,
     linearity,
 )
-from multipos.least_squares import solve
-from multipos.model import build_model
+from multipos.sensor.model import build_model
 
 
 def test_bartlett_by_hand():

@@ -5,9 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 from orientation_bench import BIAS, MATRIX, Sensor, lower
 
-from multipos.ellipsoid import ellipsoid_start, symmetric_root
 from multipos.errors import MultiposError
-from multipos.scheme import read_scheme
+from multipos.estimation.ellipsoid import ellipsoid_start, symmetric_root
+from multipos.positions.scheme import read_scheme
 
 
 @pytest.mark.parametrize(

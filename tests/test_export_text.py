@@ -11,8 +11,8 @@ import pytest
 
 import multipos as mp
 from multipos.cli import main
-from multipos.exporters import export
-from multipos.exporters.c_body import literal
+from multipos.compensation.c_body import literal
+from multipos.compensation.targets import export
 
 # What ends a line for some reader of such files, or a comment in C.
 ENDS = ["\n", "\r", "\x0b", "\x0c", "\x1c", "\x85", "\u2028", "\u2029"]

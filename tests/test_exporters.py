@@ -11,9 +11,10 @@ from logs import sensor, shared
 
 import multipos as mp
 from multipos.cli import main
-from multipos.exporters import export, verify_export
-from multipos.exporters.c_source import SIGNATURE, signature
-from multipos.model import build_model
+from multipos.compensation.c_source import SIGNATURE, signature
+from multipos.compensation.reading_back import verify_export
+from multipos.compensation.targets import export
+from multipos.sensor.model import build_model
 
 READINGS = 100_000
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror"]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from multipos import extended
+from multipos.numerics import extended
 
 EPS = 2.0**-53  # relative error of one rounding
 

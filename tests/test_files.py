@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from multipos.errors import MultiposError
-from multipos.files import (
+from multipos.files.tables import (
     format_csv,
     read_json,
     read_json_value,

@@ -17,8 +17,8 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos import cli
-from multipos.scheme import read_scheme
-from multipos.tilt import (
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.tilt import (
     axis_tilt,
     axis_tilt_interval,
     force_uncertainty,

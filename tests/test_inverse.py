@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from multipos.errors import MultiposError
-from multipos.inverse import inverse_covariance, invert, parameter_jacobian, sensed_axes
-from multipos.model import COMPONENTS, NAMED, build_model
+from multipos.sensor.inverse import inverse_covariance, invert, parameter_jacobian, sensed_axes
+from multipos.sensor.model import COMPONENTS, NAMED, build_model
 
 SENSORS = {
     "triad": (("ax", "ay", "az"), ("x", "y", "z")),

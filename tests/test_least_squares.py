@@ -10,13 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from multipos import least_squares
 from multipos.errors import MultiposError, RankError
-from multipos.least_squares import (
-    name_combinations,
-    separability,
-    solve,
-)
+from multipos.numerics import least_squares
+from multipos.numerics.least_squares import name_combinations, separability, solve
 
 EPS = 2.0**-53  # relative error of one rounding
 

@@ -7,13 +7,13 @@ import pytest
 from numpy.testing import assert_allclose
 from orientation_bench import BIAS, MATRIX
 
-from multipos.descent import maximise
-from multipos.expressions import load_casadi
-from multipos.likelihood import evaluate, linearise
-from multipos.model import COMPONENTS, NAMED, build_model
-from multipos.problem import Problem, start_state
-from multipos.rotations import rotation_matrix
-from multipos.sphere import SphereSearch
+from multipos.estimation.descent import maximise
+from multipos.estimation.likelihood import evaluate, linearise
+from multipos.estimation.problem import Problem, start_state
+from multipos.estimation.sphere import SphereSearch
+from multipos.numerics.rotations import rotation_matrix
+from multipos.sensor.expressions import load_casadi
+from multipos.sensor.model import COMPONENTS, NAMED, build_model
 
 casadi = load_casadi()
 

@@ -10,17 +10,17 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 import multipos as mp
-from multipos.budgets import read_budget
-from multipos.documents import write_report
+from multipos.doubts.joint_tests import _denominator, judge_jointly
 from multipos.errors import MultiposError
-from multipos.joint_tests import _denominator, judge_jointly
-from multipos.monte_carlo import simulate_budget
-from multipos.profiles import calibration_interval
-from multipos.quantiles import chi2_tail, coverage_factor
-from multipos.restatement import restate, return_to_optimum
-from multipos.rotations import rotation_matrix
-from multipos.scheme import read_scheme
-from multipos.sensitivities import estimator_gain, parameter_effects
+from multipos.estimation.restatement import restate, return_to_optimum
+from multipos.numerics.quantiles import chi2_tail, coverage_factor
+from multipos.numerics.rotations import rotation_matrix
+from multipos.positions.scheme import read_scheme
+from multipos.reports.documents import write_report
+from multipos.uncertainty.budgets import read_budget
+from multipos.uncertainty.monte_carlo import simulate_budget
+from multipos.uncertainty.profiles import calibration_interval
+from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
 BIAS = np.array([0.01, -0.02, 0.015])

@@ -7,8 +7,14 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from multipos.errors import UsageError
-from multipos.expressions import load_casadi
-from multipos.model import NAMED, build_model, formula_columns, paper_symbol, parameter_label
+from multipos.sensor.expressions import load_casadi
+from multipos.sensor.model import (
+    NAMED,
+    build_model,
+    formula_columns,
+    paper_symbol,
+    parameter_label,
+)
 
 OUTPUTS, AXES = ("ax", "ay", "az"), ("x", "y", "z")
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.documents import write_report
 from multipos.errors import UsageError
+from multipos.files.lists import near, split_names, split_numbers
 from multipos.logs import open_log
-from multipos.names import near, split_names, split_numbers
+from multipos.reports.documents import write_report
 
 UP = mp.read_scheme("faces-6").up
 TABLE = {"direction": ["E-U-S", "E-N-U", "D-E-S", "W-D-S", "U-W-S", "S-W-D"], "p": [0.1] * 6}

@@ -18,17 +18,17 @@ from orientation_bench import (
 )
 
 import multipos as mp
-from multipos.gains import uncertain_gain
-from multipos.identifiability import CANDIDATES, condition, plausible_range
-from multipos.model import build_model
-from multipos.noise import _in_words
-from multipos.quantiles import chi2_quantile, f_tail
-from multipos.robustness import _huber_factor
-from multipos.rotations import rotation_matrix, step_on_sphere, tangent_basis
-from multipos.scheme import read_scheme
+from multipos.estimation.gains import uncertain_gain
+from multipos.estimation.identifiability import CANDIDATES, condition, plausible_range
+from multipos.estimation.noise import _in_words
+from multipos.estimation.robustness import _huber_factor
+from multipos.estimation.starts import _require_sphere
+from multipos.estimation.uncertain import _scale_bias
+from multipos.numerics.quantiles import chi2_quantile, f_tail
+from multipos.numerics.rotations import rotation_matrix, step_on_sphere, tangent_basis
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.model import build_model
 from multipos.song_qin import TABLE_2
-from multipos.starts import _require_sphere
-from multipos.uncertain import _scale_bias
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 UP = read_scheme("fibonacci-24").up
@@ -379,7 +379,7 @@ def test_bias_of_second_order_by_hand():
 
 
 def test_bias_of_second_order_is_what_is_stated():
-    """Scale factors of a thousand fits, against eq. (1) of multipos.uncertain, unequal noise."""
+    """Scale factors of a thousand fits, against eq. (1) of multipos.estimation.uncertain, unequal noise."""
     sd = np.array([0.02, 0.05, 0.03])
     up = read_scheme("fibonacci-3000").up
     generator = rng()

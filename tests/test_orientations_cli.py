@@ -9,7 +9,7 @@ from orientation_bench import Sensor, readings_of
 
 import multipos as mp
 from multipos import cli
-from multipos.scheme import read_scheme
+from multipos.positions.scheme import read_scheme
 
 UP = read_scheme("fibonacci-24").up
 LISTED = ("--scheme", "fibonacci-24")

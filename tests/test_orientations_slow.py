@@ -5,8 +5,8 @@ import pytest
 from orientation_bench import MATRIX, QUADRATIC, Sensor, lower, readings_of, scatter
 
 import multipos as mp
-from multipos.rotations import rotation_matrix
-from multipos.scheme import read_scheme
+from multipos.numerics.rotations import rotation_matrix
+from multipos.positions.scheme import read_scheme
 
 pytestmark = pytest.mark.slow
 UP = read_scheme("fibonacci-24").up

@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.parity import parity
-from multipos.scheme import read_scheme
-from multipos.tilt import reading_noise
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.parity import parity
+from multipos.sensor.tilt import reading_noise
 
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / math.sqrt(3)
 NAMES = ("s1", "s2", "s3", "s4")

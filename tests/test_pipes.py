@@ -16,8 +16,8 @@ from numpy.testing import assert_array_equal
 import multipos as mp
 from multipos import cli
 from multipos.errors import MultiposError
-from multipos.files import format_csv, read_table, write_text
-from multipos.pipes import Pipe, rereadable
+from multipos.files.pipes import Pipe, rereadable
+from multipos.files.tables import format_csv, read_table, write_text
 
 MULTIPOS = str(Path(sysconfig.get_path("scripts")) / "multipos")
 SIX = """\

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from multipos.derived import propagate
-from multipos.least_squares import solve
-from multipos.profiles import fit_residuals, profile_interval
-from multipos.uncertainty import welch_satterthwaite
+from multipos.numerics.least_squares import solve
+from multipos.sensor.derived import propagate
+from multipos.uncertainty.profiles import fit_residuals, profile_interval
+from multipos.uncertainty.propagation import welch_satterthwaite
 
 # H.3: corrections of a thermometer [degC] at temperatures [degC], table H.6
 THERMOMETER = np.array(

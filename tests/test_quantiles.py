@@ -7,7 +7,7 @@ import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from multipos.quantiles import (
+from multipos.numerics.quantiles import (
     chi2_quantile,
     chi2_tail,
     coverage_factor,

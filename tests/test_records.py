@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.characters import visible
 from multipos.errors import MultiposError
-from multipos.formatting import markdown_line, markdown_text, table
-from multipos.instructions import require_instructions
-from multipos.records import (
+from multipos.files.characters import visible
+from multipos.files.numbers import markdown_line, markdown_text, table
+from multipos.files.records import (
     LARGEST,
     Entries,
     Fields,
@@ -25,6 +24,7 @@ from multipos.records import (
     require,
     require_covariance,
 )
+from multipos.sensor.instructions import require_instructions
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos import attitudes
-from multipos.budgets import DIVISORS, KINDS
-from multipos.calibration import _EXTRA
-from multipos.certificate import LAB_FIELDS
-from multipos.model import NAMED, build_model
-from multipos.readings import _RESERVED
-from multipos.scheme import named_schemes
+from multipos.positions import attitudes
+from multipos.positions.readings import _RESERVED
+from multipos.positions.scheme import named_schemes
+from multipos.reports.certificate import LAB_FIELDS
+from multipos.sensor.calibration import _EXTRA
+from multipos.sensor.model import NAMED, build_model
+from multipos.uncertainty.budgets import DIVISORS, KINDS
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs/reference/formats.md").read_text("utf-8")
 NAMES = {name.replace(r"\|", "|") for name in re.findall(r"`([^`\n]+)`", PAGE)}

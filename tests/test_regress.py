@@ -11,14 +11,14 @@ from test_least_squares import digits
 
 import multipos as mp
 from multipos.cli import main
-from multipos.correlation import time_order
 from multipos.errors import MultiposError, UsageError
-from multipos.files import format_csv, read_table, to_json
-from multipos.hysteresis import compare_branches
-from multipos.least_squares import solve
-from multipos.model import parse_terms
-from multipos.observations import Data
-from multipos.quantiles import f_quantile
+from multipos.files.tables import format_csv, read_table, to_json
+from multipos.numerics.least_squares import solve
+from multipos.numerics.quantiles import f_quantile
+from multipos.regression.correlation import time_order
+from multipos.regression.hysteresis import compare_branches
+from multipos.regression.observations import Data
+from multipos.sensor.model import parse_terms
 
 
 def write(path, columns):

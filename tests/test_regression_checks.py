@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.files import format_csv
-from multipos.quantiles import coverage_factor
-from multipos.sections import check_text
+from multipos.files.tables import format_csv
+from multipos.numerics.quantiles import coverage_factor
+from multipos.reports.sections import check_text
 
 
 def chamber(seed, n=80, noise=1e-3):

@@ -11,17 +11,17 @@ import pytest
 
 import multipos as mp
 from multipos import plots
-from multipos.certificate import LAB_FIELDS, build_content
 from multipos.cli import main
-from multipos.comparison import compare
-from multipos.documents import html_report, markdown_report, plain_report, write_report
-from multipos.files import plain
-from multipos.formatting import markdown_text, uncertain
-from multipos.reports import text_report
-from multipos.scheme import read_scheme
-from multipos.sections import check_text
-from multipos.translations import Translator
-from multipos.uncertainty import evaluate_budget
+from multipos.files.numbers import markdown_text, uncertain
+from multipos.files.tables import plain
+from multipos.positions.scheme import read_scheme
+from multipos.reports.certificate import LAB_FIELDS, build_content
+from multipos.reports.documents import html_report, markdown_report, plain_report, write_report
+from multipos.reports.sections import check_text
+from multipos.reports.summary import text_report
+from multipos.reports.translations import Translator
+from multipos.uncertainty.propagation import evaluate_budget
+from multipos.verification.comparison import compare
 
 BUDGET = {
     "gravity": {"value": 9.80123, "u": 2e-5},

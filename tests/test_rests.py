@@ -7,8 +7,16 @@ import pytest
 from logs import ar1, shared
 
 from multipos import MultiposError, UsageError
-from multipos.rest_means import RestSum, zero_density
-from multipos.rests import PIECE, Finder, Grid, Survey, Windows, choose_grid, detect_static
+from multipos.logs.rest_means import RestSum, zero_density
+from multipos.logs.rests import (
+    PIECE,
+    Finder,
+    Grid,
+    Survey,
+    Windows,
+    choose_grid,
+    detect_static,
+)
 
 
 def session(rng, *, noise=1e-3, rests=6, still=1000, moving=200, phi=0.0):

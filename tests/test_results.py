@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.budgets import read_budget
-from multipos.criticism import find_influence, judge_terms
-from multipos.joint_tests import judge_jointly
-from multipos.monte_carlo import simulate_budget
+from multipos.doubts.criticism import find_influence, judge_terms
+from multipos.doubts.joint_tests import judge_jointly
 from multipos.results import Frozen, Record
-from multipos.uncertainty import evaluate_budget
+from multipos.uncertainty.budgets import read_budget
+from multipos.uncertainty.monte_carlo import simulate_budget
+from multipos.uncertainty.propagation import evaluate_budget
 
 BUDGET = {
     "gravity": {"value": 9.81, "u": 1e-4},

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
-from multipos.rotations import (
+from multipos.numerics.rotations import (
     align,
     cross_matrix,
     left_jacobian,

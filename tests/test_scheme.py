@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from multipos.errors import MultiposError, UsageError
-from multipos.scheme import named_schemes, read_scheme
+from multipos.positions.scheme import named_schemes, read_scheme
 
 
 def angles_deg(up):

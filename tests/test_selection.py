@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from multipos.errors import MultiposError, UsageError
-from multipos.least_squares import solve
-from multipos.quantiles import f_tail, normal_quantile
-from multipos.selection import (
+from multipos.numerics.least_squares import solve
+from multipos.numerics.quantiles import f_tail, normal_quantile
+from multipos.numerics.selection import (
     Thresholds,
     compress,
     join,
@@ -21,7 +21,7 @@ from multipos.selection import (
     select_stepwise,
     thresholds,
 )
-from multipos.subsets import all_subsets, criteria, residual_sums
+from multipos.numerics.subsets import all_subsets, criteria, residual_sums
 
 NAMES = ["1", "x1", "x2", "x3", "x4"]
 HALD = compress(hald.DESIGN, hald.RESPONSE)

@@ -7,8 +7,8 @@ import pytest
 from logs import sensor
 
 import multipos as mp
-from multipos import simulation
 from multipos.cli import main
+from multipos.sensor import simulation
 
 
 def matrix(columns, cal):

@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos import cli
-from multipos.harmonics import Harmonic, find_rolls, residual_series, strange_harmonics
-from multipos.model import build_model
-from multipos.scheme import read_scheme
-from multipos.sections import tumble_text
-from multipos.single_axis import COEFFICIENTS, _weak
+from multipos.positions.harmonics import Harmonic, find_rolls, residual_series, strange_harmonics
+from multipos.positions.scheme import read_scheme
+from multipos.reports.sections import tumble_text
+from multipos.sensor.model import build_model
+from multipos.verification.single_axis import COEFFICIENTS, _weak
 
 TRUTH = {
     "K0": 2e-3, "K1": 1.3, "K2": 1e-4, "K3": 3e-5, "Koq": -2e-5, "Kip": 5e-5, "Kio": -4e-5,

@@ -12,8 +12,8 @@ import multipos as mp
 from multipos import plots
 from multipos.cli import main
 from multipos.errors import UsageError
-from multipos.files import format_csv
-from multipos.quantiles import f_quantile, normal_quantile
+from multipos.files.tables import format_csv
+from multipos.numerics.quantiles import f_quantile, normal_quantile
 
 FORMULA = (
     "1 + x + y + z + own^2 + own^3 + temperature + temperature^2 + temperature^3"

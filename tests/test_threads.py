@@ -11,8 +11,8 @@ import pytest
 
 import multipos as mp
 from multipos import plots
-from multipos.certificate import build_content
-from multipos.documents import html_report
+from multipos.reports.certificate import build_content
+from multipos.reports.documents import html_report
 
 # What people set, and what would show; `text.usetex` needs programs that may not be there.
 SETTINGS = {

@@ -7,11 +7,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.harmonics import find_rolls
-from multipos.readings import Readings, orient
-from multipos.scheme import read_scheme
-from multipos.sections import installation_sheets, table_error_sheets
-from multipos.turntable import QUANTITIES
+from multipos.positions.harmonics import find_rolls
+from multipos.positions.readings import Readings, orient
+from multipos.positions.scheme import read_scheme
+from multipos.reports.sections import installation_sheets, table_error_sheets
+from multipos.uncertainty.turntable import QUANTITIES
 
 T = np.radians(np.arange(0.0, 360.0, 15.0))
 ERRORS = dict(zip(QUANTITIES, (1e-3, 5e-4, -3e-4, 2e-4, 4e-4), strict=True))  # [rad]

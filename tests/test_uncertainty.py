@@ -8,14 +8,18 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.budgets import read_budget
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.files import read_json
-from multipos.scheme import read_scheme
-from multipos.sensitivities import estimator_gain, parameter_effects, reading_moves
-from multipos.uncertainty import evaluate_budget, welch_satterthwaite, with_budget
-from multipos.validity import force_covariance, sphere_uncertainty, third_order_covariance
+from multipos.files.tables import read_json
+from multipos.positions.scheme import read_scheme
+from multipos.uncertainty.budgets import read_budget
+from multipos.uncertainty.propagation import evaluate_budget, welch_satterthwaite, with_budget
+from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects, reading_moves
+from multipos.uncertainty.validity import (
+    force_covariance,
+    sphere_uncertainty,
+    third_order_covariance,
+)
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
 BIAS = np.array([0.01, -0.02, 0.015])

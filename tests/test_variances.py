@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 from test_likelihood import KINDS, a_problem
 
 import multipos as mp
-from multipos.likelihood import evaluate, linearise
-from multipos.variances import (
+from multipos.estimation.likelihood import evaluate, linearise
+from multipos.estimation.variances import (
     Linearised,
     _restricted,
     components,

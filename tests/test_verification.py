@@ -12,7 +12,8 @@ from logs import sensor
 
 import multipos as mp
 from multipos.cli import main
-from multipos.exporters import export, verify_export
+from multipos.compensation.reading_back import verify_export
+from multipos.compensation.targets import export
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no cc on this machine")
 
@@ -121,7 +122,7 @@ def test_the_file_of_another_calibration_is_refused(cal, tmp_path):
     ],
 )
 def test_foreign_code_that_fails(cal, body, message, tmp_path, monkeypatch):
-    monkeypatch.setattr("multipos.exporters.verification._SECONDS", 1)
+    monkeypatch.setattr("multipos.compensation.reading_back._SECONDS", 1)
     head = "#include <stdlib.h>\nvoid a_compensate(const double raw[3], double accel[3])\n"
     (tmp_path / "f.c").write_text(head + body + "\n")
     with pytest.raises(mp.MultiposError, match=message):

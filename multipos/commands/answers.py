@@ -19,11 +19,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
-from multipos.characters import escaped, visible_lines
 from multipos.commands.options import warn
 from multipos.errors import MultiposError, UsageError
-from multipos.files import Content, written
-from multipos.pipes import STDIN, Pipe, is_pipe
+from multipos.files.characters import escaped, visible_lines
+from multipos.files.pipes import STDIN, Pipe, is_pipe
+from multipos.files.tables import Content, written
 
 STDOUT = "-"
 # Forms of an answer: the endings that ask for them, and what they are in words.

@@ -4,15 +4,22 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 
-from multipos.calibration import load
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import file_progress, names
-from multipos.compensation import apply_log
-from multipos.correction import correct
+from multipos.compensation.applying import apply_log
+from multipos.compensation.correction import correct
 from multipos.errors import UsageError
-from multipos.files import Column, Content, format_csv, json_table, read_schema, read_table
+from multipos.files.tables import (
+    Column,
+    Content,
+    format_csv,
+    json_table,
+    read_schema,
+    read_table,
+)
 from multipos.logs import open_log
-from multipos.regression import SCHEMA, load_regression
+from multipos.regression.result import SCHEMA, load_regression
+from multipos.sensor.calibration import load
 
 INPUTS = ("calibration", "data")
 OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("json", "text"))

@@ -2,11 +2,11 @@
 
 import argparse
 
-from multipos.averages import averages_text
-from multipos.averaging import average
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import file_progress, names
-from multipos.files import format_csv, to_json
+from multipos.files.tables import format_csv, to_json
+from multipos.logs.averages import averages_text
+from multipos.logs.averaging import average
 
 INPUTS = ("log", "sections", "scheme")
 OUTPUT = Output("READINGS.csv", "write the readings to READINGS.csv", "table", ("json", "text"))

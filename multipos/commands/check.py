@@ -2,14 +2,14 @@
 
 import argparse
 
-from multipos.calibration import load
-from multipos.checks import check
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_range, numbers
-from multipos.files import read_schema, to_json
+from multipos.files.tables import read_schema, to_json
 from multipos.plots import check_figure
-from multipos.regression import SCHEMA, load_regression
-from multipos.sections import check_text
+from multipos.regression.result import SCHEMA, load_regression
+from multipos.reports.sections import check_text
+from multipos.sensor.calibration import load
+from multipos.verification.checks import check
 
 INPUTS = ("calibration", "readings", "scheme")
 OUTPUT = Output(

@@ -3,9 +3,9 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.comparison import compare, comparison_text
-from multipos.files import to_json
+from multipos.files.tables import to_json
 from multipos.plots import runs_figure
+from multipos.verification.comparison import compare, comparison_text
 
 INPUTS = ("calibrations",)
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))

@@ -4,10 +4,10 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_orientation, numbers
-from multipos.designs import design, design_csv, design_text
+from multipos.designs.designing import design, design_csv, design_text
+from multipos.designs.information import nothing_to_weigh
 from multipos.errors import UsageError
-from multipos.files import to_json
-from multipos.information import nothing_to_weigh
+from multipos.files.tables import to_json
 
 INPUTS = ("candidates", "include", "region")
 OUTPUT = Output("SCHEME.csv", "write the positions to SCHEME.csv", "table", ("json", "text"))

@@ -3,10 +3,11 @@
 import argparse
 from pathlib import Path
 
-from multipos.calibration import load
 from multipos.commands.answers import STDOUT, Answer, Output
-from multipos.exporters import TARGETS, export, self_test
-from multipos.files import to_json
+from multipos.compensation.targets import TARGETS, export
+from multipos.compensation.targets import self_test
+from multipos.files.tables import to_json
+from multipos.sensor.calibration import load
 
 
 def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:

@@ -4,9 +4,9 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, add_model, names, numbers
-from multipos.files import to_json
+from multipos.files.tables import to_json
 from multipos.fitting import fit
-from multipos.reports import text_report
+from multipos.reports.summary import text_report
 
 INPUTS = ("readings", "scheme", "budget")
 OUTPUT = Output("CAL.json", "write the calibration to CAL.json", "json", ("text",))

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from multipos.characters import one_line
 from multipos.errors import UsageError
-from multipos.model import NAMED
-from multipos.names import split_names, split_numbers
+from multipos.files.characters import one_line
+from multipos.files.lists import split_names, split_numbers
+from multipos.sensor.model import NAMED
 
 T = TypeVar("T")
 

@@ -2,14 +2,14 @@
 
 import argparse
 
-from multipos.calibration import load
-from multipos.certificate import build_content
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import progress_bar
-from multipos.documents import html_report, markdown_report, plain_report
-from multipos.files import to_json
-from multipos.monte_carlo import simulate_budget
-from multipos.verdicts import load_check
+from multipos.files.tables import to_json
+from multipos.reports.certificate import build_content
+from multipos.reports.documents import html_report, markdown_report, plain_report
+from multipos.sensor.calibration import load
+from multipos.uncertainty.monte_carlo import simulate_budget
+from multipos.verification.verdicts import load_check
 
 INPUTS = ("calibration", "lab", "check")
 OUTPUT = Output("REPORT.html", "file to write", "html", ("markdown", "text"), required=True)

@@ -2,11 +2,11 @@
 
 import argparse
 
-from multipos.assessment import schemes, schemes_text
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_orientation
-from multipos.files import to_json
-from multipos.information import nothing_to_weigh
+from multipos.designs.assessment import schemes, schemes_text
+from multipos.designs.information import nothing_to_weigh
+from multipos.files.tables import to_json
 
 INPUTS = ("schemes",)
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))

@@ -2,12 +2,12 @@
 
 import argparse
 
-from multipos.calibration import load
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import numbers
 from multipos.errors import UsageError
-from multipos.files import format_csv, to_json
-from multipos.simulation import simulate, simulate_log
+from multipos.files.tables import format_csv, to_json
+from multipos.sensor.calibration import load
+from multipos.sensor.simulation import simulate, simulate_log
 
 INPUTS = ("calibration", "scheme")
 OUTPUT = Output("READINGS.csv", "file to write instead of stdout", "table", ("json", "text"))

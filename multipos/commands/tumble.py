@@ -4,10 +4,10 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, names, numbers
-from multipos.files import to_json
+from multipos.files.tables import to_json
 from multipos.plots import tumble_figure
-from multipos.sections import tumble_text
-from multipos.single_axis import tumble
+from multipos.reports.sections import tumble_text
+from multipos.verification.single_axis import tumble
 
 INPUTS = ("readings", "scheme")
 OUTPUT = Output("FILE", "write the result to FILE as well", "json", ("figure", "text"))

@@ -2,10 +2,10 @@
 
 import argparse
 
-from multipos.calibration import load
 from multipos.commands.answers import Answer, Output
-from multipos.exporters import verify_export
-from multipos.files import to_json
+from multipos.compensation.reading_back import verify_export
+from multipos.files.tables import to_json
+from multipos.sensor.calibration import load
 
 INPUTS = ("file", "calibration")
 OUTPUT = Output("OUT", "write the result to OUT as well", "text", ("json",))

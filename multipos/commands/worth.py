@@ -2,10 +2,10 @@
 
 import argparse
 
-from multipos.calibration import load
 from multipos.commands.answers import Answer, Output
-from multipos.files import to_json
-from multipos.prospects import worth, worth_text
+from multipos.designs.prospects import worth, worth_text
+from multipos.files.tables import to_json
+from multipos.sensor.calibration import load
 
 INPUTS = ("calibration", "candidates")
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))

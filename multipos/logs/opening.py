@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files import Column, Source, read_table
+from multipos.files.lists import Names, split_names
+from multipos.files.pipes import rereadable
+from multipos.files.tables import Column, Source, read_table
 from multipos.logs.arrays import log_of_columns, read_mat, read_npy, read_npz, refuse_hdf
 from multipos.logs.table import Log
 from multipos.logs.text import HEAD, open_text, split_rows
-from multipos.names import Names, split_names
-from multipos.pipes import rereadable
 
 
 class Reader(NamedTuple):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files import Table
+from multipos.files.tables import Table
 
 
 class Piece(NamedTuple):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files import Table
+from multipos.files.tables import Table
 from multipos.logs.table import Log, Piece, name_columns
 
 Array = NDArray[np.float64]

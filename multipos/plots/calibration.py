@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.calibration import Calibration, labels
-from multipos.model import COMPONENTS, linear_term
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, scale_by_powers, write
-from multipos.uncertainty import Evaluation
+from multipos.sensor.calibration import Calibration, labels
+from multipos.sensor.model import COMPONENTS, linear_term
+from multipos.uncertainty.propagation import Evaluation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

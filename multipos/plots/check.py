@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, scale_by_powers
-from multipos.verdicts import Check
+from multipos.verification.verdicts import Check
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

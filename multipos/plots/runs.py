@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.comparison import Comparison
-from multipos.model import CONSTANT
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure
+from multipos.sensor.model import CONSTANT
+from multipos.verification.comparison import Comparison
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.assessment import read_setting
-from multipos.files import Source
-from multipos.information import Criterion, inform, kernels, sensitivity
-from multipos.model import COMPONENTS
+from multipos.designs.assessment import read_setting
+from multipos.designs.information import Criterion, inform, kernels, sensitivity
+from multipos.files.tables import Source
 from multipos.plots.style import COLOURS, MARKERS, dress_axis, name_series, write
-from multipos.scheme import Scheme, read_scheme
+from multipos.positions.scheme import Scheme, read_scheme
+from multipos.sensor.model import COMPONENTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +33,7 @@ def draw_scheme(
     """Draw the up vectors of a scheme on both hemispheres, its variance function behind them.
 
     The map is Lambert's of equal areas: z up in the middle on the left, z down on the right, both
-    seen from above. The colour is p s(u)/p of `multipos.information`: the variance of the
+    seen from above. The colour is p s(u)/p of `multipos.designs.information`: the variance of the
     prediction, of which the best scheme has nowhere more than 1. A number counts repeats.
     """
     up = read_scheme(scheme).up

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.correction import correct, range_column, read_predictors
-from multipos.files import Source, read_table
+from multipos.compensation.correction import correct, range_column, read_predictors
+from multipos.files.tables import Source, read_table
 from multipos.plots.style import (
     COLOURS,
     name_series,
@@ -13,9 +13,9 @@ from multipos.plots.style import (
     scale_by_powers,
     write_title,
 )
-from multipos.regression import Regression, format_span
-from multipos.segment import Segment
-from multipos.temperature import Curve
+from multipos.regression.result import Regression, format_span
+from multipos.regression.segment import Segment
+from multipos.sensor.temperature import Curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.calibration import Calibration
-from multipos.criticism import fourier_residuals
-from multipos.harmonics import Harmonic, Roll, find_rolls, series
+from multipos.doubts.criticism import fourier_residuals
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, new_figure
-from multipos.single_axis import Tumble
+from multipos.positions.harmonics import Harmonic, Roll, find_rolls, series
+from multipos.sensor.calibration import Calibration
+from multipos.verification.single_axis import Tumble
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

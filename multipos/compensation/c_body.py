@@ -1,0 +1,358 @@
+"""The model's inverse as lines of C.
+
+A linear model is one matrix product, f = T (raw − o). Anything else is solved by a fixed number
+of steps of
+
+    f <- P (d - n(f, e)),    d = raw - o,    P = K0^+,                                     (1)
+
+where o and K0 are bias and linear coefficients in the middle of the calibrated environment and n
+all the rest of the model. The error shrinks at least by rho, the largest norm of 1 − P dh/df over
+twice the calibrated force and the calibrated environment, so that
+
+    steps = log(tolerance / largest force) / log(rho)                                      (2)
+
+of them are enough wherever the force is up to a third beyond what was calibrated; where rho
+exceeds one half nothing is written. With more outputs than axes the step is taken along J', J =
+dh/df, so that the least-squares answer is met: f <- f + (K0'K0)⁻¹ J' (d − K0 f − n).
+
+Single precision subtracts a bias in two parts, the second being what the first cannot hold.
+"""
+
+import itertools
+import math
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.model import COMPONENTS, CONSTANT, Factor, Term, linear_term
+
+Array = NDArray[np.float64]
+
+_HEADROOM = 2.0  # times the largest calibrated force, over which rho is taken
+_SLOWEST = 0.5
+_TOLERANCE = {False: 1e-13, True: 1e-9}  # [g], by single precision
+_GRID = 9
+
+# Output, product of force components, and its coefficient: a number times a named constant.
+_Coefficient = tuple[int, Term, tuple[float, str]]
+
+
+def function_body(calibration: Calibration, *, single: bool) -> tuple[str, str]:
+    """Return the body of the function, and in words how it computes.
+
+    Raises
+    ------
+    MultiposError
+        The steps of eq. (1) would not converge.
+    """
+    writer = _Writer(calibration, single)
+    return writer.linear() if writer.is_linear else writer.polynomial()
+
+
+def literal(value: float, single: bool) -> str:
+    """Return a number as C reads it back, to the last digit.
+
+    Raises
+    ------
+    MultiposError
+        The precision cannot hold it.
+    """
+    with np.errstate(over="ignore"):
+        held = np.float32(value) if single else np.float64(value)
+    if not np.isfinite(held):
+        raise MultiposError(
+            f"a number of the C file would be {value:.3g}, beyond "
+            f"{'single' if single else 'double'} precision; fit readings in a unit nearer to "
+            f"their size{', or leave out --float' if single else ''}."
+        )
+    return f"{held!s}f" if single else repr(float(held))
+
+
+def environment_range(calibration: Calibration, name: str) -> tuple[float, float]:
+    """Return the smallest and largest value of a column at calibration."""
+    seen = calibration.readings.environment[name]
+    return float(seen.min()), float(seen.max())
+
+
+class _Writer:
+    """Turn the model into lines of C."""
+
+    def __init__(self, calibration: Calibration, single: bool) -> None:
+        self._calibration = calibration
+        self._model = calibration.model
+        self._single = single
+        self._kind = "float" if single else "double"
+        self._sensed = [COMPONENTS[i] for i in sensed_axes(self._model)]
+        self._theta = self._model.coefficients(calibration.parameters)
+        self._middle = {
+            name: _held_by_both(float(np.mean(environment_range(calibration, name))))
+            for name in self._model.environment
+        }
+        linear = self._model.linear_map(self._middle) @ calibration.parameters
+        self._bias = linear[:, 0]
+        self._slope = linear[:, [1 + i for i in sensed_axes(self._model)]]
+        square = self._slope.shape[0] == self._slope.shape[1]
+        self._inverse = np.linalg.inv(self._slope) if square else np.linalg.pinv(self._slope)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether one matrix product does it."""
+        bare: set[Term] = {CONSTANT, *(linear_term(axis) for axis in COMPONENTS)}
+        return all(term in bare for term in self._model.basis_terms)
+
+    def linear(self) -> tuple[str, str]:
+        lines = ["{", *self._offsets()]
+        for k, row in enumerate(self._inverse):
+            total = self._sum([(value, f"d{i}") for i, value in enumerate(row)])
+            lines.append(f"    accel[{k}] = {total};")
+        return "\n".join([*lines, "}"]) + "\n", "one matrix product"
+
+    def polynomial(self) -> tuple[str, str]:
+        steps, rho = needed_steps(self._calibration, self._slope, single=self._single)
+        unknowns = ", ".join(f"{axis} = {self._number(0.0)}" for axis in self._sensed)
+        constants, coefficients = self._coefficients()
+        inner = [
+            f"const {self._kind} a{axis} = {axis} < {self._number(0.0)} ? -{axis} : {axis};"
+            for axis in self._sensed
+            if any(f.modulus and f.variable == axis for _, term, _ in coefficients
+                   for f in term.factors)
+        ]  # fmt: skip
+        inner += self._redundant(coefficients) if self._is_redundant else self._square(coefficients)
+        lines = [
+            "{",
+            *self._offsets(),
+            *(f"    const {self._kind} {line};" for line in self._shifts(constants) + constants),
+            f"    {self._kind} {unknowns};",
+            f"    for (int step = 0; step < {steps}; ++step) {{",
+            *(f"        {line}" for line in inner),
+            "    }",
+            *(f"    accel[{k}] = {axis};" for k, axis in enumerate(self._sensed)),
+            "}",
+        ]
+        return "\n".join(lines) + "\n", steps_in_words(steps, rho)
+
+    @property
+    def _is_redundant(self) -> bool:
+        return len(self._slope) > len(self._sensed)
+
+    def _square(self, coefficients: list[_Coefficient]) -> list[str]:
+        lines = []
+        for i in range(len(self._bias)):
+            rest = self._sum([(c, self._product(name, term)) for j, term, (c, name) in coefficients
+                              if j == i])  # fmt: skip
+            less = f" - ({rest})" if rest != self._number(0.0) else ""
+            lines.append(f"const {self._kind} r{i} = d{i}{less};")
+        for k, axis in enumerate(self._sensed):
+            total = self._sum([(v, f"r{i}") for i, v in enumerate(self._inverse[k])])
+            lines.append(f"{axis} = {total};")
+        return lines
+
+    def _redundant(self, coefficients: list[_Coefficient]) -> list[str]:
+        """Write a step along J', for more outputs than axes."""
+        lines = []
+        count = len(self._bias)
+        for i in range(count):
+            parts = [(c, self._product(name, term)) for j, term, (c, name) in coefficients
+                     if j == i]  # fmt: skip
+            parts += [(v, axis) for v, axis in zip(self._slope[i], self._sensed, strict=True)]
+            lines.append(f"const {self._kind} r{i} = d{i} - ({self._sum(parts)});")
+        for k, axis in enumerate(self._sensed):
+            gradient = []
+            for i in range(count):
+                parts = [(float(self._slope[i, k]), "")]
+                for j, term, (c, name) in coefficients:
+                    if j == i:
+                        weight, lower, sign = _derivative(term, axis)
+                        product = self._product(name, lower)
+                        if sign:
+                            one = self._number(1.0)
+                            turn = f"({axis} < {self._number(0.0)} ? -{one} : {one})"
+                            product = f"{product} * {turn}" if product else turn
+                        parts.append((c * weight, product))
+                gradient.append(f"({self._sum(parts)}) * r{i}")
+            lines.append(f"const {self._kind} g{k} = {' + '.join(gradient)};")
+        normal = np.linalg.inv(self._slope.T @ self._slope)
+        for k, axis in enumerate(self._sensed):
+            lines.append(f"{axis} += {self._sum([(v, f'g{j}') for j, v in enumerate(normal[k])])};")
+        return lines
+
+    def _offsets(self) -> list[str]:
+        """Write all that is read before anything is written: raw and accel may be one array."""
+        lines = []
+        for i, bias in enumerate(self._bias.tolist()):
+            parts = [bias]
+            if self._single:
+                parts = [float(np.float32(bias)), bias - float(np.float32(bias))]
+            text = f"raw[{i}]"
+            for part in parts:
+                if part:
+                    sign = "-" if part > 0.0 else "+"
+                    text = f"{text} {sign} {self._number(abs(part))}"
+                    text = f"({text})" if part is parts[0] and len(parts) > 1 and parts[1] else text
+            lines.append(f"    const {self._kind} d{i} = {text};")
+        return lines
+
+    def _shifts(self, constants: list[str]) -> list[str]:
+        """Write the other columns about their middle, those that the constants use."""
+        lines = []
+        for j, middle in enumerate(self._middle.values()):
+            if any(re.search(rf"\bt{j}\b", line) for line in constants):
+                shift = f"{'-' if middle > 0.0 else '+'} {self._number(abs(middle))}"
+                lines.append(f"t{j} = env[{j}] {shift}")
+        return lines
+
+    def _coefficients(self) -> tuple[list[str], list[_Coefficient]]:
+        """Return n of eq. (1): per output and product of force, a number or a named constant."""
+        constants: list[str] = []
+        coefficients: list[_Coefficient] = []
+        bare = {CONSTANT, *(linear_term(axis) for axis in self._sensed)}
+        for i, row in enumerate(self._theta):
+            grouped: dict[Term, list[tuple[float, Term]]] = {}
+            for value, term in zip(row.tolist(), self._model.basis_terms, strict=True):
+                force = Term(tuple(f for f in term.factors if f.variable in COMPONENTS))
+                rest = Term(tuple(f for f in term.factors if f.variable not in COMPONENTS))
+                if value and all(f.variable in self._sensed for f in force.factors):
+                    grouped.setdefault(force, []).append((value, rest))
+            for force, parts in grouped.items():
+                varying = [(value, rest) for value, rest in parts if rest.factors]
+                fixed = sum(value for value, rest in parts if not rest.factors)
+                if varying:
+                    name = f"c{len(constants)}"
+                    shifted = [part for v, rest in varying for part in self._about_middle(v, rest)]
+                    if force in bare:  # its value in the middle is in o and K0
+                        shifted = [part for part in shifted if part[1]]
+                    else:
+                        shifted.append((fixed, ""))
+                    constants.append(f"{name} = {self._sum(_collected(shifted))}")
+                    coefficients.append((i, force, (1.0, name)))
+                elif force not in bare:
+                    coefficients.append((i, force, (fixed, "")))
+        return constants, coefficients
+
+    def _about_middle(self, value: float, term: Term) -> list[tuple[float, str]]:
+        """Expand a product of other columns about the middle: numbers times products of t.
+
+        The rest of the model is then small where the columns are near the middle, and little is
+        lost in single precision. A modulus has no such expansion: its value there is taken off.
+        """
+        index = {name: j for j, name in enumerate(self._middle)}
+        if any(factor.modulus for factor in term.factors):
+            factors = []
+            for factor in term.factors:
+                e = f"env[{index[factor.variable]}]"
+                factors += [e] * factor.power
+                if factor.modulus:
+                    factors.append(f"({e} < {self._number(0.0)} ? -{e} : {e})")
+            there = value * float(term.evaluate(self._middle))
+            product = " * ".join(factors)
+            return [(value, product), (-there, "1"), (there, "")]
+        parts = [(value, "")]
+        for factor in term.factors:
+            middle, t = self._middle[factor.variable], f"t{index[factor.variable]}"
+            parts = [
+                (
+                    weight * math.comb(factor.power, q) * middle ** (factor.power - q),
+                    " * ".join([*([product] if product else []), *[t] * q]),
+                )
+                for weight, product in parts
+                for q in range(factor.power + 1)
+            ]
+        return parts
+
+    def _product(self, name: str, term: Term) -> str:
+        factors = [name] if name else []
+        for factor in term.factors:
+            factors += [factor.variable] * factor.power
+            factors += [f"a{factor.variable}"] * factor.modulus
+        return " * ".join(factors)
+
+    def _sum(self, parts: list[tuple[float, str]]) -> str:
+        text = ""
+        for value, product in parts:
+            if not value:
+                continue
+            size = abs(float(value))
+            piece = self._number(size)
+            if product:
+                piece = product if size == 1.0 else f"{piece} * {product}"
+            sign = "-" if value < 0.0 else "+"
+            text = f"{text} {sign} {piece}" if text else (f"-{piece}" if value < 0.0 else piece)
+        return text or self._number(0.0)
+
+    def _number(self, value: float) -> str:
+        return literal(value, self._single)
+
+
+def _held_by_both(value: float) -> float:
+    """Return a number that single precision holds, so that both are about the same middle."""
+    with np.errstate(over="ignore"):  # what overflows is refused when it is written
+        return float(np.float32(value))
+
+
+def needed_steps(calibration: Calibration, slope: Array, *, single: bool) -> tuple[int, float]:
+    """Return the number of steps, eq. (2), and rho; `slope` (M, K) is K0.
+
+    Raises
+    ------
+    MultiposError
+        They would not converge.
+    """
+    largest = float(np.linalg.norm(calibration.reference, axis=1).max())
+    rho = _contraction(calibration, slope, _HEADROOM * largest)
+    if not rho <= _SLOWEST:
+        raise MultiposError(
+            f"the inverse of this model does not converge in fixed steps over "
+            f"{_HEADROOM * largest:.3g} g (contraction {rho:.2g}, at most {_SLOWEST} is safe); "
+            "drop terms whose coefficient is not significant, or use apply."
+        )
+    reach = np.sqrt(3.0) * _HEADROOM * largest
+    needed = np.log(_TOLERANCE[single] / reach) / np.log(max(rho, 1e-16))
+    return 1 + int(np.ceil(needed)), rho
+
+
+def _contraction(calibration: Calibration, slope: Array, reach: float) -> float:
+    model = calibration.model
+    sensed = list(sensed_axes(model))
+    line, still = np.linspace(-reach, reach, _GRID), np.zeros(1)
+    axes = [line if i in sensed else still for i in range(3)]
+    names = model.environment
+    environment = [np.linspace(*environment_range(calibration, name), 5) for name in names]
+    grid = np.array(list(itertools.product(*axes, *environment)))
+    columns = dict(zip(names, grid[:, 3:].T, strict=True))
+    jacobian = model.force_jacobian(calibration.parameters, grid[:, :3], columns)[:, :, sensed]
+    if len(slope) > len(sensed):
+        moved = np.linalg.inv(slope.T @ slope) @ jacobian.transpose(0, 2, 1) @ jacobian
+    else:
+        moved = np.linalg.inv(slope) @ jacobian
+    return float(np.linalg.norm(np.eye(len(sensed)) - moved, ord=2, axis=(1, 2)).max())
+
+
+def steps_in_words(steps: int, rho: float) -> str:
+    """Return how a function with so many steps computes."""
+    return f"{steps} steps, each shrinking the error at least {1.0 / max(rho, 1e-16):.3g} times"
+
+
+def _collected(parts: list[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Add up the numbers that stand before the same product."""
+    total: dict[str, float] = {}
+    for value, product in parts:
+        key = "" if product == "1" else product
+        total[key] = total.get(key, 0.0) + value
+    return [(value, product) for product, value in total.items()]
+
+
+def _derivative(term: Term, axis: str) -> tuple[float, Term, bool]:
+    """Return the derivative of a product of force: weight, what remains, and whether times sign."""
+    mine = next((factor for factor in term.factors if factor.variable == axis), None)
+    if mine is None:
+        return 0.0, CONSTANT, False
+    rest = tuple(factor for factor in term.factors if factor is not mine)
+    if not mine.power:  # d|v|/dv
+        return 1.0, Term(rest), True
+    lower = Factor(axis, mine.power - 1, mine.modulus)
+    kept = (*rest, lower) if lower.degree else rest
+    return float(mine.degree), Term(tuple(sorted(kept))), False

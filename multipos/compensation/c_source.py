@@ -1,0 +1,198 @@
+"""The C99 file of a calibration, and the program that tests it.
+
+The file holds one function and nothing else: no library, memory or state, so that it can be
+called from any firmware. What the function does is in `multipos.compensation.c_body`.
+"""
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos import __version__
+from multipos.compensation.c_body import environment_range, function_body, literal
+from multipos.compensation.c_expression import expression_body
+from multipos.errors import MultiposError, UsageError
+from multipos.files.characters import visible
+from multipos.files.numbers import number, table, uncertain
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.model import COMPONENTS
+
+Array = NDArray[np.float64]
+
+SIGNATURE = re.compile(
+    r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const (?P<type>double|float) raw\[(?P<raw>\d{1,6})\]"
+    r"(?:, const \w+ env\[(?P<env>\d{1,6})\])?, \w+ accel\[(?P<accel>\d{1,6})\]\)",
+    re.MULTILINE | re.ASCII,
+)
+WRITTEN_BY = re.compile(r"^ \* written by +multipos (?P<version>\S+)$", re.MULTILINE)
+_NEGLIGIBLE = 1e-9  # of the largest linear coefficient: what a precision may lose
+
+
+def c_source(calibration: Calibration, name: str, *, single: bool) -> str:
+    """Return the C99 file of a calibration.
+
+    Raises
+    ------
+    UsageError
+        `name` is no C identifier.
+    MultiposError
+        The steps would not converge, or a coefficient is beyond the precision.
+    """
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+        raise UsageError(f"--name '{name}' is no C identifier; use letters, digits and _.")
+    _require_held(calibration, single)
+    _vectors(calibration, single)  # which says why, where the model has no inverse
+    if isinstance(calibration.model, ExpressionModel):
+        body, how, library = expression_body(calibration, single=single)
+    else:
+        (body, how), library = function_body(calibration, single=single), False
+    include = "#include <math.h>\n\n" if library else ""
+    head = _header(calibration, name, how)
+    return f"{head}\n{include}{signature(calibration, name, single)}\n{body}"
+
+
+def signature(calibration: Calibration, name: str, single: bool) -> str:
+    """Return the declaration, without a semicolon."""
+    kind = "float" if single else "double"
+    env = len(calibration.model.environment)
+    between = f", const {kind} env[{env}]" if env else ""
+    axes = len(sensed_axes(calibration.model))
+    return (
+        f"void {name}_compensate(const {kind} raw[{len(calibration.outputs)}]{between}, "
+        f"{kind} accel[{axes}])"
+    )
+
+
+def c_test(calibration: Calibration, name: str, *, single: bool) -> str:
+    """Return a C99 program that checks the function against values from Python."""
+    kind = "float" if single else "double"
+    raw, env, force = _vectors(calibration, single)
+    tolerance = "5e-7f" if single else "1e-9"
+    arrays = [("raw", raw), *([("env", env)] if env.shape[1] else []), ("expected", force)]
+    text = "\n".join(_array(key, values, single) for key, values in arrays)
+    call = ", ".join(f"{key}[i]" for key, _ in arrays[:-1])
+    return f"""\
+/* Self-test of {name}_compensate: compile with the file that holds it, and run.
+   Exits with 0 where every value is met within {tolerance} g. */
+#include <stdio.h>
+
+{signature(calibration, name, single)};
+
+enum {{ COUNT = {len(raw)}, AXES = {force.shape[1]} }};
+
+{text}
+
+int main(void)
+{{
+    int failed = 0;
+    for (int i = 0; i < COUNT; ++i) {{
+        {kind} accel[AXES];
+        {name}_compensate({call}, accel);
+        for (int k = 0; k < AXES; ++k) {{
+            const {kind} off = accel[k] - expected[i][k];
+            if (!(off < {tolerance} && -off < {tolerance})) {{
+                printf("vector %d, axis %d: off by %g g\\n", i + 1, k + 1, (double)off);
+                failed = 1;
+            }}
+        }}
+    }}
+    puts(failed ? "FAILED" : "{name}_compensate: all values met");
+    return failed;
+}}
+"""
+
+
+def _require_held(calibration: Calibration, single: bool) -> None:
+    """Refuse, by name, what a precision cannot hold."""
+    model = calibration.model
+    limits = np.finfo(np.float32 if single else np.float64)
+    largest, smallest = float(limits.max), float(limits.tiny)
+    precision = "single" if single else "double"
+    way = ("leave out --float, or " if single else "") + "fit in a unit nearer to its size"
+    middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
+    slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0]
+    needed = np.repeat(
+        _NEGLIGIBLE * np.abs(slope).max(axis=1), [part.stop - part.start for part in model.slices]
+    )
+    for name, value, least in zip(calibration.names, calibration.parameters, needed, strict=True):
+        size = abs(float(value))
+        if size > largest or least < size < smallest:
+            lost = "overflows" if size > largest else "vanishes"
+            raise MultiposError(f"'{name}' = {value:.3g} {lost} in {precision} precision; {way}.")
+    for name in model.environment:
+        if max(map(abs, environment_range(calibration, name))) > largest:
+            raise MultiposError(f"column '{name}' overflows in {precision} precision; {way}.")
+
+
+def _header(calibration: Calibration, name: str, how: str) -> str:
+    c = calibration
+    model = c.model
+    largest = float(np.linalg.norm(c.reference, axis=1).max())
+    env = [
+        f"env[{j}] = {n}, calibrated from {low:.6g} to {high:.6g}"
+        for j, n in enumerate(model.environment)
+        for low, high in [environment_range(c, n)]
+    ]
+    sensed = [COMPONENTS[i] for i in sensed_axes(model)]
+    rows = []
+    for i in range(len(c.parameters)):
+        p = c._parameter(i)
+        rows.append([p.name, p.unit, uncertain(p.value, p.u), number(p.U, 2)])
+    what = "specific force" if c.convention == "specific-force" else "gravity"
+    lines = [
+        f"{name}_compensate: raw accelerometer readings to {what} [g].",
+        "",
+        f"raw[{len(c.outputs)}] = {', '.join(c.outputs)} [{model.unit}]",
+        *env,
+        f"accel[{len(sensed)}] = {', '.join(sensed)} [g], convention {c.convention}",
+        "raw and accel may be the same array.",
+        "",
+        f"model       {model.text}",
+        f"computed by {how}",
+        f"calibrated  {c.created} by multipos {c.version}, {len(c.readings)} readings",
+        f"written by  multipos {__version__}",
+        f"residual    rms {1e3 * c.rms:.3g} mg after compensation",
+        f"valid       |accel| up to {largest:.4g} g; beyond it the model extrapolates",
+        f"U           {100 * c.confidence:g} % coverage, of the parameters; model error is extra",
+        "",
+        *table(["parameter", "unit", "value(u)", "U"], rows).splitlines(),
+    ]
+    return "/*\n" + "\n".join(f" * {_comment(line)}".rstrip() for line in lines) + "\n */"
+
+
+def _comment(text: str) -> str:
+    """Return text that stays on its line of a comment: it ends none, begins none, continues none.
+
+    A backslash goes first, since it becomes a slash; ``??/`` is a backslash too, a trigraph.
+    """
+    text = visible(text).replace("\\", "/").replace("*/", "* /").replace("/*", "/ *")
+    return re.sub(r"\?(?=\?)", "? ", text)
+
+
+def _vectors(calibration: Calibration, single: bool) -> tuple[Array, Array, Array]:
+    """Return readings of the calibration and some between them, with what Python makes of them."""
+    readings = calibration.readings
+    names = calibration.model.environment
+    rows = np.linspace(0, len(readings) - 1, min(len(readings), 12)).round().astype(int)
+    raw = readings.values[rows]
+    env = np.empty((len(rows), len(names)))
+    for j, name in enumerate(names):
+        env[:, j] = readings.environment[name][rows]
+    between = (raw + np.roll(raw, 1, axis=0)) / 2.0
+    raw = np.concatenate([raw, between])
+    env = np.concatenate([env, (env + np.roll(env, 1, axis=0)) / 2.0])
+    if single:
+        raw, env = raw.astype(np.float32).astype(float), env.astype(np.float32).astype(float)
+    force = calibration.compensate(raw, dict(zip(names, env.T, strict=True)))
+    sound = np.isfinite(force).all(axis=1)
+    return raw[sound], env[sound], force[sound]
+
+
+def _array(name: str, values: Array, single: bool) -> str:
+    kind = "float" if single else "double"
+    cells = [[literal(value, single) for value in row] for row in values.tolist()]
+    rows = ",\n".join(f"    {{{', '.join(row)}}}" for row in cells)
+    return f"static const {kind} {name}[COUNT][{values.shape[1]}] = {{\n{rows}\n}};"

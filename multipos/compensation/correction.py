@@ -1,0 +1,150 @@
+"""Apply a regression to a table: every column kept, the predicted response and what it corrects.
+
+The response of a regression is usually an error, and what wants correcting another column:
+
+    corrected = column − predicted,        u² = x' C x + rms²,                              (1)
+
+with x the terms of a row, C the covariance of the segment's coefficients (the robust one where rows
+were correlated) and rms what the model left in that segment.
+
+A row is outside where a variable that its segment's model uses, or the segment variable itself,
+leaves what the rows of the fit covered. A polynomial says nothing there: the row is flagged, its
+variables are clamped to the range, or the table is refused.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.compensation.applying import Outside, check_outside
+from multipos.errors import MultiposError
+from multipos.files.tables import LARGEST, Column, Source, Table, read_table
+from multipos.regression.rates import smoothed_rate
+from multipos.regression.result import Regression
+from multipos.results import Record
+from multipos.sensor.model import largest_value
+
+Array = NDArray[np.float64]
+
+
+def correct(
+    regression: Regression,
+    data: Source,
+    *,
+    column: str | None = None,
+    outside: Outside = "flag",
+    uncertainty: bool = False,
+) -> dict[str, Column]:
+    """Return the columns of a table with `predicted` and `corrected` beside them.
+
+    Parameters
+    ----------
+    regression : Regression
+    data : path, mapping of columns, or data frame
+        Must have the columns the model uses; rates are formed as they were for the fit.
+    column : str, optional
+        What is corrected; the response by default.
+    outside : str
+        'flag' rows beyond what was fitted, 'clamp' their variables as well, or 'refuse' the table.
+    uncertainty : bool
+        Add `u_corrected`, eq. (1).
+
+    Returns
+    -------
+    dict of str to sequence
+
+    Raises
+    ------
+    MultiposError
+        A column is missing or has a bad cell, or a row is outside under 'refuse'.
+    """
+    check_outside(outside)
+    table = read_table(data, what="data")
+    target = regression.response if column is None else column
+    if target not in table:
+        raise MultiposError(
+            f"{table.source}: no column '{target}' to correct; name one with --correct, of "
+            f"{', '.join(table.columns)}."
+        )
+    raw = table.number(target, largest=LARGEST)
+    columns = read_predictors(regression, table)
+    place = regression.segment_of(columns) if columns else np.zeros(table.rows, dtype=np.intp)
+    beyond, clamped = _outside(regression, columns, place)
+    if outside == "refuse" and beyond.any():
+        row = int(np.argmax(beyond))
+        raise MultiposError(
+            f"{table.where(row, target)}: the row is outside what the regression was fitted to "
+            f"({int(beyond.sum())} of {table.rows} rows are); use --outside flag to see them."
+        )
+    used = clamped if outside == "clamp" else columns
+    predicted, u = np.empty(table.rows), np.empty(table.rows)
+    for number, segment in enumerate(regression.segments):
+        rows = np.flatnonzero(place == number)
+        X = segment.design(used, rows)
+        C = segment.covariance if segment.robust is None else segment.robust.covariance
+        predicted[rows] = X @ segment.values
+        u[rows] = np.sqrt(np.einsum("ij,jk,ik->i", X, C, X) + segment.rms**2)
+    added: dict[str, Column] = {"predicted": predicted, "corrected": raw - predicted}
+    if uncertainty:
+        added["u_corrected"] = u
+    added["outside"] = beyond.astype(np.int64)
+    twice = [name for name in added if name in table]
+    if twice:
+        raise MultiposError(
+            f"{table.source}: column '{twice[0]}' is there already; rename it, apply writes it."
+        )
+    return Record({**table.columns, **added})
+
+
+def read_predictors(regression: Regression, table: Table) -> dict[str, Array]:
+    """Return the columns that a prediction needs; rates from the time column as for the fit."""
+    columns = {}
+    terms = [term for segment in regression.segments for term in segment.terms]
+    for name in regression.needed:
+        window = None if name in table else regression.rates.get(name)
+        source, time = name.removesuffix("_rate"), regression.time
+        wanted = [name] if window is None or time is None else [source, time]
+        for each in wanted:
+            if each not in table:
+                raise MultiposError(
+                    f"{table.source}: no column '{each}', which this regression needs; "
+                    f"the columns are {', '.join(table.columns)}."
+                )
+        if window is None or time is None:
+            columns[name] = table.number(name, largest=largest_value(terms, name))
+        else:
+            at, values = (table.number(each, largest=LARGEST) for each in (time, source))
+            columns[name] = smoothed_rate(at, values, window=window)
+    return columns
+
+
+def range_column(
+    regression: Regression, table: Table, columns: Mapping[str, Array]
+) -> tuple[str, Array]:
+    """Return the variable to show errors against: that of the segments, else one that is there."""
+    for name in (regression.range_variable, *regression.needed):
+        if name in columns:
+            return name, columns[name]
+        if name in table:
+            return name, table.number(name)
+    return "row", np.arange(1.0, table.rows + 1.0)
+
+
+def _outside(
+    regression: Regression, columns: Mapping[str, Array], place: NDArray[np.intp]
+) -> tuple[NDArray[np.bool_], dict[str, Array]]:
+    """Return which rows leave what their segment was fitted to, and the columns clamped to it."""
+    beyond = np.zeros(len(place), dtype=bool)
+    clamped = {name: column.copy() for name, column in columns.items()}
+    for number, segment in enumerate(regression.segments):
+        rows = np.flatnonzero(place == number)
+        used = {f.variable for term in segment.terms for f in term.factors}
+        limits = {name: segment.limits[name] for name in used if name in segment.limits}
+        if regression.segment_variable is not None:  # the whole segment, also where no row fell
+            limits[regression.segment_variable] = segment.range
+        for name, (low, high) in limits.items():
+            values = columns[name][rows]
+            beyond[rows] |= (values < low) | (values > high)
+            clamped[name][rows] = np.clip(values, low, high)
+    return beyond, clamped

@@ -1,0 +1,341 @@
+"""Schemes assessed: what a set of positions tells about a model, and what it hides.
+
+With the information M per position of `multipos.designs.information`, of n positions,
+
+    log_det = ln det M,      u_j = σ sqrt([M⁻¹]_jj / n),                                    (1)
+
+σ the standard uncertainty of a reading. Efficiencies compare M with the best continuous design M*
+on the whole sphere (`multipos.designs.optimum`), per position, so that n does not count:
+
+    D   (det M / det M*)^(1/p),        A   tr M*⁻¹ / tr M⁻¹,        I   the same with B,
+    G   p / max_u p s(u),
+
+and a scheme that needs 1/efficiency times as many positions tells as much.
+
+What a scheme cannot see: a term that the model lacks has the column c at the positions, the model
+the columns Z. Its coefficient is added to the parameters by the factors a and shows in the
+residuals by the part r,
+
+    a = (Z'Z)⁻¹ Z'c,        r = ‖c − Z a‖ / ‖c‖;                                            (2)
+
+where r = 0 the data hide it wholly.
+
+Sources: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS, 2007
+(criteria, efficiencies, alias matrix).
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.designs.information import (
+    Blocks,
+    Setting,
+    inform,
+    log_det,
+    make_criterion,
+    make_setting,
+    objective,
+)
+from multipos.designs.optimum import Optimum, largest_sensitivity, optimise_sphere
+from multipos.estimation.known import FLOOR
+from multipos.files.lists import Names, split_names, spread
+from multipos.files.numbers import number, table
+from multipos.files.tables import Source
+from multipos.numerics.least_squares import name_combinations, separability
+from multipos.positions.scheme import Scheme, named_schemes, read_scheme
+from multipos.results import Record
+from multipos.sensor.model import COMPONENTS, Model, Term, build_model, default_axes
+
+Array = NDArray[np.float64]
+
+_UNSEEN = 1e-9  # share of a term in the residuals below which they hide it
+_HIGHER = "x^2 + y^2 + z^2 + x*y + x*z + y*z + own^3 + own*|own|"
+
+
+def schemes(
+    *sources: "Source | Scheme | Sequence[Source | Scheme]",
+    model: str = "linear",
+    axes: Names = COMPONENTS,
+    inputs: Names = COMPONENTS,
+    unknown_orientation: bool = False,
+    orientation_sd: float | None = None,
+    reading_sd: float = 1.0,
+) -> dict[str, Any]:
+    """Return what schemes can tell about a model: all named ones, best first, or those given.
+
+    Parameters
+    ----------
+    *sources : names, joined names, paths, columns or Scheme
+        One by one, or one list or tuple of them.
+    model : str
+        Name or formula.
+    axes, inputs : names
+        As in `multipos.fit`; outputs are named ax, ay, az after their axes.
+    unknown_orientation : bool
+        Only the norm of f is known, and the parameters are those of the lower gauge.
+    orientation_sd : float [degrees], optional
+        Standard deviation of the orientation per axis, against `reading_sd` in g.
+    reading_sd : float
+        Standard uncertainty of a reading, for the predicted u.
+
+    Returns
+    -------
+    dict
+        {"model", "orientation", "schemes": [{name, positions, identifiable, unidentifiable,
+        log_det, d_efficiency, a_efficiency, g_efficiency, i_efficiency, condition, u, dof,
+        aliases, hidden, up}]}; numbers are None where the model is not identifiable.
+    """
+    setting = read_setting(model, axes, inputs, unknown_orientation, orientation_sd, reading_sd)
+    assessor = Assessor(setting, reading_sd)
+    given: tuple[Source | Scheme, ...] = spread(sources)
+    found = [assessor.describe(read_scheme(source)) for source in given or named_schemes()]
+    if not given:
+        # of equally good ones, to what rounding leaves, the shortest first
+        found.sort(key=lambda e: (-round(e["d_efficiency"] or 0.0, 9), e["positions"]))
+    return Record(
+        {
+            "model": setting.model.text,
+            "orientation": orientation(setting),
+            "schemes": found,
+        }
+    )
+
+
+def read_setting(
+    model: str,
+    axes: Names,
+    inputs: Names,
+    unknown_orientation: bool,
+    orientation_sd: float | None,
+    reading_sd: float,
+) -> Setting:
+    """Return the setting of options as `schemes` takes them."""
+    names = default_axes((), axes)
+    seen = split_names(inputs, "--inputs")
+    # a second output on an axis is ax2
+    outputs = tuple(
+        f"a{axis}" + (str(count) if (count := names[: i + 1].count(axis)) > 1 else "")
+        for i, axis in enumerate(names)
+    )
+    return make_setting(
+        build_model(model, outputs, names, seen, known=()),
+        unknown_orientation=unknown_orientation,
+        orientation_sd=orientation_sd,
+        reading_sd=reading_sd,
+    )
+
+
+def orientation(setting: Setting) -> str:
+    """Return how the orientations of a setting are: known, uncertain or unknown."""
+    if setting.orientation_sd == 0.0:
+        return "known"
+    return "unknown" if math.isinf(setting.orientation_sd) else "uncertain"
+
+
+class Assessor:
+    """Describes schemes for one setting; the optima they are held to are found once."""
+
+    def __init__(self, setting: Setting, reading_sd: float = 1.0) -> None:
+        self.setting = setting
+        self.reading_sd = reading_sd
+        self._optima: dict[str, Optimum] = {}
+
+    def optimum(self, name: str) -> Optimum:
+        """Return the best that positions can do on the sphere, by criterion D, A or I."""
+        if name not in self._optima:
+            criterion = make_criterion(name, self.setting)
+            self._optima[name] = optimise_sphere(self.setting, criterion)
+        return self._optima[name]
+
+    def separate(self, up: Array) -> tuple[list[str], float]:
+        """Return what positions cannot separate, in words, and the condition where they can."""
+        model = self.setting.model
+        if math.isinf(self.setting.orientation_sd):
+            designs = [(model.names, self.setting.rows(up)[0][:, 0, :])]
+        else:
+            # a finite orientation sd weighs the rows, but takes none away
+            known = Setting(model).rows(up)
+            designs = [
+                (model.names[part], Z[:, 0, :]) for part, Z in zip(model.slices, known, strict=True)
+            ]
+        found = [(names, separability(Z, floor=FLOOR)) for names, Z in designs]
+        problems: list[str] = []
+        for names, one in found:
+            problems += name_combinations(one.null, names)
+        return problems, max(one.condition for _, one in found)
+
+    def describe(self, scheme: Scheme) -> dict[str, Any]:
+        """Return the entry of `schemes` for one scheme."""
+        n, model = len(scheme), self.setting.model
+        unidentifiable, condition = self.separate(scheme.up)
+        entry: dict[str, Any] = {
+            "name": scheme.name,
+            "positions": n,
+            "up": dict(
+                zip(scheme.labels or map(str, range(1, n + 1)), scheme.up.tolist(), strict=True)
+            ),
+            "identifiable": not unidentifiable,
+            "unidentifiable": unidentifiable,
+            "rank": len(model.keys) - len(unidentifiable),
+            "parameters": len(model.keys),
+            "dof": _dof(self.setting, n),
+        }
+        if unidentifiable:
+            keys = ("log_det", "d_efficiency", "a_efficiency", "g_efficiency", "i_efficiency")
+            return entry | dict.fromkeys((*keys, "condition", "u", "aliases", "hidden"))
+        information = inform(self.setting.rows(scheme.up))
+        inverse = np.concatenate([np.diag(np.linalg.inv(M)) for M in information])
+        u = self.reading_sd * np.sqrt(inverse / n)
+        found = aliases(self.setting, scheme.up)
+        return entry | {
+            "log_det": log_det(information),
+            "d_efficiency": self._efficiency(information, "D"),
+            "a_efficiency": self._efficiency(information, "A"),
+            "g_efficiency": min(1.0, 1.0 / largest_sensitivity(self.setting, information)),
+            "i_efficiency": self._efficiency(information, "I"),
+            "condition": condition,
+            "u": {
+                f"{output}:{term}": value
+                for (output, term), value in zip(model.keys, u.tolist(), strict=True)
+            },
+            "aliases": found,
+            "hidden": [_hidden(alias) for alias in found if alias["seen"] < _UNSEEN],
+        }
+
+    def _efficiency(self, information: Blocks, name: str) -> float:
+        value = objective(information, make_criterion(name, self.setting))
+        # the optimum is known to its gap only
+        return min(1.0, math.exp(value - self.optimum(name).value))
+
+
+def schemes_text(found: dict[str, Any]) -> str:
+    """Return `schemes` as text: one table, and of a single scheme its u and what it hides."""
+    note = (
+        f"orientations {found['orientation']}; D, A, G and I are efficiencies per position, "
+        "against the best on the sphere"
+    )
+    parts = [f"model {found['model']}", table(*scheme_rows(found["schemes"])), note]
+    if len(found["schemes"]) == 1:
+        (entry,) = found["schemes"]
+        up = [[label, *(f"{value:.6g}" for value in row)] for label, row in entry["up"].items()]
+        parts += [table(["position", "up x", "up y", "up z"], up), *scheme_details(entry)]
+    return "\n\n".join(parts) + "\n"
+
+
+def scheme_rows(entries: Sequence[dict[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of the table of schemes."""
+    header = [
+        "scheme", "positions", "identifiable", "D", "A", "G", "I", "log det", "condition",
+        "largest u", "dof left",
+    ]  # fmt: skip
+    rows = []
+    for entry in entries:
+        shares = [entry[f"{letter}_efficiency"] for letter in "dagi"]
+        rows.append(
+            [
+                entry["name"],
+                str(entry["positions"]),
+                "yes" if entry["identifiable"] else "no",
+                *("-" if share is None else f"{share:.3f}" for share in shares),
+                number(entry["log_det"], 6),
+                number(entry["condition"], 3),
+                number(max(entry["u"].values()) if entry["u"] else None, 3),
+                str(min(entry["dof"].values())),
+            ]
+        )
+    return header, rows
+
+
+def scheme_details(entry: dict[str, Any]) -> list[str]:
+    """Return the parts of a scheme's text below the tables: u, higher terms, what is hidden."""
+    if not entry["identifiable"]:
+        return ["cannot be separated:", *entry["unidentifiable"]]
+    u = [[*key.split(":", 1), number(value)] for key, value in entry["u"].items()]
+    seen = [
+        [
+            alias["output"],
+            alias["term"],
+            "hidden" if alias["seen"] < _UNSEEN else f"{alias['seen']:.2f}",
+            _sum(alias["into"], least=1e-3) or "-",
+        ]
+        for alias in entry["aliases"]
+    ]
+    parts = [table(["output", "term", "u"], u, left=2)]
+    if seen:
+        parts += [
+            "terms the model lacks: the share that shows in the residuals, and what 1 of it adds",
+            table(["output", "term", "seen", "adds"], seen, left=4),
+        ]
+    return parts
+
+
+def aliases(setting: Setting, up: Array) -> list[dict[str, Any]]:
+    """Return what higher terms would do to the parameters, eq. (2).
+
+    Returns
+    -------
+    list of dict
+        {output, term, seen: the part that shows in the residuals (0 … 1), into: {parameter name:
+        amount per unit of the term}}, for squares, products, the own cube and own·|own|.
+    """
+    model = setting.model
+    higher = build_model(_HIGHER, model.outputs, model.axes)
+    variables = {axis: setting.size * up[:, i] for i, axis in enumerate(COMPONENTS)}
+    rows = setting.rows(up)
+    factors = [np.linalg.pinv(Z.reshape(-1, Z.shape[2])) for Z in rows]
+    found = []
+    for i, (output, own) in enumerate(zip(model.outputs, model.terms, strict=True)):
+        block = i if len(rows) > 1 else 0
+        Z = rows[block].reshape(-1, rows[block].shape[2])
+        names = model.names[setting.blocks[block]]
+        for term in higher.terms[i]:
+            if term in own or not _sensed(term, model):
+                continue
+            X = np.zeros((len(up), len(model.outputs), 1))
+            X[:, i, 0] = term.evaluate(variables)
+            column = X[:, i] if len(rows) > 1 else setting.whiten(up, X).reshape(len(Z), 1)
+            a = factors[block] @ column
+            size = float(np.linalg.norm(column))
+            seen = float(np.linalg.norm(column - Z @ a)) / size if size > FLOOR else 0.0
+            found.append(
+                {
+                    "output": output,
+                    "term": str(term),
+                    "seen": seen if seen >= _UNSEEN else 0.0,
+                    "into": {
+                        name: value
+                        for name, value in zip(names, a[:, 0].tolist(), strict=True)
+                        if abs(value) > _UNSEEN
+                    },
+                }
+            )
+    return found
+
+
+def _sensed(term: Term, model: Model) -> bool:
+    return bool(term.factors) and all(f.variable in model.inputs for f in term.factors)
+
+
+def _hidden(alias: dict[str, Any]) -> str:
+    name = f"{alias['term']} of {alias['output']}"
+    if not alias["into"]:
+        return f"`{name}` has no effect at these positions"
+    return f"`{name}` passes for `{_sum(alias['into'])}`"
+
+
+def _sum(amounts: dict[str, float], least: float = 0.0) -> str:
+    return " ".join(f"{value:+.3g} {name}" for name, value in amounts.items() if abs(value) > least)
+
+
+def _dof(setting: Setting, count: int) -> dict[str, int]:
+    """Return the degrees of freedom left for checking the model."""
+    model = setting.model
+    if math.isinf(setting.orientation_sd):
+        return {"all": count - len(model.keys)}
+    return {
+        output: count - len(terms) for output, terms in zip(model.outputs, model.terms, strict=True)
+    }

@@ -1,0 +1,296 @@
+"""Schemes made: the best positions for a model on a bench, with the proof.
+
+The continuous optimum (`multipos.designs.optimum`) says what N positions could tell at most, its
+certificate how sure that is; exchange and polish (`multipos.designs.exchange`) find N positions that come
+near. The efficiency of a design is per position, against the optimum on the whole sphere: on a
+bench with few positions it also says what the bench costs.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.designs.assessment import Assessor, orientation, read_setting, scheme_details
+from multipos.designs.exchange import choose, polish, polish_largest
+from multipos.designs.information import (
+    Criterion,
+    Setting,
+    inform,
+    kernels,
+    log_det,
+    make_criterion,
+    sensitivity,
+)
+from multipos.designs.optimum import (
+    Optimum,
+    largest_sensitivity,
+    optimise_candidates,
+    optimise_sphere,
+)
+from multipos.designs.travel import order_positions, travel_deg
+from multipos.errors import MultiposError, RankError, UsageError
+from multipos.files.lists import Names
+from multipos.files.numbers import table
+from multipos.files.tables import Source, format_csv
+from multipos.positions.benches import read_bench
+from multipos.positions.scheme import Scheme, read_scheme
+from multipos.results import Record
+from multipos.sensor.model import COMPONENTS
+
+Array = NDArray[np.float64]
+
+_STARTS = 24  # of the exchange
+_POLISHED = 4  # of the best starts
+_MANY = 1500  # candidates that the exchange takes; of more, those that matter
+
+
+def design(
+    model: str = "linear",
+    positions: int = 6,
+    *,
+    criterion: str = "D",
+    axes: Names = COMPONENTS,
+    inputs: Names = COMPONENTS,
+    candidates: "Source | Scheme | None" = None,
+    include: "Source | Scheme | None" = None,
+    region: "Source | Scheme | None" = None,
+    unknown_orientation: bool = False,
+    orientation_sd: float | None = None,
+    reading_sd: float = 1.0,
+    move_time: tuple[float, float] | None = None,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Return the best positions for a model, and how far they are from the best possible.
+
+    Parameters
+    ----------
+    model : str
+        Name or formula.
+    positions : int
+        How many, the included ones counted.
+    criterion : str
+        'D' (all parameters together), 'A' (mean variance), 'G' (largest variance of the
+        prediction), 'I' (mean variance of the compensated force over the sphere or `region`), or
+        'u:OUTPUT:TERM' (one parameter).
+    candidates : bench, scheme, path or columns, optional
+        What can be reached (`multipos.positions.benches`); any direction where not given.
+    include : scheme, path or columns, optional
+        Positions already measured, which stay: the others are the next best ones.
+    region : as `candidates`, optional
+        Directions over which I averages.
+    move_time : (s, s/degree), optional
+        Time that a position takes, and that turning towards it takes per degree.
+    seed : int
+        Of the random starts.
+    axes, inputs, unknown_orientation, orientation_sd, reading_sd
+        As in `schemes`.
+
+    Returns
+    -------
+    dict
+        {"model", "criterion", "positions" (included ones first, the others in an order that is
+        short to travel), "included", "log_det", "optimum_log_det" (of the D-optimum on the
+        sphere), "efficiency", "certificate": {max_variance, parameters, gap, over}, "optimum":
+        {positions, weights}, "bench_efficiency" (against the best on the candidates, None for
+        G), "travel_deg", "time_s", "scheme" (as in `schemes`)}.
+
+    Raises
+    ------
+    UsageError
+        Too few positions, an unknown criterion or bench, options that contradict each other.
+    RankError
+        The candidates cannot separate the parameters, which are named.
+    """
+    setting = read_setting(model, axes, inputs, unknown_orientation, orientation_sd, reading_sd)
+    wanted = make_criterion(criterion, setting, None if region is None else read_bench(region))
+    if region is not None and criterion != "I":
+        raise UsageError(f"--region is what criterion I averages over; got criterion {criterion}.")
+    given = np.empty((0, 3)) if include is None else read_scheme(include).up
+    _check_count(setting, positions, len(given))
+    bench = None if candidates is None else read_bench(candidates)
+    assessor = Assessor(setting, reading_sd)
+    _check_candidates(assessor, bench, given)
+    sphere = optimise_sphere(setting, wanted)
+    best = sphere if bench is None else optimise_candidates(setting.rows(bench), wanted)
+    rng = np.random.default_rng(seed)
+    value, up = _search(setting, wanted, positions - len(given), bench, given, best, rng)
+    if value == -math.inf:
+        raise MultiposError(
+            f"no {positions} positions were found that separate the parameters; "
+            "give more --positions or more candidates."
+        )
+    up = np.concatenate([given, order_positions(up, given[-1:])])
+    described = assessor.describe(Scheme("design", up, np.full((len(up), 3, 3), np.nan), None))
+    p = len(setting.model.keys)
+    # the value of G is −ln of the largest s over the sphere, which is 1 at the optimum
+    at_best = 0.0 if criterion == "G" else sphere.value
+    on_bench = None if criterion == "G" else min(1.0, math.exp(value - best.value))
+    turned = travel_deg(up)
+    return Record(
+        {
+            "model": setting.model.text,
+            "orientation": orientation(setting),
+            "criterion": criterion,
+            "positions": up,
+            "included": len(given),
+            "log_det": described["log_det"],
+            "optimum_log_det": assessor.optimum("D").log_det,
+            "efficiency": min(1.0, math.exp(value - at_best)),
+            **_proof(best, p, bench),
+            "bench_efficiency": on_bench,
+            "travel_deg": turned,
+            "time_s": None if move_time is None else move_time[0] * len(up) + move_time[1] * turned,
+            "scheme": described,
+        }
+    )
+
+
+def _proof(best: Optimum, p: int, bench: Array | None) -> dict[str, Any]:
+    return {
+        "certificate": {
+            "max_variance": p * (1.0 + best.gap),
+            "parameters": p,
+            "gap": best.gap,
+            "over": "sphere" if bench is None else "candidates",
+        },
+        "optimum": {
+            "positions": best.up if bench is None else bench[best.chosen],
+            "weights": best.weights,
+        },
+    }
+
+
+def design_text(found: dict[str, Any]) -> str:
+    """Return `design` as text: the positions, what they tell, and the certificate."""
+    certificate, name = found["certificate"], found["criterion"]
+    rows = [
+        [str(i + 1), *(f"{value:.6f}" for value in up), "given" if i < found["included"] else ""]
+        for i, up in enumerate(np.asarray(found["positions"]).tolist())
+    ]
+    if not found["included"]:
+        rows = [row[:-1] for row in rows]
+    header = ["position", "up x", "up y", "up z", ""][: len(rows[0])]
+    bench = certificate["over"] == "candidates"
+    reach = "these candidates" if bench else "the whole sphere"
+    time = "" if found["time_s"] is None else f"{found['time_s']:.0f} s"
+    proof = (
+        f"largest variance {certificate['max_variance']:.8g} of the best on {reach} "
+        f"for {certificate['parameters']} parameters, less 1"
+    )
+    summary = [
+        ["efficiency", f"{found['efficiency']:.6f}", "against the best on the whole sphere"],
+        ["log det", f"{found['log_det']:.6f}", f"at most {found['optimum_log_det']:.6f}"],
+        ["certificate", f"{certificate['gap']:.1e}", proof],
+        ["travel", f"{found['travel_deg']:.0f}°", time],
+    ]
+    if bench and found["bench_efficiency"] is not None:
+        share = f"{found['bench_efficiency']:.6f}"
+        summary.insert(1, ["", share, "against the best on these candidates"])
+    width = max(len(row[1]) for row in summary)
+    lines = [f"{a:<11}  {b:>{width}}  {c}".rstrip() for a, b, c in summary]
+    heading = (
+        f"model {found['model']}, orientations {found['orientation']}, "
+        f"criterion {name}, {len(rows)} positions"
+    )
+    parts = [heading, table(header, rows), "\n".join(lines), *scheme_details(found["scheme"])]
+    return "\n\n".join(parts) + "\n"
+
+
+def design_csv(found: dict[str, Any]) -> str:
+    """Return the positions of a design as a scheme file."""
+    up = np.asarray(found["positions"])
+    labels = [str(i + 1) for i in range(len(up))]
+    columns = {f"up_{axis}": up[:, i] for i, axis in enumerate(COMPONENTS)}
+    return format_csv({"position": labels, **columns})
+
+
+def _check_count(setting: Setting, positions: int, included: int) -> None:
+    if positions < setting.least:
+        what = "in all" if math.isinf(setting.orientation_sd) else "per output"
+        raise UsageError(
+            f"--positions {positions} is too few: the model has {setting.least} parameters {what}, "
+            f"so at least {setting.least} positions are needed."
+        )
+    if positions <= included:
+        raise UsageError(
+            f"--positions {positions} counts the {included} included positions; "
+            f"give more than {included}."
+        )
+
+
+def _check_candidates(assessor: Assessor, bench: Array | None, given: Array) -> None:
+    everything = read_bench("sphere") if bench is None else np.concatenate([bench, given])
+    problems, _ = assessor.separate(everything)
+    if not problems:
+        return
+    who, way_out = "the candidates cannot", "drop terms, or add candidates that differ more"
+    if bench is None:
+        who, way_out = "no static positions can", "drop terms from the model"
+    total = len(assessor.setting.model.keys)
+    raise RankError(
+        f"{who} separate the parameters: {'; '.join(problems)}; {way_out}.",
+        rank=total - len(problems), parameters=total, combinations=problems,
+    )  # fmt: skip
+
+
+def _search(
+    setting: Setting,
+    criterion: Criterion,
+    count: int,
+    bench: Array | None,
+    given: Array,
+    best: Optimum,
+    rng: np.random.Generator,
+) -> tuple[float, Array]:
+    """Return the criterion and the best `count` positions beside those given."""
+    if bench is None:
+        few = np.concatenate([read_bench("all-26+icosahedron-12+fibonacci-200"), best.up[:60]])
+    else:
+        few = bench if len(bench) <= _MANY else _promising(setting, criterion, bench, best)
+    # G has no exchange of its own: its candidates are the best for D and for the mean variance
+    stand_in = criterion if criterion.name != "G" else Criterion("D")
+    rows, fixed = setting.rows(few), setting.rows(given)
+    starts = _STARTS if rows[0].shape[1] == 1 else _STARTS // 3
+    found = choose(rows, count, stand_in, included=fixed, starts=starts, rng=rng)
+    if criterion.name == "G":
+        found += choose(
+            rows, count, make_criterion("I", setting), included=fixed, starts=starts, rng=rng
+        )
+        return _search_largest(setting, [few[c] for _, c in found], bench, given)
+    if bench is not None:
+        value, choice = found[0]
+        return value, few[choice]
+    polished = [
+        polish(setting, few[choice], criterion, given)
+        for value, choice in found[:_POLISHED]
+        if value > -math.inf
+    ]
+    return max(polished, key=lambda result: result[0], default=(-math.inf, given))
+
+
+def _search_largest(
+    setting: Setting, choices: list[Array], bench: Array | None, given: Array
+) -> tuple[float, Array]:
+    """Return −ln max s and the positions, of choices polished where they may move: criterion G."""
+
+    def judged(up: Array) -> tuple[float, Array]:
+        information = inform(setting.rows(np.concatenate([up, given])))
+        if log_det(information) == -math.inf:
+            return -math.inf, up
+        return -math.log(largest_sensitivity(setting, information)), up
+
+    ranked = sorted((judged(up) for up in choices), key=lambda result: -result[0])
+    if bench is None:
+        seen = read_bench("all-26+fibonacci-400")
+        moved = [polish_largest(setting, up, given, seen)[1] for _, up in ranked[:2]]
+        ranked += [judged(up) for up in moved]
+    return max(ranked, key=lambda result: result[0])
+
+
+def _promising(setting: Setting, criterion: Criterion, bench: Array, best: Optimum) -> Array:
+    """Return the candidates that exact designs are made of: where s of the optimum is high."""
+    information = inform(setting.rows(bench[best.chosen]), best.weights)
+    s = sensitivity(setting.rows(bench), kernels(information, criterion))
+    return np.asarray(bench[np.sort(np.argsort(-s)[:_MANY])])

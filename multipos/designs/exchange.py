@@ -1,0 +1,360 @@
+"""The best N positions: exchange of candidates, restarts, polish, or every choice there is.
+
+N positions with rows Z_k have the information M = Z'Z/N. Replacing position i by candidate j
+changes the criteria of `multipos.designs.information` by a matrix of 2K rows only: with W = [Z_j; Z_i],
+C = diag(1, −1) and S = C + W (N M)⁻¹ W',
+
+    ln det M' − ln det M = ln |det S|,
+    tr(M'⁻¹ B) − tr(M⁻¹ B) = −tr(S⁻¹ W (N M)⁻¹ B M⁻¹ W'),                                    (1)
+
+so that all candidates are tried for a position at once. Each position in turn takes its best
+replacement until none improves (Fedorov's exchange, in the manner of Cook and Nachtsheim);
+random starts guard against local optima. Where there are few choices all are tried. On the sphere
+the positions of the best starts then move freely (BFGS along the gradient (3) of
+`multipos.designs.information`), because a list of directions hardly holds the best ones.
+
+Sources: V. V. Fedorov, Theory of Optimal Experiments, 1972; R. D. Cook, C. J. Nachtsheim,
+Technometrics 22, 1980.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations_with_replacement, islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.designs.information import (
+    Blocks,
+    Criterion,
+    Setting,
+    inform,
+    kernels,
+    multiply,
+    objective,
+    sensitivity,
+    tangents,
+    unit,
+)
+
+Array = NDArray[np.float64]
+Choice = NDArray[np.intp]
+
+_ALL = 20_000  # choices that are tried one and all
+_BETTER = 1e-10  # gain below which an exchange is rounding
+_SWEEPS = 100
+_H = 1e-5  # [rad], of central differences
+_STEPS = 300  # of the polish
+_REACH = 0.3  # [rad], of a step at most
+_RIDGE = 1e-3  # part of the candidates' mean information that makes a random start regular
+
+
+def choose(
+    rows: Blocks,
+    count: int,
+    criterion: Criterion,
+    *,
+    included: Blocks | None = None,
+    starts: int = 20,
+    rng: np.random.Generator,
+) -> list[tuple[float, Choice]]:
+    """Return choices of `count` candidates, best first, with their criteria.
+
+    A candidate may be taken more than once: the position is placed again.
+
+    Parameters
+    ----------
+    rows : tuple of (n, K, p_b) arrays
+        The candidates.
+    count : int
+        Positions to choose.
+    criterion : Criterion
+        D, or one with a weight B.
+    included : tuple of (m, K, p_b) arrays, optional
+        Positions that stay.
+    starts : int
+        Random starts of the exchange.
+    rng : Generator
+
+    Returns
+    -------
+    list of (criterion, (count,) array of int)
+        −inf where the chosen positions cannot separate the parameters.
+    """
+    n = len(rows[0])
+    fixed = tuple(Z[:0] for Z in rows) if included is None else included
+    if math.comb(n + count - 1, count) <= _ALL:
+        return _try_all(rows, count, criterion, fixed)
+    found: dict[tuple[int, ...], float] = {}
+    for _ in range(starts):
+        choice = rng.integers(n, size=count)
+        for ridge in (_RIDGE, 0.0):
+            choice = exchange(rows, choice, criterion, fixed, ridge)
+        choice.sort()
+        found[tuple(choice.tolist())] = objective(_information(rows, choice, fixed), criterion)
+    ranked = sorted(found.items(), key=lambda item: -item[1])
+    return [(value, np.array(choice, dtype=np.intp)) for choice, value in ranked]
+
+
+def exchange(
+    rows: Blocks, choice: Choice, criterion: Criterion, fixed: Blocks, ridge: float = 0.0
+) -> Choice:
+    """Return a choice that no replacement of one position improves, eq. (1).
+
+    `ridge` adds this part of the mean information of all candidates, for singular starts.
+    """
+    choice = choice.copy()
+    total = len(choice) + len(fixed[0])
+    staying = tuple(
+        total * ridge * M + np.einsum("nkp,nkq->pq", Z, Z)
+        for M, Z in zip(inform(rows), fixed, strict=True)
+    )
+    state = _State(rows, criterion, staying)
+    if not state.take(choice):
+        return choice
+    for _ in range(_SWEEPS):
+        moved = False
+        for i in range(len(choice)):
+            gains = state.gains(int(choice[i]))
+            best = int(gains.argmax())
+            if gains[best] > _BETTER:
+                choice[i] = best
+                state.take(choice)
+                moved = True
+        if not moved:
+            break
+    return choice
+
+
+class _State:
+    """What the gains of eq. (1) need of the present choice."""
+
+    def __init__(self, rows: Blocks, criterion: Criterion, staying: Blocks) -> None:
+        self.rows, self.criterion, self.staying = rows, criterion, staying
+        self.sound = False
+
+    def take(self, choice: Choice) -> bool:
+        """Take another choice; tell whether it separates the parameters."""
+        taken = [Z[choice].reshape(-1, Z.shape[2]) for Z in self.rows]
+        information = tuple(M + T.T @ T for M, T in zip(self.staying, taken, strict=True))
+        # an exchange only adds information: what is regular stays so
+        self.sound = self.sound or objective(information, self.criterion) > -math.inf
+        if not self.sound:
+            return False
+        inverse = [np.asarray(np.linalg.inv(M), dtype=np.float64) for M in information]
+        self.own, self.left = _forms(self.rows, inverse)
+        if self.criterion.weight is not None:
+            products = [C @ B for C, B in zip(inverse, self.criterion.weight, strict=True)]
+            self.trace = float(sum(np.trace(product) for product in products))
+            middle = [P @ C for P, C in zip(products, inverse, strict=True)]
+            self.own_b, self.left_b = _forms(self.rows, middle)
+        return True
+
+    def gains(self, leaving: int) -> Array:
+        """Return the gain of the criterion, up to a constant factor, for every candidate (n,)."""
+        determinants = np.ones(len(self.rows[0]))
+        falls = np.zeros(len(self.rows[0]))
+        for b, Z in enumerate(self.rows):
+            S = _bordered(self.own[b], self.left[b], Z[leaving], leaving)
+            S.join_signs()
+            determinant = S.determinant()
+            determinants *= determinant
+            if self.criterion.weight is not None:
+                T = _bordered(self.own_b[b], self.left_b[b], Z[leaving], leaving)
+                falls += S.trace_solved(T, determinant)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self.criterion.weight is None:
+                return np.asarray(np.log(np.abs(determinants)))
+            # what the trace becomes is 0 or less only by rounding of a singular choice
+            left = np.where(self.trace - falls > 0.0, self.trace - falls, np.inf)
+            return np.asarray(math.log(self.trace) - np.log(left))
+
+
+def _forms(rows: Blocks, middle: list[Array]) -> tuple[list[Array], list[Array]]:
+    """Return Z_j C Z_j' (n, K, K) and Z_j C (n, K, p) of each block."""
+    left = [multiply(Z.reshape(-1, Z.shape[2]), C).reshape(Z.shape) for Z, C in
+            zip(rows, middle, strict=True)]  # fmt: skip
+    own = [np.einsum("nkp,nlp->nkl", A, Z) for A, Z in zip(left, rows, strict=True)]
+    return own, left
+
+
+@dataclass
+class _Bordered:
+    """[[own_j, cross_j], [cross_j', last]] for each candidate j; plain numbers where K = 1."""
+
+    own: Array
+    cross: Array
+    last: Array
+
+    def join_signs(self) -> None:
+        """Add C = diag(1, −1)."""
+        one = np.eye(self.own.shape[1])
+        self.own, self.last = self.own + one, self.last - one
+
+    def determinant(self) -> Array:
+        if self.own.shape[1] == 1:
+            return np.asarray(self.own[:, 0, 0] * self.last[0, 0] - self.cross[:, 0, 0] ** 2)
+        return np.asarray(np.linalg.det(self.matrices()))
+
+    def trace_solved(self, other: "_Bordered", determinant: Array) -> Array:
+        """Return tr(S⁻¹ T), −inf where S is singular: that replacement loses a parameter."""
+        sound = np.abs(determinant) > 1e-12
+        if self.own.shape[1] == 1:
+            top = (
+                self.last[0, 0] * other.own[:, 0, 0]
+                + self.own[:, 0, 0] * other.last[0, 0]
+                - 2.0 * self.cross[:, 0, 0] * other.cross[:, 0, 0]
+            )
+            return np.where(sound, top / np.where(sound, determinant, 1.0), -np.inf)
+        result = np.full(len(sound), -np.inf)
+        S, T = self.matrices()[sound], other.matrices()[sound]
+        result[sound] = np.trace(np.linalg.solve(S, T), axis1=1, axis2=2)
+        return result
+
+    def matrices(self) -> Array:
+        n, k, _ = self.own.shape
+        S = np.empty((n, 2 * k, 2 * k))
+        S[:, :k, :k], S[:, :k, k:] = self.own, self.cross
+        S[:, k:, :k], S[:, k:, k:] = self.cross.transpose(0, 2, 1), self.last
+        return S
+
+
+def _bordered(own: Array, left: Array, leaving_rows: Array, leaving: int) -> _Bordered:
+    n, k, p = left.shape
+    cross = (left.reshape(n * k, p) @ leaving_rows.T).reshape(n, k, k)
+    return _Bordered(own, cross, own[leaving])
+
+
+def _try_all(
+    rows: Blocks, count: int, criterion: Criterion, fixed: Blocks
+) -> list[tuple[float, Choice]]:
+    n = len(rows[0])
+    total = count + len(fixed[0])
+    single = [Z.transpose(0, 2, 1) @ Z / total for Z in rows]
+    base = [np.einsum("nkp,nkq->pq", Z, Z) / total for Z in fixed]
+    best: tuple[float, Choice] = (-math.inf, np.zeros(count, dtype=np.intp))
+    every = combinations_with_replacement(range(n), count)
+    while part := list(islice(every, 2000)):
+        choices = np.array(part, dtype=np.intp)
+        matrices = [S[choices].sum(axis=1) + M for S, M in zip(single, base, strict=True)]
+        for row in np.argsort(-_roughly(matrices, criterion))[:3]:
+            value = objective(tuple(M[row] for M in matrices), criterion)
+            if value > best[0] + 1e-12:
+                best = value, choices[row]
+    return [best]
+
+
+def _roughly(matrices: list[Array], criterion: Criterion) -> Array:
+    """Return the criterion of many informations at once; singular ones come last."""
+    value = np.zeros(len(matrices[0]))
+    for b, M in enumerate(matrices):
+        sign, size = np.linalg.slogdet(M)
+        sound = (sign > 0.0) & (size > -60.0 * M.shape[1])
+        if criterion.weight is None:
+            value += np.where(sound, size, -np.inf)
+        else:
+            safe = np.where(sound[:, None, None], M, np.eye(M.shape[1]))
+            trace = np.trace(np.linalg.solve(safe, criterion.weight[b][None]), axis1=1, axis2=2)
+            value -= np.where(sound & (trace > 0.0), trace, np.inf)  # rounding may make it negative
+    return value
+
+
+def polish(
+    setting: Setting, up: Array, criterion: Criterion, included: Array
+) -> tuple[float, Array]:
+    """Return the criterion and positions (n, 3) after they have moved freely on the sphere."""
+    fixed, frame = setting.rows(included), tangents(up)
+    corners = _H * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+
+    def fall(x: Array) -> tuple[float, Array]:
+        information = _joined(setting.rows(_moved(up, frame, x)), fixed)
+        value = objective(information, criterion)
+        if value == -math.inf:
+            return math.inf, np.zeros_like(x)
+        around = x.reshape(-1, 1, 2) + corners
+        near = unit((up[:, np.newaxis] + np.einsum("nij,nkj->nki", frame, around)).reshape(-1, 3))
+        s = sensitivity(setting.rows(near), kernels(information, criterion)).reshape(-1, 4)
+        slope = np.stack([s[:, 0] - s[:, 1], s[:, 2] - s[:, 3]], axis=1) / (2.0 * _H)
+        return -value, -slope.ravel() / (len(up) + len(included))
+
+    start = np.zeros(2 * len(up))
+    before = -fall(start)[0]
+    x, value = _descend(fall, start, _STEPS)
+    # an equal choice from the list has rounder numbers
+    return (-value, _tidy(_moved(up, frame, x))) if -value > before + 1e-9 else (before, up)
+
+
+def polish_largest(
+    setting: Setting, up: Array, included: Array, directions: Array
+) -> tuple[float, Array]:
+    """Return −ln of the largest p s(u) and positions, moved to make it small: criterion G.
+
+    The maximum is smoothed, (mean of s^q)^(1/q) over the directions, and sharpened by steps.
+    """
+    fixed, frame = setting.rows(included), tangents(up)
+    seen = setting.rows(directions)
+    criterion = Criterion("G")
+
+    def smooth(x: Array, power: float) -> float:
+        information = _joined(setting.rows(_moved(up, frame, x)), fixed)
+        if objective(information, criterion) == -math.inf:
+            return math.inf
+        s = sensitivity(seen, kernels(information, criterion))
+        return float(np.log(s.max()) + np.log(np.mean((s / s.max()) ** power)) / power)
+
+    def fall(x: Array, power: float) -> tuple[float, Array]:
+        steps = _H * np.eye(len(x))
+        slope = [smooth(x + step, power) - smooth(x - step, power) for step in steps]
+        return smooth(x, power), np.array(slope) / (2.0 * _H)
+
+    x = np.zeros(2 * len(up))
+    for power in (20.0, 100.0):
+        x, _ = _descend(partial(fall, power=power), x, _STEPS // 10)
+    return -smooth(x, 1e4), _tidy(_moved(up, frame, x))
+
+
+def _descend(
+    function: Callable[[Array], tuple[float, Array]], x: Array, steps: int
+) -> tuple[Array, float]:
+    """Return where a function of value and gradient is least nearby, and its value: BFGS."""
+    value, gradient = function(x)
+    H = np.eye(len(x))
+    for _ in range(steps):
+        direction = -H @ gradient
+        if not gradient @ direction < 0.0:
+            H, direction = np.eye(len(x)), -gradient
+        length = min(1.0, _REACH / max(float(np.abs(direction).max()), 1e-300))
+        while True:
+            s = length * direction
+            lower, slope = function(x + s)
+            if lower <= value + 1e-4 * float(gradient @ s):
+                break
+            length *= 0.3
+            if length < 1e-8:
+                return x, value
+        y, gained = slope - gradient, value - lower
+        x, value, gradient = x + s, lower, slope
+        if gained <= 1e-13:
+            break
+        if (curvature := float(y @ s)) > 1e-14:
+            V = np.eye(len(x)) - np.outer(s, y) / curvature
+            H = V @ H @ V.T + np.outer(s, s) / curvature
+    return x, value
+
+
+def _moved(up: Array, frame: Array, x: Array) -> Array:
+    return unit(up + np.einsum("nij,nj->ni", frame, x.reshape(-1, 2)))
+
+
+def _joined(rows: Blocks, fixed: Blocks) -> Blocks:
+    return inform(tuple(np.concatenate(pair) for pair in zip(rows, fixed, strict=True)))
+
+
+def _information(rows: Blocks, choice: Choice, fixed: Blocks) -> Blocks:
+    return _joined(tuple(Z[choice] for Z in rows), fixed)
+
+
+def _tidy(up: Array) -> Array:
+    return unit(np.where(np.abs(up) < 1e-6, 0.0, up)) + 0.0

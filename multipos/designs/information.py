@@ -1,0 +1,352 @@
+"""The information that positions hold about a model, and the criteria that weigh it.
+
+At a position that points up along u the M outputs are y = Θ φ(f) + ε, with f = u turned by a small
+rotation δ ~ N(0, s² I), J = dy/df and ε of standard uncertainty σ_i. Eliminating δ leaves
+
+    I(u) = X(u)' V(u)⁻¹ X(u),      V = diag(σ²) + s² J (1 − u u') J',                        (1)
+
+the information of one position about the p parameters, X (M, p) the rows of the model. With known
+orientations, s = 0, the outputs are independent blocks; with s finite they are one block; with
+unknown ones, s → ∞, three outputs leave a single row, n'X with n normal to the two columns of J
+that a rotation reaches: at a nominal sensor n = u and the row is that of the norm |f|. What is
+designed is the information per position, M = Σ w_k I(u_k), Σ w_k = 1, by one of
+
+    D   (ln det M)/p,
+    L   −ln tr(M⁻¹ B),      B = 1 (A), the mean of X'X over directions (I), e_j e_j' (u_j),   (2)
+
+both to be made large. With the gradient s(u) of (2) towards a position at u,
+
+    s(u) = tr(G I(u)),      G = M⁻¹/p  or  M⁻¹ B M⁻¹ / tr(M⁻¹ B),      Σ w_k s(u_k) = 1,      (3)
+
+M is optimal exactly where s(u) ≤ 1 everywhere, and else short of the optimum by max s − 1 at
+most. p s(u) is the variance of the prediction at u in case D.
+
+Everything takes and gives tuples with one entry per block: rows (n, K, p_b), matrices (p_b, p_b).
+
+Sources: J. Kiefer, J. Wolfowitz, Canad. J. Math. 12, 1960 (the equivalence of D and G);
+V. V. Fedorov, Theory of Optimal Experiments, 1972 (several outputs, linear criteria).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import UsageError
+from multipos.files.tables import LARGEST, SMALLEST
+from multipos.sensor.inverse import parameter_jacobian
+from multipos.sensor.model import COMPONENTS, Model, Term
+
+Array = NDArray[np.float64]
+Blocks = tuple[Array, ...]
+
+# A scheme that serves one parameter alone would leave others unknown: they count this much.
+_OTHERS = 1e-4
+# Standard uncertainties of a reading in that of an orientation from which no digit is left of it.
+_AS_UNKNOWN = 2e7
+# Multiplications of a product from which BLAS may start threads: on a busy machine their waiting
+# for each other costs a hundred times what they gain on products of this size.
+_PIECE = 200_000
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is to be learned, and how well a position is known.
+
+    Attributes
+    ----------
+    model : Model
+        In the lower gauge where orientations are unknown.
+    orientation_sd : float [rad]
+        Per axis; 0 for known orientations, inf for unknown ones. Relative to a reading of unit
+        standard uncertainty where `sd` is not given.
+    sd : (M,) array or None
+        Standard uncertainty of a reading of each output; 1 where not given.
+    parameters : (p,) array or None
+        Of the sensor; the nominal one (bias 0, scale 1 per g) where not given.
+    size : float [g]
+        What a position makes of u: f = size u.
+    """
+
+    model: Model
+    orientation_sd: float = 0.0
+    sd: Array | None = None
+    parameters: Array | None = None
+    size: float = 1.0
+
+    @cached_property
+    def blocks(self) -> tuple[slice, ...]:
+        """Parameters whose information has no part in common with the others'."""
+        coupled = self.orientation_sd > 0.0
+        return (slice(0, len(self.model.keys)),) if coupled else self.model.slices
+
+    @cached_property
+    def least(self) -> int:
+        """Positions below which the parameters cannot be separated."""
+        if math.isinf(self.orientation_sd):
+            return len(self.model.keys)
+        return max(len(terms) for terms in self.model.terms)
+
+    def rows(self, up: Array) -> Blocks:
+        """Return the whitened rows Z with I(u) = Z'Z of each block, at up vectors (n, 3)."""
+        force = self.size * up
+        if self.orientation_sd > 0.0:
+            return (self.whiten(up, self.design(force)),)
+        if self.parameters is None:
+            phi = self.model.basis(force, {})
+            blocks = [phi[:, np.newaxis, columns] for columns in self.model.columns]
+        else:
+            X = self.design(force)
+            blocks = [X[:, [i], part] for i, part in enumerate(self.model.slices)]
+        if self.sd is None:
+            return tuple(blocks)
+        return tuple(Z / sd for Z, sd in zip(blocks, self.sd.tolist(), strict=True))
+
+    def design(self, force: Array) -> Array:
+        """Return X (n, M, p), the derivative of the outputs by the parameters."""
+        nominal = np.zeros(len(self.model.keys))  # of any sensor, where the model is linear in them
+        parameters = nominal if self.parameters is None else self.parameters
+        return parameter_jacobian(self.model, parameters, force, {})
+
+    def whiten(self, up: Array, X: Array) -> Array:
+        """Return V^(-1/2) X of eq. (1); where orientations are unknown, the row n'X."""
+        if self.sd is not None:
+            X = X / self.sd[:, np.newaxis]
+        if self.orientation_sd == 0.0:
+            return X
+        turned = self._jacobian(self.size * up) @ tangents(up)
+        if self.sd is not None:
+            turned = turned / self.sd[:, np.newaxis]
+        if math.isinf(self.orientation_sd):
+            normal = np.cross(turned[:, :, 0], turned[:, :, 1])
+            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+            return np.asarray(np.einsum("nm,nmp->np", normal, X)[:, np.newaxis, :])
+        spread = turned * (self.orientation_sd * abs(self.size))
+        # V = 1 + A A' with A (M, 2): its inverse root needs the eigenvalues of A'A only
+        eigen, Q = np.linalg.eigh(spread.transpose(0, 2, 1) @ spread)
+        eigen = np.maximum(eigen, 1e-12)
+        A = spread @ (Q * np.sqrt((1.0 - 1.0 / np.sqrt(1.0 + eigen)) / eigen)[:, np.newaxis, :])
+        return np.asarray(X - A @ (A.transpose(0, 2, 1) @ X))
+
+    def _jacobian(self, force: Array) -> Array:
+        """Return dy/df (n, M, 3)."""
+        if self.parameters is not None:
+            return self.model.force_jacobian(self.parameters, force, {})
+        J = np.zeros((len(self.model.outputs), 3))
+        for i, axis in enumerate(self.model.axes):
+            J[i, COMPONENTS.index(axis)] = 1.0
+        return np.broadcast_to(J, (len(force), *J.shape))
+
+
+def make_setting(
+    model: Model,
+    *,
+    unknown_orientation: bool = False,
+    orientation_sd: float | None = None,
+    reading_sd: float = 1.0,
+) -> Setting:
+    """Return the setting that the options of the commands state.
+
+    Parameters
+    ----------
+    orientation_sd : float [degrees], optional
+        Per axis.
+    reading_sd : float [g]
+        At a nominal sensor; it matters beside `orientation_sd` only.
+    """
+    if not SMALLEST <= reading_sd <= LARGEST:
+        raise UsageError(
+            f"--reading-sd must be above 0, from {SMALLEST:g} to {LARGEST:g}, got {reading_sd}."
+        )
+    if unknown_orientation and orientation_sd is not None:
+        raise UsageError("--unknown-orientation and --orientation-sd exclude each other; give one.")
+    if unknown_orientation:
+        if sorted(model.axes) != list(COMPONENTS):
+            raise UsageError(
+                "--unknown-orientation needs three outputs, on x, y and z: with fewer, |f| does "
+                f"not show; got axes {','.join(model.axes)}."
+            )
+        return Setting(model.with_gauge("lower"), math.inf)
+    if orientation_sd is None:
+        return Setting(model)
+    if not 0.0 <= math.radians(orientation_sd) <= _AS_UNKNOWN * reading_sd:
+        raise UsageError(
+            "--orientation-sd must be 0 or more, in degrees, and beside a reading of standard "
+            f"uncertainty {reading_sd:g} g below {math.degrees(_AS_UNKNOWN * reading_sd):.0e}, got "
+            f"{orientation_sd}; "
+            "for unknown orientations give --unknown-orientation."
+        )
+    return Setting(model, math.radians(orientation_sd) / reading_sd)
+
+
+def nothing_to_weigh(orientation_sd: float | None, reading_sd: float) -> list[str]:
+    """Return a warning where an orientation sd stands beside a reading sd of a whole g."""
+    if not orientation_sd or reading_sd != 1.0:
+        return []
+    text = (
+        f"--orientation-sd {orientation_sd:g} is weighed against a reading of standard uncertainty "
+        "1 g, where it hardly counts; give --reading-sd in g (at a scale factor of 1 per g)"
+    )
+    return [text]
+
+
+@dataclass(frozen=True, eq=False)
+class Criterion:
+    """What makes one scheme better than another: D without `weight`, else B of eq. (2)."""
+
+    name: str
+    weight: Blocks | None = None
+
+
+def make_criterion(name: str, setting: Setting, region: Array | None = None) -> Criterion:
+    """Return the criterion D, A, G, I or u:OUTPUT:TERM.
+
+    Parameters
+    ----------
+    name : str
+        G, the largest variance of the prediction, has the optimum of D.
+    setting : Setting
+    region : (n, 3) array, optional
+        Up vectors over which I averages; the whole sphere where not given.
+
+    Raises
+    ------
+    UsageError
+        No such criterion or parameter.
+    """
+    sizes = [part.stop - part.start for part in setting.blocks]
+    if name in ("D", "G"):
+        return Criterion(name)
+    if name == "A":
+        return Criterion(name, tuple(np.eye(size) for size in sizes))
+    if name == "I":
+        whole = _moments(setting.model) if region is None else _average(setting, region)
+        return Criterion(name, tuple(whole[part, part] for part in setting.blocks))
+    kind, _, key = name.partition(":")
+    output, _, term = key.partition(":")
+    if kind != "u" or not term:
+        raise UsageError(f"unknown criterion '{name}'; give D, A, G, I or u:OUTPUT:TERM.")
+    try:
+        index = setting.model.index(output, term)
+    except KeyError as error:
+        raise UsageError(f"criterion '{name}': {error.args[0]}.") from None
+    # 1 for the one, a little for the others
+    diagonal = np.full(sum(sizes), _OTHERS)
+    diagonal[index] = 1.0
+    return Criterion(name, tuple(np.diag(diagonal[part]) for part in setting.blocks))
+
+
+def inform(rows: Blocks, weights: Array | None = None) -> Blocks:
+    """Return the information M of rows (n, K, p) with weights (n,), their mean where not given."""
+    matrices = []
+    for Z in rows:
+        n, k, p = Z.shape
+        w = np.full(n, 1.0 / n) if weights is None else weights
+        flat = (Z * np.sqrt(w)[:, np.newaxis, np.newaxis]).reshape(n * k, p)
+        step = max(1, _PIECE // (p * p))
+        pieces = [flat[i : i + step] for i in range(0, n * k, step)]
+        matrices.append(np.sum([piece.T @ piece for piece in pieces], axis=0))
+    return tuple(matrices)
+
+
+def multiply(A: Array, B: Array) -> Array:
+    """Return A B, a few rows of A at a time: see `_PIECE`."""
+    step = max(1, _PIECE // B.size)
+    if step >= len(A):
+        return np.asarray(A @ B)
+    product = np.empty((len(A), B.shape[1]))
+    for i in range(0, len(A), step):
+        np.matmul(A[i : i + step], B, out=product[i : i + step])
+    return product
+
+
+def log_det(information: Blocks) -> float:
+    """Return ln det of the information, −inf where it is singular."""
+    total = 0.0
+    for M in information:
+        sign, value = np.linalg.slogdet(M)
+        if sign <= 0.0 or not np.isfinite(value) or np.linalg.cond(_scaled(M)) > 1e13:
+            return -math.inf
+        total += float(value)
+    return total
+
+
+def objective(information: Blocks, criterion: Criterion) -> float:
+    """Return the criterion of eq. (2), −inf where the information is singular."""
+    value = log_det(information)
+    if criterion.weight is None or value == -math.inf:
+        return value / sum(len(M) for M in information)
+    traces = [
+        np.trace(np.linalg.solve(M, B)) for M, B in zip(information, criterion.weight, strict=True)
+    ]
+    return -math.log(sum(traces))
+
+
+def kernels(information: Blocks, criterion: Criterion) -> Blocks:
+    """Return G of eq. (3)."""
+    inverses = [np.linalg.inv(M) for M in information]
+    if criterion.weight is None:
+        p = sum(len(M) for M in information)
+        return tuple(inverse / p for inverse in inverses)
+    products = [C @ B for C, B in zip(inverses, criterion.weight, strict=True)]
+    total = sum(np.trace(product) for product in products)
+    return tuple(P @ C / total for P, C in zip(products, inverses, strict=True))
+
+
+def sensitivity(rows: Blocks, kernel: Blocks) -> Array:
+    """Return s(u) of eq. (3) for each position, (n,)."""
+    total = np.zeros(len(rows[0]))
+    for Z, G in zip(rows, kernel, strict=True):
+        flat = Z.reshape(-1, Z.shape[2])
+        total += np.einsum("ij,ij->i", multiply(flat, G), flat).reshape(len(Z), -1).sum(axis=1)
+    return total
+
+
+def _scaled(M: Array) -> Array:
+    scale = np.sqrt(np.diag(M))
+    return np.asarray(M / np.outer(scale, scale))
+
+
+def tangents(up: Array) -> Array:
+    """Return two unit vectors normal to each up vector, (n, 3, 2)."""
+    other = np.eye(3)[np.argmin(np.abs(up), axis=1)]
+    first = unit(np.cross(up, other))
+    return np.stack([first, np.cross(up, first)], axis=2)
+
+
+def unit(vectors: Array) -> Array:
+    """Return vectors (n, 3) at length 1."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def _average(setting: Setting, region: Array) -> Array:
+    X = setting.design(region)
+    return np.asarray(np.einsum("nmp,nmq->pq", X, X) / len(region))
+
+
+def _moments(model: Model) -> Array:
+    """Return the mean of X'X over the sphere, term by term in closed form."""
+    p = len(model.keys)
+    B = np.zeros((p, p))
+    for part, terms in zip(model.slices, model.terms, strict=True):
+        B[part, part] = [[_mean_product(a, b) for b in terms] for a in terms]
+    return B
+
+
+def _mean_product(a: Term, b: Term) -> float:
+    """Return the mean over the sphere of the product of two terms.
+
+    That of |x|^i |y|^j |z|^k is Γ(3/2) Γ((i+1)/2) Γ((j+1)/2) Γ((k+1)/2) / (Γ(1/2)³ Γ((n+3)/2)),
+    n = i + j + k; an odd power without its modulus makes it zero.
+    """
+    value, degree = 0.5 / math.pi, 0
+    for axis in COMPONENTS:
+        factors = [f for f in (*a.factors, *b.factors) if f.variable == axis]
+        if sum(f.power for f in factors) % 2:
+            return 0.0
+        own = sum(f.degree for f in factors)
+        value *= math.gamma((own + 1) / 2)
+        degree += own
+    return value / math.gamma((degree + 3) / 2)

@@ -1,0 +1,204 @@
+"""Prospects: what one more position would bring to a calibration, and when enough are measured.
+
+With the information N of the positions measured and I(u) of one more at u, both of
+`multipos.designs.information` with the sensor's own parameters and reading noise, the covariance
+
+    C = N⁻¹      becomes      C(u) = (N + I(u))⁻¹,      u_j(u)² = [C(u)]_jj + c_j²,          (1)
+
+where c_j² is what the calibration's uncertainty has beyond C and no position lowers, such as that
+of gravity. The worth of a position is how far the u_j fall; taking the most worthy again and again
+until u_j is small enough says how many more are needed.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.designs.information import Setting
+from multipos.errors import MultiposError, UsageError
+from multipos.files.numbers import number, table
+from multipos.files.tables import Source
+from multipos.positions.benches import read_bench
+from multipos.positions.scheme import Scheme
+from multipos.results import Record
+from multipos.sensor.calibration import Calibration
+
+Array = NDArray[np.float64]
+
+_SHOWN = 10  # positions listed as text
+_MOST = 1000  # further positions looked ahead for a target
+
+
+def worth(
+    calibration: Calibration,
+    *,
+    candidates: "Source | Scheme" = "all-26",
+    parameter: str | None = None,
+    target: float | None = None,
+) -> dict[str, Any]:
+    """Return how far each candidate position would lower the uncertainties of a calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    candidates : bench, scheme, path or columns
+        Positions that could be measured next (`multipos.positions.benches`).
+    parameter : str, optional
+        'OUTPUT:TERM', the one that counts; all of them together (mean of ln u) where not given.
+    target : float, optional
+        Standard uncertainty that `parameter` shall have.
+
+    Returns
+    -------
+    dict
+        {"parameter", "target", "u": {"output:term": u now}, "candidates": [{up, fall, u}] best
+        first, fall being that of u of the parameter, or on geometric average, and u what each
+        would be, "further_positions": how many more until the target, None without one or beyond
+        reach, "path": [[ux, uy, uz], …], "floor": u of the parameter that no position lowers}.
+
+    Raises
+    ------
+    MultiposError
+        The calibration states no noise to predict from, or a model with other columns.
+    UsageError
+        No such parameter, or a target without one.
+    """
+    keys = [f"{output}:{term}" for output, term in calibration.model.keys]
+    if parameter is not None and parameter not in keys:
+        raise UsageError(f"unknown parameter '{parameter}'; give one of {', '.join(keys)}.")
+    if target is not None and (parameter is None or not target > 0.0):
+        raise UsageError("a target must be above 0 and name its parameter, as in ax:x=0.001.")
+    index = None if parameter is None else keys.index(parameter)
+    setting, present, covered = _measured(calibration)
+    up = read_bench(candidates)
+    pieces = _information(setting, up)
+    now = np.diag(np.linalg.inv(present))
+    fixed = np.maximum(calibration.u**2 - now * covered, 0.0)
+    then = np.sqrt(_variances(present, pieces) * covered + fixed)
+    before = np.sqrt(now * covered + fixed)
+    fall = 1.0 - (then / before)[:, index] if index is not None else _mean_fall(then, before)
+    order = np.argsort(-fall, kind="stable")
+    path = None
+    if target is not None and index is not None:
+        path = _ahead(present, pieces, covered[index], fixed[index], index, target)
+    return Record(
+        {
+            "parameter": parameter,
+            "target": target,
+            "u": dict(zip(keys, before.tolist(), strict=True)),
+            "candidates": [
+                {
+                    "up": up[row],
+                    "fall": float(fall[row]),
+                    "u": dict(zip(keys, then[row].tolist(), strict=True)),
+                }
+                for row in order.tolist()
+            ],
+            "further_positions": None if path is None else len(path),
+            "path": None if path is None else up[path],
+            "floor": None if index is None else math.sqrt(fixed[index]),
+        }
+    )
+
+
+def worth_text(found: dict[str, Any]) -> str:
+    """Return `worth` as text: the best next positions, and how many the target takes."""
+    what = found["parameter"] or "all parameters"
+    rows = [
+        [*(f"{value:.6f}" for value in np.asarray(entry["up"])), f"{100.0 * entry['fall']:.2f}"]
+        + ([] if found["parameter"] is None else [number(entry["u"][found["parameter"]])])
+        for entry in found["candidates"][:_SHOWN]
+    ]
+    header = ["up x", "up y", "up z", "u falls by %"]
+    if found["parameter"] is not None:
+        header.append("to")
+    parts = [f"worth of one more position, for {what}", table(header, rows, left=0)]
+    if found["target"] is not None and found["path"] is None:
+        parts.append(
+            f"the target of {number(found['target'])} is out of reach: u stays above "
+            f"{number(found['floor'])}, whatever is measured, or falls too slowly"
+        )
+    if found["path"] is not None:
+        parts.append(
+            f"{found['further_positions']} further positions reach the target; the next ones, "
+            "in the order of their worth:"
+        )
+        steps = [
+            [str(i + 1), *(f"{value:.6f}" for value in row)]
+            for i, row in enumerate(np.asarray(found["path"])[:_SHOWN].tolist())
+        ]
+        if steps:
+            parts.append(table(["next", "up x", "up y", "up z"], steps))
+    return "\n\n".join(parts) + "\n"
+
+
+def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
+    """Return the setting, the information of the readings, and what scales its inverse.
+
+    The scale is 1 but where the fit found the noise other than it was stated.
+    """
+    model, readings = calibration.model, calibration.readings
+    if model.environment:
+        raise MultiposError(
+            f"the model has column '{model.environment[0]}', which a position does not set; "
+            "the worth of positions is known for models of specific force only."
+        )
+    unknown = calibration.estimator == "unknown-orientation"
+    sd = np.ones(len(model.outputs)) if unknown else calibration.residual_sd
+    if readings.u is not None:
+        sd = np.sqrt(np.mean(readings.u**2, axis=0))
+    if not np.all(np.isfinite(calibration.u)) or not np.all(np.isfinite(sd) & (sd > 0.0)):
+        raise MultiposError(
+            "the calibration has no reading noise to predict from: as many terms as readings; "
+            "fit again with --reading-sd."
+        )
+    spread = math.inf if unknown else 0.0
+    if calibration.estimator == "uncertain-orientation" and readings.orientation_sd is not None:
+        stated = readings.orientation_sd[np.isfinite(readings.orientation_sd)]
+        spread = float(np.sqrt(np.mean(stated**2)))
+    sign = -1.0 if calibration.convention == "gravity" else 1.0
+    size = np.linalg.norm(calibration.reference, axis=1)
+    setting = Setting(model, spread, sd, calibration.parameters, sign * float(size.mean()))
+    up = sign * calibration.reference / size[:, np.newaxis]
+    present = np.asarray(_information(setting, up).sum(axis=0))
+    ratio = calibration.u**2 / np.diag(np.linalg.inv(present))
+    covered = np.empty(len(ratio))
+    for part in setting.blocks:
+        # gravity adds nothing to a bias: the least ratio is that of the noise alone
+        covered[part] = ratio[part].min()
+    return setting, present, covered
+
+
+def _information(setting: Setting, up: Array) -> Array:
+    """Return I(u) of each position over all parameters, (n, p, p)."""
+    p = len(setting.model.keys)
+    pieces = np.zeros((len(up), p, p))
+    for part, Z in zip(setting.blocks, setting.rows(up), strict=True):
+        pieces[:, part, part] = Z.transpose(0, 2, 1) @ Z
+    return pieces
+
+
+def _variances(present: Array, pieces: Array) -> Array:
+    return np.asarray(np.diagonal(np.linalg.inv(present + pieces), axis1=1, axis2=2))
+
+
+def _mean_fall(then: Array, before: Array) -> Array:
+    return np.asarray(1.0 - np.exp(np.log(then / before).mean(axis=1)))
+
+
+def _ahead(
+    present: Array, pieces: Array, scale: float, fixed: float, index: int, target: float
+) -> list[int] | None:
+    """Return the candidates to take until u is at most the target, or None beyond reach."""
+    path: list[int] = []
+    while len(path) < _MOST:
+        now = float(np.linalg.inv(present)[index, index])
+        if math.sqrt(now * scale + fixed) <= target:
+            return path
+        then = _variances(present, pieces)[:, index]
+        best = int(np.round(then / then.min(), 9).argmin())  # the first of equal ones
+        path.append(best)
+        present = present + pieces[best]
+    return None

@@ -1,0 +1,4 @@
+"""What does not look right in a finished calibration.
+
+Open `criticism` first.
+"""

@@ -1,0 +1,224 @@
+"""Are terms warranted in all outputs together? Nested tests for every estimator.
+
+A sensor whose outputs are of one make has a second-order term in all of them or in none. With
+chi²₀ of the model without the terms and chi²₁ with them, q parameters apart, on nu₁ degrees of
+freedom,
+
+    F = ((chi²₀ − chi²₁)/q) / (chi²₁/nu₁)                                                  (1)
+
+follows the F distribution on q and nu₁ if nothing is in the terms.
+
+- Uncertain and unknown orientations: chi² is the minimum F of `multipos.estimation.likelihood`, each model
+  with orientations of its own, both with the noise that was stated or found. Where variances
+  were estimated by restricted likelihood they are those of the model with the terms, chi²₁/nu₁
+  is then 1 by construction, and the degrees of freedom of the denominator follow from
+  Satterthwaite's of the q parameters, nu_j, through the mean of F,
+
+      E = sum nu_j/(nu_j − 2),     nu = 2 E/(E − q).                                        (2)
+
+- Known orientations: each output has a scatter of its own, and so an F of its own; the p values
+  P_i are independent and combine to −2 sum ln P_i, chi² on 2M degrees of freedom. Outputs whose
+  readings are correlated are tested together by (1).
+
+References
+----------
+R. A. Fisher, *Statistical Methods for Research Workers*, 1932, section 21.1; A. H.-T. Fai and
+P. L. Cornelius 1996, J. Stat. Comput. Simul. 54, eq. (2).
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.doubts.criticism import force_components, residual_sum
+from multipos.errors import MultiposError, RankError
+from multipos.estimation.descent import maximise
+from multipos.estimation.identifiability import condition
+from multipos.estimation.known import reading_noise
+from multipos.estimation.likelihood import linearise
+from multipos.estimation.noise import judge_noise
+from multipos.estimation.problem import Optimum, Problem
+from multipos.estimation.restatement import estimated_variances, restate, return_to_optimum
+from multipos.estimation.starts import reduced_information
+from multipos.numerics.least_squares import solve
+from multipos.numerics.quantiles import chi2_tail, f_tail
+from multipos.results import Result
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.model import Model, build_model
+
+Array = NDArray[np.float64]
+
+_GROUPS = ("own^2", "own^3", "own*|own|", "OWN*OTHER")  # K2, K3, Koq, Kip with Kio
+
+
+@dataclass(frozen=True, eq=False)
+class JointTest(Result):
+    """A nested test of terms in all outputs; `inside` tells whether the model has them.
+
+    Attributes
+    ----------
+    terms : str
+        As in a formula, with `own` and `other` for the axes.
+    inside : bool
+    statistic : float
+        F, or Fisher's chi².
+    dof : tuple of float
+        Two of F, one of chi².
+    p : float
+    """
+
+    terms: str
+    inside: bool
+    statistic: float
+    dof: tuple[float, ...]
+    p: float
+
+    def __str__(self) -> str:
+        law = "F" if len(self.dof) == 2 else "chi2"
+        return f"{law}({', '.join(f'{v:.4g}' for v in self.dof)}) = {self.statistic:.3g}"
+
+
+def judge_jointly(calibration: Calibration) -> list[JointTest]:
+    """Test second- and third-order terms over all outputs, out of the model or into it.
+
+    Terms that the positions cannot tell, or with which the search finds no end, are left out.
+
+    Returns
+    -------
+    list of JointTest
+
+    Raises
+    ------
+    MultiposError
+        A robust loss, or a model that is an expression: neither has nested tests of terms.
+    """
+    c = calibration
+    if "robust_weight" in c.extra or isinstance(c.model, ExpressionModel):
+        raise MultiposError(
+            "joint tests of terms need a formula fitted without --robust; fit again without it."
+        )
+    test = _by_output
+    if c.estimator.endswith("orientation"):
+        test = _by_likelihood
+    elif (noise := reading_noise(c.readings)) is not None and noise.ndim == 2:
+        test = _by_covariance
+    return list(test(c))
+
+
+def _nested(model: Model) -> Iterator[tuple[str, bool, Model, Model]]:
+    """Yield the name of each group of terms, whether the model has it, and both models."""
+    for formula in _GROUPS:
+        built = build_model(formula, model.outputs, model.axes).terms
+        group = tuple(
+            tuple(term for term in terms if set(force_components(term)) <= set(model.inputs))
+            for terms in built
+        )
+        pairs = list(zip(model.terms, group, strict=True))
+        inside = all(set(new) <= set(own) for own, new in pairs)
+        small = tuple(tuple(t for t in own if t not in new) for own, new in pairs)
+        large = tuple(tuple(dict.fromkeys((*own, *new))) for own, new in pairs)
+        other = replace(model, terms=small if inside else large)
+        if any(group):
+            yield formula.lower(), inside, *((other, model) if inside else (model, other))
+
+
+def _by_likelihood(c: Calibration) -> Iterator[JointTest]:
+    """Test by eq. (1) on the likelihood of uncertain and unknown orientations."""
+    problem = restate(c)
+    best = return_to_optimum(c, problem)
+    free = estimated_variances(c)
+    for name, inside, small, large in _nested(c.model):
+        nu = float(problem.degrees.sum()) - problem.unknowns - len(large.keys) + len(c.model.keys)
+        wide, found = _fitted(problem, best, large)
+        if nu <= 0 or not _is_told(wide, found):
+            continue
+        q = len(large.keys) - len(small.keys)
+        scale, dof = found.point.objective / nu, nu
+        if free.any():
+            wide, found, worth = judge_noise(
+                wide, found, nu, stated=not free[0], estimate_spread=bool(free[1])
+            )
+            assert worth.parameter_dof is not None
+            tested = [key not in small.keys for key in large.keys]
+            scale, dof = 1.0, _denominator(worth.parameter_dof[tested])
+        chi2 = _fitted(wide, found, small)[1].point.objective
+        f = (chi2 - found.point.objective) / q / scale
+        yield JointTest(name, inside, f, (float(q), dof), f_tail(f, float(q), dof))
+
+
+def _fitted(problem: Problem, optimum: Optimum, model: Model) -> tuple[Problem, Optimum]:
+    """Return problem and optimum of another model, searched from an optimum."""
+    before = dict(zip(problem.model.keys, optimum.state.theta.tolist(), strict=True))
+    theta = np.array([before.get(key, 0.0) for key in model.keys])
+    changed = replace(problem, model=model)
+    return changed, maximise(changed, replace(optimum.state, theta=theta))
+
+
+def _is_told(problem: Problem, optimum: Optimum) -> bool:
+    """Tell whether the positions separate all parameters."""
+    normal = linearise(problem, optimum.state, optimum.point)
+    p = len(problem.model.keys)
+    return optimum.converged and math.isfinite(condition(reduced_information(normal, p)))
+
+
+def _denominator(dof: Array) -> float:
+    """Return the degrees of freedom of the denominator by eq. (2)."""
+    if dof.min() <= 2.0:
+        return float(dof.min())
+    mean = float(np.sum(dof / (dof - 2.0)))
+    return 2.0 * mean / (mean - len(dof))
+
+
+def _by_output(c: Calibration) -> Iterator[JointTest]:
+    """Test each output by its F and combine their p values."""
+    n = len(c.readings)
+    for name, inside, small, large in _nested(c.model):
+        found = []
+        try:
+            for column, (few, many) in enumerate(zip(small.terms, large.terms, strict=True)):
+                q, nu = float(len(many) - len(few)), float(n - len(many))
+                if q == 0.0:
+                    continue
+                chi2 = [residual_sum(c, column, terms) for terms in (few, many)]
+                f = (chi2[0] - chi2[1]) / q / (chi2[1] / nu) if chi2[1] > 0.0 and nu > 0 else (
+                    math.nan
+                )  # fmt: skip
+                found.append((f, (q, nu), f_tail(f, q, nu)))
+        except RankError:
+            continue
+        if not found or any(math.isnan(p) for _, _, p in found):
+            continue
+        if len(found) == 1:
+            yield JointTest(name, inside, *found[0])
+            continue
+        total = -2.0 * sum(math.log(max(p, np.finfo(float).tiny)) for _, _, p in found)
+        dof = 2.0 * len(found)
+        yield JointTest(name, inside, total, (dof,), chi2_tail(total, dof))
+
+
+def _by_covariance(c: Calibration) -> Iterator[JointTest]:
+    """Test outputs whose readings are correlated, at known orientations, together by eq. (1)."""
+    noise = reading_noise(c.readings)
+    n, m = c.readings.values.shape
+    for name, inside, small, large in _nested(c.model):
+        chi2 = []
+        try:
+            for model in (small, large):
+                phi = model.basis(c.reference, c.readings.environment)
+                design = np.zeros((n, m, len(model.keys)))
+                places = zip(model.slices, model.columns, strict=True)
+                for output, (part, columns) in enumerate(places):
+                    design[:, output, part] = phi[:, columns]
+                found = solve(design.reshape(n * m, -1), c.readings.values.ravel(),
+                              covariance=noise, names=model.names)  # fmt: skip
+                chi2.append(float(found.rss))
+        except RankError:
+            continue
+        q, nu = float(len(large.keys) - len(small.keys)), float(n * m - len(large.keys))
+        if nu > 0 and chi2[1] > 0.0:
+            f = (chi2[0] - chi2[1]) / q / (chi2[1] / nu)
+            yield JointTest(name, inside, f, (q, nu), f_tail(f, q, nu))

@@ -1,0 +1,143 @@
+"""Levenberg and Marquardt's search for the minimum of F, eq. (4) of `multipos.estimation.likelihood`.
+
+Each step d solves the normal equations with the diagonal of S, scaled to one, raised by the
+damping; it is taken if F falls, and tried again with ten times the damping if not. What a step
+should take off F is g'd, its decrement. The search has converged when the decrement of the
+*next* step, judged by how the last two shrank, is below 1e-16 F: a step of 1e-8 u or less.
+
+References
+----------
+K. Levenberg 1944; D. Marquardt 1963.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.likelihood import evaluate, linearise, moved, recentred
+from multipos.estimation.problem import Normal, Optimum, Point, Problem, State
+from multipos.estimation.sphere import SphereSearch, Surface
+
+Array = NDArray[np.float64]
+
+_ITERATIONS = 200
+_DECREMENT = 1e-16  # of F
+_DECREMENT_ROBUST = 1e-14  # weights that change with the step make convergence linear
+_XTOL = 1e-13  # relative step that is only rounding
+_DAMPING = 1e-4
+_STUCK = 1e12  # damping beyond which nothing moves
+_ROUNDING = 1e-8  # of F, or of theta: what the last digits of the readings can do
+
+
+def maximise(problem: Problem, state: State) -> Optimum:
+    """Maximise the likelihood from a state."""
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a trial may run away
+        if SphereSearch.fits(problem):
+            sphere = SphereSearch(problem)
+            place, end = _descend(sphere, sphere.begin(state), problem)
+            state, point = sphere.end(place, state)
+        else:
+            everywhere = _Search(problem)
+            at, end = _descend(everywhere, everywhere.begin(state), problem)
+            state, point = at.state, at.point
+        return Optimum(state, point, *end)
+
+
+def resume(problem: Problem, optimum: Optimum) -> Optimum:
+    """Search on from an optimum, after the noise of the problem was changed."""
+    found = maximise(problem, optimum.state)
+    return replace(found, iterations=optimum.iterations + found.iterations)
+
+
+class _Steps(Protocol):
+    """What the search asks for: places with `theta` and `objective`, equations with S and g."""
+
+    def linearise(self, place: Any) -> Any: ...
+
+    def move(self, place: Any, equations: Any, step: Array, damping: float) -> Any: ...
+
+
+def _descend(
+    steps: _Steps, place: Any, problem: Problem
+) -> tuple[Any, tuple[bool, int, float, float]]:
+    """Return where the search ends: converged, iterations, last step, gradient in units of u."""
+    damping, decrement, last_step = _DAMPING, np.inf, np.inf
+    enough = _DECREMENT if problem.robust is None else _DECREMENT_ROBUST
+    held = list(problem.held)
+    converged, iterations = False, 0
+    while iterations < _ITERATIONS and not converged:
+        iterations += 1
+        before = decrement
+        equations = steps.linearise(place)
+        while True:
+            step, decrement, last_step = _step(place.theta, equations, damping, held)
+            trial = steps.move(place, equations, step, damping)
+            if trial.objective <= place.objective or damping > _STUCK:
+                break
+            damping = max(damping * 10.0, 1e-10)
+        if damping > _STUCK:  # no descent is left: rounding, or a point that is no minimum
+            _, decrement, last_step = _step(place.theta, equations, 0.0, held)
+            converged = decrement <= _ROUNDING * place.objective or last_step <= _ROUNDING
+            break
+        place = trial
+        damping *= 0.1
+        following = decrement if np.isinf(before) else decrement * min(decrement / before, 1.0)
+        converged = following <= enough * place.objective or last_step <= _XTOL
+    return place, (converged, iterations, last_step, float(np.sqrt(max(decrement, 0.0))))
+
+
+def _step(
+    theta: Array, equations: Normal | Surface, damping: float, held: list[int]
+) -> tuple[Array, float, float]:
+    """Return the damped step, what it should take off F, and its size relative to theta."""
+    information, gradient = equations.information, equations.gradient
+    if held:  # no step along these, and the others as if these had no columns
+        information, gradient = information.copy(), gradient.copy()
+        information[held, :] = information[:, held] = 0.0
+        information[held, held], gradient[held] = 1.0, 0.0
+    scale = np.sqrt(information.diagonal())
+    if not scale.all():
+        scale = np.where(scale > 0.0, scale, 1.0)
+    damped = information / (scale * scale[:, None])
+    # A ridge of rounding size, so that what the positions cannot tell is left where it is.
+    damped.flat[:: len(scale) + 1] += max(damping, 1e-15)
+    scaled = np.linalg.solve(damped, gradient / scale)
+    step = scaled / scale
+    size = np.abs(theta * scale[: len(theta)]).max()
+    relative = float(np.abs(scaled).max() / max(float(size), 1e-300))
+    return step, float(step @ gradient), relative
+
+
+@dataclass(frozen=True)
+class _At:
+    """A state with the model there."""
+
+    state: State
+    point: Point
+
+    @property
+    def theta(self) -> Array:
+        return self.state.theta
+
+    @property
+    def objective(self) -> float:
+        return self.point.objective
+
+
+class _Search:
+    """What a step of the search needs, for any problem."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    def begin(self, state: State) -> _At:
+        return _At(state, evaluate(self.problem, state))
+
+    def linearise(self, place: _At) -> Normal:
+        return linearise(self.problem, place.state, place.point)
+
+    def move(self, place: _At, normal: Normal, step: Array, damping: float) -> _At:
+        state = moved(self.problem, place.state, place.point, normal, step, damping)
+        return self.begin(recentred(self.problem, state))

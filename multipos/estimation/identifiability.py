@@ -1,0 +1,135 @@
+"""What a set of positions cannot tell, in words, and the positions that would.
+
+The information S (p, p) of the parameters is judged with its diagonal scaled to one; directions
+whose eigenvalue is below 1e-12 of the largest are not seen at all, and are named. A parameter
+can also be estimable only formally: at one g its uncertainty exceeds half a scale factor, more
+than any real sensor could be off, so the data say nothing about it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import RankError
+from multipos.numerics.least_squares import name_combinations, separability
+from multipos.sensor.model import Model
+
+Array = NDArray[np.float64]
+
+_UNSEEN = 1e-12  # eigenvalue of the scaled information: sd a million times that of the best
+_PLAUSIBLE = 0.5  # of a scale factor, at one g
+CANDIDATES = np.array(
+    [
+        [x, y, z]
+        for x in (1, 0, -1)
+        for y in (1, 0, -1)
+        for z in (1, 0, -1)
+        if x or y or z
+    ],
+    dtype=np.float64,
+)  # fmt: skip
+CANDIDATES /= np.linalg.norm(CANDIDATES, axis=1)[:, None]
+
+
+def condition(information: Array) -> float:
+    """Return the 2-norm condition of the scaled problem whose information is given."""
+    scale = np.sqrt(np.diag(information))
+    if not (scale > 0.0).all():
+        return np.inf
+    eigenvalues = np.linalg.eigvalsh(information / np.outer(scale, scale))
+    if eigenvalues[0] <= _UNSEEN * eigenvalues[-1]:
+        return np.inf
+    return float(np.sqrt(eigenvalues[-1] / eigenvalues[0]))
+
+
+def require_separable(information: Array, names: Sequence[str], way_out: str) -> None:
+    """Refuse an information matrix that leaves combinations of parameters unseen.
+
+    Raises
+    ------
+    RankError
+        Naming the combinations.
+    """
+    if np.isfinite(condition(information)):
+        return
+    scale = np.sqrt(np.maximum(np.diag(information), 0.0))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    eigenvalues, vectors = np.linalg.eigh(information / np.outer(safe, safe))
+    seen = eigenvalues > _UNSEEN * eigenvalues[-1]
+    root = np.sqrt(np.where(seen, eigenvalues, 0.0))[:, None] * vectors.T * scale
+    found = separability(root)
+    said = name_combinations(found.null, names)
+    raise RankError(
+        f"{int(seen.sum())} of {len(names)} parameters can be separated: {'; '.join(said)}; "
+        f"{way_out}.",
+        rank=int(seen.sum()),
+        parameters=len(names),
+        combinations=said,
+    )
+
+
+def plausible_range(model: Model, parameters: Array, magnitude: float) -> Array | None:
+    """Return the largest plausible size of each parameter's u (p,), None without scale factors."""
+    if not model.own_scales:
+        return None
+    own = float(np.abs(parameters[list(model.own_scales)]).mean())
+    return np.asarray(_PLAUSIBLE * own * magnitude ** (1.0 - model.force_degrees))
+
+
+def formal_only(model: Model, parameters: Array, u: Array, magnitude: float) -> tuple[str, ...]:
+    """Name the parameters that are estimable only formally: their u exceeds what is plausible."""
+    limit = plausible_range(model, parameters, magnitude)
+    if limit is None or not np.isfinite(u).all() or (u <= limit).all():
+        return ()
+    return tuple(
+        f"`{name}` is estimable only formally: its u = {sd:.2g} exceeds its plausible range"
+        for name, sd, bad in zip(model.names, u.tolist(), (u > limit).tolist(), strict=True)
+        if bad
+    )
+
+
+def least_determined(information: Array, rank: int) -> list[int]:
+    """Return the parameters left over when the best determined `rank` ones are picked first."""
+    rest = information.copy()
+    left = list(range(len(information)))
+    for _ in range(rank):
+        pivot = max(left, key=lambda i: rest[i, i])
+        if rest[pivot, pivot] <= 0.0:
+            break
+        left.remove(pivot)
+        column = rest[:, pivot] / np.sqrt(rest[pivot, pivot])
+        rest -= np.outer(column, column)
+    return left
+
+
+def helpful_positions(information: Array, gains: Array, count: int) -> list[int]:
+    """Return which candidate positions tell most, picked one by one.
+
+    Parameters
+    ----------
+    information : (p, p) array
+        What is known already.
+    gains : (c, p, p) array
+        What each candidate would add.
+    count : int
+    """
+    scale = np.sqrt(np.maximum(np.diag(gains.sum(axis=0)), 1e-300))
+    unit = np.outer(scale, scale)
+    # A ridge far below any real information lets the determinant rank singular ones.
+    current = information / unit + 1e-9 * np.eye(len(scale))
+    scaled = gains / unit
+    chosen: list[int] = []
+    for _ in range(count):
+        best = int(np.argmax(np.linalg.slogdet(current + scaled)[1]))
+        chosen.append(best)
+        current = current + scaled[best]
+    return chosen
+
+
+def position_words(directions: Array) -> str:
+    """Return up vectors in words: ``up (0.71, 0.71, 0)``."""
+    return ", ".join(
+        "up (" + ", ".join(f"{value + 0.0:.2g}" for value in row) + ")"
+        for row in directions.tolist()
+    )

@@ -1,0 +1,414 @@
+"""Known orientations: linear least squares of every output, and the six-position inversion.
+
+With the reference known, eq. (1) of `multipos.sensor.model` is linear in the coefficients of each
+output, y = X p + e, and is solved by `multipos.numerics.least_squares`. The covariance is
+
+    cov p = s² (X'X)⁻¹      where the residuals give the noise, s² = r'r/(n − p)           (1)
+    cov p = (X'V⁻¹X)⁻¹      where the readings state it, V their covariance                (2)
+
+A stated noise that the residuals deny is not believed: where χ² = r'V⁻¹r passes its 99.9 %
+point, (2) is multiplied by χ²/(n − p) and takes the residuals' degrees of freedom.
+
+References
+----------
+JCGM 100:2008, clauses 4.2 and 6.2; Song and Qin 2009 for the six positions.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError, RankError, UsageError
+from multipos.estimation.closed_form import closed_form_weights, six_positions
+from multipos.estimation.identifiability import formal_only
+from multipos.numerics.least_squares import LinearFit, separability, solve
+from multipos.numerics.quantiles import chi2_quantile
+from multipos.positions.readings import Readings, stated_sd
+from multipos.sensor.calibration import Status, labels
+from multipos.sensor.diagnostics import bartlett, find_outliers
+from multipos.sensor.model import COMPONENTS, Model, build_model, linear_term
+
+Array = NDArray[np.float64]
+
+FLOOR = 1e-9  # [g], absolute norm below which a column of the design is zero
+DENIED = 0.999  # χ² point beyond which a stated noise is not believed
+DIRECT = Status(True, 0, "solved directly")
+_UNEQUAL = 0.05  # level at which pooling warns that the variances differ
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What an estimator finds, before it is completed to a `Calibration`.
+
+    Attributes
+    ----------
+    model : Model
+        As fitted, with its gauge.
+    reference : (n, 3) array [g]
+        As used; estimated where it was uncertain.
+    parameters, covariance, parameter_dof : (p,), (p, p), (p,) arrays
+        Without the common-mode terms of the uncertainty.
+    variance : (M,) array
+        Factor of each output on the stated covariance of the readings, or on unit variances.
+    dof : (M,) array
+        Degrees of freedom of `variance`; inf where the stated noise is believed.
+    residuals, leverage : (n, M) arrays
+    residual_sd : (M,) array
+        Standard deviation of a reading as the residuals show it; NaN where none is left.
+    outliers, warnings, unidentifiable : tuples of str
+    condition : float
+    status : Status
+    extra : mapping
+        What else the estimator has to say, for the calibration's file.
+    orientation_sd : (n,) array [rad] or None
+        Where it was estimated; inf for unknown.
+    """
+
+    model: Model
+    reference: Array
+    parameters: Array
+    covariance: Array
+    parameter_dof: Array
+    variance: Array
+    dof: Array
+    residuals: Array
+    residual_sd: Array
+    leverage: Array
+    outliers: tuple[str, ...]
+    condition: float
+    warnings: tuple[str, ...]
+    unidentifiable: tuple[str, ...] = ()
+    status: Status = DIRECT
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    orientation_sd: Array | None = None
+
+
+def solve_known(
+    model: Model, reference: Array, readings: Readings, *, pool: bool = False
+) -> Solution:
+    """Fit every output by linear least squares, eqs. (1) and (2).
+
+    Raises
+    ------
+    RankError
+        The positions cannot separate the parameters; the message names them and a way out.
+    """
+    phi = model.basis(reference, readings.environment)
+    noise = reading_noise(readings)
+    if noise is not None and noise.ndim == 2:
+        fits = _solve_jointly(model, phi, readings, noise)
+    else:
+        fits = _solve_each(model, phi, readings, noise)
+    n, m = readings.values.shape
+    residual_dof = np.array([n - len(terms) for terms in model.terms], dtype=np.float64)
+    dof, chi2 = residual_dof, fits.chi2
+    warnings: list[str] = []
+    if noise is None:
+        variance = np.where(dof > 0, chi2 / np.maximum(dof, 1.0), np.nan)
+        if pool and dof.min() > 0:
+            if m > 1 and bartlett(chi2, dof) < _UNEQUAL:
+                warnings.append(
+                    "the outputs' residual variances differ (Bartlett's test at 5 %), so pooling "
+                    "them is not supported by the data"
+                )
+            variance, dof = np.full(m, chi2.sum() / dof.sum()), np.full(m, dof.sum())
+        if dof.min() == 0:
+            warnings.append(
+                "as many terms as readings: nothing is left to estimate the uncertainty from; "
+                "give --reading-sd or more positions"
+            )
+    else:
+        variance, dof, said = believe(chi2, dof, model.outputs, pool)
+        warnings += said
+    scale = np.sqrt(_per_parameter(model, variance))
+    square = np.einsum("nm,nm->m", fits.residuals, fits.residuals)
+    sd = np.where(residual_dof > 0, np.sqrt(square / np.maximum(residual_dof, 1.0)), np.nan)
+    covariance = fits.cofactor * np.outer(scale, scale)
+    return Solution(
+        model=model,
+        reference=reference,
+        parameters=fits.parameters,
+        covariance=covariance,
+        parameter_dof=_per_parameter(model, dof),
+        variance=variance,
+        dof=dof,
+        residuals=fits.residuals,
+        residual_sd=sd,
+        leverage=fits.leverage,
+        outliers=find_outliers(
+            fits.residuals,
+            fits.leverage,
+            residual_dof.tolist(),
+            model.outputs,
+            labels(readings),
+            stated_sd(readings),
+        ),
+        condition=fits.condition,
+        warnings=tuple(warnings),
+        unidentifiable=formal_only(
+            model,
+            fits.parameters,
+            np.sqrt(np.diag(covariance)),
+            float(np.linalg.norm(reference, axis=1).mean()),
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class _Fits:
+    """Least squares of all outputs together; `chi2` is of whitened residuals, per output."""
+
+    parameters: Array
+    cofactor: Array
+    residuals: Array
+    chi2: Array
+    leverage: Array
+    condition: float
+
+
+def _solve_each(model: Model, phi: Array, readings: Readings, variances: Array | None) -> _Fits:
+    """One problem per output; outputs that share design and weights share the factorisation."""
+    n, m = readings.values.shape
+    p = len(model.keys)
+    parameters, cofactor = np.empty(p), np.zeros((p, p))
+    residuals, leverage, chi2 = np.empty((n, m)), np.empty((n, m)), np.empty(m)
+    condition = 1.0
+    shared = variances is None and len(set(model.terms)) == 1
+    groups = [list(range(m))] if shared else [[output] for output in range(m)]
+    for group in groups:
+        first = group[0]
+        found = _solve_output(
+            model, phi, first, readings.values[:, group],
+            None if variances is None else variances.reshape(n, m)[:, first],
+        )  # fmt: skip
+        for column, output in enumerate(group):
+            mine = model.slices[output]
+            parameters[mine] = found.coefficients[:, column]
+            cofactor[mine, mine] = found.cofactor
+            residuals[:, output] = found.residuals[:, column]
+            leverage[:, output] = found.leverage
+            chi2[output] = np.asarray(found.rss)[column]
+        condition = max(condition, found.condition)
+    return _Fits(parameters, cofactor, residuals, chi2, leverage, condition)
+
+
+def _solve_output(
+    model: Model, phi: Array, output: int, values: Array, covariance: Array | None
+) -> LinearFit:
+    names = model.names[model.slices[output]]
+    design = phi[:, model.columns[output]]
+    try:
+        return solve(design, values, covariance=covariance, floor=FLOOR, names=names)
+    except RankError as error:
+        raise _not_separable(error, model, phi, output) from None
+
+
+def _solve_jointly(model: Model, phi: Array, readings: Readings, covariance: Array) -> _Fits:
+    """One problem for all outputs, whose readings are correlated."""
+    n, m = readings.values.shape
+    p = len(model.keys)
+    design = np.zeros((n, m, p))
+    for output, (part, columns) in enumerate(zip(model.slices, model.columns, strict=True)):
+        design[:, output, part] = phi[:, columns]
+        # each output's own design must be sound before they are taken together
+        _solve_output(model, phi, output, readings.values[:, [output]], None)
+    found = solve(
+        design.reshape(n * m, p), readings.values.ravel(), covariance=covariance, names=model.names
+    )
+    residuals = found.residuals.reshape(n, m)
+    return _Fits(
+        found.coefficients, found.cofactor, residuals, chi_squares(residuals, covariance),
+        found.leverage.reshape(n, m), found.condition,
+    )  # fmt: skip
+
+
+def reading_noise(readings: Readings) -> Array | None:
+    """Return the stated noise: variances (n M,) where outputs are independent, or (n M, n M)."""
+    if readings.u is not None:
+        return readings.u.ravel() ** 2
+    covariance = readings.covariance
+    if covariance is None:
+        return None
+    variances = np.diag(covariance)
+    return variances.copy() if not np.any(covariance - np.diag(variances)) else covariance
+
+
+def chi_squares(residuals: Array, noise: Array | None) -> Array:
+    """Return r'V⁻¹r of each output by itself (M,), V as `reading_noise` has it; 1 where it is None.
+
+    Parameters
+    ----------
+    residuals : (n, M) array
+    noise : (n M,) or (n M, n M) array, optional
+    """
+    n, m = residuals.shape
+    if noise is None or noise.ndim == 1:
+        variances = np.ones((n, m)) if noise is None else noise.reshape(n, m)
+        return np.asarray(np.sum(residuals**2 / variances, axis=0))
+    blocks = noise.reshape(n, m, n, m)
+    return np.array(
+        [residuals[:, i] @ np.linalg.solve(blocks[:, i, :, i], residuals[:, i]) for i in range(m)]
+    )
+
+
+def believe(
+    chi2: Array, dof: Array, outputs: tuple[str, ...], pool: bool = False
+) -> tuple[Array, Array, list[str]]:
+    """Return the factor on the stated covariance, the dof, and what is said about it.
+
+    Parameters
+    ----------
+    chi2, dof : (M,) arrays
+        Of the residuals of each output under the stated noise.
+    outputs : tuple of M str
+    pool : bool
+        Judge all outputs together.
+    """
+    names: tuple[str, ...] = outputs
+    if pool:
+        chi2, dof, names = chi2.sum(keepdims=True), dof.sum(keepdims=True), ("all outputs",)
+    factor, left, said = np.ones(len(chi2)), np.full(len(chi2), np.inf), []
+    for i, (value, nu) in enumerate(zip(chi2.tolist(), dof.tolist(), strict=True)):
+        if nu <= 0:
+            continue
+        if value > chi2_quantile(DENIED, nu):
+            factor[i], left[i] = value / nu, nu
+            said.append(
+                f"the residuals of {names[i]} deny the stated reading noise (chi-square "
+                f"{value:.4g} on {nu:g} degrees of freedom): its covariance is multiplied by "
+                f"{value / nu:.4g}; placement error is the usual cause, see --orientation-sd"
+            )
+        elif value < chi2_quantile(1.0 - DENIED, nu):
+            said.append(
+                f"the residuals of {names[i]} are far smaller than the stated reading noise "
+                f"(chi-square {value:.3g} on {nu:g} degrees of freedom): it may be overstated"
+            )
+    if pool:
+        factor, left = np.full(len(outputs), factor[0]), np.full(len(outputs), left[0])
+    return factor, left, said
+
+
+def solve_closed_form(
+    model: Model, reference: Array, readings: Readings, *, pool: bool = False
+) -> Solution:
+    """Fit every output by the six-position inversion (`multipos.estimation.closed_form`).
+
+    The noise is judged as in `solve_known`; unequal stated noise leaves the inversion unbiased
+    but not best, so its covariance is its own: W V W', with W its weights.
+    """
+    if model.text not in ("own-quadratic", "linear") or set(model.inputs) != set(COMPONENTS):
+        raise UsageError(
+            f"--closed-form solves the models own-quadratic and linear, got '{model.text}'; "
+            "leave out --closed-form."
+        )
+    if six_positions(reference) is None:
+        raise MultiposError(
+            "--closed-form needs six readings, each axis once up and once down; "
+            "leave it out and least squares takes any positions."
+        )
+    n, m = readings.values.shape
+    weights = closed_form_gain(model, reference)
+    solution = solve_known(model, reference, readings, pool=pool)
+    parameters = weights @ readings.values.ravel()
+    noise = reading_noise(readings)
+    full = np.eye(n * m) if noise is None else np.diag(noise) if noise.ndim == 1 else noise
+    scale = np.sqrt(_per_parameter(model, solution.variance))
+    return replace(
+        solution,
+        parameters=parameters,
+        covariance=weights @ full @ weights.T * np.outer(scale, scale),
+        residuals=readings.values - model.predict(parameters, reference, readings.environment),
+    )
+
+
+def closed_form_gain(model: Model, reference: Array) -> Array:
+    """Return how the six-position inversion makes the parameters of the readings.
+
+    Parameters
+    ----------
+    model : Model
+        Own-quadratic or linear.
+    reference : (6, 3) array [g]
+        The six positions in any order.
+
+    Returns
+    -------
+    (p, 6 M) array
+        Parameters = this matrix times the readings, output running fastest.
+    """
+    rows = six_positions(reference)
+    assert rows is not None
+    m = len(model.outputs)
+    weights = np.zeros((len(model.keys), len(reference) * m))
+    for output, (axis, part) in enumerate(zip(model.axes, model.slices, strict=True)):
+        weights[part, output::m] = closed_form_weights(
+            reference, rows, COMPONENTS.index(axis), quadratic=model.text == "own-quadratic"
+        )
+    return weights
+
+
+def closed_form_difference(model: Model, reference: Array, readings: Readings) -> float | None:
+    """Return how far the closed form is from own-quadratic least squares, at six positions.
+
+    The fifteen coefficients of the six-position paper, whatever the model; the largest
+    difference, as a reading, relative to the largest reading. None at other positions.
+    """
+    rows = six_positions(reference)
+    largest = float(np.abs(readings.values).max())
+    if rows is None or largest == 0.0:
+        return None
+    g = float(np.abs(reference).max())
+    full = build_model("own-quadratic", readings.outputs, model.axes)
+    phi = full.basis(reference, {})
+    difference = 0.0
+    for output, axis in enumerate(model.axes):
+        values = readings.values[:, output]
+        fitted = solve(phi[:, full.columns[output]], values, floor=FLOOR).coefficients
+        direct = closed_form_weights(reference, rows, COMPONENTS.index(axis)) @ values
+        difference = max(difference, *np.abs((direct - fitted) * [1.0, g, g, g, g * g]))
+    return difference / largest
+
+
+def _per_parameter(model: Model, values: Array) -> Array:
+    return np.repeat(values, [len(terms) for terms in model.terms])
+
+
+def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> RankError:
+    """Return the error with the model named and a way out: the terms that can be separated."""
+    name = model.outputs[output]
+    terms = model.terms[output]
+    design = phi[:, model.columns[output]]
+    kept: list[int] = []
+    for column in range(len(terms)):
+        trial = [*kept, column]
+        if separability(design[:, trial], floor=FLOOR).rank == len(trial):
+            kept = trial
+    formula = " + ".join(str(terms[column]) for column in kept)
+    way_out = (
+        f"x^2 + y^2 + z^2 = 1 at rest, so no static positions can; for {name} use '{formula}'"
+        if model.text == "full-quadratic" and set(model.inputs) == set(COMPONENTS)
+        else f"add {_missing_positions(model, phi)}, or for {name} fit '{formula}'"
+    )
+    if len(design) < len(terms):
+        return RankError(
+            f"{len(design)} readings cannot determine the {len(terms)} terms of {name}; {way_out}.",
+            rank=error.rank, parameters=error.parameters,
+        )  # fmt: skip
+    return RankError(
+        f"{error.rank} of {error.parameters} parameters of {name} can be separated: "
+        f"{'; '.join(error.combinations)}; {way_out}.",
+        rank=error.rank, parameters=error.parameters, combinations=error.combinations,
+    )  # fmt: skip
+
+
+def _missing_positions(model: Model, phi: Array) -> str:
+    """Return what to add: for positions that never excite one input, a roll about another axis."""
+    components = [linear_term(axis) for axis in model.inputs]
+    seen = [model.basis_terms.index(term) for term in components if term in model.basis_terms]
+    silent = [column for column in seen if np.abs(phi[:, column]).max() <= FLOOR]
+    if len(silent) == 1 and len(seen) > 1:
+        return "a roll about another axis, as all positions lie in one plane"
+    return "positions that differ more"

@@ -1,0 +1,238 @@
+"""One likelihood for orientations known, uncertain and unknown.
+
+A reading at position k, and how the position may differ from where it should be:
+
+    y_k = h(theta, f_k) + e_k,                        e_k ~ N(0, Sigma_k)                   (1)
+    f_k = ±g R_k E(u_k, t_k),                         t_k ~ N(0, s_k² I_2)                  (2)
+
+E(u, t) is a step t (two angles) on the sphere from the listed direction u (`multipos.numerics.rotations`);
+s_k = 0 is a position known exactly, s_k = inf one of which nothing is known. R_k is what
+positions share: the unknown rotation of the group they belong to, and the tilt
+tau ~ N(0, s_level² I_2) of a table that is not level, turned into case axes by the attitude C_k,
+
+    R_k = Exp([rho_g]x) · C_k Exp([tau]x) C_k'.                                             (3)
+
+The maximum a posteriori estimate minimises, with rho(q) = q or a robust loss,
+
+    F = sum_k rho(q_k) + |tau|²/s_level²,   q_k = r_k' Sigma_k^-1 r_k + |t_k|²/s_k²,        (4)
+
+r_k = y_k − h; `multipos.estimation.descent` searches for it. Each t_k touches position k only,
+so it is eliminated there: with J_k = dh/df df/dt and H_k = J_k' Sigma_k^-1 J_k + I/s_k²,
+
+    W_k = Sigma_k^-1 − Sigma_k^-1 J_k H_k^-1 J_k' Sigma_k^-1,                               (5)
+    S = sum_k A_k' W_k A_k,      S d = sum_k A_k' (Sigma_k^-1 r_k − Sigma_k^-1 J_k H_k^-1 m_k),
+    m_k = J_k' Sigma_k^-1 r_k − t_k/s_k²,                                                   (6)
+
+A_k = dh/d(theta, rho, tau), and t_k follows by back substitution: the cost is linear in the number
+of positions. W_k is the inverse of the marginal covariance Sigma_k + s_k² J_k J_k', and S^-1 is the
+covariance of the estimate, orientation errors inside.
+
+References
+----------
+B. Triggs and others, *Bundle adjustment: a modern
+synthesis*, 2000, section 6 (elimination); JCGM 102.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.losses import loss, loss_weight
+from multipos.estimation.problem import Normal, Point, Problem, State
+from multipos.numerics.rotations import (
+    cross_matrix,
+    left_jacobian,
+    rotation_matrix,
+    step_derivative,
+    step_on_sphere,
+    tangent_basis,
+)
+from multipos.sensor.model import Block
+
+Array = NDArray[np.float64]
+
+
+def evaluate(problem: Problem, state: State) -> Point:
+    """Return the force, residuals and objective at a state."""
+    direction = step_on_sphere(state.centre, state.basis, state.step)
+    turn = _shared_rotation(problem, state)
+    if turn is not None:
+        direction = np.einsum("nij,nj->ni", turn, direction)
+    force = problem.magnitude[:, None] * direction
+    outputs, blocks = problem.model.respond(state.theta, force, problem.environment)
+    residuals = problem.values - outputs
+    q = np.einsum("nm,nm->n", residuals, _weigh(problem.precision, residuals))
+    if problem.prior.any():
+        q += problem.prior * np.einsum("ni,ni->n", state.step, state.step)
+    total = q if problem.robust is None else loss(problem.robust, q, problem.degrees)
+    objective = float(np.sum(total))
+    if problem.level_spread > 0.0:
+        objective += float(state.tilt @ state.tilt) / problem.level_spread**2
+    return Point(force, blocks, residuals, q, objective)
+
+
+def linearise(problem: Problem, state: State, point: Point) -> Normal:
+    """Return the normal equations of eqs. (5), (6), weighted by the loss."""
+    by_force = problem.model.force_jacobian(state.theta, point.force, problem.environment)
+    jacobian = np.einsum("nmi,nij->nmj", by_force, _force_by_step(problem, state))
+    weighted = _weigh(problem.precision, jacobian)
+    gram = np.einsum("nmi,nmj->nij", jacobian, weighted)
+    inverse = _inverse_2x2(gram, problem.prior, problem.exact)
+    gain = np.einsum("nmi,nij->nmj", weighted, inverse)
+    marginal = _full(problem.precision) - np.einsum("nmi,nki->nmk", gain, weighted)
+    weighted_residuals = _weigh(problem.precision, point.residuals)
+    pull = np.einsum("nmi,nm->ni", weighted, point.residuals)
+    pull -= problem.prior[:, None] * state.step
+    push = weighted_residuals - np.einsum("nmi,ni->nm", gain, pull)
+    # A reading far outside the sphere is pulled to it harder than its tangent plane says, and
+    # would be thrown from side to side: d²f/dt² = -f.
+    outside = np.einsum("nm,nmi,ni->n", weighted_residuals, by_force, point.force)
+    mean = (gram[:, 0, 0] + gram[:, 1, 1]) / 2.0 + problem.prior
+    ease = mean / (mean + np.maximum(outside, 0.0) + 1e-300)
+    if problem.robust is not None:
+        weight = loss_weight(problem.robust, point.q, problem.degrees)
+        marginal = weight[:, None, None] * marginal
+        push = weight[:, None] * push
+    shared = _by_shared(problem, state, point, by_force)
+    information, right = assemble(len(state.theta), point.blocks, marginal, push, shared)
+    if problem.level_spread > 0.0:
+        information[-2:, -2:] += np.eye(2) / problem.level_spread**2
+        right[-2:] -= state.tilt / problem.level_spread**2
+    return Normal(information, right, shared, jacobian, weighted, inverse, ease, pull, marginal)
+
+
+def assemble(
+    p: int, blocks: Sequence[Block], marginal: Array, push: Array, shared: Array
+) -> tuple[Array, Array]:
+    """Return sum A'WA and sum A'push, A = (dh/dtheta, shared), without forming A."""
+    extra = shared.shape[2]
+    information = np.zeros((p + extra, p + extra))
+    right = np.zeros(p + extra)
+    for i, (places, mine) in enumerate(blocks):
+        right[places] += mine.T @ push[:, i]
+        for j, (targets, other) in enumerate(blocks[i:], start=i):
+            block = (mine * marginal[:, i, j, None]).T @ other
+            information[np.ix_(places, targets)] += block
+            if j > i:
+                information[np.ix_(targets, places)] += block.T
+        if extra:
+            cross = mine.T @ np.einsum("nm,nms->ns", marginal[:, i], shared)
+            information[places, p:] += cross
+            information[p:, places] += cross.T
+    if extra:
+        weighted = np.einsum("nmk,nks->nms", marginal, shared)
+        information[p:, p:] += np.einsum("nms,nmr->sr", shared, weighted)
+        right[p:] += np.einsum("nms,nm->s", shared, push)
+    return information, right
+
+
+def moved(
+    problem: Problem, state: State, point: Point, normal: Normal, step: Array, damping: float
+) -> State:
+    """Return the state after a step of the shared unknowns, each t_k following it."""
+    p = len(state.theta)
+    theta = state.theta + step[:p]
+    outputs = np.array([slopes @ step[places] for places, slopes in point.blocks]).T
+    turns, tilt = state.turns, state.tilt
+    if problem.shared:
+        outputs = outputs + np.einsum("nms,s->nm", normal.shared, step[p:])
+        turns = np.array(
+            [rotation_matrix(step[p + 3 * g : p + 3 * g + 3]) @ turn
+             for g, turn in enumerate(state.turns)]
+        ).reshape(-1, 3, 3)  # fmt: skip
+        if problem.level_spread > 0.0:
+            tilt = state.tilt + step[-2:]
+    back = normal.pull - np.einsum("nmi,nm->ni", normal.weighted, outputs)
+    own = np.einsum("nij,nj->ni", normal.inverse, back)
+    # Damped like the rest, so that a rejected step shrinks as a whole; a quarter turn at most.
+    length = np.sqrt(np.einsum("ni,ni->n", own, own))
+    own *= np.minimum(normal.ease / (1.0 + damping), 1.5 / (length + 1e-300))[:, None]
+    return replace(state, theta=theta, step=state.step + own, turns=turns, tilt=tilt)
+
+
+def recentred(problem: Problem, state: State) -> State:
+    """Return the state with unknown directions as their own centres, which have no prior."""
+    if not problem.unknown.any():
+        return state
+    keep = ~problem.unknown[:, None]
+    moved = step_on_sphere(state.centre, state.basis, state.step)
+    centre = np.where(keep, state.centre, moved) if keep.any() else moved
+    return replace(state, centre=centre, basis=tangent_basis(centre), step=keep * state.step)
+
+
+def _shared_rotation(problem: Problem, state: State) -> Array | None:
+    """Return R_k of eq. (3), (n, 3, 3), or None where all are the identity."""
+    if not problem.shared:
+        return None
+    turn = np.tile(np.eye(3), (len(problem.values), 1, 1))
+    if problem.attitude is not None:
+        tilt = rotation_matrix(np.array([*state.tilt, 0.0]))
+        turn = problem.attitude @ tilt @ problem.attitude.transpose(0, 2, 1)
+    member = problem.group >= 0
+    if member.any():
+        turn[member] = state.turns[problem.group[member]] @ turn[member]
+    return turn
+
+
+def _force_by_step(problem: Problem, state: State) -> Array:
+    """Return df/dt (n, 3, 2)."""
+    moves = state.basis  # dE/dt where no step was made yet
+    if state.step.any():
+        moves = step_derivative(state.centre, state.basis, state.step)
+    turn = _shared_rotation(problem, state)
+    if turn is not None:
+        moves = np.einsum("nij,njk->nik", turn, moves)
+    return np.asarray(problem.magnitude[:, None, None] * moves)
+
+
+def _by_shared(problem: Problem, state: State, point: Point, by_force: Array) -> Array:
+    """Return dh/d(rho, tau) (n, M, shared): a turn moves f by df = rho x f."""
+    n, m = problem.values.shape
+    result = np.zeros((n, m, problem.shared))
+    if not problem.shared:
+        return result
+    by_turn = -by_force @ cross_matrix(point.force)
+    for g in range(problem.groups):
+        member = problem.group == g
+        result[member, :, 3 * g : 3 * g + 3] = by_turn[member]
+    if problem.attitude is not None:
+        turned = problem.attitude.copy()
+        member = problem.group >= 0
+        turned[member] = state.turns[problem.group[member]] @ turned[member]
+        level = left_jacobian(np.array([*state.tilt, 0.0]))[:, :2]
+        result[:, :, -2:] = by_turn @ turned @ level
+    return result
+
+
+def _weigh(precision: Array, array: Array) -> Array:
+    """Return Sigma^-1 times (n, M) or (n, M, c)."""
+    if precision.ndim == 2:
+        return precision * array if array.ndim == 2 else precision[:, :, None] * array
+    if array.ndim == 2:
+        return np.asarray(np.einsum("nij,nj->ni", precision, array))
+    return np.asarray(np.einsum("nij,njk->nik", precision, array))
+
+
+def _full(precision: Array) -> Array:
+    if precision.ndim == 3:
+        return precision
+    n, m = precision.shape
+    full = np.zeros((m, m, n))
+    full[np.arange(m), np.arange(m)] = precision.T
+    return full.transpose(2, 0, 1)
+
+
+def _inverse_2x2(matrix: Array, prior: Array, zero: NDArray[np.bool_]) -> Array:
+    """Return (matrix + prior I)^-1; zero where marked, or singular, so that nothing is claimed."""
+    a, d = matrix[:, 0, 0] + prior, matrix[:, 1, 1] + prior
+    b = matrix[:, 0, 1]
+    product = a * d
+    determinant = product - b * b
+    sound = (determinant > 1e-28 * product) & ~zero
+    factor = np.where(sound, 1.0, 0.0) / np.where(sound, determinant, 1.0)
+    inverse = np.empty((2, 2, len(prior)))
+    inverse[0, 0], inverse[1, 1] = d * factor, a * factor
+    inverse[0, 1] = inverse[1, 0] = -b * factor
+    return inverse.transpose(2, 0, 1)

@@ -1,0 +1,107 @@
+"""Choice of a calibration's terms: stepwise, one output at a time, over positions and temperatures.
+
+A formula with temperature terms, such as `1 + x + y + z + temperature + temperature*own + …`, lists
+candidates; each output keeps those of them that its readings support (`multipos.numerics.selection`). Its
+constant and the term of its own axis always stay: without bias and scale factor there is no
+calibration. Readings that state their uncertainty are weighted by it.
+
+What was chosen by looking at the data looks better in the same data than it is: u and p of the
+terms kept are those of a model fixed beforehand, and too good.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.known import solve_known
+from multipos.numerics.selection import Selection, Thresholds, compress, select_stepwise
+from multipos.positions.readings import Readings, read_readings
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.model import CONSTANT, Model, linear_term
+
+Array = NDArray[np.float64]
+
+OPTIMISTIC = (
+    "the terms were chosen stepwise by the readings that also test them: the uncertainties of the "
+    "terms kept are too small, and what was left out is taken as zero"
+)
+
+
+def select_terms(
+    model: Model, reference: Array, readings: Readings, limits: Thresholds | None = None
+) -> tuple[Model, dict[str, Any]]:
+    """Return the model with the terms that the readings support, and how they were chosen.
+
+    Parameters
+    ----------
+    model : Model
+        With all candidate terms.
+    reference : (n, 3) array [g]
+        Known, or estimated beforehand where the orientation is not.
+    readings : Readings
+    limits : Thresholds, optional
+        p to enter .05 and to remove .10 by default.
+
+    Returns
+    -------
+    Model
+    dict of output to {terms, path, runner_up, collinear}
+
+    Raises
+    ------
+    RankError
+        The positions cannot separate a bias and a scale factor, which always stay.
+    """
+    limits = limits or Thresholds()
+    phi = model.basis(reference, readings.environment)
+    weight = _weights(readings)
+    keys: list[tuple[str, str]] = []
+    record: dict[str, Any] = {}
+    for i, (output, axis, terms) in enumerate(
+        zip(model.outputs, model.axes, model.terms, strict=True)
+    ):
+        names = [str(term) for term in terms]
+        always = {CONSTANT, linear_term(axis)}
+        forced = [j for j, term in enumerate(terms) if term in always]
+        if forced:  # what stays whatever the readings say, they must be able to tell
+            smallest = model.only(output).keeping([(output, names[j]) for j in forced])
+            solve_known(smallest, reference, read_readings(readings, outputs=[output]))
+        w = weight[:, i]
+        triangle = compress(phi[:, model.columns[i]] * w[:, None], readings.values[:, i] * w)
+        found = select_stepwise(triangle, names, limits, forced=forced)
+        keys += [(output, names[j]) for j in found.columns]
+        record[output] = _record(found, names)
+    return model.keeping(keys), record
+
+
+def with_selection(calibration: Calibration, record: dict[str, Any]) -> Calibration:
+    """Return a calibration that carries how its terms were chosen, and says what that means."""
+    diagnostics = calibration.diagnostics
+    return replace(
+        calibration,
+        extra={**calibration.extra, "selection": record},
+        diagnostics=replace(diagnostics, warnings=(*diagnostics.warnings, OPTIMISTIC)),
+    )
+
+
+def _weights(readings: Readings) -> Array:
+    if readings.u is not None:
+        return 1.0 / readings.u
+    if readings.covariance is not None:
+        return 1.0 / np.sqrt(np.diag(readings.covariance)).reshape(readings.values.shape)
+    return np.ones_like(readings.values)
+
+
+def _record(found: Selection, names: list[str]) -> dict[str, Any]:
+    path = [
+        {"step": s.step, "action": s.action, "term": s.term, "F": s.F, "p": s.p} for s in found.path
+    ]
+    best = found.runner_up
+    return {
+        "terms": [names[j] for j in found.columns],
+        "path": path,
+        "runner_up": None if best is None else {"term": best.term, "F": best.F, "p": best.p},
+        "collinear": found.collinear,
+    }

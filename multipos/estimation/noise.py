@@ -1,0 +1,124 @@
+"""How noisy the readings are, and what a solution of the likelihood is therefore worth.
+
+- **Stated** noise is believed unless the residuals deny it: F of `multipos.estimation.likelihood` is then
+  χ² with nu degrees of freedom, and beyond its 99.9 % point the covariance is multiplied by
+  F/nu.
+- **Unstated** noise, equal in all readings, is F/nu where every position is exact or unknown.
+- Where orientation errors share the blame for the residuals, noise is estimated by restricted
+  maximum likelihood (`multipos.estimation.variances`), alone or together with the orientation sd.
+
+The degrees of freedom are nu = sum m_k − (parameters and shared unknowns), with m_k = M outputs
+at a position, less two where nothing is known of its orientation.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.descent import resume
+from multipos.estimation.known import believe
+from multipos.estimation.problem import Optimum, Problem
+from multipos.estimation.variances import Components, components, linearised, maximise_restricted
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 30  # of noise and solution in turn
+_SETTLED = 1e-5  # change of ln variance at which they agree
+_NOTHING_LEFT = "as many unknowns as equations: nothing is left to estimate the "
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What the covariance of the likelihood is to be multiplied by, and how well that is known."""
+
+    factor: float
+    dof: float  # inf where the stated noise is believed
+    parameter_dof: Array | None = None
+    spread: Array | None = None  # (n,) [rad], where the orientation sd was estimated
+    warnings: tuple[str, ...] = ()
+    extra: tuple[tuple[str, Any], ...] = ()
+
+
+def judge_noise(
+    problem: Problem, optimum: Optimum, nu: float, *, stated: bool, estimate_spread: bool
+) -> tuple[Problem, Optimum, Worth]:
+    """Return problem and optimum with the noise that was found, and what they are worth.
+
+    Parameters
+    ----------
+    problem, optimum
+        With the stated noise, or with one of any size.
+    nu : float
+        Degrees of freedom.
+    stated : bool
+        Whether the readings state their noise.
+    estimate_spread : bool
+        Whether the size of the orientation sd is to be estimated.
+    """
+    if nu <= 0 and (estimate_spread or not stated):
+        words = (
+            "orientation sd from; state it, or give more positions"
+            if stated
+            else "uncertainty from; give --reading-sd or more positions"
+        )
+        return problem, optimum, Worth(np.nan, 0.0, warnings=(_NOTHING_LEFT + words,))
+    if estimate_spread or (problem.has_prior and not stated):
+        return _estimate(problem, optimum, stated, estimate_spread)
+    if not stated:
+        return problem, optimum, Worth(optimum.point.objective / nu, nu)
+    chi2 = np.array([optimum.point.objective])
+    factor, dof, said = believe(chi2, np.array([nu]), ("all outputs",))
+    return problem, optimum, Worth(float(factor[0]), float(dof[0]), warnings=tuple(said))
+
+
+def _estimate(
+    problem: Problem, optimum: Optimum, stated: bool, orientation: bool
+) -> tuple[Problem, Optimum, Worth]:
+    """Find variances and solution in turn, by restricted maximum likelihood."""
+    first = problem
+    v = np.zeros(2)  # ln of the factors on noise and orientation variances
+    free = np.array([not stated, orientation])
+    for _ in range(_ROUNDS):
+        linear = linearised(first, optimum)
+        found = maximise_restricted(linear, v, free)
+        change = float(np.abs(found - v).max())
+        v = found
+        problem = replace(
+            first, precision=first.precision * np.exp(-v[0]),
+            spread=first.spread * np.exp(v[1] / 2.0),
+        )  # fmt: skip
+        optimum = resume(problem, optimum)
+        if change < _SETTLED:
+            break
+    told = components(linearised(first, optimum), v, free)
+    words, said = _in_words(problem, told, free)
+    warnings = [f"estimated by restricted maximum likelihood: {' and '.join(words)}"]
+    if max(entry["u"] / entry["value"] for entry in said.values()) > 1.0:
+        warnings.append(
+            "one of the estimated variances is hardly determined; state it, or add positions "
+            "(18 or more serve)"
+        )
+    worth = Worth(
+        1.0, np.inf if stated else max(2.0 / float(told.log_covariance[0, 0]), 1.0), told.dof,
+        problem.spread if orientation else None, tuple(warnings), (("variance_components", said),),
+    )  # fmt: skip
+    return problem, optimum, worth
+
+
+def _in_words(
+    problem: Problem, told: Components, free: NDArray[np.bool_]
+) -> tuple[list[str], dict[str, dict[str, float]]]:
+    """Return the standard deviations that were estimated, with u, as words and as numbers."""
+    relative = np.sqrt(np.diag(told.log_covariance)) / 2.0  # of a standard deviation
+    said, words = {}, []
+    if free[0]:
+        value = float(problem.precision.mean() ** -0.5)
+        said["reading_sd"] = {"value": value, "u": value * float(relative[0])}
+        words.append(f"reading noise {value:.3g} (to {100.0 * relative[0]:.0f} %)")
+    if free[1]:
+        value = float(np.degrees(problem.spread[np.isfinite(problem.spread)].max()))
+        said["orientation_sd_deg"] = {"value": value, "u": value * float(relative[-1])}
+        words.append(f"orientation error {value:.3g} degrees (to {100.0 * relative[-1]:.0f} %)")
+    return words, said

@@ -1,0 +1,189 @@
+"""The problem of uncertain and unknown orientations, a point of its search, and where it ended.
+
+The equations are those of `multipos.estimation.likelihood`; here is what they are about. Arrays have one
+row per position, but are laid out with positions running fastest, since a position is two or
+three numbers and there may be many of them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.losses import Loss
+from multipos.numerics.rotations import tangent_basis
+from multipos.sensor.model import Block, Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Readings and what is known of their positions, eqs. (1)–(3) of `multipos.estimation.likelihood`.
+
+    Attributes
+    ----------
+    model : Model
+    values : (n, M) array
+    environment : mapping of str to (n,) array
+    precision : (n, M) or (n, M, M) array
+        Inverse variances, or inverse covariances, of each reading.
+    reference : (n, 3) array [g]
+        Listed reference ±g u, of any direction where `spread` is infinite.
+    spread : (n,) array [rad]
+        s_k.
+    group : (n,) array of int
+        Number of the group, −1 for none.
+    weight : (n,) array
+        What the precision of each position has been multiplied by, 1 but for those set aside.
+    groups : int
+    attitude : (n, 3, 3) array or None
+        Level to case, where a tilt of the table is estimated.
+    level_spread : float [rad]
+        s_level; 0 for a level table.
+    robust : str or None
+        Name of the loss; the thresholds of q count in `degrees` of freedom a position.
+    held : tuple of int
+        Parameters that the search leaves where they start.
+    """
+
+    model: Model
+    values: Array
+    environment: Mapping[str, Array]
+    precision: Array
+    reference: Array
+    spread: Array
+    group: NDArray[np.intp]
+    weight: Array
+    groups: int = 0
+    attitude: Array | None = None
+    level_spread: float = 0.0
+    robust: Loss | None = None
+    held: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Let positions run fastest in memory: every operation is on all of them at once."""
+        for name in ("values", "precision", "reference"):
+            object.__setattr__(self, name, np.asfortranarray(getattr(self, name)))
+
+    @cached_property
+    def magnitude(self) -> Array:
+        """Size of the reference (n,) [g]."""
+        return np.asarray(np.linalg.norm(self.reference, axis=1))
+
+    @cached_property
+    def prior(self) -> Array:
+        """1/s² (n,); exact positions get 0 here, their steps are held at zero instead."""
+        with np.errstate(divide="ignore"):
+            return np.where(self.spread > 0.0, 1.0 / self.spread**2, 0.0)
+
+    @cached_property
+    def exact(self) -> NDArray[np.bool_]:
+        """Positions known exactly, (n,)."""
+        return np.asarray(self.spread == 0.0)
+
+    @cached_property
+    def unknown(self) -> NDArray[np.bool_]:
+        """Positions of which nothing is known, (n,)."""
+        return np.isinf(self.spread)
+
+    @cached_property
+    def degrees(self) -> Array:
+        """Degrees of freedom that each position leaves, (n,): M, less two where s is infinite."""
+        return np.asarray(self.values.shape[1] - 2.0 * self.unknown)
+
+    @property
+    def listed(self) -> NDArray[np.bool_]:
+        """Rows whose direction is listed in the world's axes."""
+        return np.isfinite(self.spread) & (self.group < 0)
+
+    @property
+    def adrift(self) -> bool:
+        """Whether nothing ties the readings to the directions of the world."""
+        return not self.listed.any()
+
+    @property
+    def shared(self) -> int:
+        """Number of unknowns that positions share beside the parameters."""
+        return 3 * self.groups + (2 if self.level_spread > 0.0 else 0)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of parameters and shared unknowns; a tilt, tied to zero, costs none."""
+        return len(self.model.keys) + 3 * self.groups
+
+    @property
+    def has_prior(self) -> bool:
+        """Whether orientations are tied to where they should be by a standard deviation."""
+        return bool(self.prior.any()) or self.level_spread > 0.0
+
+
+@dataclass(frozen=True)
+class State:
+    """A point of the search: parameters, steps on the sphere and shared rotations."""
+
+    theta: Array  # (p,)
+    centre: Array  # (n, 3) unit, from which `step` starts
+    basis: Array  # (n, 3, 2)
+    step: Array  # (n, 2) [rad]
+    turns: Array  # (G, 3, 3), Exp([rho_g]x)
+    tilt: Array  # (2,) [rad]
+
+
+@dataclass(frozen=True)
+class Point:
+    """The model and objective at a state."""
+
+    force: Array  # (n, 3) [g]
+    blocks: tuple[Block, ...]  # dh/dtheta, by output
+    residuals: Array  # (n, M)
+    q: Array  # (n,)
+    objective: float
+
+
+@dataclass(frozen=True)
+class Normal:
+    """The reduced normal equations at a point, eqs. (5), (6) of `multipos.estimation.likelihood`."""
+
+    information: Array  # S, (p + shared, p + shared)
+    gradient: Array  # (p + shared,)
+    shared: Array  # (n, M, shared): dh/d(rho, tau)
+    jacobian: Array  # J_k, (n, M, 2)
+    weighted: Array  # Sigma^-1 J, (n, M, 2)
+    inverse: Array  # H^-1, (n, 2, 2)
+    ease: Array  # (n,), how much of its step a position takes
+    pull: Array  # m_k, (n, 2)
+    marginal: Array  # W_k, (n, M, M)
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where the search ended."""
+
+    state: State
+    point: Point
+    converged: bool
+    iterations: int
+    last_step: float
+    gradient: float
+
+
+def start_state(
+    problem: Problem, theta: Array, direction: Array | None = None, turns: Array | None = None
+) -> State:
+    """Return a state: at the listed directions, or at others where nothing is known of them."""
+    listed = problem.reference / problem.magnitude[:, None]
+    centre = listed if direction is None else np.where(
+        problem.unknown[:, None], direction, listed
+    )  # fmt: skip
+    centre = np.asfortranarray(centre)
+    return State(
+        theta=theta,
+        centre=centre,
+        basis=tangent_basis(centre),
+        step=np.zeros((len(centre), 2), order="F"),
+        turns=np.tile(np.eye(3), (problem.groups, 1, 1)) if turns is None else turns,
+        tilt=np.zeros(2),
+    )

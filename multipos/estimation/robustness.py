@@ -1,0 +1,133 @@
+"""Robust fits: noise that a few bad positions do not move, and positions set aside by name.
+
+The noise, where it is not stated, is scaled until the median misfit is that of the normal law.
+Positions that are then beyond doubt are set aside one by one, the worst first: any loss but a
+constant one lets a gross error pull a little, and by more the fewer positions there are. Both
+are done under Huber's loss, whose minimum is the only one of a linear model; a loss that lets go
+of far positions would shrink the noise until the nearest ones alone fit. With the noise found,
+the search ends under the loss that was asked for.
+
+The covariance is the one without weights, times Huber's factor, with psi(z) = z rho'(z²),
+
+    K² [sum q w² / nu] / mean(psi')²,     K = 1 + (p/N) var(psi')/mean(psi')²,              (1)
+
+which is the empirical spread of the estimating equations. Positions count with their weight in
+the degrees of freedom, nu = sum w m − p: with all in full, 95 % intervals
+cover 93 % at 24 positions. Where the noise is stated and the
+weighted residuals do not deny it, the factor is what the loss costs under the normal law.
+
+References
+----------
+P. J. Huber, *Robust Statistics*, 1981, section 7.6.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.descent import resume
+from multipos.estimation.known import believe
+from multipos.estimation.losses import EFFICIENCY, Loss, loss_slope, loss_weight
+from multipos.estimation.noise import Worth
+from multipos.estimation.problem import Optimum, Problem
+from multipos.estimation.variances import FINEST_OF_PLACEMENT
+from multipos.numerics.quantiles import chi2_quantile
+
+Array = NDArray[np.float64]
+
+ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is still reported
+_BEYOND_DOUBT = 1e-6  # chance below which a position is set aside
+_ROUNDS = 30  # of noise and solution in turn
+_SETTLED = 1e-4  # change of ln variance far below what a median can tell
+_FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits vanish altogether
+
+
+def judge_robustly(
+    problem: Problem, optimum: Optimum, loss: Loss, names: Sequence[str], *, stated: bool
+) -> tuple[Problem, Optimum, Worth]:
+    """Return problem and optimum under a robust loss, and what they are worth.
+
+    Parameters
+    ----------
+    problem, optimum
+        Under Huber's loss, with the stated noise, or with one of any size.
+    loss : str
+        Name of the loss to end with.
+    names : sequence of n str
+        Labels of the positions.
+    stated : bool
+        Whether the readings state their noise.
+    """
+    limit = np.array([chi2_quantile(1.0 - _BEYOND_DOUBT, m) for m in problem.degrees])
+    said = []
+    # At most a quarter of the positions: beyond that it is the model that does not fit.
+    for _ in range(len(limit) // 4 + 1):
+        kept = problem.weight == 1.0
+        nu = float(problem.degrees[kept].sum()) - problem.unknowns
+        if not stated and nu > 0:
+            problem, optimum = _settle_noise(problem, optimum, nu)
+        excess = np.where(kept, optimum.point.q / limit, 0.0)
+        worst = int(np.argmax(excess))
+        if excess[worst] <= 1.0:
+            break
+        misfit = float(np.sqrt(optimum.point.q[worst] / problem.degrees[worst]))
+        said.append(
+            f"position {names[worst]} is set aside: it does not fit by {misfit:.3g} times the noise"
+        )
+        problem = set_aside(problem, np.arange(len(limit)) == worst)
+        optimum = resume(problem, optimum)
+    if loss != problem.robust:
+        problem = replace(problem, robust=loss)
+        optimum = resume(problem, optimum)
+    q, kept = optimum.point.q, problem.weight == 1.0
+    weight = np.where(kept, loss_weight(problem.robust, q, problem.degrees), 0.0)
+    extra = (("robust_weight", weight),)
+    if stated:
+        left = np.array([float(np.sum(q * weight**2))])
+        _, dof, denied = believe(left, np.array([nu]), ("all outputs",))
+        if np.isinf(dof[0]):
+            return problem, optimum, Worth(1.0 / EFFICIENCY, np.inf, None, None, tuple(said), extra)
+        said += denied
+    counted = max(float(np.sum(weight * problem.degrees)) - problem.unknowns, 1.0)
+    factor = _huber_factor(problem, optimum, counted)
+    return problem, optimum, Worth(factor, counted, None, None, tuple(said), extra)
+
+
+def set_aside(problem: Problem, rows: NDArray[np.bool_]) -> Problem:
+    """Return the problem in which the marked positions (n,) count for nothing."""
+    weight = np.where(rows, ASIDE, 1.0)
+    column = weight.reshape(-1, *[1] * (problem.precision.ndim - 1))
+    return replace(problem, precision=problem.precision * column, weight=problem.weight * weight)
+
+
+def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Problem, Optimum]:
+    """Scale the noise to the median misfit, which a few bad positions do not move."""
+    kept = problem.weight == 1.0
+    degrees = problem.degrees[kept]
+    median = {m: chi2_quantile(0.5, m) for m in set(degrees.tolist())}
+    typical = np.array([median[m] for m in degrees.tolist()])
+    tied = np.isfinite(problem.spread)
+    widest = float(problem.spread[tied].max()) if tied.any() else 0.0
+    finest = (_FINEST + FINEST_OF_PLACEMENT * widest) * float(np.abs(problem.values).max())
+    for _ in range(_ROUNDS):
+        ratio = float(np.median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
+        ratio = max(ratio, float(np.abs(problem.precision[kept]).max()) * finest**2)
+        problem = replace(problem, precision=problem.precision / ratio)
+        optimum = resume(problem, optimum)
+        if abs(np.log(ratio)) < _SETTLED:
+            break
+    return problem, optimum
+
+
+def _huber_factor(problem: Problem, optimum: Optimum, nu: float) -> float:
+    """Return the factor of eq. (1) on the covariance without weights."""
+    kept = problem.weight == 1.0
+    q, degrees = optimum.point.q[kept], problem.degrees[kept]
+    weight = loss_weight(problem.robust, q, degrees)
+    slope = loss_slope(problem.robust, q, degrees)
+    mean = max(float(slope.mean()), 0.05)
+    used = 1.0 - nu / float(degrees.sum())
+    correction = 1.0 + used * float(slope.var()) / mean**2
+    return correction**2 * float(np.sum(q * weight**2)) / nu / mean**2

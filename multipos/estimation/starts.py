@@ -1,0 +1,357 @@
+"""Where the search for an uncertain or unknown orientation starts, and whether its end is sound.
+
+No guess is asked for. Least squares at the listed directions, where they are enough, is one
+start; the ellipsoid on which readings at rest lie (`multipos.estimation.ellipsoid`), turned to the listed
+directions where some are, is the other. The second is tried where the first fails, or where
+positions may be further off than five degrees; the lower minimum wins.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import ConvergenceError, MultiposError, RankError
+from multipos.estimation.descent import maximise
+from multipos.estimation.ellipsoid import ellipsoid_start, symmetric_root
+from multipos.estimation.identifiability import (
+    CANDIDATES,
+    condition,
+    helpful_positions,
+    least_determined,
+    plausible_range,
+    position_words,
+    require_separable,
+)
+from multipos.estimation.likelihood import evaluate, linearise
+from multipos.estimation.problem import Normal, Optimum, Problem, State, start_state
+from multipos.numerics.least_squares import solve
+from multipos.numerics.rotations import align
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.inverse import invert, parameter_jacobian
+from multipos.sensor.model import COMPONENTS
+
+Array = NDArray[np.float64]
+
+_LEVER = 2.0  # how far above the information that noise pretends
+_FEWEST = 4  # parameters that any turn of the sensor shows: a bias for each output, one scale
+_PARTS = 50  # that a robust start leaves out in turn
+_MEDIAN = 0.6745  # of the modulus of a standard normal
+_SCATTER = 0.2  # of one g: a cloud of noise, not a sphere of positions
+_WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
+
+
+def search(problem: Problem) -> Optimum:
+    """Return the best optimum over the starts; the second is tried where the first may be poor."""
+    best: tuple[State, Optimum] | None = None
+    fault: MultiposError | None = None
+    wide = bool((problem.spread[problem.listed] > _WIDE).any())
+    for start in (_listed_start, _ellipsoid_start):
+        try:
+            state = start(problem)
+        except MultiposError as error:
+            if problem.listed.all() and not wide:
+                raise  # the listed directions are near enough to say what they cannot tell
+            fault = fault or error
+            continue
+        if state is None:
+            continue
+        found = maximise(problem, state)
+        if problem.adrift:
+            found = _positive(problem, found)
+        better = best is None or (found.converged, -found.point.objective) > (
+            best[1].converged, -best[1].point.objective
+        )  # fmt: skip
+        best = (state, found) if better else best
+        if best is not None and best[1].converged and not wide:
+            break
+    if best is None:
+        raise fault or MultiposError("no start could be found; give the orientations.")
+    if not best[1].converged:
+        raise fault or _why_not(problem, *best)
+    _require_sphere(problem, best[1])
+    _require_information(problem, best[1])
+    if np.isinf(problem.spread).all():  # where lever arms come from the readings themselves
+        _require_told(problem, *best)
+    return best[1]
+
+
+def _why_not(problem: Problem, start: State, optimum: Optimum) -> MultiposError:
+    """Return the error of a search that did not converge: what the positions do not tell."""
+    try:
+        _require_sphere(problem, optimum)
+        _require_information(problem, optimum)
+        _require_told(problem, start, optimum)
+    except MultiposError as error:
+        return error
+    return ConvergenceError(
+        f"no convergence after {optimum.iterations} iterations; the last step moved the "
+        f"parameters by {optimum.last_step:.1e} of their size. Check the readings for blunders "
+        "(--robust huber names them), or choose a model with fewer terms."
+    )
+
+
+def _require_told(problem: Problem, start: State, optimum: Optimum) -> None:
+    """Refuse what noise hides: combinations whose u is more than what is plausible of them.
+
+    A search wanders where the data say nothing, so that is judged where it began.
+    """
+    model, size = problem.model, float(np.linalg.norm(problem.reference, axis=1).mean())
+    limit = plausible_range(model, start.theta, size)
+    if limit is None:
+        return
+    plain = replace(problem, robust=None)
+    information = reduced_information(linearise(plain, start, evaluate(plain, start)), len(limit))
+    nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
+    relative = information * np.outer(limit, limit) * nu / optimum.point.objective
+    # Noise moves n positions by its own size, which passes for information of n and little more.
+    rank = int((np.linalg.eigvalsh(relative) > _LEVER * len(problem.values)).sum())
+    if rank == len(limit):
+        return
+    if rank < _FEWEST:
+        raise MultiposError(
+            "the readings differ by little more than their noise. Turn the sensor to different "
+            "positions and hold it still."
+        )
+    missing = [model.names[i] for i in sorted(least_determined(relative, rank))]
+    best = CANDIDATES[
+        helpful_positions(information, _candidate_gains(problem, start.theta), len(missing))
+    ]
+    raise RankError(
+        f"{rank} of {len(limit)} parameters can be told from the noise: "
+        f"{', '.join(f'`{name}`' for name in missing)} out of reach; add positions such as "
+        f"{position_words(best)}, or drop those terms.",
+        rank=rank, parameters=len(limit),
+    )  # fmt: skip
+
+
+def _require_sphere(problem: Problem, optimum: Optimum) -> None:
+    """Refuse readings that scatter about their ellipsoid by a good part of its size."""
+    if not np.isinf(problem.spread).all():
+        return
+    scale = float(np.abs(optimum.state.theta[list(problem.model.own_scales)]).mean())
+    # by the median, so that a few bad positions of a robust fit do not condemn the others
+    size = float(np.median(np.linalg.norm(optimum.point.residuals, axis=1)))
+    nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
+    spread = size / _MEDIAN * np.sqrt(len(problem.values) / nu)
+    scatter = spread / max(scale * float(np.linalg.norm(problem.reference[0])), 1e-300)
+    if scatter > _SCATTER:
+        raise MultiposError(
+            f"the readings scatter by {100.0 * scatter:.0f} % about the ellipsoid that fits them "
+            "best; they do not come from positions at rest in one gravity. Turn the sensor to "
+            "different positions and hold it still."
+        )
+
+
+def _listed_start(problem: Problem) -> State | None:
+    """Least squares at the listed directions, where there are enough of them."""
+    model, rows = problem.model, problem.listed
+    if not rows.any():
+        return None
+    values, reference = problem.values[rows], problem.reference[rows]
+    environment = {name: column[rows] for name, column in problem.environment.items()}
+    if isinstance(model, ExpressionModel):
+        return _placed(problem, model.first_guess(values, reference))
+    theta = np.zeros(len(model.keys))
+    _, blocks = model.respond(theta, reference, environment)
+    for output, (places, design) in enumerate(blocks):
+        names = [model.names[i] for i in places]
+        theta[places] = solve(design, values[:, output], names=names).coefficients
+    return _placed(problem, theta)
+
+
+def _placed(problem: Problem, theta: Array) -> State:
+    """Return the state at given parameters: unknown directions as the readings say, groups too."""
+    if problem.listed.all():
+        return start_state(problem, theta)
+    force = invert(problem.model, theta, problem.values, problem.environment)
+    length = np.linalg.norm(force, axis=1)
+    seen = length > 0.0  # not NaN: a force explains the reading
+    direction = np.where(seen[:, None], force / np.where(seen, length, 1.0)[:, None], [1.0, 0, 0])
+    return start_state(problem, theta, direction, _turns(problem, direction))
+
+
+def _turns(problem: Problem, direction: Array) -> Array:
+    """Return the rotation of each group that brings its listed directions nearest to others."""
+    groups = (problem.group == g for g in range(problem.groups))
+    turns = [align(problem.reference[rows], direction[rows]) for rows in groups]
+    return np.array(turns).reshape(-1, 3, 3)
+
+
+def _ellipsoid_start(problem: Problem) -> State | None:
+    """The ellipsoid of the readings, turned to the listed directions where some are."""
+    model = problem.model
+    if sorted(model.axes) != ["x", "y", "z"] or isinstance(model, ExpressionModel):
+        return None
+    order = [model.axes.index(axis) for axis in ("x", "y", "z")]
+    magnitude = float(np.linalg.norm(problem.reference, axis=1).mean())
+    crossed = any(name.startswith("cross_") for name in model.names)
+    find = ellipsoid_start if problem.robust is None else _median_ellipsoid
+    bias, matrix = find(problem.values[:, order], magnitude, crossed=crossed)
+    if model.gauge == "symmetric":
+        matrix = symmetric_root(matrix)
+    force = np.linalg.solve(matrix, (problem.values[:, order] - bias).T).T
+    direction = force / np.linalg.norm(force, axis=1)[:, None]
+    turn = _hand(problem, direction)
+    matrix, direction = matrix @ turn.T, direction @ turn.T
+    linear = np.empty((3, 4))
+    linear[order] = np.column_stack([bias, matrix])
+    theta = np.zeros(len(model.keys))
+    for i, (output, term) in enumerate(model.keys):
+        column = {"1": 0, "x": 1, "y": 2, "z": 3}.get(str(term))
+        if column is not None:
+            theta[i] = linear[model.outputs.index(output), column]
+    return start_state(problem, theta, direction, _turns(problem, direction))
+
+
+def _hand(problem: Problem, direction: Array) -> Array:
+    """Return the rotation or reflection that brings directions nearest to those listed.
+
+    The ellipsoid leaves both open. A reflection is that of a left-handed triad, or of a
+    convention which is not the readings' own; rows of a group can tell it as well.
+    """
+    known = [problem.listed, *(problem.group == g for g in range(problem.groups))]
+
+    def misfit(mirror: float) -> float:
+        turned = (mirror * direction[rows] @ align(mirror * direction[rows],
+                  problem.reference[rows]).T - problem.reference[rows]
+                  for rows in known if rows.any())  # fmt: skip
+        return float(sum(np.sum(left**2) for left in turned))
+
+    mirror = -1.0 if misfit(-1.0) < misfit(1.0) else 1.0
+    if problem.adrift:
+        return mirror * np.eye(3)
+    rows = problem.listed
+    return mirror * align(mirror * direction[rows], problem.reference[rows])
+
+
+def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tuple[Array, Array]:
+    """Return the ellipsoid start, without one part of the readings, that most readings are near.
+
+    Each part is left out in turn, so that blunders in one of them do not bend the start.
+    """
+    parts = min(len(values), _PARTS)
+    best, least = ellipsoid_start(values, magnitude, crossed=crossed), np.inf
+    for part in range(parts):
+        rest = np.delete(values, np.s_[part::parts], axis=0)
+        bias, matrix = ellipsoid_start(rest, magnitude, crossed=crossed)
+        force = np.linalg.solve(matrix, (values - bias).T)
+        misfit = float(np.median(np.abs(np.linalg.norm(force, axis=0) - magnitude)))
+        if misfit < least:
+            best, least = (bias, matrix), misfit
+    return best
+
+
+def _positive(problem: Problem, optimum: Optimum) -> Optimum:
+    """Return the mirrored optimum whose own-axis scale factors are positive.
+
+    Rows of a group know left from right. Where they say that an odd number of axes is reversed,
+    all three are made negative: then the readings follow the other convention.
+    """
+    model, state = problem.model, optimum.state
+    axes = {model.keys[i][1].factors[0].variable: state.theta[i] for i in model.own_scales}
+    mirrored = {axis for axis, scale in axes.items() if scale < 0.0}
+    if problem.groups and len(mirrored) % 2 == 1:
+        mirrored = axes.keys() - mirrored
+    if not mirrored:
+        return optimum
+    odd = np.array(
+        [
+            sum(f.power for f in term.factors if f.variable in mirrored) % 2 == 1
+            for _, term in model.keys
+        ]
+    )
+    mirror = np.array([-1.0 if axis in mirrored else 1.0 for axis in COMPONENTS])
+    # Exact under the lower gauge; under the symmetric one only near, hence the search again.
+    theta = np.where(odd, -state.theta, state.theta)
+    size = np.linalg.norm(optimum.point.force, axis=1)[:, None]
+    return maximise(
+        problem,
+        start_state(
+            problem, theta, optimum.point.force * mirror / size,
+            state.turns * mirror[:, None] if problem.groups else state.turns,
+        ),
+    )  # fmt: skip
+
+
+def _require_information(problem: Problem, optimum: Optimum) -> None:
+    normal = linearise(problem, optimum.state, optimum.point)
+    information = reduced_information(normal, len(problem.model.keys))
+    if np.isfinite(condition(information)):
+        return
+    gains = _candidate_gains(problem, optimum.state.theta)
+    best = CANDIDATES[helpful_positions(information, gains, 2)]
+    require_separable(
+        information, problem.model.names,
+        f"add positions such as {position_words(best)}, or drop a term",
+    )  # fmt: skip
+
+
+def reduced_information(normal: Normal, p: int) -> Array:
+    """Return the information of the parameters with the shared unknowns eliminated."""
+    full = normal.information
+    if len(full) == p:
+        return full
+    cross = full[:p, p:]
+    return np.asarray(full[:p, :p] - cross @ np.linalg.pinv(full[p:, p:]) @ cross.T)
+
+
+def _candidate_gains(problem: Problem, theta: Array) -> Array:
+    """Return what each candidate position, placed as badly as the others, would tell (c, p, p)."""
+    count = len(CANDIDATES)
+    size = float(np.linalg.norm(problem.reference, axis=1).mean())
+    spread = problem.spread[problem.group < 0]
+    environment = {
+        name: np.full(count, float(np.mean(column)))
+        for name, column in problem.environment.items()
+        if name in problem.model.environment
+    }
+    mean = problem.precision.mean(axis=0)
+    candidates = replace(
+        problem, values=np.zeros((count, problem.values.shape[1])), environment=environment,
+        precision=np.broadcast_to(mean, (count, *mean.shape)), reference=size * CANDIDATES,
+        spread=np.full(count, spread.max() if len(spread) else 0.0),
+        group=np.full(count, -1), weight=np.ones(count), groups=0, attitude=None,
+        level_spread=0.0, robust=None,
+    )  # fmt: skip
+    state = start_state(candidates, theta, CANDIDATES)
+    jacobian = parameter_jacobian(problem.model, state.theta, size * CANDIDATES, environment)
+    marginal = linearise(candidates, state, evaluate(candidates, state)).marginal
+    return np.asarray(jacobian.transpose(0, 2, 1) @ marginal @ jacobian)
+
+
+def too_few(problem: Problem) -> RankError:
+    """Return the error of fewer positions than the parameters need, with what is out of reach."""
+    model = problem.model
+    n, p = len(problem.values), len(model.keys)
+    equations = int(problem.degrees.sum()) - (problem.unknowns - p)
+    said = f"{n} positions give {max(equations, 0)} equations for {p} parameters"
+    if not np.isinf(problem.spread).all() or sorted(model.axes) != ["x", "y", "z"]:
+        return RankError(f"{said}; add positions or choose a model with fewer terms.",
+                         rank=min(equations, p), parameters=p)  # fmt: skip
+    # The readings themselves say about where the positions are: enough to see what they miss.
+    values = problem.values
+    centre = (values.max(axis=0) + values.min(axis=0)) / 2.0
+    half = np.maximum((values.max(axis=0) - values.min(axis=0)) / 2.0, 1e-300)
+    order = [model.axes.index(axis) for axis in ("x", "y", "z")]
+    direction = ((values - centre) / half)[:, order]
+    length = np.linalg.norm(direction, axis=1)
+    seen = length > 0.0
+    direction = np.where(
+        seen[:, None], direction / np.where(seen, length, 1.0)[:, None], [1.0, 0.0, 0.0]
+    )
+    theta = np.zeros(p)
+    theta[list(model.own_scales)] = 1.0
+    unit = replace(problem, precision=np.ones_like(values), reference=direction, robust=None)
+    state = start_state(unit, theta, direction)
+    marginal = linearise(unit, state, evaluate(unit, state)).marginal
+    jacobian = parameter_jacobian(model, theta, direction, problem.environment)
+    information = np.einsum("nmp,nmk,nkq->pq", jacobian, marginal, jacobian)
+    missing = [model.names[i] for i in sorted(least_determined(information, equations))]
+    gains = _candidate_gains(unit, theta)
+    best = CANDIDATES[helpful_positions(information, gains, p - equations)]
+    return RankError(
+        f"{said}: {', '.join(f'`{name}`' for name in missing)} out of reach; add positions "
+        f"such as {position_words(best)}, or drop those terms.",
+        rank=equations, parameters=p,
+    )  # fmt: skip

@@ -1,0 +1,273 @@
+"""Orientations known badly, or not at all: from readings to a solution of the one likelihood.
+
+`solve_uncertain` states the problem of `multipos.estimation.likelihood`, starts it without a guess
+(`multipos.estimation.starts`), finds the reading noise where it is not given (`multipos.estimation.noise`,
+`multipos.estimation.robustness`), and completes the solution. Where nothing ties the readings to the
+directions of the world (every position unknown, or in a group of unknown rotation), the rotation
+of the case is a convention: a gauge fixes it, lower triangular or symmetric.
+
+Maximum likelihood has a bias of second order. Noise across the direction moves the estimated
+position along the sphere, which curves away, so that a triad of scale factors k_i with noise
+sigma_i in units of g puts own-axis scale factors too high by
+
+    (k_i/g²) (sum over the others of sigma_j²/k_j²)/2 · s²/(s² + sigma²),                   (1)
+
+nothing for exact positions, and the whole for unknown ones (s infinite). It is stated where it
+is more than a tenth of u; the theory page derives it.
+
+References
+----------
+JCGM 102; docs/theory/orientations.md.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.estimation.identifiability import condition, formal_only
+from multipos.estimation.known import Solution, reading_noise
+from multipos.estimation.likelihood import linearise
+from multipos.estimation.losses import Loss
+from multipos.estimation.noise import Worth, judge_noise
+from multipos.estimation.placement import Placement, state_problem
+from multipos.estimation.problem import Optimum, Problem
+from multipos.estimation.robustness import judge_robustly
+from multipos.estimation.starts import reduced_information, search, too_few
+from multipos.numerics.rotations import rotation_vector
+from multipos.positions.readings import Readings, read_readings
+from multipos.sensor.calibration import Status, labels
+from multipos.sensor.diagnostics import find_outlying_positions
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.inverse import parameter_jacobian
+from multipos.sensor.model import Gauge, Model
+
+Array = NDArray[np.float64]
+
+_STATED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is stated
+
+
+def solve_uncertain(
+    model: Model,
+    readings: Readings,
+    placement: Placement,
+    *,
+    gauge: Gauge = "lower",
+    robust: Loss | None = None,
+    pool: bool = False,
+) -> Solution:
+    """Fit all outputs together by the likelihood of eqs. (1)–(4) of `multipos.estimation.likelihood`.
+
+    Parameters
+    ----------
+    model : Model
+    readings : Readings
+    placement : Placement
+        What is known of the positions.
+    gauge : str
+        'lower' or 'symmetric', where nothing ties the readings to the directions of the world.
+    robust : str, optional
+        Name of a loss of `multipos.estimation.losses`.
+    pool : bool
+        One residual variance for all outputs where orientations are exact, and so fitted one
+        by one; elsewhere there is one anyway.
+
+    Raises
+    ------
+    RankError
+        The positions cannot separate the parameters, which are named with a way out.
+    ConvergenceError
+        No start led to a minimum.
+    MultiposError
+        Too few positions, or readings that do not spread.
+    """
+    if placement.exact and len(model.outputs) > 1 and not (pool or _correlated(readings)):
+        return _solve_separately(model, readings, placement, robust)
+    if not placement.listed.any():
+        _require_triad(model)
+        model = model.with_gauge(gauge)
+    elif np.isinf(placement.spread).any():
+        _require_triad(model)
+    problem = state_problem(model, readings, placement, None if robust is None else "huber")
+    nu = float(problem.degrees.sum()) - problem.unknowns
+    if nu < 0:
+        raise too_few(problem)
+    optimum = search(problem)
+    stated = reading_noise(readings) is not None
+    if robust is not None:
+        problem, optimum, worth = judge_robustly(
+            problem, optimum, robust, labels(readings), stated=stated
+        )
+    else:
+        problem, optimum, worth = judge_noise(
+            problem, optimum, nu, stated=stated, estimate_spread=placement.estimate_spread
+        )
+    return _solution(problem, optimum, readings, nu, worth)
+
+
+def _correlated(readings: Readings) -> bool:
+    """Tell whether outputs are correlated, so that they cannot be fitted one by one."""
+    noise = reading_noise(readings)
+    return noise is not None and noise.ndim == 2
+
+
+def _solve_separately(
+    model: Model, readings: Readings, placement: Placement, robust: Loss | None
+) -> Solution:
+    """Fit each output alone where orientations are exact: nothing ties them together."""
+    parts = [
+        solve_uncertain(
+            model.only(output), read_readings(readings, outputs=[output]), placement, robust=robust
+        )
+        for output in model.outputs
+    ]
+    covariance = np.zeros((len(model.keys), len(model.keys)))
+    for part, where in zip(parts, model.slices, strict=True):
+        covariance[where, where] = part.covariance
+
+    def said(name: str) -> tuple[str, ...]:
+        pairs = zip(model.outputs, parts, strict=True)
+        return tuple(f"{output}: {text}" for output, part in pairs for text in getattr(part, name))
+
+    return replace(
+        parts[0],
+        model=model,
+        parameters=np.concatenate([part.parameters for part in parts]),
+        covariance=covariance,
+        parameter_dof=np.concatenate([part.parameter_dof for part in parts]),
+        variance=np.concatenate([part.variance for part in parts]),
+        dof=np.concatenate([part.dof for part in parts]),
+        residuals=np.column_stack([part.residuals for part in parts]),
+        residual_sd=np.concatenate([part.residual_sd for part in parts]),
+        leverage=np.column_stack([part.leverage for part in parts]),
+        condition=max(part.condition for part in parts),
+        outliers=said("outliers"),
+        warnings=said("warnings"),
+        unidentifiable=said("unidentifiable"),
+        status=max((part.status for part in parts), key=lambda status: status.iterations),
+        extra=_joined([part.extra for part in parts]),
+    )
+
+
+def _joined(extras: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what parts of a solution have to say, side by side: arrays (n,) as (n, M)."""
+    return {name: np.column_stack([extra[name] for extra in extras]) for name in extras[0]}
+
+
+def _require_triad(model: Model) -> None:
+    if sorted(model.axes) != ["x", "y", "z"] or set(model.inputs) != {"x", "y", "z"}:
+        raise MultiposError(
+            f"unknown orientations need three outputs, one along each axis; got "
+            f"{', '.join(model.outputs)} along {', '.join(model.axes)}. Give the orientations."
+        )
+    if len(model.own_scales) < 3 and not isinstance(model, ExpressionModel):
+        raise MultiposError(
+            "unknown orientations need the scale factor of every output along its own axis; add "
+            "the term 'own' to the model, or give the orientations."
+        )
+
+
+def _solution(
+    problem: Problem, optimum: Optimum, readings: Readings, nu: float, worth: Worth
+) -> Solution:
+    model, state, point = problem.model, optimum.state, optimum.point
+    p, m = len(model.keys), problem.values.shape[1]
+    plain = linearise(replace(problem, robust=None), state, point)
+    information = reduced_information(plain, p)
+    covariance = np.linalg.inv(information)
+    covariance = (covariance + covariance.T) / 2.0 * worth.factor
+    u = np.sqrt(np.diag(covariance))
+    jacobian = parameter_jacobian(model, state.theta, point.force, problem.environment)
+    leverage = np.einsum(
+        "nij,njp,nip->ni", plain.marginal, jacobian @ np.linalg.inv(information), jacobian
+    )
+    magnitude = float(np.linalg.norm(problem.reference, axis=1).mean())
+    told = np.isfinite(worth.factor) and worth.factor > 0.0  # 0 where every residual is
+    misfit = point.q / problem.weight / (worth.factor if told else 1.0)
+    robust = problem.robust is not None
+    precision = problem.precision if problem.precision.ndim == 2 else np.diagonal(
+        problem.precision, axis1=1, axis2=2
+    )  # fmt: skip
+    kept = problem.weight == 1.0
+    residual_sd = np.sqrt(
+        np.mean(1.0 / precision[kept], axis=0) * (1.0 if robust else worth.factor)
+    )
+    if not robust and np.isinf(worth.dof) and nu > 0:
+        residual_sd = residual_sd * np.sqrt(point.objective / nu)
+    return Solution(
+        model=model,
+        reference=point.force,
+        parameters=state.theta,
+        covariance=covariance,
+        parameter_dof=np.full(p, worth.dof) if worth.parameter_dof is None
+        else worth.parameter_dof,
+        variance=np.full(m, worth.factor),
+        dof=np.full(m, worth.dof),
+        residuals=point.residuals,
+        residual_sd=residual_sd,
+        leverage=leverage,
+        outliers=find_outlying_positions(
+            misfit, problem.degrees, np.inf if robust else nu, labels(readings)
+        ),
+        condition=condition(information),
+        unidentifiable=formal_only(model, state.theta, u, magnitude),
+        warnings=(*worth.warnings, *_scale_bias(problem, state.theta, u, residual_sd, magnitude)),
+        status=_status(optimum),
+        extra={**dict(worth.extra), **_found_orientations(problem, optimum, readings)},
+        orientation_sd=worth.spread,
+    )  # fmt: skip
+
+
+def _scale_bias(
+    problem: Problem, theta: Array, u: Array, sd: Array, magnitude: float
+) -> tuple[str, ...]:
+    """State the second-order bias of the scale factors, eq. (1), where it matters."""
+    model = problem.model
+    own = list(model.own_scales)
+    if not problem.spread.any() or len(own) != 3 or len(model.outputs) != 3:
+        return ()
+    relative = (sd / (np.abs(theta[own]) * magnitude)) ** 2  # (3,), variances in g² per g²
+    across = (relative.sum() - relative) / 2.0
+    # s²/(s² + sigma²), 1 where s is infinite
+    share = 1.0 - relative.mean() / (problem.spread**2 + relative.mean())
+    bias = across * float(share.mean()) * np.abs(theta[own])
+    return tuple(
+        f"`{model.names[i]}` is larger by about {size:.2g} than it should be, because noise moves "
+        "the estimated positions along the sphere (sigma^2/g^2); average longer"
+        for i, size in zip(own, bias.tolist(), strict=True)
+        if size > _STATED_BIAS * u[i]
+    )
+
+
+def _found_orientations(problem: Problem, optimum: Optimum, readings: Readings) -> dict[str, Any]:
+    """Return what was found of orientations: how far off positions are, groups, tilt [degrees]."""
+    if (problem.spread == 0.0).all() and not problem.shared:
+        return {}
+    state = optimum.state
+    off = np.degrees(np.hypot(state.step[:, 0], state.step[:, 1]))
+    found: dict[str, Any] = {
+        "orientation_error_deg": np.where(np.isfinite(problem.spread), off, np.nan)
+    }
+    if problem.groups:
+        names = dict.fromkeys(label for label in readings.group or () if label)
+        found["group_rotation_deg"] = {
+            name: np.degrees(rotation_vector(turn))
+            for name, turn in zip(names, state.turns, strict=True)
+        }
+    if problem.level_spread > 0.0:
+        found["level_sd_deg"] = np.degrees(problem.level_spread)
+        found["level_tilt_deg"] = np.degrees(state.tilt)
+    return found
+
+
+def _status(optimum: Optimum) -> Status:
+    return Status(
+        optimum.converged,
+        optimum.iterations,
+        f"converged in {optimum.iterations} iterations",
+        optimum.last_step,
+        optimum.gradient,
+    )

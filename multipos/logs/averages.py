@@ -1,0 +1,180 @@
+"""The rests of a log as readings: what `multipos.logs.averaging` finds, and how it is written."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.files.numbers import number, table, uncertain
+from multipos.files.tables import Column, format_csv, plain, write_text
+from multipos.logs.rest_means import RestMean
+from multipos.logs.rests import Rest
+from multipos.positions.readings import Readings
+from multipos.results import Result
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RestAverage(Result):
+    """One rest of a log, averaged.
+
+    Attributes
+    ----------
+    position : str
+    rows : Rest
+        First row of the log and the one after the last, counted from 0.
+    time : (float, float) or None [s]
+        Of the first and the last sample.
+    found : RestMean
+    environment : mapping of str to float
+        Means of the columns that are no outputs; NaN where all cells are empty.
+    distance_deg : float or None
+        Angle to the position of the scheme.
+    notes : tuple of str
+        What is wrong with the rest, in words.
+    """
+
+    position: str
+    rows: Rest
+    time: tuple[float, float] | None
+    found: RestMean
+    environment: Mapping[str, float]
+    distance_deg: float | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Averages(Result):
+    """The rests of a log, averaged: readings, and where they came from.
+
+    Attributes
+    ----------
+    source : str
+    outputs : tuple of M str
+    rests : tuple of RestAverage
+    scheme_up : (n, 3) array or None
+        Up vectors of the positions, where a scheme was named.
+    sample_rate : float or None [Hz]
+    threshold : float or None
+        Standard deviation of a window above which it moves; None where the log shows none.
+    warnings : tuple of str
+    """
+
+    source: str = field(compare=False)
+    outputs: tuple[str, ...]
+    rests: tuple[RestAverage, ...]
+    scheme_up: Array | None
+    sample_rate: float | None
+    threshold: float | None
+    warnings: tuple[str, ...]
+
+    def _stack(self, name: str) -> Array:
+        return np.array([getattr(rest.found, name) for rest in self.rests])
+
+    @cached_property
+    def _u(self) -> Array | None:
+        """Standard uncertainties; None where some are zero, which no reading can be."""
+        u = self._stack("u")
+        return u if (u > 0.0).all() else None
+
+    @property
+    def readings(self) -> Readings:
+        """The readings, ready to be fitted."""
+        names = self.rests[0].environment
+        columns = {n: np.array([rest.environment[n] for rest in self.rests]) for n in names}
+        if self.rests[0].time is not None:
+            columns["time"] = np.array([np.mean(rest.time) for rest in self.rests if rest.time])
+        return Readings(
+            values=self._stack("mean"),
+            outputs=self.outputs,
+            positions=tuple(rest.position for rest in self.rests),
+            up=self.scheme_up,
+            u=self._u,
+            sd=self._stack("sd"),
+            samples=self._stack("n"),
+            environment=columns,
+            source=self.source,
+        )
+
+    def columns(self) -> dict[str, Column]:
+        """Return the columns of a readings file."""
+        readings = self.readings
+        columns: dict[str, Column] = {"position": [rest.position for rest in self.rests]}
+        if self.scheme_up is not None:
+            columns |= dict(zip(("up_x", "up_y", "up_z"), self.scheme_up.T, strict=True))
+        columns["n"] = [rest.found.n for rest in self.rests]
+        columns |= dict(zip(self.outputs, readings.values.T, strict=True))
+        for prefix, values in (("sd", readings.sd), ("u", readings.u)):
+            if values is not None:
+                names = [f"{prefix}_{output}" for output in self.outputs]
+                columns |= dict(zip(names, values.T, strict=True))
+        return columns | dict(readings.environment)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the readings as CSV, whole or not at all."""
+        write_text(path, format_csv(self.columns()))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what JSON can carry, keys as in the formats reference."""
+
+        def named(values: Array) -> dict[str, float]:
+            return dict(zip(self.outputs, values.tolist(), strict=True))
+
+        positions = [
+            {
+                "position": rest.position,
+                "t_start": None if rest.time is None else rest.time[0],
+                "t_end": None if rest.time is None else rest.time[1],
+                "start": rest.rows.start,
+                "end": rest.rows.end,
+                "n": rest.found.n,
+                "mean": named(rest.found.mean),
+                "sd": named(rest.found.sd),
+                "u": named(rest.found.u),
+                "n_effective": named(rest.found.effective),
+                "drift": named(rest.found.drift),
+                "environment": rest.environment,
+                "distance_deg": rest.distance_deg,
+                "notes": rest.notes,
+            }
+            for rest in self.rests
+        ]
+        result: dict[str, Any] = plain(
+            {
+                "positions": positions,
+                "sample_rate": self.sample_rate,
+                "threshold": self.threshold,
+                "warnings": self.warnings,
+            }
+        )
+        return result
+
+
+def averages_text(found: Averages) -> str:
+    """Return the table of the rests, as people read it."""
+    timed = found.rests[0].time is not None
+    matched = found.rests[0].distance_deg is not None
+    header = ["position", *(["from [s]", "to [s]"] if timed else ["from row", "to row"]), "n",
+              "n_eff", *found.outputs, *(["off [deg]"] if matched else [])]  # fmt: skip
+    rows = []
+    for rest in found.rests:
+        ends = rest.rows if rest.time is None else rest.time
+        mean, u = rest.found.mean.tolist(), rest.found.u.tolist()
+        rows.append(
+            [
+                rest.position,
+                *(f"{end:.2f}" if timed else str(end) for end in ends),
+                str(rest.found.n),
+                number(float(rest.found.effective.min()), 3),
+                *map(uncertain, mean, u),
+                *([f"{rest.distance_deg:.1f}"] if rest.distance_deg is not None else []),
+            ]
+        )
+    rate = "" if found.sample_rate is None else f", {found.sample_rate:.6g} Hz"
+    level = "" if found.threshold is None else f", threshold {found.threshold:.3g}"
+    return f"{found.source}: {len(found.rests)} rests{rate}{level}\n\n{table(header, rows)}\n"

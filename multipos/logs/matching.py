@@ -1,0 +1,113 @@
+"""Which position of a scheme each rest is: the nearest direction.
+
+The raw readings of three outputs show a direction once bias and scale factor are roughly known.
+Both follow, output by output, from the readings themselves: first from their range against the
+range of the scheme, then from the least-squares line through the positions found, until the
+positions stay the same. Misalignment and placement remain as the distance, an angle. A rest is
+doubtful where that angle is large, or the second-nearest direction is not twice as far.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.positions.attitudes import Convention
+from multipos.positions.scheme import Scheme
+
+Array = NDArray[np.float64]
+
+FARTHEST_DEG = 20.0
+_STEPS = 20
+_SPREAD = 0.5  # [g] a scheme must move an axis by, to show its scale factor
+
+
+class Match(NamedTuple):
+    """For each rest the row of the scheme and the angles to the nearest two directions."""
+
+    rows: list[int]
+    distance_deg: Array
+    second_deg: Array
+
+    @property
+    def doubtful(self) -> NDArray[np.bool_]:
+        """Where the nearest direction may be the wrong one."""
+        far = self.distance_deg > FARTHEST_DEG
+        return np.asarray(far | (2.0 * self.distance_deg > self.second_deg))
+
+
+def match_directions(means: Array, scheme: Scheme, convention: Convention) -> Match:
+    """Match rests to the positions of a scheme by direction.
+
+    Parameters
+    ----------
+    means : (n, 3) array
+        Mean outputs, on axes x, y, z.
+    scheme : Scheme
+    convention : str
+        'specific-force' or 'gravity'.
+
+    Raises
+    ------
+    MultiposError
+        Not three outputs.
+    """
+    if means.shape[1] != 3:
+        raise MultiposError(
+            f"{means.shape[1]} outputs do not show a direction, three would; "
+            "leave --scheme out and label the rests with --sections."
+        )
+    targets = (-1.0 if convention == "gravity" else 1.0) * scheme.up
+    bias, scale = _from_ranges(means, targets)
+    rows: list[int] = []
+    for _ in range(_STEPS):
+        direction = (means - bias) / scale
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        cosine = direction @ targets.T
+        nearest = np.argmax(cosine, axis=1).tolist()
+        if nearest == rows:
+            break
+        rows = nearest
+        bias, scale = _from_lines(means, targets[rows], scale)
+    angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    distance = angle[np.arange(len(rows)), rows]
+    # Shared directions are one: the second-nearest is the nearest that points elsewhere.
+    same = scheme.up[rows] @ scheme.up.T > 1.0 - 1e-9
+    second = np.where(same, np.inf, angle).min(axis=1)
+    return Match(_spread_over(rows, scheme), distance, second)
+
+
+def _from_ranges(means: Array, targets: Array) -> tuple[Array, Array]:
+    span, wanted = np.ptp(means, axis=0), np.ptp(targets, axis=0)
+    shown = wanted > _SPREAD
+    if not shown.any() or not span[shown].all():
+        raise MultiposError(
+            "the rests do not move any output as the scheme does; check --scheme and --outputs."
+        )
+    scale = np.ones(3)
+    scale[shown] = span[shown] / wanted[shown]
+    scale[~shown] = scale[shown].mean()
+    middle, centre = means.min(axis=0) + span / 2.0, targets.min(axis=0) + wanted / 2.0
+    return middle - scale * centre, scale
+
+
+def _from_lines(means: Array, targets: Array, scale: Array) -> tuple[Array, Array]:
+    deviation = targets - targets.mean(axis=0)
+    square = (deviation**2).sum(axis=0)
+    slope = (deviation * (means - means.mean(axis=0))).sum(axis=0)
+    shown = (np.ptp(targets, axis=0) > _SPREAD) & (slope > 0.0)
+    scale = np.where(shown, slope / np.where(shown, square, 1.0), scale)
+    return means.mean(axis=0) - scale * targets.mean(axis=0), scale
+
+
+def _spread_over(rows: list[int], scheme: Scheme) -> list[int]:
+    """Give rests of one direction to the scheme's positions of that direction in turn."""
+    taken: dict[int, int] = {}
+    result = []
+    for row in rows:
+        twins = np.flatnonzero(scheme.up @ scheme.up[row] > 1.0 - 1e-9).tolist()
+        first = twins[0]
+        result.append(twins[taken.get(first, 0) % len(twins)])
+        taken[first] = taken.get(first, 0) + 1
+    return result

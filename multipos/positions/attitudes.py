@@ -1,0 +1,248 @@
+"""Attitudes of the case in the forms people write them, and the up vectors they give.
+
+The level frame is east, north, up (ENU). An attitude is the matrix `C` that turns level
+components into case components, ``v_case = C v_level``, so that its third column is the unit
+vector pointing up, in case axes: ``u = C e_U``. Written as
+
+- a direction triple, where x, y and z point: the rows of `C` are those directions;
+- roll φ, pitch θ, yaw ψ (aerospace Z-Y-X, level is z down):
+  ``u = (sin θ, -sin φ cos θ, -cos φ cos θ)``, and with ψ the whole of `C`;
+- a Hamilton quaternion, scalar first, ``v_level = q v q*``;
+- an angle t about a horizontal axis that points east: about x ``u = (0, cos t, sin t)``,
+  about y ``(cos t, 0, sin t)``, about z ``(cos t, sin t, 0)``;
+- an up vector of any length but zero, which leaves the heading open: `C` is then NaN.
+
+Exact angles give exact zeros: a stray cos 90° = 6e-17 would pass for a tilt.
+"""
+
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.errors import MultiposError, UsageError
+from multipos.files.tables import Table
+from multipos.units import cos_deg, sin_deg
+
+Array = NDArray[np.float64]
+
+Convention = Literal["specific-force", "gravity"]  # which sign the axis that points up has
+CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
+
+_E, _N, _U = np.eye(3)
+_LETTERS = {"E": _E, "N": _N, "U": _U, "W": -_E, "S": -_N, "D": -_U}
+_CHINESE = {"东": "E", "東": "E", "北": "N", "天": "U", "西": "W", "南": "S", "地": "D"}
+
+FORMS = {
+    "direction": ("direction",),
+    "up vector": ("up_x", "up_y", "up_z"),
+    "roll and pitch": ("roll_deg", "pitch_deg"),
+    "quaternion": ("qw", "qx", "qy", "qz"),
+    "roll about an axis": ("roll_axis", "angle_deg"),
+}
+COLUMNS = frozenset(name for names in FORMS.values() for name in names) | {"yaw_deg"}
+
+
+class Attitudes(NamedTuple):
+    """Up vectors (n, 3) and level-to-case matrices (n, 3, 3), NaN where the heading is open."""
+
+    up: Array
+    rotation: Array
+
+
+def check_convention(convention: str) -> None:
+    """Refuse a convention that is none."""
+    if convention not in CONVENTIONS:
+        raise UsageError(f"unknown convention '{convention}'; give specific-force or gravity.")
+
+
+def read_attitudes(table: Table, unknown: NDArray[np.bool_] | None = None) -> Attitudes | None:
+    """Return the attitudes a table holds, or None where it has no orientation columns.
+
+    Rows marked `unknown` (n,) may leave their orientation empty; it is NaN then.
+
+    Raises
+    ------
+    MultiposError
+        Two forms at once, a form with a column missing, or an impossible orientation.
+    """
+    found = [form for form, names in FORMS.items() if any(name in table for name in names)]
+    if not found:
+        if "yaw_deg" in table:
+            raise MultiposError(
+                f"{table.source}: 'yaw_deg' needs 'roll_deg' and 'pitch_deg' beside it."
+            )
+        return None
+    if len(found) > 1:
+        raise MultiposError(
+            f"{table.source}: the orientation is given as {' and as '.join(found)}; keep one."
+        )
+    names = FORMS[found[0]]
+    missing = [name for name in names if name not in table]
+    if missing:
+        raise MultiposError(
+            f"{table.source}: column {_quoted(missing)} is missing; an orientation given as "
+            f"{found[0]} needs {_quoted(names)}."
+        )
+    if unknown is None:
+        return _READERS[found[0]](table)
+    empty = np.array([not any(table.text(name)[row] for name in names)
+                      for row in range(table.rows)])  # fmt: skip
+    skipped = unknown & empty
+    result = Attitudes(np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan))
+    if not skipped.all():
+        given = _READERS[found[0]](table.select(np.flatnonzero(~skipped).tolist()))
+        result.up[~skipped], result.rotation[~skipped] = given
+    return result
+
+
+def from_up(up: ArrayLike, where: str = "`up`") -> Attitudes:
+    """Return attitudes of open heading from up vectors (n, 3) of any length but zero."""
+    vectors = np.array(up, dtype=np.float64, ndmin=2)
+    if vectors.ndim != 2 or vectors.shape[1] != 3:
+        raise MultiposError(
+            f"{where} must have shape (n, 3), got {vectors.shape}; give one row per position."
+        )
+    # Scaled by the largest component first, so that neither 1e-200 nor 1e200 loses the length.
+    largest = np.abs(vectors).max(axis=1)
+    bad = ~(np.isfinite(largest) & (largest > 0.0))
+    if bad.any():
+        raise MultiposError(
+            f"{where}: the up vector of row {int(np.argmax(bad)) + 1} is zero or not finite; "
+            "it must point somewhere."
+        )
+    scaled = vectors / largest[:, None]
+    length = np.linalg.norm(scaled, axis=1)
+    unit = scaled / length[:, None]
+    # What is a unit vector to rounding stays as it is, so that reading it back changes nothing.
+    already = np.abs(largest * length - 1.0) < 4.0 * np.finfo(float).eps
+    unit = np.where(already[:, None], vectors, unit) + 0.0
+    return Attitudes(unit, np.full((len(unit), 3, 3), np.nan))
+
+
+def from_rotation(rotation: ArrayLike) -> Attitudes:
+    """Return attitudes from level-to-case matrices (n, 3, 3)."""
+    matrix = np.array(rotation, dtype=np.float64)
+    return Attitudes(matrix[:, :, 2].copy(), matrix)
+
+
+def parse_direction(text: str) -> Array:
+    """Return the level-to-case matrix (3, 3) of a triple: ``E-U-S``, ``EUS`` or ``东天南``.
+
+    Raises
+    ------
+    MultiposError
+        Not three of E N W S U D, not perpendicular, or left-handed.
+    """
+    letters = [_CHINESE.get(mark, mark.upper()) for mark in text if mark not in "-–— ,/\t"]
+    unknown = [mark for mark in letters if mark not in _LETTERS]
+    if len(letters) != 3 or unknown:
+        raise MultiposError(
+            f"direction '{text}' is not a triple; name where x, y and z point with three of "
+            "E N W S U D or 东北西南天地, as in E-N-U."
+        )
+    x, y, z = (_LETTERS[mark] for mark in letters)
+    handed = np.cross(x, y)
+    if not handed.any():
+        raise MultiposError(
+            f"direction '{text}' is impossible: x and y must be perpendicular, "
+            f"but point {letters[0]} and {letters[1]}."
+        )
+    if (handed != z).any():
+        right = next(mark for mark, vector in _LETTERS.items() if (vector == handed).all())
+        fault = "left-handed" if (handed == -z).all() else "impossible"
+        raise MultiposError(
+            f"direction '{text}' is {fault}: with x {letters[0]} and y {letters[1]}, "
+            f"z points {right}."
+        )
+    return np.array([x, y, z]) + 0.0
+
+
+def roll(axis: str, angle_deg: ArrayLike) -> Attitudes:
+    """Return the attitudes of a roll about a horizontal case axis, angles [degrees] (n,)."""
+    angle = np.array(angle_deg, dtype=np.float64, ndmin=1)
+    along = "xyz".index(axis)
+    first, second = (index for index in range(3) if index != along)
+    up = np.zeros((len(angle), 3))
+    up[:, first], up[:, second] = cos_deg(angle), sin_deg(angle)
+    east = np.broadcast_to(np.eye(3)[along], up.shape)
+    return from_rotation(np.stack([east, np.cross(up, east) + 0.0, up], axis=2))
+
+
+def _read_direction(table: Table) -> Attitudes:
+    matrices = []
+    for row, text in enumerate(table.text("direction")):
+        try:
+            matrices.append(parse_direction(text))
+        except MultiposError as error:
+            raise MultiposError(f"{table.where(row, 'direction')}: {error}") from None
+    return from_rotation(matrices)
+
+
+def _read_up(table: Table) -> Attitudes:
+    return from_up(
+        np.column_stack([table.number(name) for name in FORMS["up vector"]]), table.source
+    )
+
+
+def _read_roll_pitch(table: Table) -> Attitudes:
+    roll_deg, pitch_deg = table.number("roll_deg"), table.number("pitch_deg")
+    sr, cr, sp, cp = sin_deg(roll_deg), cos_deg(roll_deg), sin_deg(pitch_deg), cos_deg(pitch_deg)
+    up = np.column_stack([sp, -sr * cp, -cr * cp]) + 0.0
+    if "yaw_deg" not in table:
+        return Attitudes(up, np.full((len(up), 3, 3), np.nan))
+    yaw_deg = table.number("yaw_deg")
+    sy, cy = sin_deg(yaw_deg), cos_deg(yaw_deg)
+    # v_case = Rx(φ) Ry(θ) Rz(ψ) v_NED; the columns are its images of north, east and -down.
+    north = np.column_stack([cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy])
+    east = np.column_stack([cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy])
+    return from_rotation(np.stack([east, north, up], axis=2) + 0.0)
+
+
+def _read_quaternion(table: Table) -> Attitudes:
+    q = np.column_stack([table.number(name) for name in FORMS["quaternion"]])
+    square = np.einsum("ni,ni->n", q, q)
+    if (square == 0.0).any():
+        row = int(np.argmax(square == 0.0))
+        raise MultiposError(f"{table.where(row, 'qw')}: the quaternion is zero; normalise it.")
+    w, x, y, z = q.T
+    # Homogeneous form: exact for the quarter and third turns, whatever the length of q.
+    case_to_level = np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+    matrix = np.moveaxis(case_to_level, 2, 0).transpose(0, 2, 1) / square[:, None, None]
+    # sqrt(1/2) is not exact: what rounding leaves of a zero is snapped.
+    matrix[np.abs(matrix) < 4.0 * np.finfo(float).eps] = 0.0
+    return from_rotation(matrix)
+
+
+def _read_roll_axis(table: Table) -> Attitudes:
+    axes = table.text("roll_axis")
+    angles = table.number("angle_deg")
+    up, rotation = np.empty((len(axes), 3)), np.empty((len(axes), 3, 3))
+    for row, axis in enumerate(axes):
+        if axis not in ("x", "y", "z"):
+            raise MultiposError(
+                f"{table.where(row, 'roll_axis')}: '{axis}' is not an axis; write x, y or z."
+            )
+    for axis in sorted(set(axes)):
+        rows = np.array([name == axis for name in axes])
+        up[rows], rotation[rows] = roll(axis, angles[rows])
+    return Attitudes(up, rotation)
+
+
+_READERS = {
+    "direction": _read_direction,
+    "up vector": _read_up,
+    "roll and pitch": _read_roll_pitch,
+    "quaternion": _read_quaternion,
+    "roll about an axis": _read_roll_axis,
+}
+
+
+def _quoted(names: list[str] | tuple[str, ...]) -> str:
+    return ", ".join(f"'{name}'" for name in names)

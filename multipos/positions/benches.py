@@ -1,0 +1,124 @@
+"""Benches: the positions that a holder of the sensor can reach, as candidates for a scheme.
+
+A bench is written like a scheme and joined by ``+`` like one; every scheme name and file is a
+bench too. Up vectors that come twice are kept once. Angles are degrees.
+
+- ``two-axis-A`` or ``two-axis-AxB``: a dividing head that tilts in steps of A and rolls the case
+  about its z axis in steps of B, u = (sin a cos b, sin a sin b, cos a);
+- ``roll-A-xyz``: one horizontal roll axis in steps of A, and a fixture that lays the case axes
+  named along it in turn (``roll-15-x`` is one mounting, ``roll-15-xyz`` three);
+- ``cube``, ``dodecahedron``: blocks laid on each of their faces;
+- ``near-faces-D``: held by hand, each face up to within D;
+- ``tilt-D``, ``tilt-D-x``: within D of z (or of the axis named) up, a vehicle on a ramp;
+- ``sphere``: any direction, as a fine set.
+"""
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import UsageError
+from multipos.files.tables import Source
+from multipos.positions.scheme import Scheme, read_scheme
+from multipos.units import cos_deg, sin_deg
+
+Array = NDArray[np.float64]
+
+_NUMBER = r"\d+(?:\.\d+)?"
+_TWO_AXIS = re.compile(rf"two-axis-({_NUMBER})(?:x({_NUMBER}))?")
+_ROLL = re.compile(rf"roll-({_NUMBER})-([xyz]+)")
+_NEAR = re.compile(rf"near-faces-({_NUMBER})")
+_TILT = re.compile(rf"tilt-({_NUMBER})(?:-([xyz]))?")
+_FIXED = {"cube": "faces-6", "dodecahedron": "icosahedron-12", "sphere": "all-26+fibonacci-3000"}
+_SAME = 9  # decimals to which equal directions agree
+_RINGS = 6  # of a cap, beside its middle
+_SPOKES = 24  # directions of a ring
+
+NAMES = (
+    "two-axis-A",
+    "two-axis-AxB",
+    "roll-A-xyz",
+    "cube",
+    "dodecahedron",
+    "near-faces-D",
+    "tilt-D",
+    "sphere",
+)
+
+
+def read_bench(source: "Source | Scheme") -> Array:
+    """Return the up vectors (n, 3) that a bench reaches, each once.
+
+    Parameters
+    ----------
+    source : str, path, columns or Scheme
+        Names of benches and schemes joined by ``+``, or what `multipos.read_scheme` takes.
+
+    Raises
+    ------
+    UsageError
+        No such name, or a step that does not divide the turn.
+    MultiposError
+        A file that cannot be read.
+    """
+    if not isinstance(source, str):
+        return _once(read_scheme(source).up)
+    return _once(np.concatenate([_reach(part.strip()) for part in source.split("+")]))
+
+
+def _reach(name: str) -> Array:
+    if name in _FIXED:
+        return read_scheme(_FIXED[name]).up
+    if match := _TWO_AXIS.fullmatch(name):
+        return _two_axis(_turn(name, match[1]), _turn(name, match[2] or match[1]))
+    if match := _ROLL.fullmatch(name):
+        steps = len(_turn(name, match[1]))
+        return np.concatenate([read_scheme(f"roll-{axis}-{steps}").up for axis in match[2]])
+    if match := _NEAR.fullmatch(name):
+        cap = _cap(_within(name, match[1], 45.0))
+        # the cap about z, turned to each face
+        return np.concatenate(
+            [sign * np.roll(cap, shift, axis=1) for shift in range(3) for sign in (1, -1)]
+        )
+    if match := _TILT.fullmatch(name):
+        shift = "zxy".index(match[2] or "z")
+        return np.roll(_cap(_within(name, match[1], 180.0)), shift, axis=1)
+    try:
+        return read_scheme(name).up
+    except UsageError as error:
+        raise UsageError(f"{str(error)[:-1]}; or a bench: {', '.join(NAMES)}.") from None
+
+
+def _turn(name: str, text: str) -> Array:
+    """Return the angles [degrees] of a whole turn in equal steps."""
+    step = float(text)
+    count = round(360.0 / step) if step > 0.0 else 0
+    if count < 2 or abs(count * step - 360.0) > 1e-9 or count > 3600:
+        raise UsageError(f"bench '{name}': a step of {text} degrees does not divide the turn.")
+    return np.arange(count) * 360.0 / count
+
+
+def _within(name: str, text: str, largest: float) -> float:
+    angle = float(text)
+    if not 0.0 < angle <= largest:
+        raise UsageError(
+            f"bench '{name}': the angle must be above 0 and at most {largest:g} degrees."
+        )
+    return angle
+
+
+def _two_axis(tilt: Array, roll: Array) -> Array:
+    a, b = (grid.ravel() for grid in np.meshgrid(tilt, roll, indexing="ij"))
+    return np.column_stack([sin_deg(a) * cos_deg(b), sin_deg(a) * sin_deg(b), cos_deg(a)])
+
+
+def _cap(angle: float) -> Array:
+    """Return directions within an angle [degrees] of z: rings no more than 5 degrees apart."""
+    rings = np.linspace(0.0, angle, max(_RINGS, int(np.ceil(angle / 5.0))) + 1)
+    return _two_axis(rings, np.arange(_SPOKES) * 360.0 / _SPOKES)
+
+
+def _once(up: Array) -> Array:
+    _, first = np.unique(np.round(up, _SAME) + 0.0, axis=0, return_index=True)
+    return np.asarray(up[np.sort(first)])

@@ -1,0 +1,259 @@
+"""Schemes: the ordered set of positions of a calibration, named, from a file, or joined.
+
+A scheme gives each position its up vector `u` (unit, in case axes) and, where it is known, the
+whole attitude (see `multipos.positions.attitudes`). The named schemes are
+
+- ``song-qin-6``: table 1 of the six-position paper [1]_, in its order;
+- ``faces-6``, ``corners-8``, ``edges-12``, ``faces-corners-14``, ``faces-edges-18``, ``all-26``:
+  the up vector along the faces, corners and edges of a cube;
+- ``icosahedron-12``, ``dodecahedron-20``: the vertices of those solids;
+- ``fibonacci-N``: N nearly even directions on the golden spiral;
+- ``roll-x-N``, ``roll-y-N``, ``roll-z-N``: N even steps of a turn about a horizontal axis,
+  ``tumble-N`` (= ``roll-z-N``), ``dual-axis-48`` (= ``roll-y-24+roll-x-24``).
+
+References
+----------
+.. [1] Song Lijun, Qin Yongyuan, *Six-position testing of MEMS accelerometer*, 2009, table 1.
+"""
+
+import os
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError, UsageError
+from multipos.files.pipes import is_pipe
+from multipos.files.tables import Source, read_table
+from multipos.positions.attitudes import (
+    Attitudes,
+    from_rotation,
+    from_up,
+    parse_direction,
+    read_attitudes,
+    roll,
+)
+from multipos.results import Result
+
+Array = NDArray[np.float64]
+
+LARGEST = 1_000_000  # positions; a typing slip in fibonacci-N should not fill the memory
+
+
+@dataclass(frozen=True, eq=False)
+class Scheme(Result):
+    """The positions of a calibration, in order.
+
+    Attributes
+    ----------
+    name : str
+    up : (n, 3) array
+        Unit vectors pointing up, in case axes.
+    rotation : (n, 3, 3) array
+        Level (ENU) to case, NaN where the heading is open.
+    labels : tuple of str or None
+        Position labels, unique; None where the source has none.
+    """
+
+    name: str
+    up: Array
+    rotation: Array
+    labels: tuple[str, ...] | None
+
+    def __len__(self) -> int:
+        return len(self.up)
+
+
+def read_scheme(source: "Source | Scheme") -> Scheme:
+    """Return a scheme from a name, names joined by ``+``, a file, columns or a data frame.
+
+    Raises
+    ------
+    UsageError
+        No such name.
+    MultiposError
+        A file that is missing or holds no orientation, or labels that appear twice.
+    """
+    if isinstance(source, Scheme):
+        return source
+    if isinstance(source, str) and not _is_file(source):
+        parts = [_named_or_file(part) for part in source.split("+")]
+        return parts[0] if len(parts) == 1 else join(source, parts)
+    return _from_table(source)
+
+
+def join(name: str, parts: list[Scheme]) -> Scheme:
+    """Return the positions of several schemes in order; named positions are numbered through."""
+    labels: list[str] = []
+    for part in parts:
+        own = part.labels or ()
+        numbered = own == _numbers(len(part))
+        labels += _numbers(len(part), start=len(labels) + 1) if numbered else own
+    labelled = all(part.labels is not None for part in parts)
+    up = np.concatenate([part.up for part in parts])
+    rotation = np.concatenate([part.rotation for part in parts])
+    if not labelled:
+        return Scheme(name, up, rotation, None)
+    _refuse_twice(name, tuple(labels))
+    return Scheme(name, up, rotation, tuple(labels))
+
+
+def named_schemes() -> tuple[str, ...]:
+    """Return the names of the schemes, the open ones with the N that users know."""
+    return (
+        *_FIXED,
+        "fibonacci-24",
+        "roll-x-24",
+        "roll-y-24",
+        "roll-z-24",
+        "tumble-12",
+        "dual-axis-48",
+    )
+
+
+def _named_or_file(text: str) -> Scheme:
+    name = text.strip()
+    if name in _FIXED:
+        return _scheme(name, _FIXED[name]())
+    if name == "dual-axis-48":
+        return _scheme(name, _dual_axis())
+    pattern = re.fullmatch(r"(fibonacci|roll-x|roll-y|roll-z|tumble)-(\d+)", name)
+    if pattern:
+        family, count = pattern[1], int(pattern[2])
+        if not 1 <= count <= LARGEST:
+            raise UsageError(f"scheme '{name}': N must lie between 1 and {LARGEST}, got {count}.")
+        return _scheme(name, _FAMILIES[family](count))
+    if _is_file(name):
+        return _from_table(name)
+    if Path(name).suffix or os.sep in name:
+        raise MultiposError(f"{name}: no such file; check the path of the scheme.")
+    raise UsageError(
+        f"unknown scheme '{name}'; give a file or one of {', '.join(_FIXED)}, dual-axis-48, "
+        "fibonacci-N, roll-x-N, roll-y-N, roll-z-N, tumble-N, joined by +."
+    )
+
+
+def _is_file(path: str) -> bool:
+    try:
+        return Path(path).is_file() or is_pipe(path)
+    except OSError:  # many names joined are too long to be the name of a file
+        return False
+
+
+def _from_table(source: Source) -> Scheme:
+    table = read_table(source, what="scheme")
+    attitudes = read_attitudes(table)
+    if attitudes is None:
+        raise MultiposError(
+            f"{table.source}: no orientation columns; give direction, up_x up_y up_z, "
+            "roll_deg pitch_deg, qw qx qy qz, or roll_axis angle_deg."
+        )
+    labels = table.text("position") if "position" in table else None
+    _refuse_twice(table.source, labels)
+    return Scheme(table.source, attitudes.up, attitudes.rotation, labels)
+
+
+def _refuse_twice(name: str, labels: tuple[str, ...] | None) -> None:
+    if labels is not None and len(set(labels)) < len(labels):
+        twice = next(label for label, count in Counter(labels).items() if count > 1)
+        raise MultiposError(
+            f"{name}: position '{twice}' appears twice; give every position its own label "
+            "(readings repeat a position, a scheme names it once)."
+        )
+
+
+def _scheme(name: str, attitudes: Attitudes) -> Scheme:
+    return Scheme(name, attitudes.up, attitudes.rotation, _numbers(len(attitudes.up)))
+
+
+def _numbers(count: int, start: int = 1) -> tuple[str, ...]:
+    return tuple(str(number) for number in range(start, start + count))
+
+
+def _song_qin() -> Attitudes:
+    triples = ("东天南", "东北天", "地东南", "西地南", "天西南", "南西地")
+    return from_rotation([parse_direction(triple) for triple in triples])
+
+
+def _faces() -> Attitudes:
+    return from_up([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+
+
+def _corners() -> Attitudes:
+    return from_up([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+
+
+def _edges() -> Attitudes:
+    pairs = [(a, b) for a in (1, -1) for b in (1, -1)]
+    return from_up(
+        [[a, b, 0] for a, b in pairs]
+        + [[a, 0, b] for a, b in pairs]
+        + [[0, a, b] for a, b in pairs]
+    )
+
+
+_GOLDEN = (1.0 + 5.0**0.5) / 2.0
+
+
+def _icosahedron() -> Attitudes:
+    pairs = [(a, b * _GOLDEN) for a in (1, -1) for b in (1, -1)]
+    return from_up(
+        [[0, a, b] for a, b in pairs]
+        + [[a, b, 0] for a, b in pairs]
+        + [[b, 0, a] for a, b in pairs]
+    )
+
+
+def _dodecahedron() -> Attitudes:
+    pairs = [(a / _GOLDEN, b * _GOLDEN) for a in (1, -1) for b in (1, -1)]
+    return from_up(
+        [[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)]
+        + [[0, a, b] for a, b in pairs]
+        + [[a, b, 0] for a, b in pairs]
+        + [[b, 0, a] for a, b in pairs]
+    )
+
+
+def _fibonacci(count: int) -> Attitudes:
+    k = np.arange(count)
+    height = 1.0 - (2.0 * k + 1.0) / count
+    azimuth = 2.0 * np.pi * k / _GOLDEN**2
+    level = np.sqrt(1.0 - height**2)
+    return from_up(np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), height]))
+
+
+def _roll(axis: str) -> Callable[[int], Attitudes]:
+    # k·360/N, not k·(360/N): quarter turns stay exact whatever N.
+    return lambda count: roll(axis, np.arange(count) * 360.0 / count)
+
+
+def _joined(*parts: Attitudes) -> Attitudes:
+    return Attitudes(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _dual_axis() -> Attitudes:
+    return _joined(_roll("y")(24), _roll("x")(24))
+
+
+_FIXED: dict[str, Callable[[], Attitudes]] = {
+    "song-qin-6": _song_qin,
+    "faces-6": _faces,
+    "corners-8": _corners,
+    "edges-12": _edges,
+    "icosahedron-12": _icosahedron,
+    "faces-corners-14": lambda: _joined(_faces(), _corners()),
+    "faces-edges-18": lambda: _joined(_faces(), _edges()),
+    "dodecahedron-20": _dodecahedron,
+    "all-26": lambda: _joined(_faces(), _edges(), _corners()),
+}
+_FAMILIES: dict[str, Callable[[int], Attitudes]] = {
+    "fibonacci": _fibonacci,
+    "roll-x": _roll("x"),
+    "roll-y": _roll("y"),
+    "roll-z": _roll("z"),
+    "tumble": _roll("z"),
+}

@@ -1,0 +1,63 @@
+"""Candidates: the terms that may be in a regression.
+
+The terms of degree D in m variables are all products of at most D factors, (m + D)!/(m! D!) of
+them: the five variables of the full-temperature model make 21 in second degree. A formula lists
+them one by one instead.
+"""
+
+from collections.abc import Sequence
+from itertools import combinations_with_replacement
+
+from multipos.errors import UsageError
+from multipos.files.lists import Names, split_names
+from multipos.sensor.model import Factor, Term, parse_terms
+
+HIGHEST_DEGREE = 30  # of a power; NIST's Filip has 10
+
+
+def read_candidates(
+    response: str, variables: Names | None, degree: int | None, terms: str | None
+) -> tuple[tuple[str, ...], tuple[Term, ...]]:
+    """Return the variables and the candidate terms that options state.
+
+    Raises
+    ------
+    UsageError
+        Terms stated twice or not at all, or made of the response.
+    """
+    names = None if variables is None else split_names(variables, "--variables")
+    if terms is not None and degree is not None:
+        raise UsageError("--degree and --terms both state the terms; give one.")
+    if names is not None and len(set(names)) < len(names):
+        raise UsageError(f"--variables names a column twice: {','.join(names)}.")
+    if terms is not None:
+        parsed = parse_terms(terms, highest=HIGHEST_DEGREE)
+        used = tuple(dict.fromkeys(f.variable for t in parsed for f in t.factors))
+        strange = [name for name in used if names is not None and name not in names]
+        if strange:
+            raise UsageError(f"--terms uses '{strange[0]}', which is not among --variables.")
+        names = used if names is None else names
+    elif names is None:
+        raise UsageError("regress needs --variables A,B,C or --terms.")
+    else:
+        parsed = polynomial(names, 1 if degree is None else degree)
+    if response in names:
+        raise UsageError(
+            f"the response '{response}' is among the variables and would explain itself; "
+            "leave it out."
+        )
+    if not names:
+        raise UsageError("--terms holds no variable; the mean alone needs no regression.")
+    return names, parsed
+
+
+def polynomial(variables: Sequence[str], degree: int) -> tuple[Term, ...]:
+    """Return all terms of variables up to a degree, the constant first."""
+    if not 1 <= degree <= HIGHEST_DEGREE:
+        raise UsageError(f"--degree must lie between 1 and {HIGHEST_DEGREE}, got {degree}.")
+    terms = []
+    for d in range(degree + 1):
+        for chosen in combinations_with_replacement(variables, d):
+            factors = tuple(Factor(v, chosen.count(v)) for v in sorted(set(chosen)))
+            terms.append(Term(factors))
+    return tuple(terms)

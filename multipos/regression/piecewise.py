@@ -1,0 +1,362 @@
+"""Fits of one segment, or of all segments of a branch without a jump: selection, fit, tests.
+
+The rows are factored once for the selection (`multipos.numerics.selection`); the terms that come out are
+fitted by `multipos.numerics.least_squares`, so what is reported has full precision whatever the path was.
+
+The figures of a fit of q coefficients, k slopes, to n rows, with leverage h:
+
+    rms² = rss/(n − q),      press² = Σ (e/(1 − h))²/n,      R²_adj = 1 − (rss/(n−q))/(tss/(n−1)).
+
+Segments fitted together without a jump share their degrees of freedom: their coefficients are
+L b of the coefficients b of all columns, their covariance is L C L', n − q counts all rows of the
+branch, and F is that of Wald, b' C⁻¹ b / k. A segment's rms is on its rows less its leverage.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError, RankError
+from multipos.numerics.least_squares import LinearFit, solve
+from multipos.numerics.quantiles import f_quantile, f_tail
+from multipos.numerics.selection import (
+    Selection,
+    Thresholds,
+    all_columns,
+    compress,
+    select_backward,
+    select_stepwise,
+)
+from multipos.numerics.subsets import Subset, SubsetCriterion, all_subsets, criteria
+from multipos.regression.correlation import (
+    cluster_covariance,
+    effective_size,
+    hac_covariance,
+    lag_one,
+    wald,
+    window_dof,
+)
+from multipos.regression.observations import Data
+from multipos.regression.segment import Robust, Segment
+from multipos.regression.segmentation import Hinge, hinges, segment_of
+from multipos.sensor.model import CONSTANT, Term, evaluate_terms
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+METHODS = ("full", "stepwise", "backward", "subsets")
+RowDependence = Literal["hac", "effective"]
+ROBUST: tuple[RowDependence, ...] = get_args(RowDependence)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is fitted in every segment, and how it is judged.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+        Candidates.
+    variables : tuple of str
+        Whose limits are kept.
+    method : str
+    limits : Thresholds
+    criterion : str
+    hierarchy : bool
+    confidence : float
+    robust : str
+        'hac' or 'effective', where rows are found correlated.
+    """
+
+    terms: tuple[Term, ...]
+    variables: tuple[str, ...]
+    method: str = "full"
+    limits: Thresholds = field(default_factory=Thresholds)
+    criterion: SubsetCriterion = "aicc"
+    hierarchy: bool = False
+    confidence: float = 0.95
+    robust: RowDependence = "hac"
+
+    @property
+    def constant(self) -> bool:
+        """Whether there is an intercept."""
+        return CONSTANT in self.terms
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Chosen columns of a design and their least squares."""
+
+    selection: Selection
+    subsets: tuple[tuple[tuple[str, ...], Subset], ...]
+    found: LinearFit | None  # None where nothing was chosen
+    design: Array
+    residuals: Array
+    leverage: Array
+    covariance: Array  # (q, q), classical
+    dof: int
+
+
+def fit_segment(
+    plan: Plan, data: Data, span: tuple[float, float], branch: str | None, where: str
+) -> Segment:
+    """Fit one segment on its own.
+
+    Parameters
+    ----------
+    plan : Plan
+    data : Data
+        The segment's rows.
+    span : (low, high)
+    branch : str or None
+    where : str
+        The segment in words, for messages.
+
+    Raises
+    ------
+    MultiposError
+        Fewer rows than terms, or terms that these rows cannot tell apart.
+    """
+    design = evaluate_terms(plan.terms, data.columns, len(data))
+    names = [str(term) for term in plan.terms]
+    fit = _fit(plan, design, data.response, names, _requires(plan.terms), where)
+    terms = tuple(plan.terms[j] for j in fit.selection.columns)
+    y, e = data.response, fit.residuals
+    mean = float(y.mean()) if CONSTANT in terms else 0.0
+    k = len(terms) - (CONSTANT in terms)
+    explained = float(((y - e - mean) ** 2).sum())
+    rss = float(e @ e)
+    F = np.nan
+    if k and fit.dof > 0:
+        F = (explained / k) / (rss / fit.dof) if rss > 0.0 else np.inf
+    values = np.zeros(0) if fit.found is None else fit.found.coefficients
+    robust = _robust(plan, fit, data)
+    return _segment(
+        plan, fit, data, np.arange(len(data)), terms, values, fit.covariance, (k, fit.dof), F,
+        span, branch, None if robust is None else _robust_test(robust, terms, values),
+    )  # fmt: skip
+
+
+def fit_continuous(
+    plan: Plan,
+    data: Data,
+    variable: str,
+    edges: Sequence[float],
+    spans: Sequence[tuple[float, float]],
+    branch: str | None,
+    where: str,
+) -> list[Segment]:
+    """Fit all segments of a branch at once, continuous across the edges.
+
+    Parameters
+    ----------
+    plan, data, branch, where
+        As in `fit_segment`, for all rows of the branch.
+    variable : str
+        The segment variable.
+    edges : sequence of float
+    spans : sequence of (low, high)
+    """
+    extra = hinges(plan.terms, variable, edges)
+    design = np.column_stack(
+        (
+            evaluate_terms(plan.terms, data.columns, len(data)),
+            *(h.evaluate(data.columns) for h in extra),
+        )
+    )
+    names = [*map(str, plan.terms), *map(str, extra)]
+    position = {term: j for j, term in enumerate(plan.terms)}
+    requires = [*_requires(plan.terms), *(frozenset({position[h.term]}) for h in extra)]
+    fit = _fit(plan, design, data.response, names, requires, where)
+    every: tuple[Term | Hinge, ...] = (*plan.terms, *extra)
+    chosen = [every[j] for j in fit.selection.columns]
+    b = np.zeros(0) if fit.found is None else fit.found.coefficients
+    robust = _robust(plan, fit, data)
+    place = segment_of(data.columns[variable], edges)
+    segments = []
+    for s, span in enumerate(spans):
+        terms, L = _local(chosen, edges[:s])
+        values, covariance = L @ b, L @ fit.covariance @ L.T
+        slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
+        F, k = wald(values[slopes], covariance[np.ix_(slopes, slopes)])
+        local = None
+        if robust is not None:
+            turned = robust._replace(covariance=L @ robust.covariance @ L.T)
+            local = _robust_test(turned, terms, values)
+        rows = np.flatnonzero(place == s)
+        segments.append(
+            _segment(plan, fit, data, rows, terms, values, covariance, (k, fit.dof), F, span,
+                     branch, local)
+        )  # fmt: skip
+    return segments
+
+
+def _local(
+    chosen: Sequence[Term | Hinge], below: Sequence[float]
+) -> tuple[tuple[Term, ...], Array]:
+    """Return the terms of a segment above some edges, and how they are made of the coefficients."""
+    rows: dict[Term, Array] = {}
+    unit = np.eye(len(chosen))
+    for j, column in enumerate(chosen):
+        if isinstance(column, Term):
+            rows[column] = rows.get(column, 0.0) + unit[j]
+        elif column.edge in below:
+            lift = column.edge**column.power
+            rows[column.term] = rows.get(column.term, 0.0) + unit[j]
+            rows[column.rest] = rows.get(column.rest, 0.0) - lift * unit[j]
+    return tuple(rows), np.array(list(rows.values())).reshape(len(rows), len(chosen))
+
+
+def _requires(terms: Sequence[Term]) -> list[frozenset[int]]:
+    """Return which terms each one stands on: T for T², V and T for V·T."""
+    degrees = [{f.variable: f.degree for f in term.factors} for term in terms]
+    return [
+        frozenset(
+            j
+            for j, lower in enumerate(degrees)
+            if lower and lower != own
+            and all(degree <= own.get(name, 0) for name, degree in lower.items())
+        )
+        for own in degrees
+    ]  # fmt: skip
+
+
+def _fit(
+    plan: Plan, design: Array, response: Array, names: list[str],
+    requires: list[frozenset[int]], where: str,
+) -> _Fit:  # fmt: skip
+    n, p = design.shape
+    if n < (p if plan.method == "full" else int(plan.constant) + 2):
+        raise MultiposError(
+            f"{where} has {n} rows for {p} terms; move the edge, give more rows or fewer terms"
+            + (", or use --stepwise." if plan.method == "full" else ".")
+        )
+    try:
+        selection, subsets = _select(plan, design, response, names, requires)
+        columns = list(selection.columns)
+        if not columns:
+            zero = np.zeros((0, 0))
+            return _Fit(selection, subsets, None, design[:, :0], response, np.zeros(n), zero, n)
+        chosen = design if len(columns) == p else design[:, columns]
+        found = solve(chosen, response, names=[names[j] for j in columns], rows="rows")
+    except RankError as error:
+        said = "; ".join(error.combinations) or str(error)
+        raise RankError(
+            f"{where}: {said}; drop a term, give rows that tell them apart, or use --stepwise.",
+            rank=error.rank, parameters=error.parameters, combinations=error.combinations,
+        ) from None  # fmt: skip
+    except MultiposError as error:
+        raise MultiposError(f"{where}: {error}") from None
+    s2 = float(found.rss) / found.dof if found.dof else np.nan
+    return _Fit(selection, subsets, found, chosen, found.residuals, found.leverage,
+                found.cofactor * s2, found.dof)  # fmt: skip
+
+
+def _select(
+    plan: Plan, design: Array, response: Array, names: list[str], requires: list[frozenset[int]]
+) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
+    if plan.method == "full":
+        return all_columns(names), ()
+    triangle = compress(design, response)
+    forced = [plan.terms.index(CONSTANT)] if plan.constant else []
+    needed = requires if plan.hierarchy else None
+    if plan.method == "stepwise":
+        return select_stepwise(triangle, names, plan.limits, forced=forced, requires=needed), ()
+    if plan.method == "backward":
+        return select_backward(triangle, names, plan.limits, forced=forced, requires=needed), ()
+    found = all_subsets(triangle, forced=forced, requires=needed, criterion=plan.criterion)
+    named = tuple((tuple(names[j] for j in subset.columns), subset) for subset in found)
+    return Selection(found[0].columns), named
+
+
+def _segment(
+    plan: Plan, fit: _Fit, data: Data, rows: Rows, terms: tuple[Term, ...], values: Array,
+    covariance: Array, dof: tuple[int, int], F: float, span: tuple[float, float],
+    branch: str | None, robust: Robust | None,
+) -> Segment:  # fmt: skip
+    y, e, h = data.response[rows], fit.residuals[rows], fit.leverage[rows]
+    constant = CONSTANT in terms
+    rss, tss = float(e @ e), float(((y - (y.mean() if constant else 0.0)) ** 2).sum())
+    left = fit.dof if len(rows) == len(data) else len(rows) - float(h.sum())
+    whole = float(fit.residuals @ fit.residuals)
+    k, nu = dof
+    variance = rss / left if left > 0 else np.nan
+    lost = rss / tss if tss > 0.0 else np.nan
+    ratio = variance / (tss / (len(rows) - constant)) if tss > 0.0 else np.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        press = float(np.sqrt(np.mean((e / (1.0 - h)) ** 2)))
+    selection = fit.selection
+    return Segment(
+        range=span,
+        branch=branch,
+        n=len(rows),
+        terms=terms,
+        values=values,
+        covariance=covariance,
+        dof=(k, nu),
+        r2=1.0 - lost,
+        adjusted_r2=1.0 - ratio,
+        rms=float(np.sqrt(variance)),
+        aicc=criteria(whole, len(data), fit.design.shape[1])[0],
+        press=press,
+        F=F,
+        F_critical=f_quantile(plan.confidence, k, nu),
+        p=f_tail(F, k, nu) if F == F else np.nan,
+        limits={
+            name: (float(data.columns[name][rows].min()), float(data.columns[name][rows].max()))
+            for name in plan.variables
+        },
+        path=selection.path,
+        runner_up=selection.runner_up,
+        F_to_enter=selection.F_to_enter,
+        collinear=selection.collinear,
+        subsets=fit.subsets,
+        robust=robust,
+    )
+
+
+class _RobustFit(NamedTuple):
+    """Robust covariance of all coefficients of a fit, and what goes with it."""
+
+    covariance: Array
+    kind: str
+    nu: float
+    n_effective: float
+    lag_one: float
+
+
+def _robust(plan: Plan, fit: _Fit, data: Data) -> _RobustFit | None:
+    """Return the robust covariance where a cluster column or a time column calls for one."""
+    if fit.found is None or fit.dof <= 0 or not fit.found.rss:
+        return None
+    X, e, cofactor = fit.design, fit.residuals, fit.found.cofactor
+    rho, correlated = (0.0, False) if data.order is None else lag_one(e, data.order)
+    n = len(data)
+    size = n if data.order is None or not correlated else effective_size(e, data.order)
+    if data.cluster is not None:
+        covariance, m = cluster_covariance(X, e, cofactor, data.cluster)
+        return _RobustFit(covariance, "cluster", m - 1.0, size, rho)
+    if data.order is None or not correlated:
+        return None
+    if plan.robust == "hac":
+        covariance = hac_covariance(X, e, cofactor, data.order)
+        return _RobustFit(covariance, "hac", window_dof(e, data.order), size, rho)
+    nu = size - X.shape[1]
+    scale = fit.dof / nu if nu > 0.0 else np.nan
+    return _RobustFit(fit.covariance * scale, "effective", nu, size, rho)
+
+
+def _robust_test(fit: _RobustFit, terms: tuple[Term, ...], values: Array) -> Robust:
+    """Return F_robust of a segment's slopes, eq. (5) of `multipos.regression.correlation`."""
+    slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
+    F, k = wald(values[slopes], fit.covariance[np.ix_(slopes, slopes)])
+    nu = fit.nu
+    if fit.kind != "effective":  # Hotelling's law for an estimated covariance
+        F, nu = F * (nu - k + 1.0) / nu, nu - k + 1.0
+    if not (k and nu > 0.0):
+        F = np.nan
+    p = f_tail(F, k, nu) if F == F else np.nan
+    return Robust(fit.kind, fit.covariance, F, p, (k, nu), fit.nu, fit.n_effective, fit.lag_one)

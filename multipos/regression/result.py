@@ -1,0 +1,311 @@
+"""Regression: the result of `multipos.regress`, and its file.
+
+The rows are cut into segments, ranges of one variable, and where heating and cooling differ, by the
+sign of a rate; each has a model of its own (`multipos.regression.segment`). The result is complete when it is
+made and never changes.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.errors import MultiposError
+from multipos.files.formats import REGRESSION
+from multipos.files.numbers import number, table, uncertain
+from multipos.files.records import require
+from multipos.files.tables import plain, read_json, to_json, write_text
+from multipos.regression.hysteresis import BRANCHES, branch_of
+from multipos.regression.segment import Segment, segment_from_dict, segment_to_dict
+from multipos.regression.segmentation import segment_of
+from multipos.results import Result
+
+Array = NDArray[np.float64]
+
+SCHEMA = "multipos/regression/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Regression(Result):
+    """Piecewise regression of one column on others, with its tests.
+
+    Attributes
+    ----------
+    response : str
+    variables : tuple of str
+    candidates : tuple of str
+        The terms that could be in the model.
+    method : str
+        'full', 'stepwise', 'backward' or 'subsets'.
+    segments : tuple of Segment
+        Branch by branch, each by ascending range.
+    segment_variable : str or None
+    edges : tuple of float
+    continuous : bool
+    branch_column : str or None
+        The rate whose sign tells heating from cooling.
+    time : str or None
+    rates : mapping of str to float
+        Columns formed from the time column, with the window of each.
+    confidence : float
+    n, dropped : int
+    hysteresis, cross_validation : mapping or None
+    warnings : tuple of str
+    source, sha256, created, version : str or None
+    """
+
+    response: str
+    variables: tuple[str, ...]
+    candidates: tuple[str, ...]
+    method: str
+    segments: tuple[Segment, ...]
+    segment_variable: str | None
+    edges: tuple[float, ...]
+    continuous: bool
+    branch_column: str | None
+    time: str | None
+    rates: Mapping[str, float]
+    confidence: float
+    n: int
+    dropped: int
+    hysteresis: Mapping[str, Any] | None
+    cross_validation: Mapping[str, Any] | None
+    warnings: tuple[str, ...]
+    source: str | None = field(compare=False)
+    sha256: str | None
+    created: str = field(compare=False)
+    version: str
+    thresholds: Mapping[str, float] = field(default_factory=dict)
+
+    def segment_of(self, columns: Mapping[str, Array]) -> NDArray[np.intp]:
+        """Return the number of the segment of every row of columns (n,)."""
+        n = len(next(iter(columns.values())))
+        place = np.zeros(n, dtype=np.intp)
+        if self.segment_variable is not None:
+            place = segment_of(columns[self.segment_variable], self.edges)
+        if self.branch_column is not None:
+            place = place + branch_of(columns[self.branch_column]) * (len(self.edges) + 1)
+        return place
+
+    @property
+    def range_variable(self) -> str:
+        """The variable that the segments' ranges are of."""
+        return self.segment_variable or self.variables[0]
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Columns that a prediction needs."""
+        names = [f.variable for s in self.segments for t in s.terms for f in t.factors]
+        return tuple(
+            dict.fromkeys(
+                name for name in (*names, self.segment_variable, self.branch_column) if name
+            )
+        )
+
+    def predict(self, columns: Mapping[str, ArrayLike]) -> Array:
+        """Return the response (n,) that the model expects.
+
+        Parameters
+        ----------
+        columns : mapping of str to (n,) array
+            At least `needed`.
+        """
+        given = {name: np.asarray(column, dtype=np.float64) for name, column in columns.items()}
+        place = self.segment_of(given)
+        predicted = np.empty(len(place))
+        for i, segment in enumerate(self.segments):
+            rows = np.flatnonzero(place == i)
+            predicted[rows] = segment.design(given, rows) @ segment.values
+        return predicted
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as what JSON can carry, keys as in the formats reference."""
+        content = {
+            "schema": SCHEMA,
+            "multipos_version": self.version,
+            "created": self.created,
+            "input": {"file": self.source, "sha256": self.sha256},
+            "response": self.response,
+            "variables": self.variables,
+            "candidates": self.candidates,
+            "method": self.method,
+            "thresholds": dict(self.thresholds),
+            "confidence": self.confidence,
+            "n": self.n,
+            "dropped": self.dropped,
+            "segment_variable": self.segment_variable,
+            "edges": self.edges,
+            "continuous": self.continuous,
+            "branch_column": self.branch_column,
+            "time": self.time,
+            "rates": dict(self.rates),
+            "segments": [segment_to_dict(segment) for segment in self.segments],
+            "hysteresis": self.hysteresis,
+            "cross_validation": self.cross_validation,
+            "warnings": self.warnings,
+        }
+        result: dict[str, Any] = plain(content)
+        return result
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the regression as JSON, whole or not at all."""
+        write_text(path, to_json(self.to_dict()))
+
+    def __str__(self) -> str:
+        return "\n".join(_text(self))
+
+
+def load_regression(path: str | os.PathLike[str]) -> Regression:
+    """Read a regression written by `Regression.save`.
+
+    Raises
+    ------
+    MultiposError
+        The file is missing, truncated, of another schema, or holds what no regression does.
+    """
+    content = read_json(path, SCHEMA)
+    require(content, REGRESSION, str(path), "run regress again")
+    try:
+        regression = _from_dict(content)
+        _check_consistency(regression)
+    except ValueError as error:
+        raise MultiposError(f"{path}: not a regression: {error}; run regress again.") from None
+    return regression
+
+
+def _from_dict(c: Mapping[str, Any]) -> Regression:
+    return Regression(
+        response=c["response"],
+        variables=tuple(c["variables"]),
+        candidates=tuple(c["candidates"]),
+        method=c["method"],
+        segments=tuple(segment_from_dict(s) for s in c["segments"]),
+        segment_variable=c["segment_variable"],
+        edges=tuple(c["edges"]),
+        continuous=c["continuous"],
+        branch_column=c["branch_column"],
+        time=c["time"],
+        rates=c["rates"],
+        confidence=c["confidence"],
+        n=c["n"],
+        dropped=c["dropped"],
+        hysteresis=c["hysteresis"],
+        cross_validation=c["cross_validation"],
+        warnings=tuple(c["warnings"]),
+        source=c["input"]["file"],
+        sha256=c["input"]["sha256"],
+        created=c["created"],
+        version=c["multipos_version"],
+        thresholds=c["thresholds"],
+    )
+
+
+def _check_consistency(r: Regression) -> None:
+    """Hold segments, edges, branches and rates of a file to each other."""
+    edges, branches = r.edges, (None,) if r.branch_column is None else BRANCHES
+    if any(low >= high for low, high in pairwise(edges)):
+        raise ValueError("its edges do not ascend")
+    if edges and r.segment_variable is None:
+        raise ValueError("it has edges, but no variable that they are of")
+    expected = [branch for branch in branches for _ in range(len(edges) + 1)]
+    if [segment.branch for segment in r.segments] != expected:
+        raise ValueError("its segments do not fit its edges and branches")
+    if r.segment_variable is None and not r.variables:
+        raise ValueError("it has no variables")
+    if r.rates and (r.time is None or not all(name.endswith("_rate") for name in r.rates)):
+        raise ValueError("it has rates, but no time or column that they are of")
+
+
+def format_span(variable: str, span: tuple[float, float], branch: str | None) -> str:
+    """Return a segment in words."""
+    text = f"{variable} {number(span[0], 5)} to {number(span[1], 5)}"
+    return text if branch is None else f"{text}, {branch}"
+
+
+def _text(r: Regression) -> list[str]:
+    counted = f"{r.n} rows" + (f", {r.dropped} dropped" if r.dropped else "")
+    lines = [
+        f"response   {r.response}, {counted}",
+        f"terms      {len(r.candidates)} candidates, {r.method}"
+        + (" (" + ", ".join(f"{k} {v:g}" for k, v in r.thresholds.items()) + ")"
+           if r.thresholds else ""),
+    ]  # fmt: skip
+    lines += [f"rate       {name}: window {window:.6g}" for name, window in r.rates.items()]
+    if r.edges:
+        edges = ", ".join(f"{edge:.6g}" for edge in r.edges)
+        lines.append(f"edges      {r.segment_variable} = {edges}"
+                     + (", continuous" if r.continuous else ""))  # fmt: skip
+    if r.hysteresis is not None:
+        h = r.hysteresis
+        lines.append(
+            f"branches   F = {number(h['F'])} on {h['dof'][0]:.0f}, {h['dof'][1]:.0f}, "
+            f"p = {number(h['p'], 2)}: {'apart' if h['significant'] else 'together'}"
+        )
+    if r.cross_validation is not None:
+        found = r.cross_validation
+        lines.append(
+            f"unseen     rms {found['rms']:.4g}, R² {number(found['r2'])} "
+            f"over {found['blocks']} blocks of time left out in turn"
+        )
+    lines += ["", _overview(r)]
+    for i, segment in enumerate(r.segments, start=1):
+        span = format_span(r.range_variable, segment.range, segment.branch)
+        lines += ["", f"Segment {i}: {span}", *_segment_text(segment)]
+        last = i == len(r.segments) or r.segments[i].branch != segment.branch
+        if last or not r.continuous:  # segments fitted together share their path
+            lines += _path_text(segment)
+    return lines
+
+
+def _overview(r: Regression) -> str:
+    robust = any(s.robust is not None for s in r.segments)
+    header = ["segment", "n", "k", "dof", "R²", "rms", "PRESS", "AICc", "F", f"F_{r.confidence:g}",
+              *(["F_robust", "p_robust"] if robust else []), "significant"]  # fmt: skip
+    rows = []
+    for i, s in enumerate(r.segments, start=1):
+        row = [str(i), str(s.n), str(s.dof[0]), str(s.dof[1]), number(s.r2), number(s.rms),
+               number(s.press), number(s.aicc, 5), number(s.F), f"{s.F_critical:.4f}"]  # fmt: skip
+        if robust:
+            row += ["-", "-"] if s.robust is None else [number(s.robust.F), number(s.robust.p, 2)]
+        rows.append([*row, "yes" if s.significant else "no"])
+    return table(header, rows)
+
+
+def _segment_text(s: Segment) -> list[str]:
+    robust = s.robust is not None
+    header = ["term", "value(u)", "t", "p", *(["u_robust", "p_robust"] if robust else [])]
+    rows = [
+        [c.term, uncertain(c.value, c.u), number(c.t), number(c.p, 2),
+         *([number(c.u_robust, 2), number(c.p_robust, 2)] if robust else [])]
+        for c in s.coefficients
+    ]  # fmt: skip
+    return [table(header, rows)]
+
+
+def _path_text(s: Segment) -> list[str]:
+    lines = []
+    if s.path:
+        steps = [
+            [str(x.step), f"{'+' if x.action == 'add' else '-'}{x.term}", number(x.F, 6),
+             number(x.p, 3), "" if x.runner_up is None else
+             f"{x.runner_up.term} (F = {number(x.runner_up.F)}, p = {number(x.runner_up.p, 2)})"]
+            for x in s.path
+        ]  # fmt: skip
+        lines += ["", table(["step", "term", "F", "p", "runner-up"], steps, left=2)]
+    if s.runner_up is not None:
+        lines.append(
+            f"next: {s.runner_up.term}, F = {number(s.runner_up.F)} where "
+            f"{number(s.F_to_enter)} is needed, p = {number(s.runner_up.p, 2)}"
+        )
+    if s.subsets:
+        best = [
+            [" + ".join(names), number(b.r2), number(b.adjusted_r2), number(b.aicc, 5),
+             number(b.bic, 5)]
+            for names, b in s.subsets[:10]
+        ]  # fmt: skip
+        lines += ["", table(["subset", "R²", "adjusted R²", "AICc", "BIC"], best)]
+    return lines

@@ -1,0 +1,234 @@
+"""Segments: where one variable is cut so that a model per piece explains the response best.
+
+**Edges.** The rows are sorted by the variable and cut into fine bins; each bin is compressed to a
+triangle (`multipos.numerics.selection`), and the rows from bin i to bin j are the triangles between, joined.
+With c(i, j) the residual sum of the whole list of terms there, the best m segments follow from the
+best m − 1 (Bellman),
+
+    D_1(j) = c(0, j),      D_m(j) = min_i D_{m−1}(i) + c(i, j),                             (1)
+
+no segment with fewer rows than asked. Their number is what makes
+
+    n ln(D_m/n) + (m p + m − 1) ln n                                                       (2)
+
+smallest: p coefficients a segment, and every edge counts. Before they are compared, each edge moves
+to the best of finer cuts between its neighbouring bins, or a jump inside a bin would ask for a
+segment of its own. Where rows are correlated in time, n in (2) is the effective number of rows of
+the residuals of one segment more than enough.
+
+**No jump.** A correction that jumps at an edge is a step in the output. With the edge e of variable
+v, a term r v^k that carries v gets a second column beside it,
+
+    h(row) = r (v^k − e^k) above e,    0 below,                                            (3)
+
+which is zero at the edge whatever r is; the fit over all segments at once is then continuous, and
+the coefficients of each segment are sums of those of (3): d of v^k r, and −d e^k of r.
+
+Sources: R. Bellman, Commun. ACM 4, 1961; J. Bai, P. Perron, J. Appl. Econometrics 18, 2003;
+Y.-C. Yao, Statist. Probab. Lett. 6, 1988 (the penalty).
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.files.numbers import number
+from multipos.numerics.selection import Triangle, compress, join
+from multipos.sensor.model import Factor, Term
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+MOST = 6  # segments that are looked for
+_BINS = 48  # candidate edges and one: every pair of them is fitted
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A column of eq. (3): the term, and the edge above which it acts."""
+
+    term: Term
+    variable: str
+    edge: float
+
+    def __str__(self) -> str:
+        return f"{self.term} above {self.variable} = {self.edge:.10g}"
+
+    @property
+    def power(self) -> int:
+        """Power of the segment variable in the term."""
+        return next(f.power for f in self.term.factors if f.variable == self.variable)
+
+    @property
+    def rest(self) -> Term:
+        """The term without the segment variable: what keeps it continuous at the edge."""
+        return Term(tuple(f for f in self.term.factors if f.variable != self.variable))
+
+    def evaluate(self, columns: Mapping[str, Array]) -> Array:
+        """Return the column."""
+        v = columns[self.variable]
+        power = Term((Factor("v", self.power),))
+        lift = power.evaluate({"v": v}) - power.evaluate({"v": self.edge})
+        return np.asarray(np.where(v >= self.edge, lift * self.rest.evaluate(columns), 0.0))
+
+
+def hinges(terms: Sequence[Term], variable: str, edges: Sequence[float]) -> tuple[Hinge, ...]:
+    """Return the columns that let terms change at edges without a jump, eq. (3)."""
+    carrying = [  # |v| bends at zero and nowhere else, so it stays as it is
+        term
+        for term in terms
+        if any(f.variable == variable and f.power and not f.modulus for f in term.factors)
+    ]
+    return tuple(Hinge(term, variable, edge) for edge in edges for term in carrying)
+
+
+def segment_of(values: Array, edges: Sequence[float]) -> NDArray[np.intp]:
+    """Return the number of the segment of each row, from 0; an edge belongs to the one above."""
+    return np.searchsorted(np.asarray(edges, dtype=np.float64), values, side="right")
+
+
+def find_edges(
+    values: Array, design: Array, response: Array, *, minimum: int, worth: float = 1.0
+) -> tuple[float, ...]:
+    """Return the edges that explain the response best, by eqs. (1) and (2).
+
+    Parameters
+    ----------
+    values : (n,) array
+        The variable to cut.
+    design : (n, p) array
+        All candidate terms.
+    response : (n,) array
+    minimum : int
+        Fewest rows of a segment.
+    worth : float
+        Effective rows over rows.
+
+    Returns
+    -------
+    tuple of float
+        In ascending order; empty where one segment does.
+    """
+    n, p = design.shape
+    order = np.argsort(values, kind="stable")
+    v = values[order]
+    scale = np.linalg.norm(design, axis=0)
+    X, y = design[order] / np.where(scale > 0.0, scale, 1.0), response[order]
+    data = _Sorted(v, X, y, _cuts(v, minimum))
+    cost = _costs(data.bins, minimum)
+    best, score = cost[0], np.inf
+    chosen: tuple[int, ...] = ()
+    last: list[Rows] = []
+    rows = max(n * worth, 2.0)
+    floor = (1e-12 * float(np.linalg.norm(y))) ** 2
+    for m in range(1, MOST + 1):
+        if m > 1:
+            total = best[:-1, np.newaxis] + cost[1:]
+            last.append(total.argmin(axis=0))
+            best = total.min(axis=0)
+        if not np.isfinite(best[-1]):
+            break
+        rss, edges = _polish(data, _trace(last, len(data.bins)), minimum)
+        bic = rows * log(max(rss, floor) / n) + (m * p + m - 1) * log(rows)
+        if bic < score:
+            score, chosen = bic, edges
+    return tuple(float(v[i - 1] + v[i]) / 2.0 for i in chosen)
+
+
+class _Sorted:
+    """Rows sorted by the segment variable, with triangles of their bins ready made."""
+
+    def __init__(self, v: Array, X: Array, y: Array, cuts: Sequence[int]) -> None:
+        self.v, self.X, self.y, self.cuts = v, X, y, cuts
+        self.bins = [compress(X[a:b], y[a:b]) for a, b in pairwise(cuts)]
+
+    def triangle(self, start: int, end: int) -> Triangle:
+        """Return the triangle of rows start … end, of whole bins where they are inside."""
+        first, last = bisect_left(self.cuts, start), bisect_right(self.cuts, end) - 1
+        if first >= last:
+            return compress(self.X[start:end], self.y[start:end])
+        parts = list(self.bins[first:last])
+        for a, b in ((start, self.cuts[first]), (self.cuts[last], end)):
+            if a < b:
+                parts.append(compress(self.X[a:b], self.y[a:b]))
+        return join(parts)
+
+
+def _polish(data: _Sorted, bins: Sequence[int], minimum: int) -> tuple[float, tuple[int, ...]]:
+    """Move each edge in turn among finer cuts beside it; return the residual sum and the rows."""
+    n, cuts = len(data.v), data.cuts
+    edges = [cuts[i] for i in bins]
+    for i, place in enumerate(bins):
+        start, end = (edges[i - 1] if i else 0), (edges[i + 1] if i + 1 < len(edges) else n)
+        low, high = max(cuts[place - 1], start + minimum), min(cuts[place + 1], end - minimum)
+        fine = sorted({edges[i], *(j for j in _between(data.v, low, high) if low <= j <= high)})
+        if len(fine) < 2:
+            continue
+        parts = [data.triangle(a, b) for a, b in pairwise((start, *fine, end))]
+        left = list(accumulate(parts[:-1], lambda a, b: join([a, b])))
+        right = list(accumulate(parts[:0:-1], lambda a, b: join([a, b])))[::-1]
+        costs = [residual_sum(a) + residual_sum(b) for a, b in zip(left, right, strict=True)]
+        edges[i] = fine[int(np.argmin(costs))]
+    rss = sum(residual_sum(data.triangle(a, b)) for a, b in pairwise((0, *edges, n)))
+    return rss, tuple(edges)
+
+
+def _between(v: Array, low: int, high: int) -> list[int]:
+    """Rows before which sorted values may be cut, evenly from low to high, both included."""
+    wanted = np.unique(np.linspace(low, high, _BINS + 1).astype(int))
+    return sorted({int(np.searchsorted(v, v[i], side="left")) for i in wanted if i < len(v)})
+
+
+def _cuts(v: Array, minimum: int) -> list[int]:
+    """Rows before which sorted values may be cut: quantiles, never between equal values."""
+    n = len(v)
+    wanted = np.linspace(0, n, min(_BINS, max(1, 4 * n // max(minimum, 1))) + 1).astype(int)
+    inner = [int(np.searchsorted(v, v[i], side="left")) for i in wanted[1:-1]]
+    return sorted({0, n, *inner})
+
+
+def _costs(bins: Sequence[Triangle], minimum: int) -> Array:
+    """c(i, j) of eq. (1) as cost[i, j − 1]: residual sums of bins i … j − 1, inf where too few."""
+    cost = np.full((len(bins), len(bins)), np.inf)
+    for i in range(len(bins)):
+        whole = None
+        for j in range(i, len(bins)):
+            whole = bins[j] if whole is None else join([whole, bins[j]])
+            if whole.rows >= minimum:
+                cost[i, j] = residual_sum(whole)
+    return cost
+
+
+def residual_sum(triangle: Triangle) -> float:
+    """Return the residual sum of all columns, of which some may say the same."""
+    X, y = triangle.R[:, :-1], triangle.R[:, -1]
+    b = np.linalg.lstsq(X, y, rcond=1e-10)[0]
+    return float(((y - X @ b) ** 2).sum())
+
+
+def _trace(last: Sequence[Rows], bins: int) -> tuple[int, ...]:
+    """Return the bins that begin the second and later segments, from the choices of eq. (1)."""
+    found: list[int] = []
+    j = bins - 1
+    for choice in reversed(last):
+        i = int(choice[j])
+        found.append(i + 1)
+        j = i
+    return tuple(reversed(found))
+
+
+def check_edges(variable: str, edges: Sequence[float], values: Array) -> None:
+    """Refuse an edge outside the data."""
+    low, high = float(values.min()), float(values.max())
+    for edge in edges:
+        if not low < edge < high:
+            raise MultiposError(
+                f"the edge {variable} = {edge:.10g} is outside the data, which run from "
+                f"{number(low, 6)} to {number(high, 6)}; give edges between."
+            )

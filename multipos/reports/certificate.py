@@ -1,0 +1,225 @@
+"""What a report of a calibration says: its sections, tables and figures, in English or Chinese.
+
+The sections are what a calibration certificate contains by clause 7.8 of ISO/IEC 17025:2017, as
+far as the data know it; what only the laboratory knows comes from its TOML file, and where that
+is silent a field stays open, marked as such. `documents` writes the content as HTML, Markdown or
+plain text.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.files.tables import read_toml
+from multipos.reports.bench_evidence import check_section, rolls_section
+from multipos.reports.evidence import (
+    checks_section,
+    correlation_section,
+    errors_section,
+    positions_section,
+    residuals_section,
+)
+from multipos.reports.findings import (
+    Grid,
+    Section,
+    budget_section,
+    parameters_section,
+    sensor_section,
+    sphere_section,
+)
+from multipos.reports.translations import Language, Translator
+from multipos.sensor.calibration import Calibration
+from multipos.uncertainty.monte_carlo import MonteCarlo
+from multipos.uncertainty.propagation import evaluate_budget
+from multipos.uncertainty.turntable import has_rolls
+from multipos.verification.verdicts import Check
+
+LAB_FIELDS = {
+    "report": {
+        "number": "Report number",
+        "issued": "Date of issue",
+        "authorised_by": "Authorised by",
+    },
+    "laboratory": {
+        "name": "Laboratory",
+        "address": "Address",
+        "location": "Place of calibration",
+        "accreditation": "Accreditation",
+    },
+    "customer": {"name": "Customer", "address": "Address of the customer"},
+    "item": {
+        "description": "Item",
+        "manufacturer": "Manufacturer",
+        "type": "Type",
+        "serial": "Serial number",
+        "condition": "Condition",
+        "received": "Date of receipt",
+    },
+    "measurement": {
+        "performed": "Date of calibration",
+        "method": "Method",
+        "conditions": "Environmental conditions",
+        "traceability": "Metrological traceability",
+        "deviations": "Deviations from the method",
+        "remarks": "Remarks",
+    },
+}
+
+
+@dataclass(frozen=True)
+class Content:
+    """A whole report.
+
+    Attributes
+    ----------
+    language, title, subtitle : str
+    warnings : tuple of str
+    fields : tuple of (label, text or None)
+        What only the laboratory knows; None where it has not said.
+    sections : tuple of Section
+    words : mapping of str to str
+        The template's own words, translated.
+    """
+
+    language: str
+    title: str
+    subtitle: str
+    warnings: tuple[str, ...]
+    fields: tuple[tuple[str, str | None], ...]
+    sections: tuple[Section, ...]
+    words: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_lab(source: "str | os.PathLike[str] | Mapping[str, Any] | None") -> dict[str, str]:
+    """Return what the laboratory says, by ``section.key``.
+
+    Raises
+    ------
+    MultiposError
+        The file is missing or not TOML, or has a section or key that a report does not know.
+    """
+    if source is None:
+        return {}
+    where = "the lab file" if isinstance(source, Mapping) else str(source)
+    tables = source if isinstance(source, Mapping) else read_toml(source, "lab file")
+    said = {}
+    for section, table in tables.items():
+        if section not in LAB_FIELDS or not isinstance(table, Mapping):
+            raise MultiposError(
+                f"{where}: unknown section [{section}]; a report knows {', '.join(LAB_FIELDS)}."
+            )
+        for key, value in table.items():
+            if key not in LAB_FIELDS[section]:
+                raise MultiposError(
+                    f"{where}, [{section}]: unknown key '{key}'; it takes "
+                    f"{', '.join(LAB_FIELDS[section])}."
+                )
+            said[f"{section}.{key}"] = str(value)
+    return said
+
+
+def build_content(
+    calibration: Calibration,
+    *,
+    lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
+    language: Language = "en",
+    simulated: MonteCarlo | None = None,
+    check: Check | None = None,
+) -> Content:
+    """Return what the report of a calibration says.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    lab : path or mapping, optional
+        What only the laboratory knows.
+    language : str
+        'en' or 'zh'.
+    simulated : MonteCarlo, optional
+        What `multipos.uncertainty.monte_carlo` found, for the checks.
+    check : Check, optional
+        Of this calibration on an independent run.
+
+    Raises
+    ------
+    MultiposError
+        The lab file is at fault, or the check is of another calibration.
+    """
+    tr = Translator(language)
+    said = read_lab(lab)
+    c = calibration
+    budget = evaluate_budget(c)
+    fields = tuple(
+        (tr(label), said.get(f"{section}.{key}"))
+        for section, keys in LAB_FIELDS.items()
+        for key, label in keys.items()
+    )
+    return Content(
+        language=language,
+        title=tr("Calibration report"),
+        subtitle=tr(
+            "Accelerometer with outputs {outputs}, model {model}",
+            outputs=", ".join(c.outputs), model=c.model.text,
+        ),
+        warnings=tuple(
+            tr.message(text) for text in (*c.diagnostics.warnings, *c.diagnostics.outliers)
+        ),
+        fields=fields,
+        sections=(
+            parameters_section(c, tr),
+            sensor_section(c, budget, tr),
+            budget_section(c, budget, tr),
+            sphere_section(c, tr),
+            residuals_section(c, tr),
+            errors_section(c, tr),
+            *(() if check is None else (check_section(c, check, tr),)),
+            positions_section(c, tr),
+            *((rolls_section(c, tr),) if has_rolls(c) else ()),
+            correlation_section(c, tr),
+            checks_section(c, tr, simulated),
+            _method(c, tr),
+            _statements(c, tr),
+        ),
+        words={text: tr(text) for text in (
+            "Warnings", "Administrative data", "to be filled in by the laboratory",
+            "There is nothing to warn of.", "Contents", "end of the report",
+        )},
+    )  # fmt: skip
+
+
+def _method(c: Calibration, tr: Translator) -> Section:
+    gravity = tr("local, one g") if c.gravity is None else (
+        f"{c.gravity.value:.10g} m/s^2, u = {c.gravity.u:.3g} m/s^2"
+    )  # fmt: skip
+    rows: list[tuple[str, str]] = [
+        (tr("Readings"), c.readings.source or tr("from memory")),
+        (tr("SHA-256 of the readings"), c.readings.sha256 or "-"),
+        (tr("Number of readings"), str(len(c.readings))),
+        (tr("Outputs and unit"), f"{', '.join(c.outputs)} [{c.model.unit}]"),
+        (tr("Model"), c.model.text),
+        (tr("Convention"), tr(c.convention)),
+        (tr("Gravity"), gravity),
+        (tr("Estimator"), tr(c.estimator)),
+        (tr("Criterion"), tr(c.criterion)),
+        (tr("Computed"), f"{c.created}, multipos {c.version}"),
+    ]
+    for name, column in c.readings.environment.items():
+        if np.isfinite(column).all():
+            rows.append((tr(name), f"{column.min():.6g} … {column.max():.6g}"))
+    header = (tr("Item"), tr("Value"))
+    return Section(
+        tr("Method and data"), tables=(Grid(tr("How it was done"), header, tuple(rows), left=2),)
+    )
+
+
+def _statements(c: Calibration, tr: Translator) -> Section:
+    said: Sequence[str] = (
+        "The results relate only to the item calibrated, as it was and where it was.",
+        "Uncertainties are evaluated by JCGM 100 (GUM).",
+        "This report should not be reproduced except in full without approval of the laboratory.",
+    )
+    return Section(tr("Statements"), tuple(map(tr, said)))

@@ -1,0 +1,185 @@
+"""The report as one HTML page, as Markdown or as plain text.
+
+`write_report` writes everything that `multipos.reports.certificate` has to say. The HTML is one file:
+figures are inline SVG, nothing is fetched and no script runs, and the same calibration gives the
+same bytes.
+"""
+
+import os
+import re
+import textwrap
+import unicodedata
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from multipos.errors import UsageError
+from multipos.files.characters import visible
+from multipos.files.numbers import markdown_line, markdown_table, markdown_text
+from multipos.files.tables import write_text
+from multipos.plots.style import COLOURS
+from multipos.reports.certificate import Content, build_content
+from multipos.reports.findings import Figure, Grid
+from multipos.reports.translations import Language
+from multipos.sensor.calibration import Calibration
+from multipos.uncertainty.monte_carlo import MonteCarlo
+from multipos.verification.verdicts import Check
+
+
+def html_report(content: Content) -> str:
+    """Return a report as one self-contained HTML page."""
+    import jinja2
+    from markupsafe import Markup
+
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, keep_trailing_newline=True,
+        finalize=_without_controls,
+    )  # fmt: skip
+    template = (
+        files("multipos.reports").joinpath("templates", "report.html").read_text(encoding="utf-8")
+    )
+
+    def svg(figure: Figure, section: int, place: int) -> Any:
+        return Markup(_inline(figure, f"f{section}-{place}"))
+
+    return environment.from_string(template).render(
+        content=content, number=content.fields[0][1] or "", svg=svg
+    )
+
+
+def markdown_report(content: Content) -> str:
+    """Return a report as Markdown."""
+    parts = [f"# {content.title}", markdown_line(content.subtitle)]
+    for title, entries in _front(content):
+        parts.append(f"## {title}\n\n{_bullets(entries, markdown_line, _MARKDOWN_BREAK)}")
+    for section in content.sections:
+        parts.append(f"## {section.title}")
+        parts += map(markdown_line, section.paragraphs)
+        for grid in section.tables:
+            caption = markdown_text(grid.caption)
+            parts.append(f"**{caption}**\n\n{markdown_table(grid.header, grid.rows)}")
+    return "\n\n".join(parts) + "\n"
+
+
+def plain_report(content: Content) -> str:
+    """Return a report as plain text."""
+    parts = [_underlined(content.title, "="), visible(content.subtitle)]
+    for title, entries in _front(content):
+        parts.append(f"{_underlined(title, '-')}\n{_bullets(entries, visible, _BREAK)}")
+    for section in content.sections:
+        parts.append(_underlined(section.title, "-"))
+        parts += [textwrap.fill(visible(paragraph), 96) for paragraph in section.paragraphs]
+        parts += [f"{visible(grid.caption)}\n{_aligned(grid)}" for grid in section.tables]
+    return "\n\n".join(parts) + "\n"
+
+
+def write_report(
+    calibration: Calibration,
+    path: str | os.PathLike[str],
+    *,
+    lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
+    language: Language = "en",
+    simulated: MonteCarlo | None = None,
+    check: Check | None = None,
+) -> None:
+    """Write the report in the form that the file's ending asks for: .html, .md or .txt.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    path : path
+    lab : path or mapping, optional
+        TOML file of what only the laboratory knows (`multipos.reports.certificate.LAB_FIELDS`).
+    language : str
+        'en' or 'zh'.
+    simulated : MonteCarlo, optional
+        What `multipos.uncertainty.monte_carlo` found, for the checks.
+    check : Check, optional
+        Of this calibration on an independent run: its errors, with the curve and the verdict.
+
+    Raises
+    ------
+    UsageError
+        Another ending or language.
+    MultiposError
+        The lab file is at fault, the check is of another calibration, or the report cannot be
+        written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in _FORMS:
+        raise UsageError(
+            f"the report's ending '{suffix}' is unknown; write it to a {', '.join(_FORMS)} file."
+        )
+    content = build_content(
+        calibration, lab=lab, language=language, simulated=simulated, check=check
+    )
+    write_text(path, _FORMS[suffix](content))
+
+
+# Between the lines of an entry of a list.
+_BREAK, _MARKDOWN_BREAK = "\n  ", "\\\n  "
+_FORMS: dict[str, Callable[[Content], str]] = {
+    ".html": html_report,
+    ".md": markdown_report,
+    ".txt": plain_report,
+}
+
+
+def _front(content: Content) -> list[tuple[str, list[str]]]:
+    """Return warnings and administrative data as lines."""
+    words = content.words
+    open_field = f"[{words['to be filled in by the laboratory']}]"
+    said = list(content.warnings) or [words["There is nothing to warn of."]]
+    fields = [f"{label}: {text or open_field}" for label, text in content.fields]
+    return [(words["Warnings"], said), (words["Administrative data"], fields)]
+
+
+def _bullets(entries: Sequence[str], show: Callable[[str], str], line_end: str) -> str:
+    """Return entries as a list; one of several lines, such as an address, keeps them."""
+    return "\n".join(f"- {line_end.join(map(show, entry.splitlines()))}" for entry in entries)
+
+
+def _without_controls(value: Any) -> Any:
+    """Return what the page shows, with control characters but line ends made visible."""
+    if type(value) is not str:
+        return value
+    return "\n".join(map(visible, value.splitlines()))
+
+
+def _underlined(title: str, mark: str) -> str:
+    return f"{title}\n{mark * _columns(title)}"
+
+
+def _columns(text: str) -> int:
+    """Return how many columns a terminal needs: Chinese characters take two."""
+    return sum(2 if unicodedata.east_asian_width(mark) in "WF" else 1 for mark in text)
+
+
+def _aligned(grid: Grid) -> str:
+    cells = [[visible(cell) for cell in row] for row in (grid.header, *grid.rows)]
+    widths = [max(_columns(row[i]) for row in cells) for i in range(len(grid.header))]
+    lines = []
+    for row in cells:
+        parts = []
+        for i, (cell, width) in enumerate(zip(row, widths, strict=True)):
+            space = " " * (width - _columns(cell))
+            parts.append(cell + space if i < grid.left else space + cell)
+        lines.append("  ".join(parts).rstrip())
+    return "\n".join(lines)
+
+
+def _inline(figure: Figure, prefix: str) -> str:
+    """Return a figure as inline SVG: own ids, the page's colours, and a text alternative."""
+    text = figure.draw()
+    text = re.sub(r'(id="|url\(#|xlink:href="#)', rf"\1{prefix}-", text)
+    for i, colour in enumerate(COLOURS[:7], start=1):
+        text = text.replace(colour, f"var(--c{i})")
+    text = text.replace("#000000", "currentColor").replace(
+        "stroke: #ffffff", "stroke: var(--paper)"
+    )
+    text = re.sub(r'<svg ([^>]*?)width="[^"]*" ', r"<svg \1", text, count=1)
+    text = re.sub(r'<svg ([^>]*?)height="[^"]*" ', r"<svg \1", text, count=1)
+    named = f'<svg role="img" aria-label="{escape(f"{figure.caption}. {figure.description}")}" '
+    return text.replace("<svg ", named, 1)

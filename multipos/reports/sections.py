@@ -1,0 +1,195 @@
+"""What tumbles, turntables and checks say: as sheets of text, and as plain text of them.
+
+A sheet is a title, a header and rows. Commands print it, and `multipos.reports.documents` puts it into a
+report of any form and language.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multipos.files.numbers import largest_rows, number, table, uncertain
+from multipos.positions.harmonics import Harmonic
+from multipos.sensor.calibration import Calibration
+from multipos.uncertainty.turntable import TableErrors
+from multipos.verification.single_axis import Tumble
+from multipos.verification.verdicts import VERDICTS, Check, worst
+
+
+class Sheet(NamedTuple):
+    """A table under a title, all of it text."""
+
+    title: str
+    header: list[str]
+    rows: list[list[str]]
+
+    def __str__(self) -> str:
+        return table(self.header, self.rows)
+
+
+def installation_sheets(calibration: Calibration) -> list[Sheet]:
+    """Return how the outputs are installed, θ_ij with u and U; nothing where it cannot be told."""
+    rows = []
+    for pair, angle in calibration.installation_deg.items():
+        output = calibration.outputs[calibration.model.axes.index(pair[0])]
+        rows.append(
+            [f"theta_{pair}", f"{output} towards {pair[1]}",
+             uncertain(angle["value"], angle["u"]), number(angle["U"], 2)]
+        )  # fmt: skip
+    header = ["angle", "of", "value(u) [deg]", "U"]
+    return [Sheet("Installation", header, rows)] if rows else []
+
+
+def table_error_sheets(found: TableErrors) -> list[Sheet]:
+    """Return the errors of the turntable with what they are confounded with, and zero shifts."""
+    sections = []
+    rows = []
+    for error in found.errors:
+        told = error.value_deg is not None and error.u_deg is not None
+        rows.append(
+            [error.plane, error.quantity.replace("_", " "),
+             uncertain(error.value_deg or 0.0, error.u_deg or 0.0) if told else "cannot be told",
+             number(error.U_deg, 2), ", ".join(error.confounded_with) or "nothing"]
+        )  # fmt: skip
+    if rows:
+        header = ["roll", "table error", "value(u) [deg]", "U", "does the same as"]
+        sections.append(Sheet("Turntable", header, rows))
+    shifts = [
+        [shift.plane, shift.output, f"{uncertain(shift.value, shift.u)} {shift.unit}",
+         number(shift.U, 2), f"{shift.p:.2g}"]
+        for shift in found.zero_shifts
+    ]  # fmt: skip
+    if shifts:
+        header = ["roll", "zero of", "shift(u)", "U", "p"]
+        sections.append(Sheet("Zero between rolls", header, shifts))
+    return sections
+
+
+def tumble_sections(found: Tumble) -> list[tuple[str, str]]:
+    """Return coefficients, what is hidden, harmonics and turntable as titles with text."""
+    rows = []
+    for name, c in found.coefficients.items():
+        custom = c.customary
+        value = uncertain(custom["value"], custom["u"]) if "value" in custom else "-"
+        rows.append(
+            [name, uncertain(c.value, c.u), c.unit, value, number(custom["U"], 2), custom["unit"],
+             number(c.k), number(c.dof)]
+        )  # fmt: skip
+    header = ["coefficient", "value(u)", "unit", "value(u)", "U", "unit", "k", "dof"]
+    sections = [("Tumble", table(header, rows))]
+    hidden = [*found.unidentifiable, *found.weak]
+    if found.taken_as_zero:
+        hidden.append(f"taken as zero: {', '.join(found.taken_as_zero)}")
+    if hidden:
+        text = "\n".join(f"- {line}" for line in hidden)
+        sections.append(("What the points cannot tell", text))
+    unit = found.calibration.model.unit
+    residual = {(h.plane, h.order): h for h in found.residual_harmonics}
+    rows = []
+    for h in found.harmonics:
+        left = residual[h.plane, h.order]
+        rows.append(
+            [h.plane, str(h.order), *_harmonic_cells(h), f"{left.amplitude:.2g}",
+             number(left.p, 2)]
+        )  # fmt: skip
+    if rows:
+        header = ["plane", "order", f"cos [{unit}]", "sin", "amplitude", "left by the model", "p"]
+        sections.append(("Harmonics", table(header, rows)))
+    turntable = table_error_sheets(found.table_errors)
+    return [*sections, *((sheet.title, str(sheet)) for sheet in turntable)]
+
+
+def tumble_text(found: Tumble) -> str:
+    """Return the tumble as plain text."""
+    text = "\n".join(
+        f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in tumble_sections(found)
+    )
+    if found.fourier_max_difference is not None:
+        text += (
+            f"\nFourier against least squares: {found.fourier_max_difference:.1e} of a reading\n"
+        )
+    return text
+
+
+def _harmonic_cells(h: Harmonic) -> list[str]:
+    """Return cosine, sine and amplitude, to the digits that the noise leaves of them."""
+    if h.u_cos is None or h.u_sin is None:
+        return [number(value, 6) for value in (h.cos, h.sin, h.amplitude)]
+    larger = max(h.u_cos, h.u_sin)  # the u of an amplitude lies between the two
+    return [uncertain(h.cos, h.u_cos), uncertain(h.sin, h.u_sin), uncertain(h.amplitude, larger)]
+
+
+def check_sheets(found: Check) -> list[Sheet]:
+    """Return the summary and the errors of every position; of a regression by segment."""
+    if found.segments:
+        return [_by_segment(found)]
+    unit = found.unit
+    header = ["axis", f"max before [{unit}]", "max after", "rms before", "rms after",
+              "linearity before [%]", "after", "largest U", "verdict"]  # fmt: skip
+    rows = []
+    for axis in (*found.axes, None) if len(found.axes) > 1 else found.axes:
+        s = found.summary(axis)
+        values = [
+            number(s[when][key])
+            for key in ("maximum", "rms", "linearity_percent")
+            for when in ("before", "after")
+        ]
+        rows.append(
+            [axis or "all", *values, number(s["after"]["largest_U"], 2), s["verdict"] or "-"]
+        )
+    parts = [Sheet("Errors before and after compensation", header, rows)]
+    header = ["position"]
+    for axis in found.axes:
+        header += [f"{axis} [{unit}]", "before", "after", "U"]
+    rows = []
+    shown = largest_rows(np.abs(found.after).max(axis=1).tolist())
+    for row in shown:
+        cells = [found.positions[row]]
+        for column in np.arange(len(found.axes)):
+            cells += [f"{found.reference[row, column]:.6g}"]
+            cells += [_signed(found.before[row, column]), _signed(found.after[row, column])]
+            cells += [number(float(found.U[row, column]), 2)]
+        rows.append([*cells, worst(found.verdicts[row]) or "-"])
+    title = "Every position"
+    if len(shown) < len(found.positions):
+        title += f" (the {len(shown)} farthest off of {len(found.positions)}; JSON has all)"
+    parts.append(Sheet(title, [*header, "verdict"], rows))
+    return parts
+
+
+def _by_segment(found: Check) -> Sheet:
+    """Return the summary of a regression's check: one row for each segment that has rows."""
+    unit = f" [{found.unit}]" if found.unit else ""
+    header = ["segment", "rows", f"max before{unit}", "max after", "rms before", "rms after",
+              "largest U", "verdict"]  # fmt: skip
+    rows = []
+    for name in (*(n for n, inside in found.segments.items() if inside.any()), None):
+        s = found.summary(segment=name)
+        counted = found.counted[:, 0] if name is None else found.counted[found.segments[name], 0]
+        values = [
+            number(s[when][key]) for key in ("maximum", "rms") for when in ("before", "after")
+        ]
+        U = s["after"]["largest_U"]
+        rows.append(
+            [name or "all", str(int(counted.sum())), *values,
+             number(U if np.isfinite(U) else None, 2), s["verdict"] or "-"]
+        )  # fmt: skip
+    return Sheet("Errors before and after correction", header, rows)
+
+
+def check_text(found: Check) -> str:
+    """Return the check as plain text."""
+    sheets = check_sheets(found)
+    text = "\n".join(f"{s.title}\n{'-' * len(s.title)}\n{s}\n" for s in sheets)
+    if found.limit is None:
+        return text
+    count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}
+    said = ", ".join(f"{count[name]} {name}" for name in VERDICTS)
+    return (
+        f"{text}\n{found.verdict} against {found.limit:g} {found.unit} with U "
+        f"({100 * found.confidence:g} %) as guard band: {said}\n"
+    )
+
+
+def _signed(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:+.3g}"

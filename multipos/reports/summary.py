@@ -1,0 +1,97 @@
+"""The summary that a fit prints; the whole report is `multipos.reports.documents`.
+
+What was done, warnings first, the parameters as value(u) with U, k and degrees of freedom, of one-
+and two-axis sensors how they are installed and what their rolls say of the turntable, the residuals
+of every position, and how the result was checked.
+"""
+
+import math
+
+from multipos.files.numbers import largest_rows, number, table
+from multipos.reports.sections import installation_sheets, table_error_sheets
+from multipos.sensor.calibration import Calibration, labels, parameter_rows
+from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.model import COMPONENTS
+from multipos.uncertainty.turntable import has_rolls, table_errors
+
+
+def text_report(calibration: Calibration) -> str:
+    """Return the summary as plain text."""
+    parts = []
+    for title, body in _sections(calibration):
+        parts.append(f"{title}\n{'-' * len(title)}\n{body}\n")
+    return "\n".join(parts)
+
+
+def _sections(calibration: Calibration) -> list[tuple[str, str]]:
+    sections = [("Calibration", _summary(calibration))]
+    said = [*calibration.diagnostics.warnings, *calibration.diagnostics.outliers]
+    if said:
+        sections.append(("Warnings", "\n".join(f"- {line}" for line in said)))
+    header, rows = parameter_rows(calibration)
+    sections.append(("Parameters", table(header, rows)))
+    if len(sensed_axes(calibration.model)) < len(COMPONENTS):
+        sheets = installation_sheets(calibration)
+        if has_rolls(calibration):
+            sheets += table_error_sheets(table_errors(calibration))
+        sections += [(sheet.title, str(sheet)) for sheet in sheets]
+    sections.append(("Residuals", _residuals(calibration)))
+    sections.append(("Checks", _checks(calibration)))
+    return sections
+
+
+def _summary(calibration: Calibration) -> str:
+    c = calibration
+    gravity = "local, one g" if c.gravity is None else (
+        f"{c.gravity.value:.10g} m/s^2, u = {c.gravity.u:.3g} m/s^2"
+    )  # fmt: skip
+    readings = c.readings
+    counted = f"{len(readings)} of {', '.join(c.outputs)} [{c.model.unit}]"
+    lines = [
+        f"readings    {readings.source or 'from memory'}: {counted}",
+        f"model       {c.model.text}, inputs {', '.join(c.model.inputs)}",
+        f"convention  {c.convention}",
+        f"gravity     {gravity}",
+        *(f"at          {name} 0, where its terms vanish" for name in c.model.environment),
+        f"estimator   {c.estimator}: {c.criterion}",
+        f"created     {c.created}, multipos {c.version}",
+    ]
+    return "\n".join(lines)
+
+
+def _residuals(calibration: Calibration) -> str:
+    c = calibration
+    header = ["position", "x", "y", "z", *(f"{output} [{c.model.unit}]" for output in c.outputs)]
+    names, shown = labels(c.readings), largest_rows(c.relative_residuals.tolist())
+    rows = [
+        [names[row], *(f"{value:.4g}" for value in c.reference[row].tolist()),
+         *(f"{value:+.3e}" for value in c.residuals[row].tolist())]
+        for row in shown
+    ]  # fmt: skip
+    sd = ["s", "", "", "", *(number(value, 3) for value in c.residual_sd.tolist())]
+    dof = ["dof", "", "", "", *(number(value) for value in c.dof.tolist())]
+    text = table(header, [*rows, sd, dof])
+    if len(shown) == len(names):
+        return text
+    return f"{text}\nthe largest {len(shown)} of {len(names)} positions; --json has all"
+
+
+def _checks(calibration: Calibration) -> str:
+    c = calibration
+    lines = [f"rms of what is left after compensation: {c.rms:.3e} g"]
+    for output, found in c.linearity.items():
+        lines.append(
+            f"linearity of {output}: {number(found['without_model_percent'])} % without, "
+            f"{number(found['with_model_percent'])} % with the model"
+        )
+    if c.cross_check is not None:
+        lines.append(f"closed form against least squares: {c.cross_check:.1e} of a reading")
+    lines.append(
+        f"rank {c.diagnostics.rank} of {c.diagnostics.parameters}, "
+        f"condition {c.diagnostics.condition:.3g}"
+    )
+    for output, test in c.diagnostics.lack_of_fit.items():
+        p = test["p"]
+        if isinstance(p, float) and math.isfinite(p):
+            lines.append(f"lack of fit of {output} against repeats: p = {p:.3g}")
+    return "\n".join(lines)

@@ -1,0 +1,179 @@
+"""What a calibration says of the sensor itself: sensitivities, offsets, angles between axes.
+
+With the linear part ``y = b + M f`` of a triad, row i of `M` is the sensitivity s_i = |M_i|
+times the unit vector n_i of the input axis of output i:
+
+    offset_i  = b_i / s_i                                    [g]                            (1)
+    angle_ij  = atan2(|n_i x n_j|, n_i . n_j)                                               (2)
+    mounting  = the rotation vector rho that turns the case axes into the sensor's axes,
+                the rotation nearest to the n_i: with N = U S V', Exp([rho]x)' = U V'       (3)
+    theta_ij  = atan2(M_ij, M_ii), how far output i leans to axis j                         (4)
+
+Uncertainties are propagated to first order from the covariance of the parameters. The linear
+part of a model with temperature terms is taken at the mean temperature of its readings.
+"""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.sensor.model import COMPONENTS, Model
+
+Array = NDArray[np.float64]
+Value = dict[str, float]  # {"value": …, "u": …}
+
+_STEP = 1e-5  # central differences: truncation 1e-10, rounding 1e-11, of the largest entry
+
+
+def intrinsic(
+    model: Model, parameters: Array, covariance: Array, environment: Mapping[str, float]
+) -> dict[str, dict[str, Value]] | None:
+    """Return sensitivity, offset, angle_deg and mounting_deg of a triad with u, or None."""
+    if model.axes != COMPONENTS or set(model.inputs) != set(COMPONENTS):
+        return None
+    if not model.has_all_linear:
+        return None
+    values, u = _propagate(_intrinsic_vector, model, parameters, covariance, environment)
+    items = iter(zip(values.tolist(), u.tolist(), strict=True))
+
+    def take(names: tuple[str, ...]) -> dict[str, Value]:
+        return {name: _value(*next(items)) for name in names}
+
+    return {
+        "sensitivity": take(model.outputs),
+        "offset": take(model.outputs),
+        "angle_deg": take(("xy", "xz", "yz")),
+        "mounting_deg": take(COMPONENTS),
+    }
+
+
+def installation_deg(
+    model: Model, parameters: Array, covariance: Array, environment: Mapping[str, float]
+) -> dict[str, Value]:
+    """Return theta_ij of eq. (4) in degrees with u, keyed 'xy' for output on x leaning to y."""
+    if len(set(model.axes)) < len(model.axes) or not model.has_all_linear:
+        return {}
+    pairs = [
+        (i, COMPONENTS.index(axis), COMPONENTS.index(other))
+        for i, axis in enumerate(model.axes)
+        for other in model.inputs
+        if other != axis
+    ]
+    if not pairs:
+        return {}
+    outputs, own, other = np.array(pairs).T
+
+    def angles(linear: Array) -> Array:
+        return np.degrees(np.arctan2(linear[:, outputs, 1 + other], linear[:, outputs, 1 + own]))
+
+    values, u = _propagate(angles, model, parameters, covariance, environment)
+    return {
+        COMPONENTS[i] + COMPONENTS[j]: _value(value, sd)
+        for i, j, value, sd in zip(own, other, values.tolist(), u.tolist(), strict=True)
+    }
+
+
+def _value(value: float, u: float) -> Value:
+    return {"value": value, "u": u}
+
+
+def intrinsic_gradient(
+    model: Model, parameters: Array, environment: Mapping[str, float]
+) -> tuple[Array, Array]:
+    """Return the twelve intrinsic quantities in the order of `intrinsic`, and d/dp (12, p)."""
+    return _differentiate(_intrinsic_vector, model, parameters, environment)
+
+
+def propagate(
+    function: Callable[[Array], Array], values: Array, covariance: Array
+) -> tuple[Array, Array]:
+    """Return function(values) and its covariance to first order (JCGM 100, eq. (13); JCGM 102).
+
+    Parameters
+    ----------
+    function : callable
+        Takes values (batch, p), returns (batch, q).
+    values : (p,) array
+    covariance : (p, p) array
+
+    Returns
+    -------
+    (q,) array, (q, q) array
+    """
+    step = _STEP * np.where(values != 0.0, np.abs(values), np.abs(values).max())
+    result, gradient = _central(function, values, step)
+    return result, gradient @ covariance @ gradient.T
+
+
+def _propagate(
+    function: Callable[[Array], Array],
+    model: Model,
+    parameters: Array,
+    covariance: Array,
+    environment: Mapping[str, float],
+) -> tuple[Array, Array]:
+    """Return a function of the linear part (batch, M, 4) and its standard uncertainties."""
+    values, gradient = _differentiate(function, model, parameters, environment)
+    variance = np.einsum("qp,pr,qr->q", gradient, covariance, gradient)
+    return values, np.sqrt(np.maximum(variance, 0.0))
+
+
+def _differentiate(
+    function: Callable[[Array], Array],
+    model: Model,
+    parameters: Array,
+    environment: Mapping[str, float],
+) -> tuple[Array, Array]:
+    """Return a function of the linear part (batch, M, 4) and its derivative (q, p)."""
+    to_linear = model.linear_map(environment)
+    linear = to_linear @ parameters
+    step = np.full(linear.size, _STEP * np.abs(linear).max())
+    values, gradient = _central(
+        lambda batch: function(batch.reshape(-1, *linear.shape)), linear.ravel(), step
+    )
+    return values, gradient @ to_linear.reshape(linear.size, -1)
+
+
+def _central(function: Callable[[Array], Array], values: Array, step: Array) -> tuple[Array, Array]:
+    """Return function(values) and its derivative (q, p) by central differences."""
+    nudges = np.diag(step)
+    batch = function(np.concatenate([values[None], values + nudges, values - nudges]))
+    size = len(values)
+    return batch[0], ((batch[1 : size + 1] - batch[size + 1 :]) / (2.0 * step[:, None])).T
+
+
+def _intrinsic_vector(linear: Array) -> Array:
+    matrix, bias = linear[:, :, 1:], linear[:, :, 0]
+    sensitivity = np.linalg.norm(matrix, axis=2)
+    axes = matrix / sensitivity[:, :, None]
+    angles = []
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        cross = np.linalg.norm(np.cross(axes[:, i], axes[:, j]), axis=1)
+        angles.append(np.arctan2(cross, np.einsum("bi,bi->b", axes[:, i], axes[:, j])))
+    mounting = _rotation_vector(axes)
+    return np.column_stack(
+        [sensitivity, bias / sensitivity, np.degrees(np.array(angles).T), np.degrees(mounting)]
+    )
+
+
+def _rotation_vector(axes: Array) -> Array:
+    """Return rho of eq. (3); NaN where the input axes form a left-handed set."""
+    left, _, right = np.linalg.svd(axes)
+    turned = (left @ right).transpose(0, 2, 1)  # Exp([rho]x)
+    doubled = np.stack(
+        [
+            turned[:, 2, 1] - turned[:, 1, 2],
+            turned[:, 0, 2] - turned[:, 2, 0],
+            turned[:, 1, 0] - turned[:, 0, 1],
+        ],
+        axis=1,
+    )
+    sine = np.linalg.norm(doubled, axis=1) / 2.0
+    angle = np.arctan2(sine, (np.trace(turned, axis1=1, axis2=2) - 1.0) / 2.0)
+    # angle/sin(angle) -> 1 for the small rotations of a mounting
+    factor = np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1.0), 1.0)
+    vector: Array = np.where(
+        (np.linalg.det(turned) > 0.0)[:, None], factor[:, None] * doubled / 2.0, np.nan
+    )
+    return vector

@@ -1,0 +1,225 @@
+"""What the residuals say of a fit: outliers, linearity, lack of fit, equal variances.
+
+Studentised residuals: with the leverage h_k and residual degrees of freedom ν,
+
+    r_k = e_k / (s sqrt(1 - h_k)),    t_k = r_k sqrt((ν - 1) / (ν - r_k²)),                (1)
+
+t_k follows Student's t with ν − 1 degrees of freedom [1]_; a position is an outlier where it
+passes the 1 % point divided by the number of readings (Bonferroni).
+
+Linearity of an output against its own reference: with the least-squares line through the
+readings and its span S from −1 to +1 g, the largest |reading − line| and the largest
+|residual of the model|, both over S, in percent.
+
+References
+----------
+.. [1] R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, section 2.2.1.
+"""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.numerics.quantiles import chi2_tail, f_tail, t_tail
+from multipos.results import Result
+from multipos.sensor.model import COMPONENTS, Model
+
+Array = NDArray[np.float64]
+
+OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnostics(Result):
+    """What was found about a fit.
+
+    Attributes
+    ----------
+    rank, parameters : int
+    condition : float
+        Largest 2-norm condition of the column-scaled, whitened designs.
+    leverage : (n, M) array
+    lack_of_fit : mapping of output to {F, dof, p}
+        Against the spread of repeated positions; empty where none repeats.
+    outliers, unidentifiable, warnings : tuples of str
+    """
+
+    rank: int
+    parameters: int
+    condition: float
+    leverage: Array
+    lack_of_fit: dict[str, dict[str, object]] = field(default_factory=dict)
+    outliers: tuple[str, ...] = ()
+    unidentifiable: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def find_outliers(
+    residuals: Array,
+    leverage: Array,
+    dof: Sequence[float],
+    outputs: Sequence[str],
+    labels: Sequence[str],
+    sd: Array | None = None,
+) -> tuple[str, ...]:
+    """Name the positions whose studentised residual, eq. (1), is beyond chance.
+
+    Parameters
+    ----------
+    residuals, leverage : (n, M) arrays
+    dof : M numbers
+        Residual degrees of freedom.
+    outputs, labels : names of the columns and rows
+    sd : (n, M) array, optional
+        Stated standard uncertainty of each reading; all are alike if not given.
+    """
+    found = []
+    n = residuals.size
+    for column, output in enumerate(outputs):
+        nu = dof[column]
+        left = 1.0 - leverage[:, column]
+        raw = residuals[:, column]
+        error = raw if sd is None else raw / sd[:, column]
+        s2 = float(error @ error) / nu if nu > 0 else 0.0
+        if nu < 2 or s2 == 0.0:
+            continue
+        # A position that alone fixes a parameter (leverage 1) has no residual to judge.
+        r2 = np.where(left > 1e-9, error**2 / (s2 * np.maximum(left, 1e-9)), 0.0)
+        for row in np.flatnonzero(r2 > 4.0).tolist():  # below 2 sd no position can be one
+            rest = nu - float(r2[row])
+            t = np.inf if rest <= 0.0 else np.sqrt(r2[row] * (nu - 1.0) / rest)
+            if t_tail(float(t), nu - 1.0) < OUTLIER_LEVEL / n:
+                found.append(
+                    f"position {labels[row]}: {output} is off by {raw[row]:.3g}, "
+                    f"{np.sqrt(r2[row]):.1f} times its standard deviation"
+                )
+    return tuple(found)
+
+
+def find_outlying_positions(
+    q: Array, degrees: Array, dof: float, labels: Sequence[str]
+) -> tuple[str, ...]:
+    """Name the positions whose misfit to all outputs together is beyond chance.
+
+    Parameters
+    ----------
+    q : (n,) array
+        Squared misfits in units of the noise variance.
+    degrees : (n,) array
+        Degrees of freedom of each position.
+    dof : float
+        Of the noise, where it was estimated from the same misfits; inf where it is known.
+    labels : sequence of n str
+    """
+    found = []
+    for row in np.flatnonzero(q > 4.0 * degrees).tolist():
+        m, value = float(degrees[row]), float(q[row])
+        if np.isinf(dof):
+            p = chi2_tail(value, m)
+        elif dof > m:
+            # without the position itself, as t_k of eq. (1): the rest is what it is judged by
+            rest = max(dof - value, 1e-300)
+            p = f_tail(value / m / (rest / (dof - m)), m, dof - m)
+        else:
+            continue
+        if p < OUTLIER_LEVEL / len(q):
+            found.append(
+                f"position {labels[row]} does not fit: {np.sqrt(value / m):.1f} times the noise"
+            )
+    return tuple(found)
+
+
+def linearity(
+    model: Model, reference: Array, values: Array, residuals: Array
+) -> dict[str, dict[str, float]]:
+    """Return {output: {without_model_percent, with_model_percent}}; NaN where no line fits."""
+    result = {}
+    for column, (output, axis) in enumerate(zip(model.outputs, model.axes, strict=True)):
+        own = reference[:, COMPONENTS.index(axis)]
+        reading = values[:, column]
+        centred = own - own.mean()
+        square = float(centred @ centred)
+        if square < 1e-18:
+            result[output] = {"without_model_percent": np.nan, "with_model_percent": np.nan}
+            continue
+        slope = float(centred @ reading) / square
+        from_line = reading - reading.mean() - slope * centred
+        span = abs(2.0 * slope) or np.nan
+        result[output] = {
+            "without_model_percent": 100.0 * float(np.abs(from_line).max()) / span,
+            "with_model_percent": 100.0 * float(np.abs(residuals[:, column]).max()) / span,
+        }
+    return result
+
+
+def bartlett(rss: ArrayLike, dof: ArrayLike) -> float:
+    """Bartlett's test: p value of the hypothesis that several residual variances are equal.
+
+    Parameters
+    ----------
+    rss : (m,) array
+        Sums of squared residuals.
+    dof : float or (m,) array
+        Their degrees of freedom.
+
+    Returns
+    -------
+    float
+        Small where equality is to be rejected; nan for fewer than two variances, where one has no
+        degree of freedom, or where all are zero.
+    """
+    rss, dof = np.broadcast_arrays(
+        np.asarray(rss, dtype=np.float64), np.asarray(dof, dtype=np.float64)
+    )
+    m, total = rss.size, float(dof.sum())
+    if m < 2 or not (dof > 0.0).all() or not rss.any():
+        return float("nan")
+    if (rss == 0.0).any():
+        return 0.0
+    variances = rss / dof
+    statistic = total * np.log(rss.sum() / total) - (dof * np.log(variances)).sum()
+    correction = 1.0 + ((1.0 / dof).sum() - 1.0 / total) / (3.0 * (m - 1))
+    return chi2_tail(float(statistic / correction), m - 1)
+
+
+def lack_of_fit(
+    residuals: ArrayLike,
+    groups: Sequence[Hashable] | NDArray[np.generic],
+    parameters: int,
+    *,
+    sd: ArrayLike = 1.0,
+) -> tuple[float, int, int, float] | None:
+    """F test of the model's own error against the scatter of repeated rows.
+
+    Rows of one group share their row of the design, so their residuals scatter about the mean of
+    the group by noise alone (pure error); the means scatter by noise and by what the model lacks.
+
+    Parameters
+    ----------
+    residuals : (n,) array
+    groups : sequence of n labels
+    parameters : int
+        Number of coefficients fitted.
+    sd : float or (n,) array
+        Standard deviation of each row, up to a common factor.
+
+    Returns
+    -------
+    (F, dof_lack, dof_pure, p), or None where nothing repeats or the groups are no more than the
+    parameters.
+    """
+    r = np.asarray(residuals, dtype=np.float64)
+    numbers: dict[Hashable, int] = {}
+    index = np.array([numbers.setdefault(label, len(numbers)) for label in groups], dtype=np.intp)
+    weight = np.broadcast_to(np.asarray(sd, dtype=np.float64) ** -2.0, r.shape)
+    total = np.bincount(index, weights=weight)
+    dof_lack, dof_pure = len(total) - parameters, len(r) - len(total)
+    if dof_lack <= 0 or dof_pure <= 0:
+        return None
+    mean = np.bincount(index, weights=weight * r) / total
+    pure = float((weight * (r - mean[index]) ** 2).sum()) / dof_pure
+    lack = float((total * mean**2).sum()) / dof_lack
+    f = lack / pure if pure > 0.0 else float("inf") if lack > 0.0 else float("nan")
+    return f, dof_lack, dof_pure, f_tail(f, dof_lack, dof_pure)

@@ -1,0 +1,214 @@
+"""Compensation: the model's inverse, from raw readings back to specific force.
+
+The measurement equation `y = h(f)` of `multipos.sensor.model` is solved for the components that the
+sensor has (the own axes of its outputs; the others, unseen, are taken as zero unless they are
+known). Where h is linear the answer is one matrix product; otherwise Newton's iteration starts
+from it,
+
+    f <- f + J(f)^+ (y - h(f)),    J = dh/df,                                              (1)
+
+row by row in one vectorised pass. With more outputs than axes `J^+` is the least-squares
+inverse. To first order the parameters' covariance C reaches the answer through
+
+    df/dp = -J^+ dh/dp,            cov(f) = (df/dp) C (df/dp)'.                             (2)
+
+At rest |f| = g, which gives one unseen component w up to its sign,
+
+    w = ±sqrt(max(0, g² - |f_seen|²)),                                                      (3)
+
+and (1), (3) are solved in turn: the error shrinks by about (cross term/scale factor) f/w a turn.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.errors import MultiposError
+from multipos.sensor.model import COMPONENTS, Model
+
+Array = NDArray[np.float64]
+
+_STEPS = 50  # quadratic convergence needs five; more means there is no solution
+_XTOL = 1e-13  # [g], where a step is only rounding
+
+
+def sensed_axes(model: Model) -> tuple[int, ...]:
+    """Return the components that the sensor has, as indices of x, y, z in order."""
+    return tuple(i for i, axis in enumerate(COMPONENTS) if axis in model.axes)
+
+
+def unseen_axes(model: Model) -> tuple[int, ...]:
+    """Return the components that no output senses as its own, as indices of x, y, z in order."""
+    return tuple(i for i, axis in enumerate(COMPONENTS) if axis not in model.axes)
+
+
+def invert(
+    model: Model,
+    parameters: Array,
+    raw: Array,
+    environment: Mapping[str, ArrayLike],
+    *,
+    unseen: Array | None = None,
+) -> Array:
+    """Return the force (n, K) [g] that explains raw readings (n, M); NaN where none does.
+
+    Parameters
+    ----------
+    model, parameters, raw, environment
+        Of the calibration, and the readings to compensate.
+    unseen : (n, 3) array, optional [g]
+        Force whose components that no output senses are taken as known; zero otherwise.
+
+    Raises
+    ------
+    MultiposError
+        The linear part cannot be inverted.
+    """
+    sensed = list(sensed_axes(model))
+    if model.is_linear:
+        return _solve_linear(model, parameters, raw, unseen)
+    force = np.zeros((len(raw), 3))
+    if unseen is not None:
+        others = list(unseen_axes(model))
+        force[:, others] = unseen[:, others]
+    active = np.arange(len(raw))
+    columns = {name: np.asarray(environment[name], dtype=np.float64) for name in model.environment}
+    for _ in range(_STEPS):
+        here = {name: column[active] for name, column in columns.items()}
+        misfit = raw[active] - model.predict(parameters, force[active], here)
+        jacobian = model.force_jacobian(parameters, force[active], here)[:, :, sensed]
+        step = _apply_inverse(jacobian, misfit)
+        force[active[:, None], sensed] += step
+        size = np.abs(step).max(axis=1)
+        # A row that runs away has no solution near the linear one; NaN ends it below.
+        moving = (size > _XTOL * np.maximum(1.0, np.abs(force[active]).max(axis=1))) & (size < 1e6)
+        stuck = ~np.isfinite(size) | (size >= 1e6)
+        force[active[stuck]] = np.nan
+        active = active[moving]
+        if not len(active):
+            break
+    force[active] = np.nan
+    return np.asarray(force[:, sensed])
+
+
+def invert_at_rest(
+    model: Model,
+    parameters: Array,
+    raw: Array,
+    environment: Mapping[str, ArrayLike],
+    *,
+    magnitude: float,
+    sign: ArrayLike,
+) -> Array:
+    """Return the force (n, 3) [g] of a sensor at rest, by eqs. (1) and (3).
+
+    Two axes leave one component unseen, which (3) gives; one axis leaves two, of which nothing is
+    known but their size, and they stay zero.
+
+    Parameters
+    ----------
+    model, parameters, raw, environment
+        As in `invert`.
+    magnitude : float [g]
+    sign : float or (n,) array
+        Of the unseen component.
+    """
+    sensed, others = list(sensed_axes(model)), list(unseen_axes(model))
+    force = np.zeros((len(raw), 3))
+    force[:, sensed] = invert(model, parameters, raw, environment)
+    if len(others) != 1:
+        return force
+    for _ in range(_STEPS):
+        before = force[:, others[0]].copy()
+        left = magnitude**2 - np.einsum("nk,nk->n", force[:, sensed], force[:, sensed])
+        force[:, others[0]] = np.sign(sign) * np.sqrt(np.maximum(left, 0.0))
+        if not (np.abs(force[:, others[0]] - before) > _XTOL).any():
+            break
+        force[:, sensed] = invert(model, parameters, raw, environment, unseen=force)
+    return force
+
+
+def inverse_covariance(
+    model: Model,
+    parameters: Array,
+    covariance: Array,
+    force: Array,
+    environment: Mapping[str, ArrayLike],
+) -> Array:
+    """Return the covariance (n, K, K) [g²] of compensated force (n, K), by eq. (2); NaN as it."""
+    sound = np.isfinite(force.sum(axis=1))
+    full = np.zeros((len(force), 3))
+    full[:, list(sensed_axes(model))] = np.where(sound[:, None], force, 0.0)
+    inverse, by_parameter = sensitivities(model, parameters, full, environment)
+    sensitivity = inverse @ by_parameter
+    result: Array = sensitivity @ covariance @ sensitivity.transpose(0, 2, 1)
+    result[~sound] = np.nan
+    return result
+
+
+def sensitivities(
+    model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+) -> tuple[Array, Array]:
+    """Return J^+ (n, K, M) and dh/dp (n, M, p) of eqs. (1), (2) at force (n, 3) [g]."""
+    jacobian = model.force_jacobian(parameters, force, environment)
+    inverse = np.linalg.pinv(jacobian[:, :, list(sensed_axes(model))])
+    return np.asarray(inverse), parameter_jacobian(model, parameters, force, environment)
+
+
+def unseen_leak(
+    model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    """Return J^+ dh/dw (n, K): what a unit of the one unseen component w does to the others."""
+    jacobian = model.force_jacobian(parameters, force, environment)
+    inverse = np.linalg.pinv(jacobian[:, :, list(sensed_axes(model))])
+    leak: Array = inverse @ jacobian[:, :, list(unseen_axes(model))]
+    return leak[:, :, 0]
+
+
+def parameter_jacobian(
+    model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    """Return dh/dp (n, M, p) at force (n, 3) [g]."""
+    _, blocks = model.respond(parameters, force, environment)
+    result = np.zeros((len(force), len(model.outputs), len(model.keys)))
+    for output, (places, slopes) in enumerate(blocks):
+        result[:, output, places] = slopes
+    return result
+
+
+def _apply_inverse(jacobian: Array, misfit: Array) -> Array:
+    rows, columns = jacobian.shape[1:]
+    if rows < columns:
+        raise MultiposError(f"{rows} outputs cannot give {columns} components of force.")
+    if rows > columns:
+        transposed = jacobian.transpose(0, 2, 1)
+        misfit = np.einsum("nij,nj->ni", transposed, misfit)
+        jacobian = transposed @ jacobian
+    try:
+        return np.asarray(np.linalg.solve(jacobian, misfit[:, :, None])[:, :, 0])
+    except np.linalg.LinAlgError:
+        # One singular row must not cost the others their answer.
+        sound = np.linalg.matrix_rank(jacobian) == columns
+        step = np.full(misfit.shape, np.nan)
+        step[sound] = np.linalg.solve(jacobian[sound], misfit[sound][:, :, None])[:, :, 0]
+        return step
+
+
+def _solve_linear(model: Model, parameters: Array, raw: Array, unseen: Array | None) -> Array:
+    sensed = [1 + axis for axis in sensed_axes(model)]
+    linear = model.linear_map({}) @ parameters
+    matrix = linear[:, sensed]
+    scale = np.abs(matrix).max()
+    if not scale or np.linalg.matrix_rank(matrix / scale) < matrix.shape[1]:
+        raise MultiposError(
+            "the scale factors and cross terms form a singular matrix, so no force can be found "
+            "from readings; every output needs its own axis in the model, and must respond to it."
+        )
+    inverse = np.linalg.pinv(matrix) if len(matrix) > len(sensed) else np.linalg.inv(matrix)
+    known = linear[:, 0]
+    if unseen is not None:
+        others = list(unseen_axes(model))
+        known = known + unseen[:, others] @ linear[:, [1 + axis for axis in others]].T
+    force: Array = (raw - known) @ inverse.T
+    return force

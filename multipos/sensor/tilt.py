@@ -1,0 +1,271 @@
+"""Tilt: the angle of a case axis above the horizon, from the force on a sensor at rest.
+
+With s = +1 under the convention 'specific-force' and −1 under 'gravity', the axis i of a triad
+and of a sensor with fewer axes stand above the horizon by
+
+    theta_i = atan2(s f_i, h_i),    h_i = sqrt(f_j² + f_k²)         three axes,            (1)
+    theta_i = asin(s f_i/g)                                         one or two axes,        (2)
+
+eqs. (1) and (2) of docs/theory/tilt.md. A triad needs no g and is good all the way round. The
+arcsine loses its slope at ±90°: there u/(g cos theta) would be infinite, and the truth is that the
+interval f ± U maps to a finite one, so its longer side is the uncertainty,
+
+    U(theta) = max(|asin((f + U)/g) − theta|, |theta − asin((f − U)/g)|),                   (3)
+
+with the arguments clipped to ±1. Away from ±90° it is U/(g cos theta); at ±90° it is about
+sqrt(2 U/g). Because the arcsine is monotonic, (3) covers the tilt where f ± U covers the force.
+Where |f| exceeds g by more than U no tilt explains the reading: the angle is NaN.
+
+The force itself is that of a sensor at rest: with two axes the third component follows from
+|f| = g (`multipos.sensor.inverse`, eq. (3)) and is taken to point up unless it is known to point down.
+For one new reading of noise s, C the covariance of the parameters,
+
+    cov f = A [(df/dp) C (df/dp)' + J^+ diag(s²) J^+'] A',    A = (I − c f'/w)⁻¹.           (4)
+
+A carries what the unseen component w of size sqrt(g² − |f|²) adds, c = J^+ dh/dw (A = I without
+one). Near the vertical, where w falls below 2 |c f|, two solutions merge and none can be told from
+the other; they differ by no more than 2 c |c f|, which is then taken instead of A.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.numerics.quantiles import coverage_factor
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.inverse import (
+    invert_at_rest,
+    sensed_axes,
+    sensitivities,
+    unseen_axes,
+    unseen_leak,
+)
+from multipos.units import gravity_ratio
+
+Array = NDArray[np.float64]
+
+_ROUNDING = 1e-12  # [g], by which a noise-free |f| may exceed g
+
+
+class Tilt(NamedTuple):
+    """Tilt (n, K) of the axes that the sensor has, its u and U [rad]; NaN beyond the vertical."""
+
+    tilt: Array
+    u: Array
+    U: Array
+
+
+def at_rest(
+    calibration: Calibration, raw: Array, environment: Mapping[str, Array], up: Array | None = None
+) -> Array:
+    """Return the force (n, 3) [g] on a sensor at rest.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    raw : (n, M) array
+    environment : mapping of str to (n,) array
+    up : (n, 3) array, optional
+        Tells which way an unseen component points; it points up where not given.
+    """
+    model, others = calibration.model, list(unseen_axes(calibration.model))
+    sign = np.full(len(raw), sign_of(calibration))
+    if up is not None and len(others) == 1:
+        sign *= np.where(up[:, others[0]] < 0.0, -1.0, 1.0)
+    return invert_at_rest(
+        model,
+        calibration.parameters,
+        raw,
+        environment,
+        magnitude=magnitude_of(calibration),
+        sign=sign,
+    )
+
+
+def tilt_at_rest(
+    calibration: Calibration,
+    rest: Array,
+    environment: Mapping[str, Array],
+    noise: Array | None = None,
+) -> Tilt:
+    """Return the tilt that a force (n, 3) at rest tells, with its uncertainty.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    rest : (n, 3) array [g]
+        From `at_rest`.
+    environment : mapping of str to (n,) array
+    noise : (n, M) or (M,) array, optional
+        Standard uncertainty of the readings; `reading_noise` where not given.
+    """
+    axes = list(sensed_axes(calibration.model))
+    covariance, dof = force_uncertainty(
+        calibration, rest, environment, reading_noise(calibration) if noise is None else noise
+    )
+    u = np.sqrt(np.einsum("nkk->nk", covariance))
+    k = coverage_factors(calibration.confidence, dof)
+    sign, magnitude, force = sign_of(calibration), magnitude_of(calibration), rest[:, axes]
+    if len(axes) == 3:
+        angle_u = triad_tilt_u(force, covariance)
+        return Tilt(triad_tilt(force, sign), angle_u, k * angle_u)
+    return Tilt(
+        axis_tilt(force, magnitude, sign, k * u),
+        axis_tilt_interval(force, magnitude, u),
+        axis_tilt_interval(force, magnitude, k * u),
+    )
+
+
+def reading_noise(calibration: Calibration) -> Array:
+    """Return the standard uncertainty (M,) of one reading: as stated and believed, else residual.
+
+    NaN where nothing is left to estimate it from.
+    """
+    readings, noise = calibration.readings, calibration.residual_sd
+    if readings.u is not None:
+        stated = np.sqrt(np.mean(readings.u**2, axis=0))
+    elif readings.covariance is not None:
+        variances = np.diag(readings.covariance).reshape(readings.values.shape)
+        stated = np.sqrt(variances.mean(axis=0))
+    else:
+        return noise
+    return np.where(np.isinf(calibration.dof), stated, noise)
+
+
+def force_uncertainty(
+    calibration: Calibration, rest: Array, environment: Mapping[str, Array], noise: Array
+) -> tuple[Array, Array]:
+    """Return the covariance (n, K, K) [g²] of force from new readings, eq. (4), and its dof (n, K).
+
+    The degrees of freedom are Welch and Satterthwaite's over the outputs. Two components that
+    one axis leaves unseen count as what they are: anything on a circle.
+    """
+    model, parameters = calibration.model, calibration.parameters
+    held = np.where(np.isfinite(rest), rest, 0.0)
+    inverse, by_parameter = sensitivities(model, parameters, held, environment)
+    from_parameters: Array = inverse @ by_parameter
+    n, k, m = inverse.shape
+    spread = np.broadcast_to(noise, (n, m)) ** 2
+    result: Array = from_parameters @ calibration.covariance @ from_parameters.transpose(0, 2, 1)
+    result += (inverse * spread[:, None, :]) @ inverse.transpose(0, 2, 1)
+    effective = np.zeros((n, k))
+    for output, part in enumerate(model.slices):
+        own, block = from_parameters[:, :, part], calibration.covariance[part, part]
+        share = np.einsum("nkp,pq,nkq->nk", own, block, own)
+        share += inverse[:, :, output] ** 2 * spread[:, [output]]
+        effective += share**2 / (calibration.dof[output] or math.nan)
+    total = np.einsum("nkk->nk", result)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dof = np.where(effective == 0.0, np.inf, total**2 / effective)
+    if k == 1:
+        result[:, 0, 0] += _unseen_circle(calibration, rest)
+    elif k == 2:
+        result = _with_unseen(calibration, held, environment, result)
+    result[~np.isfinite(rest).all(axis=1)] = np.nan
+    return result, dof
+
+
+def _with_unseen(
+    calibration: Calibration, rest: Array, environment: Mapping[str, Array], covariance: Array
+) -> Array:
+    """Return the covariance (n, 2, 2) [g²] with what the unseen component adds, A of eq. (4)."""
+    model = calibration.model
+    leak = unseen_leak(model, calibration.parameters, rest, environment)
+    seen, unseen = rest[:, list(sensed_axes(model))], rest[:, unseen_axes(model)[0]]
+    lever = np.abs(np.einsum("nk,nk->n", leak, seen))
+    merging = np.abs(unseen) <= 2.0 * lever
+    turn = np.einsum("ni,nj->nij", leak, seen) / np.where(merging, 1.0, unseen)[:, None, None]
+    gain = np.linalg.inv(np.eye(2) - np.where(merging[:, None, None], 0.0, turn))
+    apart = 2.0 * leak * (lever * merging)[:, None]
+    result: Array = gain @ covariance @ gain.transpose(0, 2, 1)
+    result += np.einsum("ni,nj->nij", apart, apart)
+    return result
+
+
+def coverage_factors(confidence: float, dof: Array) -> Array:
+    """Return the coverage factor of each dof, rounded down to a tenth to look up each but once."""
+    lowered = np.where(np.isfinite(dof), np.floor(dof * 10.0) / 10.0, dof)
+    different, place = np.unique(lowered, return_inverse=True)
+    factors = np.array([coverage_factor(confidence, nu) for nu in different.tolist()])
+    return np.asarray(factors[place.reshape(dof.shape)])
+
+
+def _unseen_circle(calibration: Calibration, rest: Array) -> Array:
+    """Return the variance (n,) [g²] from cross terms on two components of unknown direction."""
+    linear = calibration.model.linear_map(calibration._mean) @ calibration.parameters
+    (own,) = sensed_axes(calibration.model)
+    others = list(unseen_axes(calibration.model))
+    weight = np.mean((linear[:, [1 + axis for axis in others]] / linear[:, [1 + own]]) ** 2, axis=0)
+    level = np.maximum(magnitude_of(calibration) ** 2 - rest[:, own] ** 2, 0.0)
+    return np.asarray(weight.sum() / 2.0 * level)
+
+
+def sign_of(calibration: Calibration) -> float:
+    """Return s of eqs. (1) and (2): +1 where the axis that points up reads +1, else −1."""
+    return -1.0 if calibration.convention == "gravity" else 1.0
+
+
+def magnitude_of(calibration: Calibration) -> float:
+    """Return the size of the reference [g]: one, or the stated gravity over standard gravity."""
+    return gravity_ratio(None if calibration.gravity is None else calibration.gravity.value)
+
+
+def true_tilt(up: Array) -> Array:
+    """Return the angle of each case axis above the horizon (n, 3) [rad], from up vectors (n, 3)."""
+    across = np.column_stack([np.hypot(up[:, j], up[:, k]) for j, k in ((1, 2), (0, 2), (0, 1))])
+    return np.asarray(np.arctan2(up, across))
+
+
+def triad_tilt(force: Array, sign: float) -> Array:
+    """Return eq. (1) for force (n, 3) [g], in radians."""
+    return true_tilt(sign * force)
+
+
+def triad_tilt_u(force: Array, covariance: Array) -> Array:
+    """Return the standard uncertainty (n, 3) [rad] of eq. (1), to first order.
+
+    Parameters
+    ----------
+    force : (n, 3) array [g]
+    covariance : (n, 3, 3) array [g²]
+    """
+    result = np.empty(force.shape)
+    for i in range(3):
+        others = [axis for axis in range(3) if axis != i]
+        square = np.einsum("nk,nk->n", force, force)
+        level = np.hypot(force[:, others[0]], force[:, others[1]])
+        across = covariance[:, others][:, :, others]
+        gradient = np.empty((len(force), 3))
+        gradient[:, i] = level
+        # Nearly upright, the direction of the level part is noise: its worst one is taken.
+        upright = level <= np.sqrt(np.trace(across, axis1=1, axis2=2))
+        away = force[:, others] / np.where(level > 0.0, level, 1.0)[:, None]
+        _, vectors = np.linalg.eigh(np.where(np.isfinite(across), across, 0.0))
+        away = np.where(upright[:, None], vectors[:, :, -1], away)
+        gradient[:, others] = -force[:, [i]] * away
+        gradient /= square[:, None]
+        variance = np.einsum("ni,nij,nj->n", gradient, covariance, gradient)
+        result[:, i] = np.sqrt(np.maximum(variance, 0.0))
+    return result
+
+
+def axis_tilt(force: Array, magnitude: float, sign: float, U: ArrayLike) -> Array:
+    """Return eq. (2) for force of any shape [g], in radians; NaN where |f| − U exceeds g."""
+    ratio = sign * force / magnitude
+    allowed = np.nan_to_num(np.asarray(U, dtype=np.float64)) / magnitude + _ROUNDING
+    return np.where(np.abs(ratio) <= 1.0 + allowed, _arcsine(ratio), np.nan)
+
+
+def axis_tilt_interval(force: Array, magnitude: float, U: Array) -> Array:
+    """Return eq. (3) in radians, for force and its U (or u) of the same shape [g]."""
+    centre = _arcsine(force / magnitude)
+    above = _arcsine((force + U) / magnitude) - centre
+    below = centre - _arcsine((force - U) / magnitude)
+    return np.asarray(np.maximum(above, below))
+
+
+def _arcsine(ratio: ArrayLike) -> Array:
+    return np.asarray(np.arcsin(np.clip(ratio, -1.0, 1.0)))

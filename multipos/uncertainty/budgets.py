@@ -1,0 +1,244 @@
+"""Budget files: what is known of the measurement beside its readings.
+
+A budget is a small TOML file, one table for each input quantity, all optional:
+
+===============  ==========================================================================
+``gravity``      ``value`` [m/s²], or ``latitude_deg`` and ``height_m`` (WGS 84)
+``level``        tilt of the table or base, common to all positions, about each of two
+                 horizontal axes [degrees]
+``orientation``  placement of each position, independent, about each axis [degrees]
+``index``        periodic error of an index or dividing head [degrees]: the standard deviation
+                 at an angle taken at random; ``harmonics`` = [1, 2], ``axis`` where the
+                 positions do not tell which case axis lies along the shaft
+``gain``         ADC or voltmeter, relative; ``each_output`` where each has one of its own
+``offset``       ADC or voltmeter [reading unit]; ``each_output`` likewise
+``resolution``   of the readings [reading unit], independent; ``step`` is the whole step
+``temperature``  of the sensor [degC], common; ``bias_per_degC`` [reading unit/degC] and
+                 ``scale_per_degC`` [relative/degC] where the model has no temperature terms
+``third_order``  own-axis third-order coefficient that the positions did not show, relative to
+                 the scale factor [1/g²]: what is known beyond ±1 g
+===============  ==========================================================================
+
+How large a quantity is, is said in one of three ways (angles with ``_deg`` behind the name): the
+standard uncertainty ``u``; ``U`` with its coverage factor ``k``, as certificates have it; or
+``half_width`` with a ``distribution``, for which
+
+    u = a/√3 rectangular,   a/√6 triangular,   a/√2 arcsine                                (1)
+
+(JCGM 100, 4.3.7 and 4.3.9). ``dof`` are its degrees of freedom, infinite where not given.
+"""
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from multipos.errors import MultiposError
+from multipos.files.tables import read_toml
+from multipos.results import Result
+from multipos.units import normal_gravity
+
+Source = str | os.PathLike[str] | Mapping[str, Any]
+
+DIVISORS = {
+    "rectangular": math.sqrt(3.0),
+    "triangular": math.sqrt(6.0),
+    "arcsine": math.sqrt(2.0),
+}
+_SPREAD = ("u", "U", "k", "half_width", "distribution", "dof")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a table of the budget is about.
+
+    Attributes
+    ----------
+    text : str
+        In plain words.
+    unit : str
+        '' stands for the unit of the readings.
+    common : bool
+        Whether it is the same at all positions and in every repeated calibration.
+    settings : tuple of str
+        Keys beside its size.
+    """
+
+    text: str
+    unit: str
+    common: bool
+    settings: tuple[str, ...] = ()
+
+
+KINDS = {
+    "gravity": Kind("local gravity", "m/s^2", True, ("value", "latitude_deg", "height_m")),
+    "level": Kind("level of the table, two axes", "deg", True),
+    "orientation": Kind("orientation of each position", "deg", False),
+    "index": Kind("periodic error of the dividing head", "deg", True, ("harmonics", "axis")),
+    "gain": Kind("gain of the ADC or voltmeter", "1", True, ("each_output",)),
+    "offset": Kind("offset of the ADC or voltmeter", "", True, ("each_output",)),
+    "resolution": Kind("resolution of the readings", "", False, ("step",)),
+    "temperature": Kind(
+        "temperature of the sensor", "degC", True, ("bias_per_degC", "scale_per_degC")
+    ),
+    "third_order": Kind("third-order term beyond the positions", "1/g^2", True),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity(Result):
+    """One input quantity: its standard uncertainty in `unit`, its law, its degrees of freedom."""
+
+    name: str
+    u: float
+    unit: str
+    distribution: str
+    dof: float
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> Kind:
+        """What the quantity is about."""
+        return KINDS[self.name]
+
+
+@dataclass(frozen=True, eq=False)
+class Budget(Result):
+    """The input quantities by name, and the tables they were read from."""
+
+    quantities: Mapping[str, Quantity]
+    tables: Mapping[str, Any]
+
+    @property
+    def gravity(self) -> tuple[float, float] | None:
+        """Value and standard uncertainty of gravity [m/s²], where the budget states them."""
+        found = self.quantities.get("gravity")
+        return None if found is None else (float(found.settings["value"]), found.u)
+
+
+def read_budget(source: "Source | Budget") -> Budget:
+    """Return a budget from a TOML file or its tables as a mapping.
+
+    Raises
+    ------
+    MultiposError
+        The file is missing or not TOML, or a table or key is unknown, missing or out of range;
+        the message names file, table and key.
+    """
+    if isinstance(source, Budget):
+        return source
+    if isinstance(source, Mapping):
+        where, tables = "the budget", source
+    else:
+        where, tables = str(source), read_toml(source, "budget")
+    quantities = {name: _quantity(f"{where}, [{name}]", name, table)
+                  for name, table in tables.items()}  # fmt: skip
+    plain = {name: dict(table) for name, table in tables.items()}
+    return Budget(quantities, plain)
+
+
+def _quantity(where: str, name: str, table: Any) -> Quantity:
+    if name not in KINDS:
+        raise MultiposError(f"{where}: no such quantity; a budget knows {', '.join(KINDS)}.")
+    if not isinstance(table, Mapping):
+        raise MultiposError(f"{where}: write it as a table, such as [{name}] and below it u = …")
+    kind = KINDS[name]
+    suffix = "_deg" if kind.unit == "deg" else ""
+    size = {key if key in ("k", "distribution", "dof") else key + suffix: key for key in _SPREAD}
+    unknown = [key for key in table if key not in size and key not in kind.settings]
+    if unknown:
+        raise MultiposError(
+            f"{where}: unknown key '{unknown[0]}'; it takes {', '.join([*size, *kind.settings])}."
+        )
+    spread = {size[key]: value for key, value in table.items() if key in size}
+    settings = {key: value for key, value in table.items() if key in kind.settings}
+    if name == "resolution" and "step" in settings:
+        if set(spread) - {"dof"}:
+            raise MultiposError(f"{where}: 'step' says the size already; leave out the others.")
+        step = _number(where, settings, "step")
+        spread |= {"half_width": step / 2.0, "distribution": "rectangular"}
+    u, distribution = _size(where, spread, suffix)
+    dof = _number(where, spread, "dof") if "dof" in spread else math.inf
+    if not dof > 0.0:
+        raise MultiposError(f"{where}: 'dof' must be above 0, got {dof:g}.")
+    _check_settings(where, name, settings)
+    return Quantity(name, u, kind.unit, distribution, dof, settings)
+
+
+def _size(where: str, spread: Mapping[str, Any], suffix: str) -> tuple[float, str]:
+    """Return the standard uncertainty by eq. (1), and the law."""
+    given = [key for key in ("u", "U", "half_width") if key in spread]
+    if len(given) != 1:
+        need = f"'u{suffix}', 'U{suffix}' with 'k', or 'half_width{suffix}'"
+        found = " and ".join(f"'{key}{suffix}'" for key in given) or "none"
+        raise MultiposError(f"{where}: give one of {need}; there is {found}.")
+    law = str(spread.get("distribution", "normal" if given != ["half_width"] else "rectangular"))
+    if law not in ("normal", *DIVISORS):
+        raise MultiposError(
+            f"{where}: unknown distribution '{law}'; give normal, {', '.join(DIVISORS)}."
+        )
+    value = _number(where, spread, given[0], given[0] + suffix)
+    if given == ["U"]:
+        if "k" not in spread:
+            raise MultiposError(f"{where}: 'U{suffix}' needs its coverage factor 'k' beside it.")
+        factor = _number(where, spread, "k")
+        if not factor > 0.0:
+            raise MultiposError(f"{where}: 'k' must be above 0, got {factor:g}.")
+        return value / factor, law
+    if "k" in spread:
+        raise MultiposError(f"{where}: 'k' belongs to 'U{suffix}'; leave it out.")
+    if given == ["u"]:
+        return value, law
+    if law == "normal":
+        raise MultiposError(
+            f"{where}: a normal distribution has no half-width; give 'u{suffix}', or 'U{suffix}' "
+            "with 'k'."
+        )
+    return value / DIVISORS[law], law
+
+
+def _check_settings(where: str, name: str, settings: dict[str, Any]) -> None:
+    if name == "gravity":
+        if ("value" in settings) == ("latitude_deg" in settings):
+            raise MultiposError(f"{where}: give 'value' [m/s^2] or 'latitude_deg'.")
+        if "height_m" in settings and "latitude_deg" not in settings:
+            raise MultiposError(f"{where}: 'height_m' needs 'latitude_deg'.")
+        if "latitude_deg" in settings:
+            latitude = _number(where, settings, "latitude_deg", signed=True)
+            height = _number(where, {"height_m": 0.0, **settings}, "height_m", signed=True)
+            try:
+                settings["value"] = normal_gravity(latitude, height)
+            except ValueError as error:
+                raise MultiposError(f"{where}: {error}") from None
+        if not 1.0 <= _number(where, settings, "value") <= 100.0:
+            raise MultiposError(
+                f"{where}: 'value' must be in m/s^2, such as 9.81, got {settings['value']:g}."
+            )
+    if name == "index":
+        harmonics = settings.setdefault("harmonics", [1, 2])
+        whole = isinstance(harmonics, list) and harmonics and all(
+            isinstance(order, int) and not isinstance(order, bool) and order >= 0
+            for order in harmonics
+        )  # fmt: skip
+        if not whole:
+            raise MultiposError(f"{where}: 'harmonics' must be whole numbers, such as [1, 2].")
+        if settings.get("axis", "x") not in ("x", "y", "z"):
+            raise MultiposError(f"{where}: 'axis' must be x, y or z, got '{settings['axis']}'.")
+    if not isinstance(settings.get("each_output", False), bool):
+        raise MultiposError(f"{where}: 'each_output' must be true or false.")
+    for key in ("bias_per_degC", "scale_per_degC"):
+        if key in settings:
+            _number(where, settings, key, signed=True)
+
+
+def _number(
+    where: str, table: Mapping[str, Any], key: str, name: str | None = None, *, signed: bool = False
+) -> float:
+    value = table[key]
+    good = isinstance(value, int | float) and not isinstance(value, bool)
+    if not good or math.isnan(value) or (math.isinf(value) and key != "dof"):
+        raise MultiposError(f"{where}: '{name or key}' must be a number, got {value!r}.")
+    if not signed and value < 0.0:
+        raise MultiposError(f"{where}: '{name or key}' must be 0 or more, got {value:g}.")
+    return float(value)

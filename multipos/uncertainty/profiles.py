@@ -1,0 +1,258 @@
+"""Profile-likelihood intervals: how far a parameter may move before the fit gets worse.
+
+With whitened residuals r(p), of unit variance or divided by their estimated standard deviation,
+and S(p) = r'r, a parameter at the value t leaves, once all others are fitted anew, the profile
+S_j(t) = min over p with p_j = t of S(p). Its interval is where
+
+    S_j(t) ≤ S_min + k²,    k from Student's t at ν degrees of freedom, normal at ν = ∞.    (1)
+
+For a linear fit that is p_j ± k u_j exactly; for a nonlinear one it bends with the model, is not
+symmetric, and does not depend on how the parameters are written.
+
+For uncertain and unknown orientations S is the minimum F of `multipos.estimation.likelihood`, orientations
+fitted anew with the others, at the noise of the fit; where a stated noise was denied, k² is
+multiplied by F_min/ν. Where variances were estimated ν is the parameter's own, by Satterthwaite.
+
+References
+----------
+D. M. Bates, D. G. Watts, *Nonlinear Regression Analysis and Its Applications*, 1988, section 6.1.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.errors import ConvergenceError, MultiposError
+from multipos.estimation.descent import maximise
+from multipos.estimation.known import chi_squares, reading_noise
+from multipos.estimation.likelihood import linearise, moved, recentred
+from multipos.estimation.restatement import (
+    estimated_variances,
+    noise_factor,
+    restate,
+    return_to_optimum,
+)
+from multipos.estimation.variances import components, linearised
+from multipos.numerics.quantiles import coverage_factor
+from multipos.sensor.calibration import Calibration
+
+Array = NDArray[np.float64]
+Profile = Callable[[float], float]  # how much a parameter's value costs, S_j(t) - S_min
+
+_FARTHEST = 50.0  # expanded uncertainties from the estimate; farther out the interval is open
+
+
+class Interval(NamedTuple):
+    """An interval; an end is infinite where the fit never gets bad enough."""
+
+    low: float
+    high: float
+
+
+def profile_interval(
+    residuals: Callable[[Array], Array],
+    estimate: ArrayLike,
+    index: int,
+    *,
+    u: float,
+    dof: float = math.inf,
+    confidence: float = 0.95,
+) -> Interval:
+    """Return the profile-likelihood interval of one parameter, eq. (1).
+
+    Parameters
+    ----------
+    residuals : callable
+        Takes parameters (p,), returns residuals (n,) of unit variance, or divided by the
+        standard deviation that was estimated for them.
+    estimate : (p,) array
+        Where r'r is least.
+    index : int
+        The parameter.
+    u : float
+        Its standard uncertainty, to know how far to look.
+    dof : float
+        Degrees of freedom of the residual variance; inf where the noise is known.
+    confidence : float
+        Coverage probability.
+
+    Raises
+    ------
+    ConvergenceError
+        `estimate` is not where the sum of squares is least.
+    """
+    best = np.asarray(estimate, dtype=np.float64)
+    smallest = float(np.sum(residuals(best) ** 2))
+    slope = _follow(residuals, best, index)
+
+    def rise(value: float) -> float:
+        start = np.delete(best + (value - best[index]) * slope, index)
+        return _profiled(residuals, start, index, value) - smallest
+
+    return _search_ends(rise, float(best[index]), coverage_factor(confidence, dof), u)
+
+
+def _follow(residuals: Callable[[Array], Array], best: Array, index: int) -> Array:
+    """Return how all parameters (p,) move with one where the sum of squares stays least."""
+    from scipy.optimize import least_squares
+
+    slopes = np.asarray(least_squares(residuals, best, x_scale="jac", max_nfev=1).jac)
+    others = np.linalg.lstsq(np.delete(slopes, index, axis=1), -slopes[:, index], rcond=None)[0]
+    return np.insert(others, index, 1.0)
+
+
+def _search_ends(rise: Profile, centre: float, k: float, u: float) -> Interval:
+    """Return where a profile has risen by k², to either side.
+
+    A profile is nearly a parabola, so its root, which is nearly a straight line, is what is
+    searched. The first step goes beyond k u, where the profile of a linear fit ends.
+    """
+    from scipy.optimize import brentq
+
+    @cache  # the search compares signs at points it has seen: they must not change by rounding
+    def excess(step: float) -> float:
+        found = rise(centre + step)
+        if found < -1e-6 * k * k:
+            raise ConvergenceError(
+                "the estimate is not where the sum of squares is least; fit again from where "
+                f"the parameter is {centre + step:.6g}."
+            )
+        return math.sqrt(max(found, 0.0)) - k
+
+    ends = []
+    for side in (-1.0, 1.0):
+        near, reach = 0.0, 1.25 * side * k * u
+        while excess(reach) < 0.0 and abs(reach) < _FARTHEST * k * u:
+            near, reach = reach, 1.5 * reach
+        if excess(reach) < 0.0:
+            ends.append(side * math.inf)
+        else:
+            ends.append(centre + float(brentq(excess, near, reach, xtol=1e-10 * k * u)))
+    return Interval(*ends)
+
+
+def calibration_interval(calibration: Calibration, output: str, term: str) -> Interval:
+    """Return the profile-likelihood interval of a parameter, without what the budget adds.
+
+    Raises
+    ------
+    MultiposError
+        The fit was robust: its loss is no likelihood.
+    ConvergenceError
+        As in `profile_interval`.
+    """
+    c = calibration
+    if "robust_weight" in c.extra:
+        raise MultiposError(
+            "a robust loss is no likelihood and has no profile; fit again without --robust."
+        )
+    index = c.model.index(output, term)
+    if c.estimator.endswith("orientation"):
+        return _likelihood_interval(c, index)
+    residuals, best = _known_problem(c)
+    dof = float(c.dof[c.outputs.index(output)])
+    return profile_interval(
+        residuals, best, index, u=float(c.u[index]), dof=dof, confidence=c.confidence
+    )
+
+
+def _likelihood_interval(c: Calibration, index: int) -> Interval:
+    """Return the interval of an uncertain or unknown orientation."""
+    problem = restate(c)
+    best = return_to_optimum(c, problem)
+    factor = noise_factor(c, problem, best)
+    held = replace(problem, held=(index,))
+    dof, free = float(c.dof[0]), estimated_variances(c)
+    if free.any():
+        dof = float(components(linearised(problem, best), np.zeros(2), free).dof[index])
+
+    normal = linearise(problem, best.state, best.point)
+    slope = np.zeros(len(normal.information))  # how all unknowns follow the parameter
+    others = np.arange(len(slope)) != index
+    slope[index] = 1.0
+    slope[others] = -np.linalg.lstsq(
+        normal.information[np.ix_(others, others)], normal.information[others, index], rcond=None
+    )[0]
+
+    def rise(value: float) -> float:
+        step = (value - best.state.theta[index]) * slope
+        start = recentred(problem, moved(problem, best.state, best.point, normal, step, 0.0))
+        found = maximise(held, start)
+        if not found.converged:
+            raise ConvergenceError(
+                f"no fit was found with `{c.names[index]}` held at {value:.6g}; choose a model "
+                "with fewer terms."
+            )
+        return (found.point.objective - best.point.objective) / factor
+
+    k = coverage_factor(c.confidence, dof)
+    return _search_ends(rise, float(best.state.theta[index]), k, float(c.u[index]))
+
+
+def _known_problem(c: Calibration) -> tuple[Callable[[Array], Array], Array]:
+    """Return the whitened residuals (n M,) of parameters (p,) at known orientations, and the best.
+
+    The noise is that of the fit: as stated with the readings, or of variance one, times χ²/ν where
+    that was not believed or not stated.
+    """
+    noise = reading_noise(c.readings)
+    full = noise is not None and noise.ndim == 2
+    root = np.ones(c.readings.values.size) if noise is None else noise
+    root = np.asarray(np.linalg.cholesky(root) if full else np.sqrt(root))
+
+    def left(p: Array) -> Array:
+        found = c.model.predict(p, c.reference, c.readings.environment)
+        return np.asarray(c.readings.values - found)
+
+    def whitened(residuals: Array) -> Array:
+        flat = residuals.ravel()
+        return np.asarray(np.linalg.solve(root, flat) if full else flat / root)
+
+    best = c.parameters
+    if c.estimator == "closed-form":
+        best = fit_residuals(lambda p: whitened(left(p)), best)
+    sd = np.sqrt(_variance_factor(c, chi_squares(left(best), noise)))
+
+    def residuals(p: Array) -> Array:
+        return whitened(left(p) / sd)
+
+    # a factor for each output moves the best parameters where outputs are correlated
+    return residuals, fit_residuals(residuals, best) if full else best
+
+
+def _variance_factor(c: Calibration, chi2: Array) -> Array:
+    """Return what the fit multiplied each output's variance by (M,)."""
+    nu = len(c.readings) - np.array([len(terms) for terms in c.model.terms])
+    if c.dof[0] == nu.sum():  # pooled, or one output
+        return np.full(len(nu), chi2.sum() / nu.sum())
+    return np.where(np.isinf(c.dof), 1.0, chi2 / np.maximum(nu, 1))
+
+
+def _profiled(residuals: Callable[[Array], Array], start: Array, index: int, value: float) -> float:
+    """Return the least sum of squares with one parameter held."""
+    from scipy.optimize import least_squares
+
+    if not len(start):
+        return float(np.sum(residuals(np.array([value])) ** 2))
+
+    def held(others: Array) -> Array:
+        return residuals(np.insert(others, index, value))
+
+    found = least_squares(held, start, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    return 2.0 * float(found.cost)
+
+
+def fit_residuals(residuals: Callable[[Array], Array], start: ArrayLike) -> Array:
+    """Return the parameters (p,) at which a sum of squares is least, from a start."""
+    from scipy.optimize import least_squares
+
+    found = least_squares(residuals, np.asarray(start, dtype=np.float64), x_scale="jac",
+                          xtol=1e-15, ftol=1e-15, gtol=1e-15)  # fmt: skip
+    if not found.success:
+        raise ConvergenceError(f"no least sum of squares was found: {found.message}")
+    return np.asarray(found.x)

@@ -1,0 +1,291 @@
+"""The uncertainty budget of a calibration: what each input quantity does to each parameter.
+
+With the sensitivities c_x = dp/dx of `multipos.uncertainty.sensitivities`, for every estimator,
+
+    cov p = sum_x c_x c_x' u(x)².                                                           (1)
+
+The first rows of the budget are the covariance that the residuals, or the readings' own
+uncertainties, gave. Quantities common to all positions are systematic: residuals do not show them
+and repeats do not average them. Independent ones (placement, resolution) scatter the residuals, so
+where the noise was estimated from residuals they are in the first rows already: listed, not added
+again (JCGM 100, 4.3.10). The degrees of freedom of the sum are Welch's and Satterthwaite's,
+
+    ν_eff = u_c⁴ / sum_x (u_x⁴ / ν_x).                                                      (2)
+
+References
+----------
+JCGM 100:2008, clauses 4.3, 5.1 and G.4.1; docs/theory/budget.md.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.results import Result
+from multipos.sensor.calibration import Calibration
+from multipos.uncertainty.budgets import Budget, Quantity, Source, read_budget
+from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Row(Result):
+    """One line of the budget.
+
+    Attributes
+    ----------
+    quantity, text : str
+    evaluation : str
+        'A' from the scatter of the readings, 'B' otherwise.
+    u : float
+        Standard uncertainty, in `unit`; NaN for the readings, which have many.
+    unit, distribution : str
+    dof : (p,) array
+    common : bool
+        Whether it is the same in every repeated calibration.
+    contained : (p,) bool array
+        Where the scatter of the residuals holds it already, so that it is not added.
+    sensitivity : (p,) array
+        Of each parameter, per `unit`; the root sum of squares where the quantity has several
+        independent components. NaN for the readings.
+    covariance : (p, p) array
+        What it contributes, as if it were not contained.
+    """
+
+    quantity: str
+    text: str
+    evaluation: str
+    u: float
+    unit: str
+    distribution: str
+    dof: Array
+    common: bool
+    contained: NDArray[np.bool_]
+    sensitivity: Array
+    covariance: Array
+
+    @property
+    def contribution(self) -> Array:
+        """Standard uncertainty (p,) that the quantity gives each parameter."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def added(self) -> Array:
+        """What enters the sum: the covariance (p, p) without what is contained elsewhere."""
+        left = ~self.contained
+        return np.asarray(np.where(np.outer(left, left), self.covariance, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation(Result):
+    """A budget evaluated for one calibration: its rows, and their sum."""
+
+    rows: tuple[Row, ...]
+    names: tuple[str, ...]
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance (p, p) of the parameters."""
+        return np.asarray(sum(row.added for row in self.rows))
+
+    @cached_property
+    def independent(self) -> Array:
+        """Covariance (p, p) of what differs from one repeated calibration to the next."""
+        return np.asarray(sum(row.added for row in self.rows if not row.common))
+
+    @cached_property
+    def dof(self) -> Array:
+        """Effective degrees of freedom (p,) of the parameters."""
+        return self.combine(np.eye(len(self.names)))[1]
+
+    def combine(self, gradient: Array) -> tuple[Array, Array, Array]:
+        """Return what the budget means for quantities derived from the parameters.
+
+        Parameters
+        ----------
+        gradient : (q, p) array
+            Derivatives of the quantities by the parameters.
+
+        Returns
+        -------
+        u, dof : (q,) arrays
+            Combined standard uncertainty, and its degrees of freedom by eq. (2).
+        contributions : (rows, q) array
+        """
+        variance = np.array(
+            [np.einsum("qp,pr,qr->q", gradient, row.added, gradient) for row in self.rows]
+        )
+        contributions = np.sqrt(np.maximum(variance, 0.0))
+        dof = np.array([_row_dof(row, gradient) for row in self.rows])
+        u = np.sqrt(np.sum(contributions**2, axis=0))
+        return u, welch_satterthwaite(contributions, dof), contributions
+
+
+def welch_satterthwaite(contributions: ArrayLike, dof: ArrayLike) -> Array:
+    """Return effective degrees of freedom by eq. (2).
+
+    Parameters
+    ----------
+    contributions : (m,) or (m, q) array
+        Standard uncertainties that m independent quantities contribute.
+    dof : array of the same shape, or that broadcasts to it
+        Their degrees of freedom; inf where known for certain.
+
+    Returns
+    -------
+    () or (q,) array
+        Infinite where nothing of finite degrees of freedom contributes.
+    """
+    u = np.asarray(contributions, dtype=np.float64)
+    nu = np.broadcast_to(np.asarray(dof, dtype=np.float64), u.shape)
+    total = np.sum(u**2, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(total > 0.0, u**2 / total, 0.0)
+        summed = np.sum(np.where(share > 0.0, share**2 / nu, np.where(np.isnan(u), np.inf, 0.0)),
+                        axis=0)  # fmt: skip
+        return np.asarray(1.0 / summed)
+
+
+def _row_dof(row: Row, gradient: Array) -> Array:
+    """Degrees of freedom of a row for derived quantities: the fewest of what it is made of."""
+    used = (gradient != 0.0) & (np.diag(row.added) > 0.0)
+    return np.asarray(np.min(np.where(used, row.dof, np.inf), axis=1))
+
+
+def evaluate_budget(
+    calibration: Calibration, budget: "Source | Budget | None" = None
+) -> Evaluation:
+    """Return the budget of a calibration, line by line.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    budget : path, tables or Budget, optional
+        What is known beside the readings; otherwise what the calibration was made with. The
+        gravity is the calibration's own in either case.
+
+    Returns
+    -------
+    Evaluation
+
+    Raises
+    ------
+    MultiposError
+        A quantity needs what the calibration does not know, such as the heading of its positions.
+    """
+    own = read_budget(calibration.extra.get("budget", {}).get("tables", {}))
+    stated = own if budget is None else read_budget(budget)
+    gain = estimator_gain(calibration)
+    before = [_row(calibration, gain, quantity) for quantity in _quantities(calibration, own)]
+    rows = before
+    if stated is not own:
+        rows = [_row(calibration, gain, quantity) for quantity in _quantities(calibration, stated)]
+    return Evaluation((*_scatter(calibration, before), *rows), calibration.names)
+
+
+def with_budget(calibration: Calibration, budget: "Source | Budget") -> Calibration:
+    """Return a calibration whose covariance and degrees of freedom follow from a budget.
+
+    Raises
+    ------
+    MultiposError
+        As in `evaluate_budget`.
+    """
+    stated = read_budget(budget)
+    found = evaluate_budget(calibration, stated)
+    scatter = sum(row.covariance for row in found.rows if row.evaluation == "A")
+    kept = {"tables": stated.tables, "rows": budget_rows(found), "scatter": scatter}
+    extra = {**calibration.extra, "budget": kept}
+    return replace(calibration, covariance=found.covariance, parameter_dof=found.dof, extra=extra)
+
+
+def budget_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Return the lines of a budget as what JSON can carry, contributions by parameter name."""
+    return [
+        {
+            "quantity": row.quantity,
+            "evaluation": row.evaluation,
+            "distribution": row.distribution,
+            "u": None if math.isnan(row.u) else row.u,
+            "unit": row.unit,
+            "common": row.common,
+            "contained": bool(row.contained.all()),
+            "dof": float(row.dof.min()),
+            "sensitivity": None
+            if row.evaluation == "A"
+            else dict(zip(evaluation.names, row.sensitivity.tolist(), strict=True)),
+            "contribution": dict(zip(evaluation.names, row.contribution.tolist(), strict=True)),
+        }
+        for row in evaluation.rows
+    ]
+
+
+def _quantities(calibration: Calibration, budget: Budget) -> list[Quantity]:
+    """Return the quantities that reach the parameters, gravity first and as it was used."""
+    found = [q for name, q in budget.quantities.items() if name not in ("gravity", "third_order")]
+    gravity = calibration.gravity
+    if gravity is None or not gravity.u > 0.0:
+        return found
+    stated = budget.quantities.get("gravity")
+    same = stated is not None and stated.u == gravity.u
+    law, dof = (stated.distribution, stated.dof) if stated and same else ("normal", math.inf)
+    return [Quantity("gravity", gravity.u, "m/s^2", law, dof), *found]
+
+
+def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
+    """Return the rows of the readings themselves: what is left of the covariance without others."""
+    c = calibration
+    kept = c.extra.get("budget", {}).get("scatter")
+    added = sum(row.added for row in others)
+    rest = c.covariance - added if kept is None else np.array(kept, dtype=np.float64)
+    count = [len(terms) for terms in c.model.terms]
+    output_of = np.repeat(np.arange(len(count)), count)
+    dof = c.dof[output_of]
+    apart = output_of[:, None] != output_of
+    scale = np.sqrt(np.abs(np.diag(rest)))
+    joint = bool((np.abs(rest) > 1e-9 * np.outer(scale, scale))[apart].any())
+    blocks = [np.ones(len(dof), bool)] if joint else [output_of == i for i in range(len(count))]
+    stated = bool(np.isinf(c.dof).all())
+    return [
+        Row(
+            quantity="readings",
+            text="noise of the readings, as stated" if stated else "scatter of the residuals",
+            evaluation="A",
+            u=math.nan,
+            unit=c.model.unit,
+            distribution="normal" if stated else "t",
+            dof=np.where(block, dof, np.inf),
+            common=False,
+            contained=np.zeros(len(dof), bool),
+            sensitivity=np.full(len(dof), math.nan),
+            covariance=np.where(np.outer(block, block), rest, 0.0),
+        )
+        for block in blocks
+    ]
+
+
+def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
+    c, kind = calibration, quantity.kind
+    effects = parameter_effects(c, gain, quantity)
+    estimated = np.isfinite(c.dof)
+    contained = np.repeat(estimated, [len(terms) for terms in c.model.terms])
+    if quantity.name == "orientation" and c.estimator.endswith("orientation"):
+        contained[:] = True  # it is part of that likelihood
+    return Row(
+        quantity=quantity.name,
+        text=kind.text,
+        evaluation="B",
+        u=quantity.u,
+        unit=kind.unit or c.model.unit,
+        distribution=quantity.distribution,
+        dof=np.full(len(c.parameters), quantity.dof),
+        common=kind.common,
+        contained=contained & (not kind.common),
+        sensitivity=effects[:, 0] if effects.shape[1] == 1 else np.linalg.norm(effects, axis=1),
+        covariance=effects @ effects.T * quantity.u**2,
+    )

@@ -1,0 +1,151 @@
+"""Where a calibration holds: force and tilt with uncertainty over the sphere, and beyond ±1 g.
+
+Compensated force f has the covariance of the parameters by eq. (2) of `multipos.sensor.inverse`. The
+tilt of a sensed axis i is the angle above the horizon of that axis of the case,
+
+    β_i = atan2(f_i, sqrt(sum_{j≠i} f_j²)),   or   asin(f_i / |f|)  with fewer than three;   (1)
+
+a calibration is worth what it gives at its worst direction and, as root mean square, over all of
+them. The reading that is compensated adds its own noise, which is not in these numbers.
+
+Beyond the forces that were applied, a third-order term κ_i f_i³ (relative to the scale factor s_i)
+that the positions could not show grows. The fit absorbed it as far as it looks like the model,
+so with the gain G of the estimator compensated force is off by
+
+    δf(f) = J⁺ (e_i s_i κ_i f_i³ - φ(f)' G e_i s_i κ_i f_i³ at the positions),               (2)
+
+nothing at ±1 g and (f² - 1) f κ beyond, for positions along the axes.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.numerics.quantiles import coverage_factor
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.inverse import inverse_covariance, sensed_axes
+from multipos.sensor.inverse import sensitivities as inverse_sensitivities
+from multipos.sensor.model import COMPONENTS, linear_term
+from multipos.uncertainty.budgets import read_budget
+from multipos.uncertainty.propagation import evaluate_budget
+from multipos.uncertainty.sensitivities import estimator_gain
+
+Array = NDArray[np.float64]
+
+POINTS = "fibonacci-1000"  # even directions: the worst of them is within 1 % of the worst of all
+
+
+def force_covariance(
+    calibration: Calibration, force: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    """Return the covariance (n, K, K) [g²] of compensated force (n, K) [g], eq. (2) included."""
+    c = calibration
+    return inverse_covariance(
+        c.model, c.parameters, c.covariance, force, environment
+    ) + third_order_covariance(c, force, environment)
+
+
+def sphere_uncertainty(
+    calibration: Calibration, *, size: float = 1.0, directions: str = POINTS
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return how well force and tilt are known over a sphere of directions.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    size : float [g]
+        Radius of the sphere: 1 for a sensor at rest.
+    directions : str
+        Scheme whose up vectors are the directions.
+
+    Returns
+    -------
+    dict
+        {"force": {axis: entry}, "tilt_deg": {axis: entry}}, the entry {"worst": largest u,
+        "U", "k", "dof": there, "at": [x, y, z], "rms": of u}; force in g. `tilt_deg` is of a
+        triad only. The environment is the mean of the readings'.
+    """
+    c = calibration
+    sensed = list(sensed_axes(c.model))
+    everywhere = size * read_scheme(directions).up
+    force = everywhere[:, sensed]
+    environment = {
+        name: np.full(len(force), float(np.mean(c.readings.environment[name])))
+        for name in c.model.environment
+    }
+    full = np.zeros_like(everywhere)
+    full[:, sensed] = force
+    inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)
+    gradient = -inverse @ by_parameter  # (n, K, p)
+    extra = third_order_covariance(c, force, environment)
+    turns = {"force": np.broadcast_to(np.eye(len(sensed)), extra.shape)}
+    if len(sensed) == len(COMPONENTS):
+        turns["tilt_deg"] = np.degrees(_tilt_gradient(force))
+    budget = evaluate_budget(c)
+    result: dict[str, dict[str, dict[str, Any]]] = {}
+    for name, turn in turns.items():
+        result[name] = {}
+        for row, i in enumerate(sensed):
+            u, dof, _ = budget.combine(np.einsum("nk,nkp->np", turn[:, row], gradient))
+            beyond = np.einsum("nk,nkl,nl->n", turn[:, row], extra, turn[:, row])
+            total = np.sqrt(u**2 + beyond)
+            worst = int(np.argmax(total))
+            # eq. (2) of `multipos.uncertainty.propagation` with what is beyond known for certain
+            nu = float(dof[worst]) * float((total[worst] / u[worst]) ** 4) if u[worst] else np.inf
+            k = coverage_factor(c.confidence, nu)
+            result[name][COMPONENTS[i]] = {
+                "worst": float(total[worst]), "U": k * float(total[worst]), "k": k, "dof": nu,
+                "at": force[worst].tolist(), "rms": float(np.sqrt(np.mean(total**2))),
+            }  # fmt: skip
+    return result
+
+
+def _tilt_gradient(force: Array) -> Array:
+    """Return d β_i / d f (n, 3, 3) [rad/g], by eq. (1)."""
+    square = np.einsum("ni,ni->n", force, force)[:, None]
+    rest = np.sqrt(np.maximum(square - force**2, np.finfo(float).tiny))
+    gradient = -force[:, :, None] * force[:, None, :] / (square * rest)[:, :, None]
+    axis = np.arange(3)
+    gradient[:, axis, axis] = rest / square
+    return np.asarray(gradient)
+
+
+def third_order_covariance(
+    calibration: Calibration, force: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    """Return the covariance (n, K, K) [g²] that an unseen third-order term adds, by eq. (2).
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Zero unless its budget allows a third-order term.
+    force : (n, K) array [g]
+        Compensated force, on the axes that the sensor has.
+    environment : mapping of str to (n,) array
+    """
+    c = calibration
+    sensed = list(sensed_axes(c.model))
+    total = np.zeros((len(force), len(sensed), len(sensed)))
+    tables = c.extra.get("budget", {}).get("tables", {})
+    if "third_order" not in tables:
+        return total
+    u = read_budget({"third_order": tables["third_order"]}).quantities["third_order"].u
+    full = np.zeros((len(force), 3))
+    full[:, sensed] = np.where(np.isfinite(force), force, 0.0)  # NaN: no force explains it
+    inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)
+    gain = estimator_gain(c)
+    for output, axis in enumerate(c.model.axes):
+        key = (c.outputs[output], linear_term(axis))
+        if key not in c.model.keys:
+            continue
+        scale, i = c.parameters[c.model.keys.index(key)], COMPONENTS.index(axis)
+        seen = np.zeros_like(c.readings.values)
+        seen[:, output] = scale * c.reference[:, i] ** 3
+        moved = -by_parameter @ (gain @ seen.ravel())
+        moved[:, output] += scale * full[:, i] ** 3
+        off = np.einsum("nkm,nm->nk", inverse, moved) * u
+        total += off[:, :, None] * off[:, None, :]
+    return total

@@ -1,0 +1,263 @@
+"""Check: an independent run at known positions, before and after compensation.
+
+At each position and axis the error is what is said less what is known, of the force [g] or of the
+tilt [degrees]: before by the nominal conversion (raw − bias)/scale, after by the calibration,
+
+    e = f − f_ref,    u² = u²(f) + u²(f_ref),    U = k u,                                   (1)
+
+with u(f) of eq. (4) of `multipos.sensor.tilt`, the noise of the run's own readings in it, and u(f_ref)
+from ``orientation_sd_deg`` where the run states it. Verdicts are those of `multipos.verification.verdicts`.
+
+Linearity is the largest departure from the least-squares line against the reference, in percent of
+that line's span: from −1 to +1 g for force, over the angles of the run for tilt. The positions
+of the run are known, so a component that the sensor does not have is taken on its known side.
+
+A regression is checked by `multipos.verification.regression_checks`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.errors import MultiposError, UsageError
+from multipos.files.tables import Source
+from multipos.positions.readings import Readings, orient, read_readings, require_range
+from multipos.positions.scheme import Scheme
+from multipos.regression.result import Regression
+from multipos.sensor.calibration import Calibration, labels
+from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.model import COMPONENTS
+from multipos.sensor.tilt import (
+    at_rest,
+    coverage_factors,
+    force_uncertainty,
+    magnitude_of,
+    reading_noise,
+    sign_of,
+    tilt_at_rest,
+    triad_tilt,
+    true_tilt,
+)
+from multipos.verification.regression_checks import check_regression
+from multipos.verification.verdicts import Check, judge
+
+Array = NDArray[np.float64]
+
+
+def check(
+    calibration: Calibration | Regression,
+    readings: Source | Readings,
+    *,
+    scheme: Source | Scheme | None = None,
+    tilt: bool = False,
+    limit_deg: float | None = None,
+    limit_g: float | None = None,
+    within_deg: float | None = None,
+    nominal: Sequence[float] = (0.0, 1.0),
+    reading_sd: ArrayLike | None = None,
+    range: Sequence[float] | None = None,
+) -> Check:
+    """Return the errors of a run at known positions, before and after compensation.
+
+    Parameters
+    ----------
+    calibration : Calibration or Regression
+        Of the options a regression takes `limit_g` only (`check_regression`).
+    readings : Readings, path, mapping of columns, or data frame
+        An independent run; its ``u_…`` are the uncertainty of its readings. For a regression a
+        table with its response and its variables.
+    scheme : Scheme, name, path, mapping of columns, or data frame, optional
+        The positions; otherwise the readings' own columns say them.
+    tilt : bool
+        Compare tilt in degrees and not force in g; a limit in degrees does so by itself.
+    limit_deg, limit_g : float, optional
+        Largest error allowed.
+    within_deg : float, optional
+        Count only axes that stand within so many degrees of the horizon.
+    nominal : (bias, scale)
+        The conversion (raw − bias)/scale used before the calibration.
+    reading_sd : float or M floats, optional
+        Standard uncertainty of a reading of the run; by default that of the calibration's.
+    range : (low, high), optional
+        Readings outside it are an error.
+
+    Returns
+    -------
+    Check
+
+    Raises
+    ------
+    MultiposError
+        The data are at fault: an output missing, no orientation, a reading out of range.
+    UsageError
+        An option is at fault.
+    """
+    if isinstance(calibration, Regression):
+        given = {"--scheme": scheme, "--tilt": tilt or None, "--limit-deg": limit_deg,
+                 "--within-deg": within_deg, "--reading-sd": reading_sd, "--range": range,
+                 "--nominal": None if tuple(nominal) == (0.0, 1.0) else nominal}  # fmt: skip
+        for name, value in given.items():
+            if value is not None:
+                raise UsageError(f"{name} goes with a calibration; a regression is checked row by "
+                                 "row, against --limit-g.")  # fmt: skip
+        return check_regression(calibration, readings, limit_g=limit_g)
+    tilt = tilt or limit_deg is not None
+    _check_options(tilt, limit_deg, limit_g, within_deg, nominal)
+    data = read_readings(
+        readings, outputs=calibration.outputs, environment=calibration.model.environment
+    )
+    data = orient(data, scheme)
+    if range is not None:
+        require_range(data, range)
+    assert data.up is not None
+    axes = list(sensed_axes(calibration.model))
+    noise = _noise(calibration, data, reading_sd)
+    run = _tilt_errors if tilt else _force_errors
+    reference, before, after, u, U = run(calibration, data, data.up, nominal, noise)
+    level = np.degrees(true_tilt(data.up))[:, axes]
+    # A hair's breadth more, so that 60 degrees from a cosine is within 60.
+    counted = np.abs(level) <= (90.0 if within_deg is None else within_deg) + 1e-6
+    if not counted.any():
+        raise MultiposError(f"no position of the run is within {within_deg:g} degrees of level.")
+    limit = limit_deg if tilt else limit_g
+    return Check(
+        quantity="tilt" if tilt else "force",
+        unit="deg" if tilt else "g",
+        axes=tuple(COMPONENTS[i] for i in axes),
+        positions=labels(data),
+        reference=reference,
+        before=before,
+        after=after,
+        u=u,
+        U=U,
+        limit=limit,
+        verdicts=judge(after, U, limit, counted),
+        counted=counted,
+        linearity_percent={
+            "before": _linearity(reference, before, counted, tilt),
+            "after": _linearity(reference, after, counted, tilt),
+        },
+        bias=float(nominal[0]),
+        scale=float(nominal[1]),
+        confidence=calibration.confidence,
+        source=data.source,
+        sha256=data.sha256,
+        warnings=data.notes,
+        calibration=calibration.created,
+    )
+
+
+def _check_options(
+    tilt: bool,
+    limit_deg: float | None,
+    limit_g: float | None,
+    within_deg: float | None,
+    nominal: Sequence[float],
+) -> None:
+    if tilt and limit_g is not None:
+        raise UsageError("--limit-g is a limit of force; give --limit-deg for tilt.")
+    for name, value in (
+        ("--limit-deg", limit_deg), ("--limit-g", limit_g), ("--within-deg", within_deg)
+    ):  # fmt: skip
+        if value is not None and not 0.0 < value < np.inf:
+            raise UsageError(f"{name} must be above 0, got {value}.")
+    if len(nominal) != 2 or not np.isfinite(nominal).all() or nominal[1] == 0.0:
+        raise UsageError("--nominal takes BIAS,SCALE in reading units, with a scale that is not 0.")
+
+
+def _noise(calibration: Calibration, data: Readings, reading_sd: ArrayLike | None) -> Array:
+    """Return the standard uncertainty of the run's readings (n, M)."""
+    shape = data.values.shape
+    if reading_sd is not None:
+        sd = np.asarray(reading_sd, dtype=np.float64).ravel()
+        if len(sd) not in (1, shape[1]):
+            raise UsageError(f"--reading-sd takes 1 or {shape[1]} values, got {len(sd)}.")
+        if not (np.isfinite(sd).all() and (sd > 0.0).all()):
+            raise UsageError("--reading-sd must be above 0.")
+        return np.broadcast_to(sd, shape)
+    if data.u is not None:
+        return data.u
+    return np.broadcast_to(reading_noise(calibration), shape)
+
+
+_Errors = tuple[Array, Array, Array, Array, Array]
+
+
+def _force_errors(
+    calibration: Calibration, data: Readings, up: Array, nominal: Sequence[float], noise: Array
+) -> _Errors:
+    axes = list(sensed_axes(calibration.model))
+    reference = (sign_of(calibration) * magnitude_of(calibration) * up)[:, axes]
+    rest = at_rest(calibration, data.values, data.environment, up)
+    covariance, dof = force_uncertainty(calibration, rest, data.environment, noise)
+    across = np.sqrt(np.maximum(magnitude_of(calibration) ** 2 - reference**2, 0.0))
+    own = np.sqrt(np.einsum("nkk->nk", covariance))
+    u = np.hypot(own, across * _placement(data))
+    before = _nominal(calibration, data, nominal) - reference
+    return reference, before, rest[:, axes] - reference, u, _expanded(calibration, own, u, dof) * u
+
+
+def _tilt_errors(
+    calibration: Calibration, data: Readings, up: Array, nominal: Sequence[float], noise: Array
+) -> _Errors:
+    axes = list(sensed_axes(calibration.model))
+    reference = true_tilt(up)[:, axes]
+    rest = at_rest(calibration, data.values, data.environment, up)
+    found = tilt_at_rest(calibration, rest, data.environment, noise)
+    placed = _placement(data)
+    force = _nominal(calibration, data, nominal)
+    if len(axes) == 3:
+        before = triad_tilt(force, sign_of(calibration))
+    else:
+        before = np.arcsin(
+            np.clip(sign_of(calibration) * force / magnitude_of(calibration), -1.0, 1.0)
+        )
+    k = coverage_factors(calibration.confidence, np.full(found.u.shape, np.inf))
+    U = np.hypot(found.U, k * placed)
+    u = np.hypot(found.u, placed)
+    arrays = (reference, before - reference, found.tilt - reference, u, U)
+    degrees = [np.degrees(array) for array in arrays]
+    return degrees[0], degrees[1], degrees[2], degrees[3], degrees[4]
+
+
+def _nominal(calibration: Calibration, data: Readings, nominal: Sequence[float]) -> Array:
+    """Return the force (n, K) by the nominal conversion; outputs of one axis are averaged."""
+    converted = (data.values - nominal[0]) / nominal[1]
+    own = np.array(calibration.model.axes)
+    axes = [COMPONENTS[i] for i in sensed_axes(calibration.model)]
+    return np.column_stack([converted[:, own == axis].mean(axis=1) for axis in axes])
+
+
+def _placement(data: Readings) -> Array:
+    """Return how well each position of the run is known (n, 1) [rad]; exact where not stated."""
+    if data.orientation_sd is None:
+        return np.zeros((len(data), 1))
+    return np.nan_to_num(data.orientation_sd)[:, None]
+
+
+def _expanded(calibration: Calibration, own: Array, u: Array, dof: Array) -> Array:
+    """Return k of a sum of which only the part `own` has finite degrees of freedom."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        effective = np.where(own > 0.0, dof * (u / own) ** 4, np.inf)
+    return coverage_factors(calibration.confidence, effective)
+
+
+def _linearity(reference: Array, error: Array, counted: NDArray[np.bool_], tilt: bool) -> Array:
+    """Return the largest departure from the least-squares line (K,), in percent of its span."""
+    result = np.full(reference.shape[1], np.nan)
+    for column, (known, wrong, used) in enumerate(
+        zip(reference.T, error.T, counted.T, strict=True)
+    ):
+        rows = used & np.isfinite(wrong)
+        x, y = known[rows], (known + wrong)[rows]
+        if not len(x) or np.ptp(x) < 1e-9:
+            continue
+        centred = x - x.mean()
+        slope = float(centred @ y) / float(centred @ centred)
+        span = abs(slope) * (float(np.ptp(x)) if tilt else 2.0)
+        left = y - y.mean() - slope * centred
+        result[column] = 100.0 * float(np.abs(left).max()) / span
+    return result

@@ -1,0 +1,264 @@
+"""Repeated calibrations of one unit: spread, drift, and whether they agree with what they claim.
+
+Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the stability of the
+biases, and the drift: the slope of the straight line through the repeats, per run, or per unit of
+the readings' `time` where they have it, judged by Student's t on R − 2 degrees of freedom.
+
+Several methods on the same readings share their noise, so no test of spread applies: they agree
+where no parameter differs by more than its expanded uncertainty.
+
+References
+----------
+Song and Qin 2009, section 3.2 and figure 1: at least four runs.
+"""
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError, UsageError
+from multipos.files.lists import spread
+from multipos.files.numbers import number, table, uncertain
+from multipos.numerics.quantiles import t_tail
+from multipos.results import Result
+from multipos.sensor.calibration import Calibration, load
+from multipos.sensor.model import CONSTANT
+from multipos.verification.consistency import Judgement, judge
+
+Array = NDArray[np.float64]
+Run = Calibration | str | os.PathLike[str]
+
+_LEAST = 4  # repeats that the six-position paper asks for
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison(Result):
+    """Repeated calibrations, or several methods on the same readings.
+
+    Attributes
+    ----------
+    calibrations : tuple of R Calibration
+    files : tuple of R str
+    values : (R, p) array
+    mean, sd, range, drift, drift_u : (p,) arrays
+        Over the repeats; drift is the slope per run, or per unit of the readings' `time`.
+    drift_p, chi2, p : (p,) arrays
+        `chi2` is Q of eq. (1) of one parameter, against the pooled scatter where estimated.
+    dof, scatter_dof : (p,) arrays
+        Of `chi2`, R − 1, and of the scatter it is judged by, ν of eq. (2).
+    bias_stability : dict of str to float
+        Standard deviation of the repeated biases, by output.
+    statistic, dof_total, p_total : float, list or float, float
+        Of all parameters together; NaN where it is no repeat.
+    test : str
+        In words.
+    consistent : bool
+    per : str
+        What drift is per: 'run' or 'time'.
+    warnings : tuple of str
+    """
+
+    calibrations: tuple[Calibration, ...]
+    files: tuple[str, ...] = field(compare=False)
+    values: Array
+    mean: Array
+    sd: Array
+    range: Array
+    drift: Array
+    drift_u: Array
+    drift_p: Array
+    chi2: Array
+    p: Array
+    dof: Array
+    scatter_dof: Array
+    bias_stability: dict[str, float]
+    statistic: float
+    dof_total: float | list[float]
+    p_total: float
+    test: str
+    consistent: bool
+    moved: tuple[str, ...]
+    per: str
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as what JSON can carry."""
+        first = self.calibrations[0].model
+        columns = (self.values.T, self.mean, self.sd, self.range, self.chi2, self.dof, self.p,
+                   self.scatter_dof, self.drift, self.drift_u, self.drift_p)  # fmt: skip
+        names = ("values", "mean", "sd", "range", "chi2", "dof", "p",
+                 "scatter_dof", "drift", "drift_u", "drift_p")  # fmt: skip
+        return {
+            "calibrations": [
+                {"file": file, "created": c.created}
+                for file, c in zip(self.files, self.calibrations, strict=True)
+            ],
+            "parameters": [
+                {"output": output, "term": str(term), "name": name, "unit": unit,
+                 **dict(zip(names, row, strict=True)), "moved": name in self.moved}
+                for (output, term), name, unit, row in zip(
+                    first.keys, first.names, first.units, zip(*columns, strict=True), strict=True
+                )
+            ],
+            "bias_stability": self.bias_stability,
+            "statistic": self.statistic,
+            "dof": self.dof_total,
+            "p": self.p_total,
+            "test": self.test,
+            "consistent": self.consistent,
+            "drift_per": self.per,
+            "warnings": self.warnings,
+        }  # fmt: skip
+
+
+def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> Comparison:
+    """Compare repeated calibrations of one unit, or several methods on the same readings.
+
+    Parameters
+    ----------
+    *calibrations : Calibration or path
+        Two or more, in the order of the runs; one by one, or one list or tuple of them.
+    confidence : float
+        They are called inconsistent where chance would do so with probability 1 − confidence.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    UsageError
+        Fewer than two calibrations.
+    MultiposError
+        They are not of the same model, outputs, unit and convention.
+    """
+    runs: tuple[Run, ...] = spread(calibrations)
+    if len(runs) < 2:
+        raise UsageError("compare needs two or more calibrations.")
+    if not 0.0 < confidence < 1.0:
+        raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
+    found = tuple(c if isinstance(c, Calibration) else load(c) for c in runs)
+    files = tuple(
+        f"calibration {i}" if isinstance(c, Calibration) else str(c)
+        for i, c in enumerate(runs, start=1)
+    )
+    _check_alike(found, files)
+    values = np.array([c.parameters for c in found])
+    model = found[0].model
+    sd = values.std(axis=0, ddof=1)
+    drift, drift_u, drift_p, per = _drift(found, values)
+    same = _same_readings(found)
+    if same:
+        judged = Judgement.of_methods(found, values)
+    else:
+        judged = judge(found, values, 1.0 - confidence)
+    warnings = [*judged.warnings]
+    if len(found) < _LEAST and not same:
+        warnings.append(
+            f"{len(found)} repeats say little about stability; calibrate at least {_LEAST} times"
+        )
+    return Comparison(
+        calibrations=found, files=files, values=values, mean=values.mean(axis=0), sd=sd,
+        range=np.ptp(values, axis=0), drift=drift, drift_u=drift_u, drift_p=drift_p,
+        chi2=judged.chi2, p=judged.p, dof=judged.dof, scatter_dof=judged.scatter_dof,
+        bias_stability={
+            output: float(sd[i])
+            for i, (output, term) in enumerate(model.keys) if term == CONSTANT
+        },
+        statistic=judged.statistic, dof_total=judged.dof_total, p_total=judged.p_total,
+        test=judged.test, consistent=judged.consistent, moved=judged.moved, per=per,
+        warnings=tuple(warnings),
+    )  # fmt: skip
+
+
+def _check_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
+    first = found[0]
+    for c, file in zip(found[1:], files[1:], strict=True):
+        for what, mine, other in (
+            ("outputs", first.outputs, c.outputs),
+            ("terms", [f"{o}:{t}" for o, t in first.model.keys],
+             [f"{o}:{t}" for o, t in c.model.keys]),
+            ("unit", first.model.unit, c.model.unit),
+            ("convention", first.convention, c.convention),
+            ("gauge", first.model.gauge, c.model.gauge),
+        ):  # fmt: skip
+            if mine != other:
+                raise MultiposError(
+                    f"{file}: its {what} differ from those of {files[0]} ({_listed(other)}, not "
+                    f"{_listed(mine)}); compare calibrations of one unit and one model."
+                )
+
+
+def _listed(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _same_readings(found: Sequence[Calibration]) -> bool:
+    """Whether several methods were tried on one set of readings, which is no repeat."""
+    first = found[0].readings.values
+    several = len({c.estimator for c in found}) > 1
+    return several and all(np.array_equal(first, c.readings.values) for c in found[1:])
+
+
+def _drift(found: Sequence[Calibration], values: Array) -> tuple[Array, Array, Array, str]:
+    """Return slope, its standard uncertainty and p of the straight line through the repeats."""
+    nothing = np.array(math.nan)
+    at = np.array([np.mean(c.readings.environment.get("time", nothing)) for c in found])
+    known = bool(np.isfinite(at).all() and np.ptp(at) > 0.0)
+    if not known:
+        at = np.arange(1.0, len(found) + 1.0)
+    centred = at - at.mean()
+    square = float(centred @ centred)
+    slope = centred @ values / square
+    dof = len(found) - 2
+    if dof <= 0:
+        unknown = np.full(values.shape[1], math.nan)
+        return slope, unknown, unknown.copy(), "time" if known else "run"
+    left = values - values.mean(axis=0) - centred[:, None] * slope
+    u = np.sqrt(np.sum(left**2, axis=0) / dof / square)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = slope / u
+    p = np.array([t_tail(value, dof) if math.isfinite(value) else math.nan for value in t.tolist()])
+    return slope, u, p, "time" if known else "run"
+
+
+def comparison_text(found: Comparison) -> str:
+    """Return a comparison as text."""
+    lines = [f"{i}  {file}  ({c.created})" for i, (file, c) in
+             enumerate(zip(found.files, found.calibrations, strict=True), start=1)]  # fmt: skip
+    model = found.calibrations[0].model
+    runs = [str(i) for i in range(1, len(found.files) + 1)]
+    header = ["parameter", "unit", *runs, "mean(sd)", f"drift per {found.per}", "p", ""]
+    rows = []
+    for i, name in enumerate(model.names):
+        mean, sd = float(found.mean[i]), float(found.sd[i])
+        rounding = 1e-12 * float(np.abs(found.values).max())
+        rows.append(
+            [name, model.units[i], *(f"{value:.7g}" for value in found.values[:, i].tolist()),
+             uncertain(mean, sd if sd > rounding else 0.0),
+             number(float(found.drift[i]) if sd > rounding else 0.0, 2),
+             number(float(found.p[i]), 2),
+             "moved" if name in found.moved else ""]
+        )  # fmt: skip
+    stability = [[output, number(sd, 3)] for output, sd in found.bias_stability.items()]
+    verdict = "consistent" if found.consistent else "NOT consistent"
+    dof = found.dof_total
+    shown = ", ".join(map(number, dof)) if isinstance(dof, list) else number(dof)
+    said = f"{verdict}: {found.test}"
+    if not math.isnan(found.p_total):
+        said += f": {number(found.statistic)} on {shown} degrees of freedom, p = " + number(
+            found.p_total, 3
+        )
+    parts = [
+        "\n".join(lines),
+        table(header, rows, left=2),
+        "bias stability\n" + table(["output", f"sd [{model.unit}]"], stability),
+        said,
+        *(f"warning: {warning}" for warning in found.warnings),
+    ]
+    return "\n\n".join(parts) + "\n"

@@ -1,0 +1,244 @@
+"""Do repeated calibrations agree with what they claim? Exact tests for few degrees of freedom.
+
+R calibrations of one unit give parameters p_r, each with the covariance C_r of what is
+independent between the repeats (gravity, the level of the table and other quantities common to
+all are left out). If nothing moved, all estimate one p, and with the weighted mean p̄
+
+    Q = sum_r (p_r - p̄)' C_r⁻¹ (p_r - p̄),        p̄ = (sum C_r⁻¹)⁻¹ sum C_r⁻¹ p_r.           (1)
+
+Where the C_r are known, Q is χ² on d (R - 1) degrees of freedom, d the number of parameters.
+Where each C_r = s_r² K_r was estimated from residuals on ν_r degrees of freedom, each p_r is judged
+by a scatter of its own that may have come out small by luck, and Q against χ² cries wolf: for four
+repeats with one degree of freedom each, in almost half of all cases. The scatter of one unit on
+one bench is however one number. Pooled,
+
+    s² = sum ν_r s_r² / ν,   ν = sum ν_r,     F = Q(s² K_r) / (d (R - 1)),                   (2)
+
+Q is independent of s² (both sums of squares belong to orthogonal parts of normal data), so F
+follows the F distribution on d (R - 1) and ν degrees of freedom exactly, whatever the schemes.
+That is done for every output, which has a scatter of its own, and the p values of M independent
+outputs are combined by Fisher's method, exactly as well:
+
+    -2 sum_i ln p_i   is χ² on 2 M degrees of freedom.                                       (3)
+
+Outputs that share one scatter (pooled, or correlated in the fit) are one family in (2), and
+(3) is not needed. That the scatter is one number is itself tested by Bartlett's test.
+
+References
+----------
+JCGM 100:2008, H.5 (analysis of variance); Song and Qin 2009, section 3.2 and figure 1.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.known import reading_noise
+from multipos.numerics.quantiles import chi2_tail, f_tail
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.diagnostics import bartlett
+from multipos.uncertainty.propagation import evaluate_budget
+
+Array = NDArray[np.float64]
+
+_UNEQUAL = 0.01  # level at which repeats of different scatter are warned of
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is said of repeated calibrations; arrays (p,), in the order of the parameters.
+
+    Attributes
+    ----------
+    chi2, dof, scatter_dof, p : (p,) arrays
+        Q of eq. (1) of each parameter alone, on R − 1, against a scatter on ν (eq. (2)).
+    statistic, dof_total, p_total : float, float or list, float
+        Of all parameters together; NaN where there is no test.
+    test : str
+        Which test, in words.
+    consistent : bool
+    moved : tuple of str
+        Parameters that moved, by Holm's method at the same level.
+    warnings : tuple of str
+    """
+
+    chi2: Array
+    dof: Array
+    scatter_dof: Array
+    p: Array
+    statistic: float
+    dof_total: float | list[float]
+    p_total: float
+    test: str
+    consistent: bool
+    moved: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def of_methods(cls, found: Sequence[Calibration], values: Array) -> "Judgement":
+        """Methods on the same readings share their noise: no repeat, and no χ²."""
+        nothing = np.full(values.shape[1], math.nan)
+        spread = np.ptp(values, axis=0)
+        expanded = np.min([c.U for c in found], axis=0)
+        rounding = 1e-12 * np.abs(values).max()
+        beyond = spread > np.maximum(np.where(np.isnan(expanded), 0.0, expanded), rounding)
+        names = tuple(name for name, over in zip(found[0].names, beyond, strict=True) if over)
+        return cls(
+            chi2=nothing, dof=nothing, scatter_dof=nothing, p=nothing, statistic=math.nan,
+            dof_total=math.nan, p_total=math.nan, consistent=not names, moved=names,
+            test="the readings are the same, so their noise cannot tell the methods apart: "
+            "consistent where no parameter differs by more than its U",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Family:
+    """Parameters that share one scatter: their cofactors K_r (R, d, d), s_r² and ν_r (R,)."""
+
+    members: NDArray[np.intp]
+    name: str
+    cofactors: Array
+    variances: Array
+    dof: Array
+
+    @property
+    def scatter(self) -> tuple[Array, float]:
+        """The variance factor (R,) of each repeat, pooled by eq. (2), and ν."""
+        known = np.isinf(self.dof)
+        if known.all():
+            return self.variances, math.inf
+        nu = float(self.dof[~known].sum())
+        if not nu > 0.0:
+            return np.full(len(self.dof), math.nan), nu
+        pooled = float(self.dof[~known] @ self.variances[~known]) / nu
+        return np.where(known, self.variances, pooled), nu
+
+
+def judge(found: Sequence[Calibration], values: Array, level: float) -> Judgement:
+    """Judge R repeated calibrations by eqs. (1) to (3).
+
+    Parameters
+    ----------
+    found : sequence of R Calibration
+    values : (R, p) array
+    level : float
+        Probability of a false alarm.
+    """
+    families = _families(found)
+    repeats, p = values.shape
+    chi2, scatter_dof, tails = np.empty(p), np.empty(p), np.empty(p)
+    outcome: list[tuple[float, float, float]] = []  # Q, its degrees of freedom, ν
+    warnings = []
+    for family in families:
+        factor, nu = family.scatter
+        covariances = family.cofactors * factor[:, None, None]
+        mine = values[:, family.members]
+        q = _quadratic(mine, covariances)
+        outcome.append((q, len(family.members) * (repeats - 1.0), nu))
+        for place, member in enumerate(family.members.tolist()):
+            single = _quadratic(mine[:, [place]], covariances[:, [place]][:, :, [place]])
+            chi2[member], scatter_dof[member] = single, nu
+            tails[member] = f_tail(single / (repeats - 1.0), repeats - 1.0, nu)
+        estimated = np.isfinite(family.dof)
+        unequal = bartlett((family.variances * family.dof)[estimated], family.dof[estimated])
+        if unequal < _UNEQUAL:
+            warnings.append(
+                f"the scatter of {family.name} differs between the repeats (Bartlett's test at "
+                "1 %), so judging all by its mean is not supported by the data"
+            )
+    statistic, dof, p_total, test = _together(outcome)
+    # Holm: the smallest p against level/p, the next against level/(p − 1), …
+    order = np.argsort(tails)
+    passed = np.sort(tails) < level / (p - np.arange(p))
+    count = int(np.argmin(passed)) if not passed.all() else p
+    moved = tuple(found[0].names[i] for i in sorted(order[:count].tolist()))
+    return Judgement(
+        chi2=chi2, dof=np.full(p, repeats - 1.0), scatter_dof=scatter_dof, p=tails,
+        statistic=statistic, dof_total=dof, p_total=p_total, test=test,
+        consistent=not p_total < level, moved=moved, warnings=tuple(warnings),
+    )  # fmt: skip
+
+
+def _together(outcome: list[tuple[float, float, float]]) -> tuple[float, Any, float, str]:
+    """Return statistic, degrees of freedom, p and name of the test of all families."""
+    if all(math.isinf(nu) for _, _, nu in outcome):
+        q, d = sum(o[0] for o in outcome), sum(o[1] for o in outcome)
+        return q, d, chi2_tail(q, d), "chi-square of the repeats against their covariances"
+    tails = [f_tail(q / d, d, nu) for q, d, nu in outcome]
+    if len(outcome) == 1:
+        q, d, nu = outcome[0]
+        return q / d, [d, nu], tails[0], "F of the repeats against their pooled scatter"
+    if any(math.isnan(p) for p in tails):
+        return math.nan, math.nan, math.nan, "none: a calibration has no degrees of freedom"
+    statistic = -2.0 * sum(math.log(max(p, np.finfo(float).tiny)) for p in tails)
+    dof = 2.0 * len(tails)
+    return (
+        statistic, dof, chi2_tail(statistic, dof),
+        "F of the repeats against the pooled scatter of each output, combined by Fisher's method",
+    )  # fmt: skip
+
+
+def _quadratic(values: Array, covariances: Array) -> float:
+    """Q of eq. (1) for values (R, d) with covariances (R, d, d)."""
+    scale = np.sqrt(np.einsum("rii->i", covariances) / len(values))  # units differ by powers of ten
+    if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+        return math.nan
+    weights = np.linalg.inv(covariances / np.outer(scale, scale))
+    scaled = values / scale
+    mean = np.linalg.solve(weights.sum(axis=0), np.einsum("rij,rj->i", weights, scaled))
+    left = scaled - mean
+    return float(np.einsum("ri,rij,rj->", left, weights, left))
+
+
+def _families(found: Sequence[Calibration]) -> list[_Family]:
+    """Return the parameters grouped by what scatter they are judged by."""
+    covariances = np.array([evaluate_budget(c).independent for c in found])
+    count = [len(terms) for terms in found[0].model.terms]
+    output_of = np.repeat(np.arange(len(count)), count)
+    apart = all(_is_apart(c, covariance, output_of)
+                for c, covariance in zip(found, covariances, strict=True))  # fmt: skip
+    groups = [np.flatnonzero(output_of == i) for i in range(len(count))]
+    names = list(found[0].outputs)
+    outputs = [[i] for i in range(len(count))]
+    if not apart:
+        groups, names, outputs = [np.arange(len(output_of))], ["all outputs"], [list(range(
+            len(count)))]  # fmt: skip
+    families = []
+    for group, name, mine in zip(groups, names, outputs, strict=True):
+        dof = np.array([c.dof[mine[0]] for c in found])
+        variances = np.array([_scatter(c, mine) for c in found])
+        variances = np.where(np.isinf(dof), 1.0, variances)  # NaN without degrees of freedom
+        block = covariances[:, group][:, :, group]
+        positive = np.where(variances > 0.0, variances, math.nan)
+        families.append(_Family(group, name, block / positive[:, None, None], variances, dof))
+    return families
+
+
+def _is_apart(c: Calibration, covariance: Array, output_of: NDArray[np.intp]) -> bool:
+    """Whether each output has its own scatter: not pooled, not correlated with another."""
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    across = output_of[:, None] != output_of
+    correlated = bool((np.abs(covariance) > 1e-9 * np.outer(scale, scale))[across].any())
+    own = len(c.readings) - np.array([len(terms) for terms in c.model.terms])
+    pooled = bool((np.isfinite(c.dof) & (c.dof > own)).any())
+    return not correlated and not pooled
+
+
+def _scatter(c: Calibration, outputs: list[int]) -> float:
+    """Variance factor s_r² that the residuals gave: whitened where the noise was stated."""
+    n, m = c.readings.values.shape
+    noise = reading_noise(c.readings)
+    columns = (np.arange(n)[:, None] * m + np.array(outputs)).ravel()
+    left = c.residuals.ravel()[columns]
+    if noise is None:
+        square = float(left @ left)
+    elif noise.ndim == 1:
+        square = float(np.sum(left**2 / noise[columns]))
+    else:
+        square = float(left @ np.linalg.solve(noise[np.ix_(columns, columns)], left))
+    dof = float(c.dof[outputs[0]])
+    return square / dof if dof > 0.0 else math.nan

@@ -1,0 +1,104 @@
+"""Check of a regression: its response on an independent run, before and after correction.
+
+The response is an error that the run knows, and what the regression leaves of it is
+
+    e = response − predicted,    u² = x' C x + rms²,    U = k u,                            (1)
+
+with u of eq. (1) of `multipos.compensation.correction`, that is of predicting one new row, and k from Student's
+t. A column that is corrected by the same prediction (``apply --correct``) has the same error left.
+Rows outside what the regression was fitted to are not counted, because it says nothing there.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.compensation.correction import correct, range_column, read_predictors
+from multipos.errors import MultiposError, UsageError
+from multipos.files.tables import Source, read_table
+from multipos.numerics.quantiles import coverage_factor
+from multipos.regression.result import Regression, format_span
+from multipos.verification.verdicts import Check, judge
+
+Array = NDArray[np.float64]
+
+
+def check_regression(
+    regression: Regression, data: Source, *, limit_g: float | None = None
+) -> Check:
+    """Return the errors of a run before and after correction, row by row and by segment.
+
+    Parameters
+    ----------
+    regression : Regression
+    data : path, mapping of columns, or data frame
+        An independent run with the response and the columns that the model uses.
+    limit_g : float, optional
+        Largest error allowed, for a response in g.
+
+    Raises
+    ------
+    MultiposError
+        A column is missing or has a bad cell, or every row is outside what was fitted.
+    UsageError
+        The limit is not above 0.
+    """
+    if limit_g is not None and not 0.0 < limit_g < np.inf:
+        raise UsageError(f"--limit-g must be above 0, got {limit_g}.")
+    r = regression
+    table = read_table(data, what="run")
+    if r.response not in table:
+        raise MultiposError(
+            f"{table.source}: no column '{r.response}', the response; a check needs to know the "
+            f"error of every row. The columns are {', '.join(table.columns)}."
+        )
+    found = correct(r, table, uncertainty=True)
+    outside = np.asarray(found["outside"]).astype(bool)
+    if outside.all():
+        raise MultiposError(
+            f"{table.source}: all {table.rows} rows are outside what the regression was fitted to; "
+            "a check needs a run within it."
+        )
+    columns = read_predictors(r, table)
+    place = r.segment_of(columns) if columns else np.zeros(table.rows, dtype=np.intp)
+    against, reference = range_column(r, table, columns)
+    after, u = (np.asarray(found[name])[:, None] for name in ("corrected", "u_corrected"))
+    counted = ~outside[:, None]
+    U = _coverage(r)[place][:, None] * u
+    nothing = np.array([np.nan])
+    said = (
+        f"{int(outside.sum())} of {table.rows} rows are outside what the regression was fitted to "
+        "and are not counted"
+    )
+    return Check(
+        quantity=r.response,
+        unit="" if limit_g is None else "g",
+        axes=(r.response,),
+        positions=tuple(str(row + 1) for row in range(table.rows)),
+        reference=reference[:, None],
+        before=table.number(r.response)[:, None],
+        after=after,
+        u=u,
+        U=U,
+        limit=limit_g,
+        verdicts=judge(after, U, limit_g, counted),
+        counted=counted,
+        linearity_percent={"before": nothing, "after": nothing},
+        bias=None,
+        scale=None,
+        confidence=r.confidence,
+        source=table.source,
+        sha256=table.sha256,
+        warnings=(said,) if outside.any() else (),
+        calibration=r.created,
+        against=against,
+        segments={
+            f"{number}: {format_span(r.range_variable, s.range, s.branch)}": place == number - 1
+            for number, s in enumerate(r.segments, start=1)
+        },
+    )
+
+
+def _coverage(r: Regression) -> Array:
+    """Return k of every segment, from the degrees of freedom of what u is made of."""
+    dof = [s.dof[1] if s.robust is None else s.robust.t_dof for s in r.segments]
+    return np.array([coverage_factor(r.confidence, nu) for nu in dof])
