@@ -49,8 +49,9 @@ def calibration(model: str) -> mp.Calibration:
 
 def session(cal: mp.Calibration) -> dict[str, np.ndarray]:
     """A million samples, 100 rests; five columns as loggers write them."""
-    found = mp.simulate_log(cal, "fibonacci-100", rate=1000.0, rest=9.0, turn=1.0, sample_sd=1e-3,
-                            seed=1)  # fmt: skip
+    found = mp.simulate_log(
+        cal, "fibonacci-100", rate=1000.0, rest=9.0, turn=1.0, sample_sd=1e-3, seed=1
+    )
     log = {name: np.round(np.resize(column, ROWS), 6) for name, column in found.items()}
     log["time"] = np.arange(ROWS) / 1000.0
     log["temperature"] = np.round(25.0 + np.linspace(0.0, 5.0, ROWS), 3)
@@ -189,8 +190,10 @@ def compiled(cal: mp.Calibration, model: str, hand: str, folder: Path) -> list[R
     ratios = []
     for compiler in filter(shutil.which, ("gcc", "clang")):
         for name, content in (
-            ("ours.c", text), ("hand.c", hand.format(**numbers)), ("timer.c", TIMER),
-        ):  # fmt: skip
+            ("ours.c", text),
+            ("hand.c", hand.format(**numbers)),
+            ("timer.c", TIMER),
+        ):
             (folder / name).write_text(content)
         program = folder / "timer"
         sources = [str(folder / name) for name in ("ours.c", "hand.c", "timer.c")]

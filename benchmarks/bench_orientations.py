@@ -16,8 +16,9 @@ from benchmarks.timing import Ratio, paired_ratio
 from multipos.estimation.descent import maximise
 from multipos.estimation.ellipsoid import ellipsoid_start
 from multipos.estimation.problem import Problem, State, start_state
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.model import COMPONENTS, build_model
+from multipos.sensor.model import build_model
 
 Array = NDArray[np.float64]
 
@@ -93,17 +94,24 @@ def stated(n: int, uncertain: bool) -> tuple[Problem, State]:
     if not uncertain:
         model = model.with_gauge("lower")
     problem = Problem(
-        model=model, values=values, environment={}, precision=np.full((n, 3), NOISE**-2),
-        reference=up, spread=np.full(n, np.radians(0.1) if uncertain else np.inf),
-        group=np.full(n, -1), weight=np.ones(n),
-    )  # fmt: skip
+        model=model,
+        values=values,
+        environment={},
+        precision=np.full((n, 3), NOISE**-2),
+        reference=up,
+        spread=np.full(n, np.radians(0.1) if uncertain else np.inf),
+        group=np.full(n, -1),
+        weight=np.ones(n),
+    )
     bias, matrix = ellipsoid_start(values, 1.0, crossed=True)
     linear = np.column_stack([bias, matrix])
     columns = {"1": 0, "x": 1, "y": 2, "z": 3}
     theta = np.array(
-        [linear[model.outputs.index(o), columns[str(t)]] if str(t) in columns else 0.0
-         for o, t in model.keys]
-    )  # fmt: skip
+        [
+            linear[model.outputs.index(o), columns[str(t)]] if str(t) in columns else 0.0
+            for o, t in model.keys
+        ]
+    )
     direction = np.linalg.solve(matrix, (values - bias).T).T
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     return problem, start_state(problem, theta, direction)
@@ -113,9 +121,15 @@ def peer(n: int) -> Callable[[], object]:
     _, values = simulate(n)
     start = natural_start(values)
     return lambda: least_squares(
-        residuals, start, jac=jacobian, method="lm", args=(values,), xtol=1e-10, ftol=1e-10,
+        residuals,
+        start,
+        jac=jacobian,
+        method="lm",
+        args=(values,),
+        xtol=1e-10,
+        ftol=1e-10,
         gtol=1e-10,
-    )  # fmt: skip
+    )
 
 
 def natural_start(values: Array) -> Array:

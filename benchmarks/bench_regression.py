@@ -48,7 +48,8 @@ def subsets(rng: np.random.Generator) -> list[Ratio]:
         pairs = paired_ratio(
             lambda X=X, y=y: all_subsets(compress(X, y), forced=[0]),
             lambda X=X, y=y: solve(X, y),
-            repeats=9, inner=3,
-        )  # fmt: skip
+            repeats=9,
+            inner=3,
+        )
         ratios.append(Ratio(f"all subsets of 15 terms, {n:,} rows", "one solve", pairs, 100))
     return ratios

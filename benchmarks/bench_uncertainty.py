@@ -38,8 +38,9 @@ def budget() -> Ratio:
     options = {"scheme": "fibonacci-24", "orientation_sd": 0.1}
     tables = {"gravity": {"value": 9.81, "u": 1e-5}, "gain": {"u": 1e-5}, "offset": {"u": 1e-5}}
     found = mp.fit(data, **options, budget=tables)
-    pairs = paired_ratio(lambda: evaluate_budget(found), lambda: mp.fit(data, **options),
-                         repeats=7, inner=2)  # fmt: skip
+    pairs = paired_ratio(
+        lambda: evaluate_budget(found), lambda: mp.fit(data, **options), repeats=7, inner=2
+    )
     return Ratio("budget, 24 uncertain orientations", "its fit", pairs, 10)
 
 

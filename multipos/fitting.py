@@ -25,7 +25,7 @@ from datetime import UTC, datetime
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
@@ -40,38 +40,32 @@ from multipos.estimation.model_selection import select_terms, with_selection
 from multipos.estimation.placement import Placement, place
 from multipos.estimation.uncertain import solve_uncertain
 from multipos.files.lists import Names, split_names
-from multipos.files.tables import LARGEST, SMALLEST, Source
+from multipos.files.tables import Source
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS, formula_columns, largest_value, linear_term
 from multipos.positions.attitudes import CONVENTIONS, Convention, check_convention
 from multipos.positions.readings import Readings, orient, read_readings, require_range, stated_sd
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration, Gravity
 from multipos.sensor.diagnostics import Diagnostics, lack_of_fit
 from multipos.sensor.expressions import Expression, build_expression
-from multipos.sensor.model import (
-    COMPONENTS,
-    GAUGES,
-    Gauge,
-    Model,
-    build_model,
-    default_axes,
-    formula_columns,
-    largest_value,
-    linear_term,
-)
+from multipos.sensor.model import GAUGES, Gauge, Model, build_model, default_axes
 from multipos.uncertainty.budgets import Budget, read_budget
 from multipos.uncertainty.budgets import Source as BudgetSource
 from multipos.uncertainty.propagation import with_budget
 from multipos.uncertainty.turntable import roll_warnings
-from multipos.units import gravity_ratio, normal_gravity
-
-Array = NDArray[np.float64]
+from multipos.units import LARGEST, SMALLEST, gravity_ratio, normal_gravity
 
 _CONTRADICT = {
     "--closed-form": (
-        "--unknown-orientation", "--orientation-sd", "--level-sd", "--robust", "--stepwise",
+        "--unknown-orientation",
+        "--orientation-sd",
+        "--level-sd",
+        "--robust",
+        "--stepwise",
     ),
     "--unknown-orientation": ("--orientation-sd", "--level-sd"),
-}  # fmt: skip
+}
 _TIED = "the listed directions leave no rotation of the case to choose"
 _ILL_CONDITIONED = 1e4  # scaled condition at which four of the sixteen digits are gone
 
@@ -220,15 +214,22 @@ def fit(
     solution = solve(built)
     if solution.orientation_sd is not None:
         data = replace(
-            data, orientation_sd=np.where(np.isinf(solution.orientation_sd), np.nan,
-                                          solution.orientation_sd)
-        )  # fmt: skip
+            data,
+            orientation_sd=np.where(
+                np.isinf(solution.orientation_sd), np.nan, solution.orientation_sd
+            ),
+        )
     listed = np.where(placement.listed[:, None], placement.reference, np.nan)
     calibration = complete(
-        solution, data, listed=listed, convention=convention, gravity=local,
+        solution,
+        data,
+        listed=listed,
+        convention=convention,
+        gravity=local,
         estimator=_estimator(placement, closed_form),
-        criterion=_criterion(data, placement, closed_form, robust, model), confidence=confidence,
-    )  # fmt: skip
+        criterion=_criterion(data, placement, closed_form, robust, model),
+        confidence=confidence,
+    )
     if selection is not None:
         calibration = with_selection(calibration, selection)
     return calibration if stated is None else with_budget(calibration, stated)
@@ -471,9 +472,13 @@ def _without_orientation(readings: Readings, scheme: object) -> Readings:
     if scheme is not None:
         notes += ("--scheme is ignored, the orientation is taken as unknown",)
     return replace(
-        readings, up=None, rotation=None, orientation_sd=np.full(len(readings), np.nan),
-        group=None, notes=notes,
-    )  # fmt: skip
+        readings,
+        up=None,
+        rotation=None,
+        orientation_sd=np.full(len(readings), np.nan),
+        group=None,
+        notes=notes,
+    )
 
 
 def _with_reading_sd(readings: Readings, reading_sd: ArrayLike) -> Readings:

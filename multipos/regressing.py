@@ -1,8 +1,8 @@
 """The front door of regression: from a table to a tested piecewise model.
 
 `regress` reads the columns, forms rates and the list of terms, cuts the rows into segments and
-branches, has every segment fitted (`multipos.regression.piecewise`), and says what a reader should know before
-believing it.
+branches, has every segment fitted (`multipos.regression.piecewise`), and says what a reader should
+know before believing it.
 
 Where a rate is named, heating and cooling are modelled apart if they differ.
 """
@@ -23,6 +23,7 @@ from multipos.files.lists import Names, split_numbers
 from multipos.files.tables import Source, read_table
 from multipos.numerics.selection import thresholds
 from multipos.numerics.subsets import CRITERIA, SubsetCriterion
+from multipos.numerics.terms import evaluate_terms, largest_value
 from multipos.regression.candidates import read_candidates
 from multipos.regression.correlation import effective_size
 from multipos.regression.hysteresis import BRANCHES, branch_of, compare_branches
@@ -39,9 +40,6 @@ from multipos.regression.result import Regression, format_span
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import check_edges, find_edges, segment_of
 from multipos.regression.validation import check_by_blocks
-from multipos.sensor.model import evaluate_terms, largest_value
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -147,10 +145,15 @@ def regress(
     wanted, given = _parse_segment(segment, continuous)
     table = read_table(data, what="data")
     read = read_observations(
-        table, response, [*names, *(name for name in (wanted, branches) if name)], time=time,
-        rate_window=rate_window, cluster=cluster, drop_missing=drop_missing,
+        table,
+        response,
+        [*names, *(name for name in (wanted, branches) if name)],
+        time=time,
+        rate_window=rate_window,
+        cluster=cluster,
+        drop_missing=drop_missing,
         largest={name: largest_value(candidates, name) for name in names},
-    )  # fmt: skip
+    )
     check_columns(table.source, read.data, response, names, constant=plan.constant)
     said = list(read.notes)
     edges = given
@@ -172,30 +175,52 @@ def regress(
     validation = None
     if cross_validate is not None:
         validation = check_by_blocks(
-            read.data, cross_validate,
+            read.data,
+            cross_validate,
             lambda some: _assemble(plan, response, _fit_all(plan, some, cut), cut),
-        )  # fmt: skip
+        )
     result = _assemble(plan, response, segments, cut)
     return replace(
-        result, time=read.time, rates=read.rates, n=len(read.data), dropped=read.dropped,
-        hysteresis=hysteresis, cross_validation=validation, source=table.source
-        if table.sha256 else None, sha256=table.sha256,
+        result,
+        time=read.time,
+        rates=read.rates,
+        n=len(read.data),
+        dropped=read.dropped,
+        hysteresis=hysteresis,
+        cross_validation=validation,
+        source=table.source if table.sha256 else None,
+        sha256=table.sha256,
         warnings=(*said, *_warnings(plan, segments, hysteresis, validation)),
-    )  # fmt: skip
+    )
 
 
 def _assemble(plan: Plan, response: str, segments: Sequence[Segment], cut: _Cut) -> Regression:
     """Return the result of fitted segments, without what concerns the whole table."""
     used = plan.limits.__dict__ if plan.method in ("stepwise", "backward") else {}
     return Regression(
-        response=response, variables=plan.variables, candidates=tuple(map(str, plan.terms)),
-        method=plan.method, segments=tuple(segments), segment_variable=cut.variable,
-        edges=cut.edges, continuous=cut.continuous, branch_column=cut.branch_column, time=None,
-        rates={}, confidence=plan.confidence, n=0, dropped=0, hysteresis=None,
-        cross_validation=None, warnings=(), source=None, sha256=None, created=_now(),
+        response=response,
+        variables=plan.variables,
+        candidates=tuple(map(str, plan.terms)),
+        method=plan.method,
+        segments=tuple(segments),
+        segment_variable=cut.variable,
+        edges=cut.edges,
+        continuous=cut.continuous,
+        branch_column=cut.branch_column,
+        time=None,
+        rates={},
+        confidence=plan.confidence,
+        n=0,
+        dropped=0,
+        hysteresis=None,
+        cross_validation=None,
+        warnings=(),
+        source=None,
+        sha256=None,
+        created=_now(),
         version=__version__,
         thresholds={name: value for name, value in used.items() if value is not None},
-    )  # fmt: skip
+    )
 
 
 # --- options
@@ -320,9 +345,11 @@ def _fit_all(plan: Plan, data: Data, cut: _Cut) -> list[Segment]:
 
 
 def _warnings(
-    plan: Plan, segments: Sequence[Segment], hysteresis: Mapping[str, Any] | None,
+    plan: Plan,
+    segments: Sequence[Segment],
+    hysteresis: Mapping[str, Any] | None,
     validation: Mapping[str, Any] | None,
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     said = []
     if not plan.constant:
         said.append("no intercept: F and R² are about zero, not about the mean, dof n − k")

@@ -26,8 +26,6 @@ from multipos.reports.summary import text_report
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 
-Array = NDArray[np.float64]
-
 # Table 2: outputs of the x, y and z accelerometers [g] at the positions of table 1.
 TABLE_2 = np.array(
     [
@@ -96,10 +94,16 @@ def demo_text(found: Demonstration) -> str:
     for i, printed in enumerate(PRINTED.ravel().tolist()):
         p = least_squares[least_squares.model.keys[i][0], str(least_squares.model.keys[i][1])]
         rows.append(
-            [p.symbol or "", p.name, _as_printed(printed),
-             f"{found.closed_form.parameters[i]:.11f}", f"{p.value:.11f}",
-             number(p.u, 2), number(p.U, 2)]
-        )  # fmt: skip
+            [
+                p.symbol or "",
+                p.name,
+                _as_printed(printed),
+                f"{found.closed_form.parameters[i]:.11f}",
+                f"{p.value:.11f}",
+                number(p.u, 2),
+                number(p.U, 2),
+            ]
+        )
     return (
         "Table 2 of Song and Qin (2009), six positions, model own-quadratic [g]\n\n"
         f"{table(header, rows, left=2)}\n\n{_remarks(found)}"

@@ -31,10 +31,12 @@ class Sensor:
             i = model.outputs.index(output)
             axis = "xyz".find(str(term))
             found.append(
-                self.bias[i] if str(term) == "1"
-                else self.matrix[i, axis] if axis >= 0
+                self.bias[i]
+                if str(term) == "1"
+                else self.matrix[i, axis]
+                if axis >= 0
                 else self.quadratic[i]
-            )  # fmt: skip
+            )
         return np.array(found)
 
 

@@ -69,9 +69,12 @@ def test_direction_and_up_vector_agree():
     assert_array_equal(found.up, [[0, 1, 0], [0, 0, 1], [-1, 0, 0]])
 
 
-@given(st.lists(st.tuples(*[st.floats(-1, 1)] * 3), min_size=1).filter(
-    lambda rows: all(max(map(abs, row)) > 1e-3 for row in rows)),
-    st.sampled_from([1e-200, 1.0, 9.81, 1e200]))  # fmt: skip
+@given(
+    st.lists(st.tuples(*[st.floats(-1, 1)] * 3), min_size=1).filter(
+        lambda rows: all(max(map(abs, row)) > 1e-3 for row in rows)
+    ),
+    st.sampled_from([1e-200, 1.0, 9.81, 1e200]),
+)
 def test_up_vectors_of_any_length(rows, length):
     up = from_up(np.array(rows) * length).up
     assert_allclose(np.linalg.norm(up, axis=1), 1, rtol=1e-15)
@@ -109,13 +112,18 @@ def test_roll_pitch_yaw_are_aerospace(rows):
 
 
 def test_level_is_z_down():
-    assert_array_equal(attitudes(roll_deg=[0, 90, 180], pitch_deg=[0, 0, 0]).up,
-                       [[0, 0, -1], [0, -1, 0], [0, 0, 1]])  # fmt: skip
+    assert_array_equal(
+        attitudes(roll_deg=[0, 90, 180], pitch_deg=[0, 0, 0]).up,
+        [[0, 0, -1], [0, -1, 0], [0, 0, 1]],
+    )
     assert_array_equal(attitudes(roll_deg=[0], pitch_deg=[90]).up, [[1, 0, 0]])
 
 
-@given(st.lists(st.tuples(*[st.floats(-1, 1)] * 4), min_size=1, max_size=5).filter(
-    lambda rows: all(np.linalg.norm(row) > 0.01 for row in rows)))  # fmt: skip
+@given(
+    st.lists(st.tuples(*[st.floats(-1, 1)] * 4), min_size=1, max_size=5).filter(
+        lambda rows: all(np.linalg.norm(row) > 0.01 for row in rows)
+    )
+)
 def test_quaternions_are_hamilton_scalar_first(rows):
     w, x, y, z = np.array(rows).T
     found = attitudes(qw=w, qx=x, qy=y, qz=z)
@@ -126,8 +134,9 @@ def test_quaternions_are_hamilton_scalar_first(rows):
 
 def test_quarter_turns_by_quaternion_are_exact():
     half = np.sqrt(0.5)
-    found = attitudes(qw=[1, half, 1, 0.5], qx=[0, half, 0, 0.5], qy=[0, 0, 1, 0.5],
-                      qz=[0, 0, 0, 0.5])  # fmt: skip
+    found = attitudes(
+        qw=[1, half, 1, 0.5], qx=[0, half, 0, 0.5], qy=[0, 0, 1, 0.5], qz=[0, 0, 0, 0.5]
+    )
     # about x by 90°, y turns up; about y by 90°, x turns down; about (1, 1, 1) by 120°, y is up
     assert_array_equal(found.up, [[0, 0, 1], [0, 1, 0], [-1, 0, 0], [0, 1, 0]])
     with pytest.raises(MultiposError, match="row 1, column 'qw': the quaternion is zero"):

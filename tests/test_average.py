@@ -98,8 +98,10 @@ def test_other_columns_are_averaged_along(tmp_path, capsys):
     path = write_csv(tmp_path / "log.csv", log)
     text = path.read_text().splitlines()
     # A slow sensor leaves cells empty, and a text column is of no use.
-    rows = [f"{row.rsplit(',', 2)[0]},,0.5,ok" if i % 3 else f"{row},ok"
-            for i, row in enumerate(text[1:])]  # fmt: skip
+    rows = [
+        f"{row.rsplit(',', 2)[0]},,0.5,ok" if i % 3 else f"{row},ok"
+        for i, row in enumerate(text[1:])
+    ]
     path.write_text("\n".join([f"{text[0]},status", *rows]) + "\n")
     out = tmp_path / "readings.csv"
     assert main(["average", str(path), "--outputs", "ax,ay,az", "-o", str(out)]) == 0
@@ -174,9 +176,13 @@ def test_the_real_session_gives_the_figures_known_for_it():
     path = shared("ferraris_session.csv")
     order = "x_p,x_a,y_p,y_a,z_p,z_a"
     found = average(
-        path, outputs=FERRARIS, rate=102.4, only=order, scheme="faces-6",
+        path,
+        outputs=FERRARIS,
+        rate=102.4,
+        only=order,
+        scheme="faces-6",
         sections=shared("ferraris_session_sections.json"),
-    )  # fmt: skip
+    )
     values = found.readings.values
     cal = mp.fit(mp.Readings(values, outputs=FERRARIS, up=found.scheme_up))
     bias = [cal[name, "1"].value for name in FERRARIS]
@@ -301,9 +307,19 @@ def a_rest(**changes):
     """Return what one output says at rest: 1000 samples of sd 1e-3, nothing wrong with it."""
     one, count = np.ones(1), np.ones(1, dtype=np.int64)
     plain = RestMean(
-        n=1000, mean=0.5 * one, sd=1e-3 * one, u=1e-4 * one, drift=0.0 * one, drift_u=1e-4 * one,
-        edge=0.0 * one, low=0.4 * one, high=0.6 * one, at_low=count, at_high=count, longest=count,
-    )  # fmt: skip
+        n=1000,
+        mean=0.5 * one,
+        sd=1e-3 * one,
+        u=1e-4 * one,
+        drift=0.0 * one,
+        drift_u=1e-4 * one,
+        edge=0.0 * one,
+        low=0.4 * one,
+        high=0.6 * one,
+        at_low=count,
+        at_high=count,
+        longest=count,
+    )
     new = {name: np.full_like(getattr(plain, name), value) for name, value in changes.items()}
     return replace(plain, **new)
 
@@ -329,8 +345,9 @@ def test_motion_of_a_section_and_twins_begin_where_they_are_said_to():
     rests = [a_rest(mean=0.5), a_rest(mean=-0.5), a_rest(mean=0.0), a_rest(mean=0.0)]
     still = find_faults(("a",), rests, np.array([1e-6]), [0] * 4, [0.09, 0.11, 0.0, 0.0], "1234")
     assert still[0][:2] == [
-        ["motion at its edges; give fewer rows"], ["in motion during 11 % of the time"],
-    ]  # fmt: skip
+        ["motion at its edges; give fewer rows"],
+        ["in motion during 11 % of the time"],
+    ]
     # two degrees of half the range of 1
     for apart, twins in ((1.99, 1), (2.01, 0)):
         rests[3] = a_rest(mean=0.5 * np.radians(apart))
@@ -390,19 +407,30 @@ BAD = {
     "mixed units": (mixed, [], 1, "mixed units?"),
     "named units": (
         lambda log: {"time": log["time"], "ax [g]": log["ax"], "ay [m/s^2]": log["ay"]},
-        [], 1, "have mixed units",
+        [],
+        1,
+        "have mixed units",
     ),
     "one long rest": (lambda log: {n: c[:390] for n, c in log.items()}, [], 1, "one rest only"),
     "no rest": (
-        lambda log: log | {n: np.sin(np.arange(len(log["time"])) / 100.0 + i)
-                           for i, n in enumerate(("ax", "ay", "az"))},
-        [], 1, "the log has no rest",
+        lambda log: (
+            log
+            | {
+                n: np.sin(np.arange(len(log["time"])) / 100.0 + i)
+                for i, n in enumerate(("ax", "ay", "az"))
+            }
+        ),
+        [],
+        1,
+        "the log has no rest",
     ),
     "too short": (lambda log: {n: c[:50] for n, c in log.items()}, [], 1, "fewer than one rest"),
     "no such output": (lambda log: log, ["--outputs", "bx"], 1, "no column 'bx'"),
     "too many outputs": (lambda log: log | {"wx": log["ax"]}, [], 2, "--outputs"),
     "a clock too fast": (
-        lambda log: log | {"time": 1e-20 * log["time"]}, [], 1,
+        lambda log: log | {"time": 1e-20 * log["time"]},
+        [],
+        1,
         "column 'time' steps by 1e-22, no time between samples in seconds",
     ),
     "two clocks": (lambda log: log, ["--rate", "5", "--time-column", "time"], 2, "give one"),
@@ -412,7 +440,7 @@ BAD = {
     "wrong scheme": (lambda log: log, ["--scheme", "corners-8"], 1, "match no position"),
     "unknown scheme": (lambda log: log, ["--scheme", "faces"], 2, "unknown scheme"),
     "no sections": (lambda log: log, ["--sections", "none.json"], 1, "no such file"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", BAD, ids=str)

@@ -39,11 +39,20 @@ def calibrations():
     yield "covariance", mp.fit(readings(covariance=square @ square.T + 1e-6 * np.eye(42)))
     up = [[0, 0, 1], [0, 1, 0], [1, 0, 0], [-1, 0, 0]]
     yield "no dof", mp.fit(mp.Readings([0.1, 0.1, 1.1, -0.9], up=up))
-    yield "temperature", mp.fit(
-        readings(environment=warm, positions=[f"p{i // 2}" for i in range(14)],
-                 sd=np.ones((14, 3)), samples=np.arange(1, 15), group=["g", ""] * 7),
-        model="1 + x + y + z + temperature*own", confidence=0.99,
-    )  # fmt: skip
+    yield (
+        "temperature",
+        mp.fit(
+            readings(
+                environment=warm,
+                positions=[f"p{i // 2}" for i in range(14)],
+                sd=np.ones((14, 3)),
+                samples=np.arange(1, 15),
+                group=["g", ""] * 7,
+            ),
+            model="1 + x + y + z + temperature*own",
+            confidence=0.99,
+        ),
+    )
     yield "attitudes", mp.fit(mp.Readings(np.eye(6)[:, :3]), scheme="song-qin-6")
 
 
@@ -60,8 +69,10 @@ def test_the_file_says_everything_again(cal, tmp_path):
     assert again.to_dict() == cal.to_dict() == json.loads(path.read_text(encoding="utf-8"))
     assert text_report(again) == text_report(cal)
     raw = cal.readings.values
-    assert_array_equal(again.compensate(raw, cal.readings.environment),
-                       cal.compensate(raw, cal.readings.environment))  # fmt: skip
+    assert_array_equal(
+        again.compensate(raw, cal.readings.environment),
+        cal.compensate(raw, cal.readings.environment),
+    )
     assert again.model == cal.model
 
 
@@ -91,8 +102,9 @@ def test_the_residuals_are_derived_again_from_the_file(cal):
             term = term * (1.0 if name == "1" else columns[name] ** int(power or 1))
         model[:, content["outputs"].index(entry["output"])] += entry["value"] * term
     assert_allclose(values - model, content["residuals"], atol=1e-14)
-    for entry, variance in zip(content["parameters"], np.diag(
-            np.array(content["covariance"], dtype=float)), strict=True):  # fmt: skip
+    for entry, variance in zip(
+        content["parameters"], np.diag(np.array(content["covariance"], dtype=float)), strict=True
+    ):
         if entry["u"] is not None:
             assert entry["u"] == pytest.approx(np.sqrt(variance))
             assert pytest.approx(entry["k"] * entry["u"]) == entry["U"]

@@ -78,9 +78,14 @@ def test_coverage_factor_of_a_sum_by_hand():
 
 @pytest.mark.parametrize(
     ("error", "U", "verdict"),
-    [(0.6, 0.4, "pass"), (-0.6, 0.41, "undecided"), (-1.3, 0.3, "undecided"), (1.4, 0.3, "fail"),
-     (math.nan, 0.1, "fail")],
-)  # fmt: skip
+    [
+        (0.6, 0.4, "pass"),
+        (-0.6, 0.41, "undecided"),
+        (-1.3, 0.3, "undecided"),
+        (1.4, 0.3, "fail"),
+        (math.nan, 0.1, "fail"),
+    ],
+)
 def test_verdicts_by_hand(error, U, verdict):
     """Eq. (1) of the verdicts at L = 1; what has no answer fails."""
     counted = np.array([[True, False]])
@@ -137,8 +142,13 @@ def test_temperature_model_is_checked_at_its_temperatures():
     up = np.tile(read_scheme("faces-6").up, (3, 1))
     temperature = np.repeat([-20.0, 20.0, 60.0], 6)
     values = 0.01 + 1e-4 * temperature + up[:, 0] + 1e-5 * rng.standard_normal(18)
-    columns = {"up_x": up[:, 0], "up_y": up[:, 1], "up_z": up[:, 2], "ax": values,
-               "temperature": temperature}  # fmt: skip
+    columns = {
+        "up_x": up[:, 0],
+        "up_y": up[:, 1],
+        "up_z": up[:, 2],
+        "ax": values,
+        "temperature": temperature,
+    }
     cal = mp.fit(columns, model="1 + x + y + z + temperature")
     found = mp.check(cal, columns, limit_g=1e-4)
     assert found.verdict == "pass"

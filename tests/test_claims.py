@@ -37,10 +37,13 @@ def readings(scheme="icosahedron-12", sd=1e-3, seed=1, quad=0.0, **more):
 
 @pytest.mark.parametrize(
     ("options", "tolerance"),
-    [({"unknown_orientation": True}, 2e-3), ({"orientation_sd": 0.2}, 2e-3),
-     ({"unknown_orientation": True, "gauge": "symmetric"}, 2e-3)],
+    [
+        ({"unknown_orientation": True}, 2e-3),
+        ({"orientation_sd": 0.2}, 2e-3),
+        ({"unknown_orientation": True, "gauge": "symmetric"}, 2e-3),
+    ],
     ids=["unknown", "uncertain", "symmetric gauge"],
-)  # fmt: skip
+)
 def test_gain_of_the_likelihood_against_the_whole_estimator(options, tolerance):
     scheme = None if "unknown_orientation" in options else "fibonacci-24"
     data = readings("fibonacci-24", sd=2e-4)
@@ -61,8 +64,11 @@ def test_gain_of_the_likelihood_against_the_whole_estimator(options, tolerance):
 @pytest.mark.parametrize("options", [{"unknown_orientation": True}, {"orientation_sd": 0.2}])
 def test_budget_of_uncertain_and_unknown_orientations(options):
     scheme = None if "unknown_orientation" in options else "fibonacci-24"
-    budget = {"gravity": {"value": 9.81, "u": 1e-4}, "gain": {"u": 1e-4},
-              "orientation": {"u_deg": 0.01}}  # fmt: skip
+    budget = {
+        "gravity": {"value": 9.81, "u": 1e-4},
+        "gain": {"u": 1e-4},
+        "orientation": {"u_deg": 0.01},
+    }
     c = mp.fit(readings("fibonacci-24"), scheme=scheme, budget=budget, **options)
     rows = {row.quantity: row for row in evaluate_budget(c).rows}
     # a gain common to all readings is a gain of every parameter, whatever the estimator: but for
@@ -79,8 +85,12 @@ def test_budget_of_uncertain_and_unknown_orientations(options):
 
 
 def test_monte_carlo_validates_a_linear_budget():
-    budget = {"gravity": {"value": 9.81, "u": 3e-4}, "gain": {"half_width": 2e-4},
-              "resolution": {"step": 1e-3}, "offset": {"u": 1e-4, "each_output": True}}  # fmt: skip
+    budget = {
+        "gravity": {"value": 9.81, "u": 3e-4},
+        "gain": {"half_width": 2e-4},
+        "resolution": {"step": 1e-3},
+        "offset": {"u": 1e-4, "each_output": True},
+    }
     c = mp.fit(readings(), scheme="icosahedron-12", reading_sd=1e-3, budget=budget)
     found = simulate_budget(c, rng=3)
     assert found.stable
@@ -189,8 +199,12 @@ def test_fourier_view_by_hand():
 
 
 def test_monte_carlo_of_an_unknown_orientation():
-    c = mp.fit(readings("fibonacci-24", sd=1e-4), reading_sd=1e-4, unknown_orientation=True,
-               budget={"level": {"u_deg": 1.0}, "gain": {"u": 1e-6}})  # fmt: skip
+    c = mp.fit(
+        readings("fibonacci-24", sd=1e-4),
+        reading_sd=1e-4,
+        unknown_orientation=True,
+        budget={"level": {"u_deg": 1.0}, "gain": {"u": 1e-6}},
+    )
     trials = 300
     found = simulate_budget(c, trials=trials, rng=2)
     assert found.trials == trials
@@ -199,8 +213,13 @@ def test_monte_carlo_of_an_unknown_orientation():
 
 
 def test_another_estimator_can_be_simulated():
-    robust = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd=0.1,
-                    reading_sd=1e-3, robust="huber")  # fmt: skip
+    robust = mp.fit(
+        readings("fibonacci-24"),
+        scheme="fibonacci-24",
+        orientation_sd=0.1,
+        reading_sd=1e-3,
+        robust="huber",
+    )
     with pytest.raises(UsageError, match="give `estimator`"):
         simulate_budget(robust, trials=100)
     c = mp.fit(readings("fibonacci-24", sd=1e-4), reading_sd=1e-4, unknown_orientation=True)
@@ -219,8 +238,9 @@ def test_progress_and_limits():
     for options in ({"trials": 3}, {"digits": 5}):
         with pytest.raises(UsageError):
             simulate_budget(c, **options)
-    assert_allclose(simulate_budget(c, trials=1000, rng=1).mean,
-                    simulate_budget(c, trials=1000, rng=1).mean)  # fmt: skip
+    assert_allclose(
+        simulate_budget(c, trials=1000, rng=1).mean, simulate_budget(c, trials=1000, rng=1).mean
+    )
 
 
 # --- profiles
@@ -239,9 +259,11 @@ def random_linear_fit(kind, rng):
     sensor = np.diag(rng.uniform(0.5, 2.0, 3)) + 0.05 * rng.standard_normal((3, 3))
     values = rng.standard_normal(3) + up @ sensor.T + noise.reshape(up.shape)
     stated = {
-        "stated": {"u": sd}, "denied": {"u": sd / 3.0}, "one denied": {"u": sd / [3.0, 1.0, 1.0]},
+        "stated": {"u": sd},
+        "denied": {"u": sd / 3.0},
+        "one denied": {"u": sd / [3.0, 1.0, 1.0]},
         "correlated": {"covariance": covariance},
-    }.get(kind, {})  # fmt: skip
+    }.get(kind, {})
     options = {"pooled": {"pool": True}, "closed form": {"closed_form": True}}.get(kind, {})
     return mp.fit(mp.Readings(values, up=up, unit="g", **stated), **options)
 
@@ -312,9 +334,10 @@ def test_influence_against_leaving_positions_out():
     found = find_influence(c)
     for row in (0, 9):
         keep = np.arange(14) != row
-        other = mp.fit(mp.Readings(data.values[keep], unit="g"), scheme={
-            f"up_{axis}": scheme.up[keep, i] for i, axis in enumerate("xyz")
-        })  # fmt: skip
+        other = mp.fit(
+            mp.Readings(data.values[keep], unit="g"),
+            scheme={f"up_{axis}": scheme.up[keep, i] for i, axis in enumerate("xyz")},
+        )
         predicted = other.predict(scheme.up[[row]])[0]
         assert_allclose(found.left_out[row], data.values[row] - predicted, atol=1e-14)
         moved = np.abs(other.parameters - c.parameters) / c.u
@@ -324,8 +347,10 @@ def test_influence_against_leaving_positions_out():
         assert_allclose(found.cook[row], np.sum(change**2, axis=0) / 4 / c.residual_sd**2)
         assert found.external[row] == pytest.approx(
             (data.values[row] - predicted)
-            / other.residual_sd * np.sqrt(1 - c.diagnostics.leverage[row]), rel=1e-9
-        )  # fmt: skip
+            / other.residual_sd
+            * np.sqrt(1 - c.diagnostics.leverage[row]),
+            rel=1e-9,
+        )
 
 
 def test_influence_where_a_position_decides_alone():

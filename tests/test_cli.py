@@ -34,8 +34,10 @@ FORMS = {
     "tab": SIX.replace(",", "\t").encode(),
     "BOM, CRLF and comments": b"\xef\xbb\xbf# bench 4\r\n" + SIX.replace("\n", "\r\n").encode(),
     "Chinese": SIX.translate(str.maketrans(dict(zip("ENWSUD", "东北西南天地", strict=True))))
-    .replace("-南", "南").replace("东-", "东").encode(),
-}  # fmt: skip
+    .replace("-南", "南")
+    .replace("东-", "东")
+    .encode(),
+}
 
 
 @pytest.fixture
@@ -47,8 +49,11 @@ def here(tmp_path, monkeypatch):
 
 
 def snapshot(folder):
-    return {path: (path.stat().st_mtime_ns, path.read_bytes())
-            for path in sorted(folder.rglob("*")) if path.is_file()}  # fmt: skip
+    return {
+        path: (path.stat().st_mtime_ns, path.read_bytes())
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 def run(capsys, *arguments):
@@ -83,34 +88,57 @@ FILES = {
     "missing file": (None, 1, "bad.csv: no such file; check the path of the readings."),
     "empty file": ("", 1, "bad.csv: the file is empty"),
     "header only": ("ax,ay\n", 1, "bad.csv: only a header, no rows"),
-    "text in a number": (SIX.replace("0.0064", "0.0064 V"), 1,
-                         "bad.csv: row 3 (line 4), column 'ay': '0.0064 V' is not a number"),
-    "NaN in a number": (SIX.replace("0.0064", "NaN"), 1,
-                        "bad.csv: row 3 (line 4), column 'ay': 'NaN' is not finite"),
-    "inf in a number": (SIX.replace("0.0064", "-inf"), 1,
-                        "bad.csv: row 3 (line 4), column 'ay': '-inf' is not finite"),
-    "empty cell": (SIX.replace("0.0064", ""), 1,
-                   "bad.csv: row 3 (line 4), column 'ay': the cell is empty"),
+    "text in a number": (
+        SIX.replace("0.0064", "0.0064 V"),
+        1,
+        "bad.csv: row 3 (line 4), column 'ay': '0.0064 V' is not a number",
+    ),
+    "NaN in a number": (
+        SIX.replace("0.0064", "NaN"),
+        1,
+        "bad.csv: row 3 (line 4), column 'ay': 'NaN' is not finite",
+    ),
+    "inf in a number": (
+        SIX.replace("0.0064", "-inf"),
+        1,
+        "bad.csv: row 3 (line 4), column 'ay': '-inf' is not finite",
+    ),
+    "empty cell": (
+        SIX.replace("0.0064", ""),
+        1,
+        "bad.csv: row 3 (line 4), column 'ay': the cell is empty",
+    ),
     "ragged row": (SIX.replace(",0.0015", ""), 1, "bad.csv: row 3 (line 4) has 4 cells where"),
     "duplicate columns": (SIX.replace("ay", "ax"), 1, "bad.csv: column 'ax' appears twice"),
-    "left-handed direction": (SIX.replace("E-U-S", "E-U-N"), 1,
-                              "row 1 (line 2), column 'direction': direction 'E-U-N' is left"),
+    "left-handed direction": (
+        SIX.replace("E-U-S", "E-U-N"),
+        1,
+        "row 1 (line 2), column 'direction': direction 'E-U-N' is left",
+    ),
     "impossible direction": (SIX.replace("E-U-S", "E-W-S"), 1, "'E-W-S' is impossible"),
     "unknown direction": (SIX.replace("E-U-S", "E-U-Q"), 1, "'E-U-Q' is not a triple"),
-    "zero up vector": ("up_x,up_y,up_z,ax\n0,0,1,1\n0,0,0,1\n", 1,
-                       "bad.csv: the up vector of row 2 is zero"),
+    "zero up vector": (
+        "up_x,up_y,up_z,ax\n0,0,1,1\n0,0,0,1\n",
+        1,
+        "bad.csv: the up vector of row 2 is zero",
+    ),
     "no orientation": ("ax\n1\n", 1, "bad.csv: no orientation; give --scheme"),
     "two orientations": (SIX.replace("ay", "up_x"), 1, "given as direction and as up vector"),
-    "fewer positions than terms": ("\n".join(SIX.splitlines()[:4]), 1,
-                                   "3 readings cannot determine the 4 terms of ax"),
+    "fewer positions than terms": (
+        "\n".join(SIX.splitlines()[:4]),
+        1,
+        "3 readings cannot determine the 4 terms of ax",
+    ),
     "positions that do not separate": (
-        "up_x,up_y,up_z,ax\n0,0,1,0\n0,1,0,0\n0,0,-1,0\n0,-1,0,0\n", 1,
-        "3 of 4 parameters of ax can be separated: `scale_ax` has no effect at these positions"),
+        "up_x,up_y,up_z,ax\n0,0,1,0\n0,1,0,0\n0,0,-1,0\n0,-1,0,0\n",
+        1,
+        "3 of 4 parameters of ax can be separated: `scale_ax` has no effect at these positions",
+    ),
     "negative sd": ("up_x,up_y,up_z,ax,sd_ax\n0,0,1,0,-1\n", 1, "'sd_ax': -1 is not 0 or more"),
     "negative u": ("up_x,up_y,up_z,ax,u_ax\n0,0,1,0,-1\n", 1, "column 'u_ax': -1 is not above 0"),
     "four outputs": (SIX.replace("position", "aw"), 2, "could be outputs: aw, ax, ay, az; name"),
     "not text": (b"\x89PNG\r\n\x1a\n\x00", 1, "bad.csv: byte 0 is not UTF-8"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("content", "status", "message"), FILES.values(), ids=FILES)
@@ -143,7 +171,7 @@ OPTIONS = {
     "abbreviated option": (["--mod", "linear"], 2, "unrecognized arguments: --mod"),
     "unwritable output": (["-o", "none/out.json"], 1, "none/out.json: cannot write: No such file"),
     "output is a folder": (["-o", "."], 1, ".: cannot write: it is a folder"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("options", "status", "message"), OPTIONS.values(), ids=OPTIONS)
@@ -168,14 +196,17 @@ COMMANDS = {
     "missing data": (["apply", "cal.json", "no.csv"], 1, "no.csv: no such file"),
     "data without the outputs": (["apply", "cal.json", "bare.csv"], 1, "bare.csv: no column 'ay'"),
     "unknown rule": (["apply", "cal.json", "six.csv", "--outside", "drop"], 2, "--outside takes"),
-    "data outside": (["apply", "cal.json", "far.csv", "--outside", "refuse", "-o", "out.csv"], 1,
-                     "far.csv: row 2 (line 3), column 'ax': the reading is outside"),
+    "data outside": (
+        ["apply", "cal.json", "far.csv", "--outside", "refuse", "-o", "out.csv"],
+        1,
+        "far.csv: row 2 (line 3), column 'ax': the reading is outside",
+    ),
     "unknown scheme": (["schemes", "nine"], 2, "unknown scheme 'nine'"),
     "term of a scheme": (["schemes", "--model", "1 + temperature"], 2, "unknown term"),
     "sd of a scheme": (["schemes", "--reading-sd", "-1"], 2, "--reading-sd must be above 0"),
     "report without file": (["report", "cal.json"], 2, "report needs -o"),
     "unwritable report": (["report", "cal.json", "-o", "none/r.md"], 1, "none/r.md: cannot write"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("arguments", "status", "message"), COMMANDS.values(), ids=COMMANDS)
@@ -203,10 +234,14 @@ def test_an_existing_file_is_kept_on_errors_and_replaced_whole(here, capsys):
 
 def test_json_is_one_object_and_nothing_else(here, capsys):
     for arguments in (
-        ["fit", "six.csv"], ["fit", "six.csv", "--convention", "gravity"], ["schemes"],
-        ["schemes", "all-26", "--model", "full-quadratic"], ["apply", "cal.json", "six.csv"],
-        ["demo", "-o", "demo"], ["report", "cal.json", "-o", "r.md"],
-    ):  # fmt: skip
+        ["fit", "six.csv"],
+        ["fit", "six.csv", "--convention", "gravity"],
+        ["schemes"],
+        ["schemes", "all-26", "--model", "full-quadratic"],
+        ["apply", "cal.json", "six.csv"],
+        ["demo", "-o", "demo"],
+        ["report", "cal.json", "-o", "r.md"],
+    ):
         status, out, _ = run(capsys, *arguments, "--json")
         assert status == 0
         assert out.endswith("}\n")
@@ -224,11 +259,32 @@ def test_warnings_go_to_stderr(here, capsys):
 
 def test_the_file_is_what_python_gives(here, capsys, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
-    options = ["--model", "own-quadratic", "--gravity", "9.81", "--gravity-u", "0.001", "--unit",
-               "V", "--reading-sd", "0.1,0.2,0.3", "--confidence", "0.9", "--pool"]  # fmt: skip
+    options = [
+        "--model",
+        "own-quadratic",
+        "--gravity",
+        "9.81",
+        "--gravity-u",
+        "0.001",
+        "--unit",
+        "V",
+        "--reading-sd",
+        "0.1,0.2,0.3",
+        "--confidence",
+        "0.9",
+        "--pool",
+    ]
     _, out, _ = run(capsys, "fit", "six.csv", *options, "--json", "-o", "out.json")
-    cal = mp.fit("six.csv", model="own-quadratic", gravity=9.81, gravity_u=0.001, unit="V",
-                 reading_sd=[0.1, 0.2, 0.3], confidence=0.9, pool=True)  # fmt: skip
+    cal = mp.fit(
+        "six.csv",
+        model="own-quadratic",
+        gravity=9.81,
+        gravity_u=0.001,
+        unit="V",
+        reading_sd=[0.1, 0.2, 0.3],
+        confidence=0.9,
+        pool=True,
+    )
     assert json.loads(out) == cal.to_dict() == mp.load("out.json").to_dict()
     assert json.loads(out)["input"]["file"] == "six.csv"
     assert len(json.loads(out)["input"]["sha256"]) == 64
@@ -268,8 +324,20 @@ def test_apply_keeps_every_column_and_its_form(here, capsys):
     status, out, err = run(capsys, "apply", "cal.json", "raw.csv", "--uncertainty")
     assert status == 0
     header, first, second = (line.split(";") for line in out.splitlines())
-    assert header == ["note", "ax", "ay", "az", "when", "f_x", "f_y", "f_z", "u_f_x", "u_f_y",
-                      "u_f_z", "outside"]  # fmt: skip
+    assert header == [
+        "note",
+        "ax",
+        "ay",
+        "az",
+        "when",
+        "f_x",
+        "f_y",
+        "f_z",
+        "u_f_x",
+        "u_f_y",
+        "u_f_z",
+        "outside",
+    ]
     assert first[:5] == ["first", "0,5", "0,1", "0,8", "9:00"]
     assert (first[-1], second[-1]) == ("0", "1")
     force = mp.load("cal.json").compensate([0.5, 0.1, 0.8])[0]
@@ -319,8 +387,14 @@ def test_help_and_version(capsys):
 
 
 def process(*arguments, **options):
-    return subprocess.run([MULTIPOS, *arguments], capture_output=True, text=True, check=False,
-                          encoding="utf-8", **options)  # fmt: skip
+    return subprocess.run(
+        [MULTIPOS, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        encoding="utf-8",
+        **options,
+    )
 
 
 def test_the_program_ends_as_it_says(here):
@@ -337,12 +411,22 @@ def test_the_program_ends_as_it_says(here):
 def test_a_full_disk_and_a_closed_pipe(here):
     if not Path("/dev/full").exists():
         pytest.skip("no /dev/full on this system")
-    full = subprocess.run(f"{MULTIPOS} fit six.csv > /dev/full", shell=True, capture_output=True,
-                          text=True, check=False)  # fmt: skip
+    full = subprocess.run(
+        f"{MULTIPOS} fit six.csv > /dev/full",
+        shell=True,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert full.returncode == 1
     assert full.stderr == "multipos: error: cannot write to stdout: No space left on device.\n"
-    head = subprocess.run(f"{MULTIPOS} schemes all-26 | head -n 1", shell=True, text=True,
-                          capture_output=True, check=True)  # fmt: skip
+    head = subprocess.run(
+        f"{MULTIPOS} schemes all-26 | head -n 1",
+        shell=True,
+        text=True,
+        capture_output=True,
+        check=True,
+    )
     assert (head.stdout, head.stderr) == ("model linear\n", "")
 
 
@@ -357,9 +441,13 @@ def test_a_terminal_without_chinese_gets_escapes(here, monkeypatch):
 
 @pytest.mark.parametrize(
     ("error", "status"),
-    [(MultiposError("two\nlines"), 1), (UsageError("two\nlines"), 2), (KeyboardInterrupt(), 1),
-     (MemoryError(), 1)],
-)  # fmt: skip
+    [
+        (MultiposError("two\nlines"), 1),
+        (UsageError("two\nlines"), 2),
+        (KeyboardInterrupt(), 1),
+        (MemoryError(), 1),
+    ],
+)
 def test_every_expected_end_is_one_line(error, status, capsys, monkeypatch):
     def raising(argv):
         raise error

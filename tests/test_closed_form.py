@@ -21,17 +21,28 @@ FACES = read_scheme("faces-6").up
 def test_eqs_2_to_4_of_the_paper_as_printed():
     a = dict(zip(range(1, 7), TABLE_2, strict=True))
     ax, ay, az = ({k: row[i] for k, row in a.items()} for i in range(3))
-    by_hand = np.array([
-        # below eq. (2)
-        (ax[1] + ax[2] + ax[4] + ax[6]) / 4, (ax[3] - ax[5]) / 2, (ax[4] - ax[1]) / 2,
-        (ax[6] - ax[2]) / 2, (-ax[1] - ax[2] + 2*ax[3] - ax[4] + 2*ax[5] - ax[6]) / 4,
-        # below eq. (3): 1, x, y, z, own²
-        (ay[2] + ay[3] + ay[5] + ay[6]) / 4, (ay[3] - ay[5]) / 2, (ay[4] - ay[1]) / 2,
-        (ay[6] - ay[2]) / 2, (2*ay[1] - ay[2] - ay[3] + 2*ay[4] - ay[5] - ay[6]) / 4,
-        # below eq. (4)
-        (az[1] + az[3] + az[4] + az[5]) / 4, (az[3] - az[5]) / 2, (az[4] - az[1]) / 2,
-        (az[6] - az[2]) / 2, (-az[1] + 2*az[2] - az[3] - az[4] - az[5] + 2*az[6]) / 4,
-    ])  # fmt: skip
+    by_hand = np.array(
+        [
+            # below eq. (2)
+            (ax[1] + ax[2] + ax[4] + ax[6]) / 4,
+            (ax[3] - ax[5]) / 2,
+            (ax[4] - ax[1]) / 2,
+            (ax[6] - ax[2]) / 2,
+            (-ax[1] - ax[2] + 2 * ax[3] - ax[4] + 2 * ax[5] - ax[6]) / 4,
+            # below eq. (3): 1, x, y, z, own²
+            (ay[2] + ay[3] + ay[5] + ay[6]) / 4,
+            (ay[3] - ay[5]) / 2,
+            (ay[4] - ay[1]) / 2,
+            (ay[6] - ay[2]) / 2,
+            (2 * ay[1] - ay[2] - ay[3] + 2 * ay[4] - ay[5] - ay[6]) / 4,
+            # below eq. (4)
+            (az[1] + az[3] + az[4] + az[5]) / 4,
+            (az[3] - az[5]) / 2,
+            (az[4] - az[1]) / 2,
+            (az[6] - az[2]) / 2,
+            (-az[1] + 2 * az[2] - az[3] - az[4] - az[5] + 2 * az[6]) / 4,
+        ]
+    )
     for closed in (True, False):
         found = fit(TABLE_2_READINGS, model="own-quadratic", closed_form=closed, **PAPER)
         assert_allclose(found.parameters, by_hand, rtol=0, atol=1e-15)
@@ -69,8 +80,14 @@ units = st.sampled_from([1e-9, 1.0, 9.80665, 16384.0, 1e12])
 gravities = st.sampled_from([None, 9.780, 9.80665, 9.832])
 
 
-@given(orders, units, gravities, st.integers(0, 2**32 - 1), st.booleans(),
-       st.sampled_from(["own-quadratic", "linear"]))  # fmt: skip
+@given(
+    orders,
+    units,
+    gravities,
+    st.integers(0, 2**32 - 1),
+    st.booleans(),
+    st.sampled_from(["own-quadratic", "linear"]),
+)
 def test_closed_form_is_least_squares(order, unit, gravity, seed, down, model):
     rng = np.random.default_rng(seed)
     up = FACES[list(order)]
@@ -88,8 +105,12 @@ def test_closed_form_is_least_squares(order, unit, gravity, seed, down, model):
     largest = np.abs(readings.values).max()
     assert_allclose(direct.parameters, fitted.parameters, rtol=0, atol=1e-12 * largest)
     assert_allclose(direct.residuals, fitted.residuals, rtol=0, atol=1e-12 * largest)
-    assert_allclose(direct.covariance, fitted.covariance, rtol=1e-10,
-                    atol=1e-12 * np.abs(fitted.covariance).max())  # fmt: skip
+    assert_allclose(
+        direct.covariance,
+        fitted.covariance,
+        rtol=1e-10,
+        atol=1e-12 * np.abs(fitted.covariance).max(),
+    )
     assert direct.cross_check == fitted.cross_check < 1e-12
     assert (direct.estimator, fitted.estimator) == ("closed-form", "linear")
 

@@ -107,11 +107,16 @@ def test_f_by_hand_for_unequal_degrees_of_freedom():
     first = side + 0.02 * np.array([1, -1, 1, -1])
     second = np.tile(0.02 + 1.02 * side, 2) + 0.01 * np.tile([1, -1], 4)
     found = [
-        mp.fit(mp.Readings(values[:, np.newaxis], outputs=("ax",),
-                           up=np.outer(np.resize(side, len(values)), [1.0, 0.0, 0.0])),
-               model="1 + x")
+        mp.fit(
+            mp.Readings(
+                values[:, np.newaxis],
+                outputs=("ax",),
+                up=np.outer(np.resize(side, len(values)), [1.0, 0.0, 0.0]),
+            ),
+            model="1 + x",
+        )
         for values in (first, second)
-    ]  # fmt: skip
+    ]
     c = mp.compare(*found)
     assert_allclose(c.chi2, 32 / 9, rtol=1e-9)
     assert c.scatter_dof.tolist() == [8.0, 8.0]
@@ -166,10 +171,11 @@ def test_drift_is_per_time_where_the_readings_know_it():
     found = [
         mp.fit(
             mp.Readings(up + 3e-4 * hour, unit="g", environment={"time": np.full(12, hour)}),
-            scheme="icosahedron-12", reading_sd=1e-5,
+            scheme="icosahedron-12",
+            reading_sd=1e-5,
         )
         for hour in (0.0, 1.0, 5.0)
-    ]  # fmt: skip
+    ]
     c = mp.compare(*found)
     assert c.per == "time"
     assert c.drift[0] == pytest.approx(3e-4, rel=1e-9)
@@ -182,10 +188,13 @@ def test_drift_and_spread_of_three_runs_by_hand():
     """
     up = read_scheme("faces-6").up
     found = [
-        mp.fit(mp.Readings(up + bias, environment={"time": np.full(6, hour)}), scheme="faces-6",
-               reading_sd=1e-3)
+        mp.fit(
+            mp.Readings(up + bias, environment={"time": np.full(6, hour)}),
+            scheme="faces-6",
+            reading_sd=1e-3,
+        )
         for hour, bias in ((0.0, 0.0), (1.0, 3.0), (5.0, 3.0))
-    ]  # fmt: skip
+    ]
     c = mp.compare(*found)
     bias = found[0].model.index("ax", "1")
     assert c.drift[bias] == pytest.approx(3 / 7, rel=1e-9)
@@ -232,10 +241,13 @@ def test_what_moved_by_holm_s_method_by_hand(bias, scale, moved):
     """Four readings of sd √2: bias and scale factor have u² = 1/2, their differences 1."""
     side = np.array([1.0, 1.0, -1.0, -1.0])
     found = [
-        mp.fit(mp.Readings(values[:, None], outputs=("ax",), up=np.outer(side, [1.0, 0.0, 0.0])),
-               model="1 + x", reading_sd=math.sqrt(2))
+        mp.fit(
+            mp.Readings(values[:, None], outputs=("ax",), up=np.outer(side, [1.0, 0.0, 0.0])),
+            model="1 + x",
+            reading_sd=math.sqrt(2),
+        )
         for values in (side, bias + (1.0 + scale) * side)
-    ]  # fmt: skip
+    ]
     c = mp.compare(*found)
     assert_allclose(c.chi2, [bias**2, scale**2], rtol=1e-9)
     assert c.moved == moved
@@ -249,10 +261,16 @@ def test_unequal_scatter_by_hand(ratio, said):
     """
     side, noise = np.array([1.0, 1.0, -1.0, -1.0]), 0.01 * np.array([1.0, -1.0, 1.0, -1.0])
     found = [
-        mp.fit(mp.Readings((side + factor * noise)[:, None], outputs=("ax",),
-                           up=np.outer(side, [1.0, 0.0, 0.0])), model="1 + x")
+        mp.fit(
+            mp.Readings(
+                (side + factor * noise)[:, None],
+                outputs=("ax",),
+                up=np.outer(side, [1.0, 0.0, 0.0]),
+            ),
+            model="1 + x",
+        )
         for factor in (1.0, math.sqrt(ratio))
-    ]  # fmt: skip
+    ]
     assert any("Bartlett" in text for text in mp.compare(*found).warnings) == said
 
 
@@ -280,8 +298,18 @@ def test_json_has_the_promised_keys(tmp_path, capsys):
     assert err == ""
     assert [entry["file"] for entry in found["calibrations"]] == files
     assert set(found["parameters"][0]) >= {
-        "output", "term", "name", "unit", "values", "mean", "sd", "range", "chi2", "dof", "p",
-    }  # fmt: skip
+        "output",
+        "term",
+        "name",
+        "unit",
+        "values",
+        "mean",
+        "sd",
+        "range",
+        "chi2",
+        "dof",
+        "p",
+    }
     assert set(found) >= {"bias_stability", "statistic", "dof", "p", "test", "consistent"}
     assert set(found["bias_stability"]) == {"ax", "ay", "az"}
     first = found["parameters"][0]

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail, normal_quantile
+from multipos.numerics.terms import parse_terms
 from multipos.regression import correlation
 from multipos.regression.correlation import (
     bandwidth,
@@ -20,7 +21,6 @@ from multipos.regression.correlation import (
     window_dof,
 )
 from multipos.regression.piecewise import _robust_test, _RobustFit
-from multipos.sensor.model import parse_terms
 
 
 def autoregressive(rng, n, rho, columns=1):
@@ -62,9 +62,8 @@ def test_clusters_against_the_definition():
     cluster = np.repeat([5, 1, 9, 2], 3)
     cofactor = np.linalg.inv(X.T @ X)
     S = sum(
-        np.outer(s, s)
-        for s in (X[cluster == c].T @ e[cluster == c] for c in np.unique(cluster))
-    )  # fmt: skip
+        np.outer(s, s) for s in (X[cluster == c].T @ e[cluster == c] for c in np.unique(cluster))
+    )
     found, m = cluster_covariance(X, e, cofactor, cluster)
     assert m == 4
     assert_allclose(found, cofactor @ S @ cofactor * (4 / 3) * (11 / 10), rtol=1e-12)
@@ -81,8 +80,9 @@ def test_rows_in_any_order_and_gaps():
     assert order.run.max() == 1
     assert_allclose(
         hac_covariance(X[shuffle], e[shuffle], cofactor, shuffled),
-        hac_covariance(X, e, cofactor, order), rtol=1e-10,
-    )  # fmt: skip
+        hac_covariance(X, e, cofactor, order),
+        rtol=1e-10,
+    )
     some = np.arange(10, 90)
     part = shuffled.of(some)
     assert sorted(part.order.tolist()) == list(range(80))
@@ -197,8 +197,9 @@ def test_wald_is_the_overall_f():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("rho", "n", "limit"), [(0.0, 500, 0.07), (0.5, 500, 0.09),
-                                                 (0.9, 500, 0.13), (0.9, 2000, 0.11)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("rho", "n", "limit"), [(0.0, 500, 0.07), (0.5, 500, 0.09), (0.9, 500, 0.13), (0.9, 2000, 0.11)]
+)
 def test_false_alarms_of_f_robust(rho, n, limit):
     """Nothing is there to find. The classical F sees something in a quarter to nine tenths."""
     rng = np.random.default_rng(8)

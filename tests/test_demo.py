@@ -57,11 +57,14 @@ def test_the_folder_holds_a_calibration_that_can_be_made_again(tmp_path, capsys)
     assert main(["demo", "-o", str(folder)]) == 0
     assert f"Written to {folder}" in capsys.readouterr().out
     assert {path.name for path in folder.iterdir()} == {
-        "readings.csv", "calibration.json", "report.txt",
-    }  # fmt: skip
+        "readings.csv",
+        "calibration.json",
+        "report.txt",
+    }
     cal = mp.load(folder / "calibration.json")
-    again = mp.fit(folder / "readings.csv", scheme="song-qin-6", model="own-quadratic",
-                   convention="gravity")  # fmt: skip
+    again = mp.fit(
+        folder / "readings.csv", scheme="song-qin-6", model="own-quadratic", convention="gravity"
+    )
     np.testing.assert_array_equal(again.parameters, cal.parameters)
     report = (folder / "report.txt").read_text(encoding="utf-8")
     assert "13 of 15 printed figures" in report

@@ -46,8 +46,13 @@ def test_angles_and_leans_by_hand():
     assert_allclose(values(intrinsic(built, parameters, zero, {}))["angle_deg"], [45, 90, 90])
     lean = installation_deg(built, parameters, zero, {})
     assert {k: round(v["value"], 12) for k, v in lean.items()} == {
-        "xy": 0, "xz": 0, "yx": 45, "yz": 0, "zx": 0, "zy": 0,
-    }  # fmt: skip
+        "xy": 0,
+        "xz": 0,
+        "yx": 45,
+        "yz": 0,
+        "zx": 0,
+        "zy": 0,
+    }
     # the axis of output y leans towards x: the mounting turns z half of it, the wrong way round
     mounting = values(intrinsic(built, parameters, zero, {}))["mounting_deg"]
     assert_allclose(mounting, [0, 0, -22.5], atol=1e-12)
@@ -60,8 +65,9 @@ def test_small_angles_are_the_cross_terms():
     lean = np.radians([v["value"] for v in installation_deg(built, parameters, zero, {}).values()])
     assert_allclose(lean, eps * np.arange(1, 7), rtol=1e-6)
     found = values(intrinsic(built, parameters, zero, {}))
-    assert_allclose(np.radians(90 - np.array(found["angle_deg"])), np.array([4, 7, 10]) * eps,
-                    rtol=1e-6)  # fmt: skip
+    assert_allclose(
+        np.radians(90 - np.array(found["angle_deg"])), np.array([4, 7, 10]) * eps, rtol=1e-6
+    )
     # the skew part of M: axis x towards y is a turn about +z
     assert_allclose(np.radians(found["mounting_deg"]), np.array([-2, 3, -2]) * eps / 2, rtol=1e-6)
 

@@ -488,8 +488,9 @@ def test_orientation_error_changes_the_best_scheme():
             dict(zip(("up_x", "up_y", "up_z"), np.array(d["positions"]).T, strict=True))
             for d in (exact, robust)
         ),
-        orientation_sd=1.0, reading_sd=0.001,
-    )["schemes"]  # fmt: skip
+        orientation_sd=1.0,
+        reading_sd=0.001,
+    )["schemes"]
     assert judged[1]["d_efficiency"] >= judged[0]["d_efficiency"]
 
 

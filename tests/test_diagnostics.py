@@ -92,8 +92,9 @@ def test_an_outlier_is_judged_by_its_own_stated_uncertainty():
     found = find_outliers(residuals, leverage, [36.0], ["ax"], labels, sd)
     assert [text.partition(":")[0] for text in found] == ["position 3"]
     assert "ax is off by 8, " in found[0]
-    assert not any("position 3:" in t for t in
-                   find_outliers(residuals, leverage, [36.0], ["ax"], labels))  # fmt: skip
+    assert not any(
+        "position 3:" in t for t in find_outliers(residuals, leverage, [36.0], ["ax"], labels)
+    )
 
 
 @pytest.mark.parametrize(("r", "named"), [(2.325, 0), (2.333, 1)])

@@ -35,10 +35,13 @@ SENSORS = {
     "odd": ("1 + x + y + z + own*|own|", "xyz", 2e-3, 0.3),
     "four outputs, odd": ("1 + x + y + z + own^2 + own*|own|", "xyzz", 2e-3, 0.3),
     "temperature": (
-        "1 + x + y + z + own^2 + temperature + temperature^2 + temperature*own", "xyz", 1e-3, 0.3,
+        "1 + x + y + z + own^2 + temperature + temperature^2 + temperature*own",
+        "xyz",
+        1e-3,
+        0.3,
     ),
     "modulus of a column": ("1 + x + y + z + |temperature|*own", "xyz", 1e-4, 0.3),
-}  # fmt: skip
+}
 
 
 def made(formula, axes, size, bias, *, unit=1.0, count=80):
@@ -178,8 +181,9 @@ def test_a_model_written_as_an_expression(single, compiler, tmp_path):
 def test_the_self_test_passes_and_can_fail(single, compiler, tmp_path):
     exported = export(made(*SENSORS["temperature"]), "c", float=single)
     assert exported.save(tmp_path / "cal.c") == (
-        str(tmp_path / "cal.c"), str(tmp_path / "cal_test.c"),
-    )  # fmt: skip
+        str(tmp_path / "cal.c"),
+        str(tmp_path / "cal_test.c"),
+    )
     done = subprocess.run([compile_c(compiler, tmp_path)], capture_output=True, check=False)
     assert (done.returncode, done.stdout) == (0, b"multipos_compensate: all values met\n")
     (tmp_path / "cal.c").write_text(exported.text.replace("accel[0] = x", "accel[0] = x + x"))
@@ -249,8 +253,10 @@ def session():
 
 def parameters(text):
     pairs = [line.replace(",", "\t").split("\t") for line in text.splitlines() if line[0] != "#"]
-    return {cells[-3] if len(cells) == 5 else cells[0]: float(cells[-2 if len(cells) == 5 else 1])
-            for cells in pairs}  # fmt: skip
+    return {
+        cells[-3] if len(cells) == 5 else cells[0]: float(cells[-2 if len(cells) == 5 else 1])
+        for cells in pairs
+    }
 
 
 def test_ros_imu_calib_by_its_law():
@@ -414,12 +420,22 @@ def test_the_real_session_reaches_c(tmp_path, capsys):
     readings, cal, code = tmp_path / "r.csv", tmp_path / "cal.json", tmp_path / "accel.c"
     outputs = "acc_x,acc_y,acc_z"
     for argv in (
-        ["average", path, "--outputs", outputs, "--rate", "102.4", "--scheme", "faces-6",
-         "-o", readings],
+        [
+            "average",
+            path,
+            "--outputs",
+            outputs,
+            "--rate",
+            "102.4",
+            "--scheme",
+            "faces-6",
+            "-o",
+            readings,
+        ],
         ["fit", readings, "--unit", "m/s^2", "-o", cal],
         ["export", cal, "--to", "c", "-o", code],
         ["verify-export", code, cal, "--json"],
-    ):  # fmt: skip
+    ):
         assert main([*map(str, argv)]) == 0
     found = json.loads(capsys.readouterr().out.partition('{\n "target"')[2].join(('{"target"', "")))
     assert found["difference"] < 1e-12

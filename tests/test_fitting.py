@@ -54,8 +54,9 @@ def test_weighted_fit_by_hand():
     for i in range(3):
         b, C = by_hand(LINEAR, values[:, i], np.diag(u[:, i] ** 2))
         assert_allclose(cal.parameters[4 * i : 4 * i + 4], b, rtol=1e-12)
-        assert_allclose(cal.covariance[4 * i : 4 * i + 4, 4 * i : 4 * i + 4], C, rtol=1e-10,
-                        atol=1e-18)  # fmt: skip
+        assert_allclose(
+            cal.covariance[4 * i : 4 * i + 4, 4 * i : 4 * i + 4], C, rtol=1e-10, atol=1e-18
+        )
     assert np.isinf(cal.dof).all()
     assert cal.k[0] == pytest.approx(1.959964, abs=1e-6)
 
@@ -109,8 +110,9 @@ def test_a_denied_noise_is_scaled_up_and_said():
         chi2 = float(r[:, i] @ r[:, i]) / 1e-6
         assert chi2 > stats.chi2.ppf(0.999, 10)
         mine = slice(4 * i, 4 * i + 4)
-        assert_allclose(cal.covariance[mine, mine],
-                        believed.covariance[mine, mine] * chi2 / 10, rtol=1e-10)  # fmt: skip
+        assert_allclose(
+            cal.covariance[mine, mine], believed.covariance[mine, mine] * chi2 / 10, rtol=1e-10
+        )
         (said,) = (t for t in cal.diagnostics.warnings if f"residuals of {output} deny" in t)
         assert f"multiplied by {chi2 / 10:.4g}" in said
         assert "--orientation-sd" in said
@@ -185,8 +187,10 @@ def test_gravity_scales_and_carries_its_uncertainty():
     values = sensor(np.random.default_rng(10))
     readings = mp.Readings(values, up=UP14, unit="V")
     g, u_g = 9.7803, 0.002
-    plain, local = mp.fit(readings, model="own-cubic"), mp.fit(readings, model="own-cubic",
-                                                                gravity=g)  # fmt: skip
+    plain, local = (
+        mp.fit(readings, model="own-cubic"),
+        mp.fit(readings, model="own-cubic", gravity=g),
+    )
     common = mp.fit(readings, model="own-cubic", gravity=g, gravity_u=u_g)
     degree = np.array([term.force_degree for _, term in plain.model.keys])
     ratio = g / 9.80665
@@ -264,8 +268,9 @@ def test_a_column_of_the_model_has_powers(value):
 
 def test_conventions_differ_in_the_odd_terms():
     readings = mp.Readings(sensor(np.random.default_rng(14)), up=UP14)
-    force, gravity = (mp.fit(readings, model="own-cubic", convention=c)
-                      for c in ("specific-force", "gravity"))  # fmt: skip
+    force, gravity = (
+        mp.fit(readings, model="own-cubic", convention=c) for c in ("specific-force", "gravity")
+    )
     degree = np.array([term.force_degree for _, term in force.model.keys])
     assert_allclose(gravity.parameters, force.parameters * (-1.0) ** degree, rtol=1e-12, atol=1e-15)
     assert_array_equal(gravity.reference, -UP14)
@@ -348,8 +353,9 @@ def test_full_quadratic_always_answers_with_the_formula_to_use(scheme):
 
 def test_full_quadratic_of_two_inputs_can_be_separated():
     up = mp.read_scheme("fibonacci-24").up
-    cal = mp.fit(mp.Readings(0.1 + up[:, :2]), scheme="fibonacci-24", model="full-quadratic",
-                 inputs="x,y")  # fmt: skip
+    cal = mp.fit(
+        mp.Readings(0.1 + up[:, :2]), scheme="fibonacci-24", model="full-quadratic", inputs="x,y"
+    )
     assert cal.diagnostics.rank == 12
 
 
@@ -374,9 +380,9 @@ def test_what_cannot_be_separated_is_named_with_a_way_out(model, scheme, words):
 
 
 @pytest.mark.parametrize(
-    ("scheme", "model"), [("faces-6", "own-quadratic"), ("faces-6", "linear"),
-                          ("faces-corners-14", "ieee")]
-)  # fmt: skip
+    ("scheme", "model"),
+    [("faces-6", "own-quadratic"), ("faces-6", "linear"), ("faces-corners-14", "ieee")],
+)
 def test_t_intervals_cover(scheme, model):
     rng = np.random.default_rng(16)
     up = mp.read_scheme(scheme).up
@@ -388,8 +394,9 @@ def test_t_intervals_cover(scheme, model):
     hits, runs = np.zeros(len(terms)), 0
     for _ in range(4):
         values = up[:, :1] + 0.01 * rng.standard_normal((len(up), outputs))
-        cal = mp.fit(mp.Readings(values, outputs=names, up=up), model=model, axes=axes,
-                     confidence=0.9)  # fmt: skip
+        cal = mp.fit(
+            mp.Readings(values, outputs=names, up=up), model=model, axes=axes, confidence=0.9
+        )
         error = cal.parameters.reshape(outputs, -1)
         error = error - [1.0 if str(t) == "x" else 0.0 for t in terms]
         hits += (np.abs(error) <= cal.U.reshape(outputs, -1)).sum(axis=0)

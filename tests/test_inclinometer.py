@@ -164,9 +164,11 @@ def test_tilt_uncertainty_grows_like_the_secant_and_stays_finite():
     cal = calibrated(bench, np.random.default_rng(8))
     tilt = np.radians([0.0, 30.0, 60.0, 80.0, 89.0, 90.0])
     raw = cal.predict(np.column_stack([np.sin(tilt), 0 * tilt, np.cos(tilt)]))
-    u = np.array(mp.apply(cal, {"Ux": raw[:, 0], "Uy": raw[:, 1]}, tilt=True, uncertainty=True)[
-        "u_tilt_x_deg"
-    ])  # fmt: skip
+    u = np.array(
+        mp.apply(cal, {"Ux": raw[:, 0], "Uy": raw[:, 1]}, tilt=True, uncertainty=True)[
+            "u_tilt_x_deg"
+        ]
+    )
     assert_allclose(u[1:4] / u[0], 1.0 / np.cos(tilt[1:4]), rtol=0.03)
     assert np.all(np.diff(u) > 0)
     assert_allclose(np.radians(u[5]), np.sqrt(2 * np.radians(u[0])), rtol=0.05)
@@ -191,8 +193,9 @@ def test_triad_tilt_all_the_way_round():
     raw = 0.02 + up @ matrix.T + 1e-5 * np.random.default_rng(3).standard_normal(up.shape)
     columns = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
     cal = mp.fit(columns | dict(zip(("ax", "ay", "az"), raw.T, strict=True)))
-    found = mp.apply(cal, dict(zip(("ax", "ay", "az"), raw.T, strict=True)), tilt=True,
-                     uncertainty=True)  # fmt: skip
+    found = mp.apply(
+        cal, dict(zip(("ax", "ay", "az"), raw.T, strict=True)), tilt=True, uncertainty=True
+    )
     for i, axis in enumerate("xyz"):
         error = np.radians(np.array(found[f"tilt_{axis}_deg"])) - np.arcsin(
             np.clip(up[:, i], -1, 1)
@@ -232,15 +235,17 @@ def test_tilt_within_a_twentieth_of_a_degree_and_its_claim():
         rng = np.random.default_rng(seed)
         bench = make_bench(rng)
         cal = calibrated(bench, rng)
-        found = mp.check(cal, check_run(bench, rng, drift=0.0), tilt=True, nominal=(2.5, 1.0),
-                         reading_sd=READING)  # fmt: skip
+        found = mp.check(
+            cal, check_run(bench, rng, drift=0.0), tilt=True, nominal=(2.5, 1.0), reading_sd=READING
+        )
         own = np.arange(18), np.repeat([0, 1], 9)
         before.append(np.abs(found.before[own]).max())
         after.append(np.abs(found.after).max())
         quiet = mp.check(cal, check_run(bench, rng, reading=0.0, table_deg=0.0), tilt=True)
         systematic.append(np.abs(quiet.after).max())
-        wandered = mp.check(cal, check_run(bench, rng), tilt=True,
-                            reading_sd=math.hypot(READING, DRIFT_SD))  # fmt: skip
+        wandered = mp.check(
+            cal, check_run(bench, rng), tilt=True, reading_sd=math.hypot(READING, DRIFT_SD)
+        )
         together.append(np.abs(wandered.after).max())
         covered += int((np.abs(wandered.after) <= wandered.U)[own].sum())
         readings += 18

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from multipos.errors import MultiposError
+from multipos.numerics.terms import COMPONENTS, NAMED
 from multipos.sensor.inverse import inverse_covariance, invert, parameter_jacobian, sensed_axes
-from multipos.sensor.model import COMPONENTS, NAMED, build_model
+from multipos.sensor.model import build_model
 
 SENSORS = {
     "triad": (("ax", "ay", "az"), ("x", "y", "z")),
@@ -123,13 +124,16 @@ def test_the_uncertainty_of_a_force_against_monte_carlo(kind):
     sensed = list(sensed_axes(built))
     stated = inverse_covariance(built, parameters, root @ root.T, f[:, sensed], {})
     runs = 2000
-    draws = np.array([
-        invert(built, parameters + root @ rng.standard_normal(len(parameters)), raw, {})
-        for _ in range(runs)
-    ])  # fmt: skip
+    draws = np.array(
+        [
+            invert(built, parameters + root @ rng.standard_normal(len(parameters)), raw, {})
+            for _ in range(runs)
+        ]
+    )
     for row in range(len(f)):
         found = np.atleast_2d(np.cov(draws[:, row], rowvar=False))
         sd = np.sqrt(np.diag(stated[row]))
         # an estimated covariance scatters by at most √(2/runs) of its sds; five of that
-        assert_allclose(found / np.outer(sd, sd), stated[row] / np.outer(sd, sd),
-                        atol=5 * np.sqrt(2 / runs))  # fmt: skip
+        assert_allclose(
+            found / np.outer(sd, sd), stated[row] / np.outer(sd, sd), atol=5 * np.sqrt(2 / runs)
+        )

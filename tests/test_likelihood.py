@@ -12,8 +12,9 @@ from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
 from multipos.estimation.sphere import SphereSearch
 from multipos.numerics.rotations import rotation_matrix
+from multipos.numerics.terms import COMPONENTS, NAMED
 from multipos.sensor.expressions import load_casadi
-from multipos.sensor.model import COMPONENTS, NAMED, build_model
+from multipos.sensor.model import build_model
 
 casadi = load_casadi()
 
@@ -39,8 +40,9 @@ def symbolic(model):
     for i, output in enumerate(model.outputs):
         y = sum(
             p[k] * term.evaluate(variables)
-            for k, (name, term) in enumerate(model.keys) if name == output
-        )  # fmt: skip
+            for k, (name, term) in enumerate(model.keys)
+            if name == output
+        )
         for target, column, source in model.mirrored:
             if target == i:
                 y = y + p[source] * model.basis_terms[column].evaluate(variables)
@@ -114,10 +116,19 @@ def a_problem(kind, *, robust=None, full=False):
         mix = rng.standard_normal((n, 3, 3))
         precision = 1e4 * (mix @ mix.transpose(0, 2, 1) + np.eye(3))
     problem = Problem(
-        model=model, values=rng.standard_normal((n, 3)), environment={}, precision=precision,
-        reference=-0.998 * up, spread=spread, group=group, weight=np.ones(n),
-        groups=int(group.max()) + 1, attitude=attitude, level_spread=level, robust=robust,
-    )  # fmt: skip
+        model=model,
+        values=rng.standard_normal((n, 3)),
+        environment={},
+        precision=precision,
+        reference=-0.998 * up,
+        spread=spread,
+        group=group,
+        weight=np.ones(n),
+        groups=int(group.max()) + 1,
+        attitude=attitude,
+        level_spread=level,
+        robust=robust,
+    )
     theta = np.zeros(len(model.keys))
     for i in range(3):
         theta[model.slices[i]] = [BIAS[i], *MATRIX[i], 0.01]
@@ -139,10 +150,12 @@ def moved(problem, state, x):
         rotation_matrix(x[p + 3 * g : p + 3 * g + 3]) @ turn for g, turn in enumerate(state.turns)
     ]
     return replace(
-        state, theta=state.theta + x[:p], turns=np.array(turns).reshape(-1, 3, 3),
+        state,
+        theta=state.theta + x[:p],
+        turns=np.array(turns).reshape(-1, 3, 3),
         tilt=state.tilt + (x[p + q - 2 : p + q] if problem.level_spread else 0.0),
         step=state.step + x[p + q :].reshape(-1, 2),
-    )  # fmt: skip
+    )
 
 
 def every_unknown(problem, state):
@@ -277,10 +290,16 @@ def test_the_surface_normal_is_the_whole_of_an_unknown_position(text, gauge, rob
     values = model.predict(theta, -0.998 * up, {}) + 1e-3 * rng.standard_normal((n, 3))
     values[4] += 0.05
     problem = Problem(
-        model=model, values=values, environment={}, precision=rng.uniform(0.5, 2.0, (n, 3)) * 1e6,
-        reference=-0.998 * np.ones((n, 3)) / np.sqrt(3.0), spread=np.full(n, np.inf),
-        group=np.full(n, -1), weight=np.ones(n), robust=robust,
-    )  # fmt: skip
+        model=model,
+        values=values,
+        environment={},
+        precision=rng.uniform(0.5, 2.0, (n, 3)) * 1e6,
+        reference=-0.998 * np.ones((n, 3)) / np.sqrt(3.0),
+        spread=np.full(n, np.inf),
+        group=np.full(n, -1),
+        weight=np.ones(n),
+        robust=robust,
+    )
     state = start_state(problem, theta, -up)
     assert SphereSearch.fits(problem)
     sphere = SphereSearch(problem)

@@ -48,12 +48,17 @@ def readings(n=24, *, sd=1e-3, off_deg=0.0, quad=0.0, seed=1, **more):
 
 @pytest.mark.parametrize(
     "options",
-    [{"unknown_orientation": True}, {"unknown_orientation": True, "gauge": "symmetric"},
-     {"orientation_sd": 0.2}, {"orientation_sd": 0.2, "reading_sd": 1e-3},
-     {"orientation_sd": "auto"}, {"orientation_sd": 0.001, "reading_sd": 1e-5},
-     {"orientation_sd": 0.2, "convention": "gravity", "gravity": 9.7}],
+    [
+        {"unknown_orientation": True},
+        {"unknown_orientation": True, "gauge": "symmetric"},
+        {"orientation_sd": 0.2},
+        {"orientation_sd": 0.2, "reading_sd": 1e-3},
+        {"orientation_sd": "auto"},
+        {"orientation_sd": 0.001, "reading_sd": 1e-5},
+        {"orientation_sd": 0.2, "convention": "gravity", "gravity": 9.7},
+    ],
     ids=lambda options: " ".join(f"{key}={value}" for key, value in options.items()),
-)  # fmt: skip
+)
 def test_a_file_is_enough_to_return_to_its_optimum(options, tmp_path):
     c = mp.fit(readings(off_deg=0.2), **options)
     c.save(tmp_path / "c.json")
@@ -92,12 +97,17 @@ def test_profile_meets_the_linear_fit_where_orientations_are_certain(noise):
 
 @pytest.mark.parametrize(
     "options",
-    [{"unknown_orientation": True}, {"unknown_orientation": True, "reading_sd": 1e-3},
-     {"unknown_orientation": True, "gauge": "symmetric"}, {"orientation_sd": 0.2},
-     {"orientation_sd": 0.2, "reading_sd": 1e-3}, {"orientation_sd": "auto"},
-     {"orientation_sd": 0.02, "reading_sd": 1e-5}],
+    [
+        {"unknown_orientation": True},
+        {"unknown_orientation": True, "reading_sd": 1e-3},
+        {"unknown_orientation": True, "gauge": "symmetric"},
+        {"orientation_sd": 0.2},
+        {"orientation_sd": 0.2, "reading_sd": 1e-3},
+        {"orientation_sd": "auto"},
+        {"orientation_sd": 0.02, "reading_sd": 1e-5},
+    ],
     ids=lambda options: " ".join(f"{key}={value}" for key, value in options.items()),
-)  # fmt: skip
+)
 def test_profile_is_the_t_interval_where_nearly_linear(options):
     c = mp.fit(readings(off_deg=0.2), **options)
     for output, term in (("ax", "1"), ("ay", "y"), ("az", "x")):
@@ -126,8 +136,12 @@ def test_profile_bends_where_the_noise_is_large():
     for end in (low, high):
         found = least_squares(
             lambda v, end=end: cost(np.insert(v[:8], index, end), v[8:]),
-            np.concatenate([others, start]), x_scale="jac", xtol=1e-13, ftol=1e-13, gtol=1e-13,
-        )  # fmt: skip
+            np.concatenate([others, start]),
+            x_scale="jac",
+            xtol=1e-13,
+            ftol=1e-13,
+            gtol=1e-13,
+        )
         assert 2 * found.cost - least == pytest.approx(k * k, rel=1e-6)
     p = c["ax", "x"]
     assert abs((low + high) / 2 - p.value) > 0.02 * p.U  # it is not the symmetric interval
@@ -169,8 +183,9 @@ def test_second_order_of_real_recordings(name, p, model):
 
 def test_joint_test_of_an_unknown_orientation_against_two_fits():
     data = readings(quad=2e-3)
-    fits = [mp.fit(data, unknown_orientation=True, model=model)
-            for model in ("linear", "own-quadratic")]  # fmt: skip
+    fits = [
+        mp.fit(data, unknown_orientation=True, model=model) for model in ("linear", "own-quadratic")
+    ]
     chi2 = [np.sum(c.residuals**2) for c in fits]
     f = (chi2[0] - chi2[1]) / 3 / (chi2[1] / 12)
     for c in fits:
@@ -183,8 +198,9 @@ def test_joint_test_of_an_uncertain_orientation_is_the_generalised_f():
     data = readings(quad=1e-3, off_deg=0.1)
     c = mp.fit(data, orientation_sd=0.1, reading_sd=1e-3, model="own-quadratic")
     up, chi2 = data.up, []
-    blocks = [np.radians(0.1) ** 2 * M @ (np.eye(3) - np.outer(u, u)) @ M.T + 1e-6 * np.eye(3)
-              for u in up]  # fmt: skip
+    blocks = [
+        np.radians(0.1) ** 2 * M @ (np.eye(3) - np.outer(u, u)) @ M.T + 1e-6 * np.eye(3) for u in up
+    ]
     root = [np.linalg.inv(np.linalg.cholesky(block)) for block in blocks]
     for quadratic in (False, True):
         rows = []
@@ -213,8 +229,9 @@ def test_joint_test_of_known_orientations_combines_the_outputs():
     assert test.dof == (6.0,)
     assert test.p == pytest.approx(chi2_tail(total, 6))
     assert str(test).startswith("chi2(6) = ")
-    alone = mp.fit(mp.Readings(c.readings.values[:, :1], unit="g", up=c.readings.up),
-                   model="own-quadratic")  # fmt: skip
+    alone = mp.fit(
+        mp.Readings(c.readings.values[:, :1], unit="g", up=c.readings.up), model="own-quadratic"
+    )
     assert judge_jointly(alone)[0].statistic == pytest.approx(p[0], rel=1e-9)
 
 
@@ -259,14 +276,19 @@ def test_terms_that_the_positions_cannot_tell_are_left_out():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
-    [{"unknown_orientation": True}, {"orientation_sd": 0.2, "reading_sd": 1e-3},
-     {"orientation_sd": 0.2}],
+    [
+        {"unknown_orientation": True},
+        {"orientation_sd": 0.2, "reading_sd": 1e-3},
+        {"orientation_sd": 0.2},
+    ],
     ids=["unknown", "stated", "estimated"],
-)  # fmt: skip
+)
 def test_joint_tests_reject_as_often_as_they_say(options):
     runs, level = 100, 0.05
-    p = [judge_jointly(mp.fit(readings(18, off_deg=0.2, seed=seed), **options))[0].p
-         for seed in range(runs)]  # fmt: skip
+    p = [
+        judge_jointly(mp.fit(readings(18, off_deg=0.2, seed=seed), **options))[0].p
+        for seed in range(runs)
+    ]
     assert np.mean(np.array(p) < level) == pytest.approx(
         level, abs=4 * math.sqrt(level * (1 - level) / runs)
     )
@@ -290,10 +312,14 @@ def test_the_report_shows_joint_tests(options, tmp_path):
 
 @pytest.mark.parametrize(
     "options",
-    [{"orientation_sd": 0.2, "reading_sd": 1e-3}, {"orientation_sd": 0.2},
-     {"orientation_sd": "auto"}, {"orientation_sd": 0.02, "reading_sd": 1e-4}],
+    [
+        {"orientation_sd": 0.2, "reading_sd": 1e-3},
+        {"orientation_sd": 0.2},
+        {"orientation_sd": "auto"},
+        {"orientation_sd": 0.02, "reading_sd": 1e-4},
+    ],
     ids=["stated", "noise estimated", "both estimated", "denied"],
-)  # fmt: skip
+)
 def test_monte_carlo_of_an_uncertain_orientation(options):
     c = mp.fit(readings(off_deg=0.2), budget={"gain": {"u": 1e-5}}, **options)
     trials = 400
@@ -356,10 +382,13 @@ TABLES = {
 @pytest.mark.parametrize("name", list(TABLES))
 @pytest.mark.parametrize(
     "options",
-    [{"unknown_orientation": True}, {"unknown_orientation": True, "gauge": "symmetric"},
-     {"orientation_sd": 0.05}],
+    [
+        {"unknown_orientation": True},
+        {"unknown_orientation": True, "gauge": "symmetric"},
+        {"orientation_sd": 0.05},
+    ],
     ids=["unknown", "symmetric", "uncertain"],
-)  # fmt: skip
+)
 def test_sensitivities_of_the_likelihood_against_the_whole_estimator(name, options):
     """Readings of a world where the quantity is off, calibrated as if it were not."""
     uncertain = "orientation_sd" in options
@@ -381,11 +410,13 @@ def test_sensitivities_of_the_likelihood_against_the_whole_estimator(name, optio
     for component in components:
         moved = [
             mp.fit(
-                mp.Readings(world(c, name, side * step, component), unit="g",
-                            positions=given.labels), **options,
+                mp.Readings(
+                    world(c, name, side * step, component), unit="g", positions=given.labels
+                ),
+                **options,
             ).parameters
             for side in (1.0, -1.0)
-        ]  # fmt: skip
+        ]
         found = (moved[0] - moved[1]) / (2.0 * step)
         # the gain leaves out second derivatives times residuals, 1e-4 of noise, some times over;
         # against the largest effect, for a reading across the force hardly has one

@@ -7,14 +7,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from multipos.errors import UsageError
+from multipos.numerics.terms import NAMED, formula_columns
 from multipos.sensor.expressions import load_casadi
-from multipos.sensor.model import (
-    NAMED,
-    build_model,
-    formula_columns,
-    paper_symbol,
-    parameter_label,
-)
+from multipos.sensor.model import build_model, paper_symbol
+from multipos.sensor.names import parameter_label
 
 OUTPUTS, AXES = ("ax", "ay", "az"), ("x", "y", "z")
 
@@ -115,15 +111,36 @@ def test_any_text_is_a_model_or_one_clear_refusal(text):
 def test_names_units_and_labels():
     model = build("ieee-odd", unit="V")
     assert model.names[:9] == (
-        "bias_ax", "scale_ax", "cross_ax_y", "cross_ax_z", "quad_ax", "cubic_ax",
-        "product_ax_xy", "product_ax_xz", "odd_ax",
-    )  # fmt: skip
+        "bias_ax",
+        "scale_ax",
+        "cross_ax_y",
+        "cross_ax_z",
+        "quad_ax",
+        "cubic_ax",
+        "product_ax_xy",
+        "product_ax_xz",
+        "odd_ax",
+    )
     assert model.units[:9] == (
-        "V", "V/g", "V/g", "V/g", "V/g^2", "V/g^3", "V/g^2", "V/g^2", "V/g^2",
-    )  # fmt: skip
+        "V",
+        "V/g",
+        "V/g",
+        "V/g",
+        "V/g^2",
+        "V/g^3",
+        "V/g^2",
+        "V/g^2",
+        "V/g^2",
+    )
     full = build("full-quadratic")
-    assert full.names[4:10] == ("quad_ax", "square_ax_y", "square_ax_z", "product_ax_xy",
-                                "product_ax_xz", "product_ax_yz")  # fmt: skip
+    assert full.names[4:10] == (
+        "quad_ax",
+        "square_ax_y",
+        "square_ax_z",
+        "product_ax_xy",
+        "product_ax_xz",
+        "product_ax_yz",
+    )
     warm = build("1 + x + temperature + temperature^2 + temperature*x", unit="V")
     assert warm.names[2:5] == ("temperature_ax", "temperature^2_ax", "temperature*x_ax")
     assert warm.units[2:5] == ("V/degC", "V/degC^2", "V/g/degC")
@@ -137,10 +154,22 @@ def test_names_units_and_labels():
 def test_the_symbols_are_those_of_the_paper():
     # eq. (1) of the paper, row by row, in the order 1, x, y, z, own²
     assert [paper_symbol(build("own-quadratic"), i) for i in range(15)] == [
-        "a_x0", "S_ax", "K_ax1", "K_ax2", "K_ax3",
-        "a_y0", "K_ay1", "S_ay", "K_ay2", "K_ay3",
-        "a_z0", "K_az1", "K_az2", "S_az", "K_az3",
-    ]  # fmt: skip
+        "a_x0",
+        "S_ax",
+        "K_ax1",
+        "K_ax2",
+        "K_ax3",
+        "a_y0",
+        "K_ay1",
+        "S_ay",
+        "K_ay2",
+        "K_ay3",
+        "a_z0",
+        "K_az1",
+        "K_az2",
+        "S_az",
+        "K_az3",
+    ]
     assert paper_symbol(build("ieee"), 0) is None
     assert paper_symbol(build("linear", ("a", "b", "c"), ("z", "y", "x")), 0) is None
 
@@ -211,8 +240,11 @@ def test_coefficients_put_parameters_in_their_place():
     parameters = np.arange(1.0, 16.0)
     force = np.array([[0.2, -0.5, 0.7]])
     x, y, z = force[0]
-    expected = [1 + 2*x + 3*y + 4*z + 5*x*x, 6 + 7*x + 8*y + 9*z + 10*y*y,
-                11 + 12*x + 13*y + 14*z + 15*z*z]  # fmt: skip
+    expected = [
+        1 + 2 * x + 3 * y + 4 * z + 5 * x * x,
+        6 + 7 * x + 8 * y + 9 * z + 10 * y * y,
+        11 + 12 * x + 13 * y + 14 * z + 15 * z * z,
+    ]
     assert_allclose(model.predict(parameters, force, {})[0], expected, rtol=1e-15)
     assert model.index("ay", "y^2") == 9
     assert model.index("ay", "own^2") == 9
@@ -227,15 +259,19 @@ def test_coefficients_put_parameters_in_their_place():
 def test_the_gauges_fix_the_upper_triangle():
     lower = build("linear").with_gauge("lower")
     assert [name for name in lower.names if "cross" in name] == [
-        "cross_ay_x", "cross_az_x", "cross_az_y",
-    ]  # fmt: skip
+        "cross_ay_x",
+        "cross_az_x",
+        "cross_az_y",
+    ]
     parameters = np.arange(1.0, 10.0)  # bx, sx, by, yx, sy, bz, zx, zy, sz
-    assert_array_equal(lower.linear_map({}) @ parameters,
-                       [[1, 2, 0, 0], [3, 4, 5, 0], [6, 7, 8, 9]])  # fmt: skip
+    assert_array_equal(
+        lower.linear_map({}) @ parameters, [[1, 2, 0, 0], [3, 4, 5, 0], [6, 7, 8, 9]]
+    )
     symmetric = build("linear").with_gauge("symmetric")
     assert symmetric.names == lower.names
-    assert_array_equal(symmetric.linear_map({}) @ parameters,
-                       [[1, 2, 4, 7], [3, 4, 5, 8], [6, 7, 8, 9]])  # fmt: skip
+    assert_array_equal(
+        symmetric.linear_map({}) @ parameters, [[1, 2, 4, 7], [3, 4, 5, 8], [6, 7, 8, 9]]
+    )
 
 
 def test_the_linear_map_sums_terms_at_a_temperature():

@@ -39,11 +39,12 @@ TAKEN = {
     "tumble, outputs": (
         lambda names: mp.tumble(
             {"E": np.cos(np.arange(24) * np.pi / 12), "F": [0.0] * 24},
-            scheme="tumble-24", outputs=names,
+            scheme="tumble-24",
+            outputs=names,
         ),
         ("E",),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", TAKEN)

@@ -84,8 +84,10 @@ def test_an_error_below_the_rounding_of_a_direction_is_none(sd_deg):
     known = mp.fit(readings)
     listed = replace(readings, orientation_sd=np.full(len(readings), np.radians(sd_deg)))
     for small in (
-        mp.fit(readings, orientation_sd=sd_deg), mp.fit(readings, level_sd=sd_deg), mp.fit(listed)
-    ):  # fmt: skip
+        mp.fit(readings, orientation_sd=sd_deg),
+        mp.fit(readings, level_sd=sd_deg),
+        mp.fit(listed),
+    ):
         assert small.estimator == "linear"
         assert (small.parameters == known.parameters).all()
         assert (small.covariance == known.covariance).all()
@@ -313,9 +315,10 @@ def test_both_standard_deviations_are_estimated_and_how_well():
         np.degrees(cal.readings.orientation_sd), found["orientation_sd_deg"]["value"], rtol=1e-12
     )
     given = mp.fit(
-        readings, orientation_sd=found["orientation_sd_deg"]["value"],
+        readings,
+        orientation_sd=found["orientation_sd_deg"]["value"],
         reading_sd=found["reading_sd"]["value"],
-    )  # fmt: skip
+    )
     assert_allclose(cal.parameters, given.parameters, rtol=0, atol=1e-10)
     assert_allclose(cal.u, given.u, rtol=1e-6)
     assert (cal.parameter_dof < 200.0).all()
@@ -374,12 +377,13 @@ def test_bias_of_second_order_by_hand():
     unknown = SimpleNamespace(model=model, spread=np.full(5, np.inf))
     u[list(model.own_scales)] = [1.7e-3, 3.4e-3, 1.3e-3]
     assert [text.split("`")[1] for text in _scale_bias(unknown, theta, u, sd, 2.0)] == [
-        "scale_ax", "scale_az",
-    ]  # fmt: skip
+        "scale_ax",
+        "scale_az",
+    ]
 
 
 def test_bias_of_second_order_is_what_is_stated():
-    """Scale factors of a thousand fits, against eq. (1) of multipos.estimation.uncertain, unequal noise."""
+    """Scale factors of a thousand fits, against eq. (1) of `uncertain`, unequal noise."""
     sd = np.array([0.02, 0.05, 0.03])
     up = read_scheme("fibonacci-3000").up
     generator = rng()
@@ -421,9 +425,11 @@ def test_known_uncertain_and_unknown_positions_together():
     assert (off[9:] > 0.0).all()
     # unknown positions tell less than uncertain ones, but something
     fewer = mp.fit(
-        mp.Readings(values[sd_deg >= 0], up=UP[sd_deg >= 0],
-                    orientation_sd=np.radians(sd_deg[sd_deg >= 0])), reading_sd=1e-5
-    )  # fmt: skip
+        mp.Readings(
+            values[sd_deg >= 0], up=UP[sd_deg >= 0], orientation_sd=np.radians(sd_deg[sd_deg >= 0])
+        ),
+        reading_sd=1e-5,
+    )
     assert (cal.u <= fewer.u * (1.0 + 1e-9)).all()
 
 
@@ -669,15 +675,20 @@ def test_expressions_find_their_truth_and_survive_the_file(model, truth, columns
 
     values = np.column_stack([output(force[:, i]) for i in range(3)])
     readings = mp.Readings(
-        values + 1e-5 * generator.standard_normal(values.shape), up=UP,
+        values + 1e-5 * generator.standard_normal(values.shape),
+        up=UP,
         environment=dict.fromkeys(columns, t),
-    )  # fmt: skip
+    )
     cal = mp.fit(readings, model=model, **how)
     assert close(cal, np.tile(truth, 3))
     cal.save(tmp_path / "cal.json")
     loaded = mp.load(tmp_path / "cal.json")
-    assert_allclose(loaded.predict(force, readings.environment),
-                    cal.predict(force, readings.environment), rtol=0, atol=1e-15)  # fmt: skip
+    assert_allclose(
+        loaded.predict(force, readings.environment),
+        cal.predict(force, readings.environment),
+        rtol=0,
+        atol=1e-15,
+    )
     assert loaded.names == cal.names
     assert_allclose(loaded.compensate(readings.values, readings.environment), force, atol=2e-4)
 
@@ -817,9 +828,13 @@ def test_scatter_about_the_ellipsoid_by_hand(size, refused):
     """Twelve misfits of one size r on 12 − 9: r/0.6745 √(12/3), at k = 5 and g = 2 to 20 %."""
     far = size * 0.2 * 10.0 * 0.6745 / 2.0
     problem = SimpleNamespace(
-        spread=np.full(12, np.inf), degrees=np.ones(12), unknowns=9, values=np.zeros((12, 3)),
-        reference=np.array([[0.0, 2.0, 0.0]]), model=SimpleNamespace(own_scales=(0, 1, 2)),
-    )  # fmt: skip
+        spread=np.full(12, np.inf),
+        degrees=np.ones(12),
+        unknowns=9,
+        values=np.zeros((12, 3)),
+        reference=np.array([[0.0, 2.0, 0.0]]),
+        model=SimpleNamespace(own_scales=(0, 1, 2)),
+    )
     optimum = SimpleNamespace(
         state=SimpleNamespace(theta=np.array([4.0, -5.0, 6.0])),
         point=SimpleNamespace(residuals=far * np.array([[0.6, 0.0, -0.8]] * 12)),
@@ -854,8 +869,10 @@ def test_bad_condition_is_a_warning():
 
 
 def test_convergence_is_reported():
-    cal = mp.fit(mp.Readings(SENSOR.read(UP) + 1e-4 * rng().standard_normal(UP.shape)),
-                 unknown_orientation=True)  # fmt: skip
+    cal = mp.fit(
+        mp.Readings(SENSOR.read(UP) + 1e-4 * rng().standard_normal(UP.shape)),
+        unknown_orientation=True,
+    )
     status = cal.to_dict()["status"]
     assert status["converged"]
     assert 1 <= status["iterations"] < 20
@@ -888,9 +905,10 @@ def test_gain_by_finite_differences(mode, tmp_path):
     known |= {"group": ["g"] * 24} if mode == "group" else {}
     known |= {"orientation_sd": sd} if mode in ("uncertain", "mixed") else {}
     how = {
-        "unknown": {"unknown_orientation": True}, "level": {"level_sd": 0.1, "reading_sd": 1e-5},
+        "unknown": {"unknown_orientation": True},
+        "level": {"level_sd": 0.1, "reading_sd": 1e-5},
         "auto": {"orientation_sd": "auto"},
-    }.get(mode, {"reading_sd": 1e-5})  # fmt: skip
+    }.get(mode, {"reading_sd": 1e-5})
     known = {} if mode == "unknown" else known
 
     def solve(at):

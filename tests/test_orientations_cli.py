@@ -58,7 +58,7 @@ def fitted(capsys, *options):
         ((*LISTED, "--robust", "huber"), "linear", None, 12),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
-)  # fmt: skip
+)
 def test_options_choose_the_estimator(options, estimator, gauge, parameters, here, capsys):
     (here / "r.csv").write_text(table())
     found, _ = fitted(capsys, *options)
@@ -114,81 +114,123 @@ def test_the_file_of_a_calibration_comes_back_whole(here, capsys):
 
 BAD = {
     "few unknown": (
-        table(UP[:6]), ("--unknown-orientation",), 1,
+        table(UP[:6]),
+        ("--unknown-orientation",),
+        1,
         "6 positions give 6 equations for 9 parameters",
     ),
     "few uncertain": (
-        table(UP[:3], columns=ups(UP[:3])), ("--orientation-sd", "0.1"), 1,
+        table(UP[:3], columns=ups(UP[:3])),
+        ("--orientation-sd", "0.1"),
+        1,
         "3 positions give 9 equations for 12 parameters; add positions",
     ),
     "one circle": (
-        table(read_scheme("roll-x-24").up, off_deg=0.0), ("--unknown-orientation",), 1,
+        table(read_scheme("roll-x-24").up, off_deg=0.0),
+        ("--unknown-orientation",),
+        1,
         "all positions lie on one circle, so the readings are flat; add positions off it.",
     ),
     "one circle, uncertain": (
-        table(read_scheme("roll-x-24").up), ("--scheme", "roll-x-24", "--orientation-sd", "0.1"), 1,
+        table(read_scheme("roll-x-24").up),
+        ("--scheme", "roll-x-24", "--orientation-sd", "0.1"),
+        1,
         "3 of 4 parameters can be separated: `scale_ax` has no effect",
     ),
     "identical": (
-        table(np.tile(UP[:1], (24, 1)), off_deg=0.0), ("--unknown-orientation",), 1,
+        table(np.tile(UP[:1], (24, 1)), off_deg=0.0),
+        ("--unknown-orientation",),
+        1,
         "Turn the sensor to different positions",
     ),
     "zero": (
-        "ax,ay,az\n" + "0,0,0\n" * 24, ("--unknown-orientation",), 1,
+        "ax,ay,az\n" + "0,0,0\n" * 24,
+        ("--unknown-orientation",),
+        1,
         "the readings of ax never change; turn the sensor",
     ),
     "no rows": ("ax,ay,az\n", ("--unknown-orientation",), 1, "r.csv"),
     "two outputs": (
-        table(), ("--unknown-orientation", "--outputs", "ax,ay"), 1,
+        table(),
+        ("--unknown-orientation", "--outputs", "ax,ay"),
+        1,
         "unknown orientations need three outputs, one along each axis; got ax, ay along x, y",
     ),
     "no orientation": (table(), ("--orientation-sd", "0.1"), 1, "no orientation; give --scheme"),
     "no heading": (
-        table(columns=ups()), ("--level-sd", "0.1"), 1,
+        table(columns=ups()),
+        ("--level-sd", "0.1"),
+        1,
         "--level-sd needs the heading, and position '1'",
     ),
     "negative sd in the file": (
-        table(columns=ups() | {"orientation_sd_deg": ["-1"] * 24}), (), 1,
+        table(columns=ups() | {"orientation_sd_deg": ["-1"] * 24}),
+        (),
+        1,
         "'orientation_sd_deg': -1 is not 0 or more",
     ),
     "zero u in the file": (
         table(columns=ups() | {f"u_a{axis}": ["0"] * 24 for axis in "xyz"}),
-        ("--unknown-orientation",), 1, "column 'u_ax': 0 is not above 0",
+        ("--unknown-orientation",),
+        1,
+        "column 'u_ax': 0 is not above 0",
     ),
     "closed form and uncertain": (
-        table(columns=ups() | {"orientation_sd_deg": ["0.1"] * 24}), ("--closed-form",), 1,
+        table(columns=ups() | {"orientation_sd_deg": ["0.1"] * 24}),
+        ("--closed-form",),
+        1,
         "--closed-form takes exact orientations",
     ),
     "negative orientation sd": (
-        table(), ("--orientation-sd", "-0.1"), 2, "between 0 and 180 degrees, got -0.1",
+        table(),
+        ("--orientation-sd", "-0.1"),
+        2,
+        "between 0 and 180 degrees, got -0.1",
     ),
     "half a turn": (table(), ("--orientation-sd", "180"), 2, "between 0 and 180 degrees"),
     "no number": (table(), ("--orientation-sd", "small"), 2, "--orientation-sd"),
     "nan": (table(), ("--orientation-sd", "nan"), 2, "between 0 and 180 degrees, got nan"),
     "zero reading sd": (table(), ("--unknown-orientation", "--reading-sd", "0"), 2, "above 0"),
     "two reading sds": (
-        table(), ("--unknown-orientation", "--reading-sd", "1,2"), 2, "takes 1 or 3 values, got 2",
+        table(),
+        ("--unknown-orientation", "--reading-sd", "1,2"),
+        2,
+        "takes 1 or 3 values, got 2",
     ),
     "negative level": (table(), ("--level-sd", "-1"), 2, "--level-sd must lie between 0 and 90"),
     "unknown and uncertain": (
-        table(), ("--unknown-orientation", "--orientation-sd", "1"), 2,
+        table(),
+        ("--unknown-orientation", "--orientation-sd", "1"),
+        2,
         "--unknown-orientation and --orientation-sd contradict each other; give one.",
     ),
     "unknown and level": (
-        table(), ("--unknown-orientation", "--level-sd", "1"), 2, "contradict each other",
+        table(),
+        ("--unknown-orientation", "--level-sd", "1"),
+        2,
+        "contradict each other",
     ),
     "closed form and unknown": (
-        table(), ("--closed-form", "--unknown-orientation"), 2, "contradict each other",
+        table(),
+        ("--closed-form", "--unknown-orientation"),
+        2,
+        "contradict each other",
     ),
     "closed form and robust": (
-        table(), ("--closed-form", "--robust", "huber"), 2, "contradict each other",
+        table(),
+        ("--closed-form", "--robust", "huber"),
+        2,
+        "contradict each other",
     ),
     "robust and auto": (
-        table(), ("--orientation-sd", "auto", "--robust", "huber"), 2, "cannot judge the same",
+        table(),
+        ("--orientation-sd", "auto", "--robust", "huber"),
+        2,
+        "cannot judge the same",
     ),
     "gauge": (table(), ("--unknown-orientation", "--gauge", "upper"), 2, "unknown gauge 'upper'"),
     "loss": (table(), ("--robust", "tukey"), 2, "--robust takes huber, soft-l1, cauchy"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BAD)

@@ -94,8 +94,12 @@ def test_a_row_without_an_answer_has_no_parity():
     up = read_scheme("fibonacci-24").up
     raw = readings(up)
     model = "1 + x + y + z + own^2"
-    cal = mp.fit(columns(raw + 0.05 * up[:, [0, 1, 2, 0]] ** 2), scheme="fibonacci-24",
-                 axes="x,y,z,x", model=model)  # fmt: skip
+    cal = mp.fit(
+        columns(raw + 0.05 * up[:, [0, 1, 2, 0]] ** 2),
+        scheme="fibonacci-24",
+        axes="x,y,z,x",
+        model=model,
+    )
     found = mp.apply(cal, columns(np.full((1, 4), -1e3)), tilt=True, uncertainty=True)
     assert found["fault"] == [0]
     assert found["outside"] == [1]

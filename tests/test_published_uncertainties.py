@@ -52,8 +52,9 @@ def test_gum_h3_line():
 
 def test_gum_h3_prediction():
     found, covariance = thermometer_line()
-    value, variance = propagate(lambda b: b @ np.array([[1.0], [10.0]]), found.coefficients,
-                                covariance)  # fmt: skip
+    value, variance = propagate(
+        lambda b: b @ np.array([[1.0], [10.0]]), found.coefficients, covariance
+    )
     assert np.round(value[0], 4) == -0.1494
     assert np.round(math.sqrt(variance[0, 0]), 4) == 0.0041
 
@@ -86,13 +87,20 @@ def test_gum_h2_simultaneous_resistance_and_reactance():
 @pytest.mark.parametrize(
     ("y", "u", "a", "b", "u_a", "u_b", "covariance", "chi2"),
     [
-        ([3.3, 5.6, 7.1, 9.3, 10.7, 12.1], [0.5] * 6,
-         1.867, 1.757, 0.465, 0.120, -0.050, 1.665),
-        ([3.2, 4.3, 7.6, 8.6, 11.7, 12.8], [0.5] * 3 + [1.0] * 3,
-         0.885, 2.057, 0.530, 0.178, -0.082, 4.131),
+        ([3.3, 5.6, 7.1, 9.3, 10.7, 12.1], [0.5] * 6, 1.867, 1.757, 0.465, 0.120, -0.050, 1.665),
+        (
+            [3.2, 4.3, 7.6, 8.6, 11.7, 12.8],
+            [0.5] * 3 + [1.0] * 3,
+            0.885,
+            2.057,
+            0.530,
+            0.178,
+            -0.082,
+            4.131,
+        ),
     ],
     ids=["equal weights", "unequal weights"],
-)  # fmt: skip
+)
 def test_iso_28037_weighted_line(y, u, a, b, u_a, u_b, covariance, chi2):
     X = np.column_stack([np.ones(6), np.arange(1.0, 7.0)])
     found = solve(X, np.array(y), covariance=np.array(u) ** 2)

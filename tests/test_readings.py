@@ -203,14 +203,20 @@ def test_without_labels_rows_are_matched_where_the_counts_agree():
 @pytest.mark.parametrize(
     ("readings", "scheme", "message"),
     [
-        (Readings(np.ones((2, 1)), positions=("1", "A")), "faces-6",
-         "position 'A' is not in scheme 'faces-6', whose labels are '1', '2', '3', '4', '5', '6'"),
+        (
+            Readings(np.ones((2, 1)), positions=("1", "A")),
+            "faces-6",
+            "position 'A' is not in scheme 'faces-6', whose labels are '1', '2', '3', '4', '5', '6'",
+        ),
         (Readings(np.ones((5, 1))), "faces-6", "5 readings but scheme 'faces-6' has 6 positions"),
-        (Readings(np.ones((2, 1)), positions=("a", "b")),
-         {"up_x": [1], "up_y": [0], "up_z": [0]}, "only one has labels; the labels are 'a', 'b'"),
+        (
+            Readings(np.ones((2, 1)), positions=("a", "b")),
+            {"up_x": [1], "up_y": [0], "up_z": [0]},
+            "only one has labels; the labels are 'a', 'b'",
+        ),
         (Readings(np.ones((2, 1))), None, "no orientation; give --scheme"),
     ],
-)  # fmt: skip
+)
 def test_labels_that_match_no_position_are_named(readings, scheme, message):
     with pytest.raises(MultiposError, match=message):
         orient(readings, scheme)

@@ -54,7 +54,7 @@ from multipos.sensor.instructions import require_instructions
         (Numbers(2), [1, 2], "a[0] is 1; a list is needed there"),
         (Numbers(1), [1e200], "a[0] is 1e+200; a number of at least -1e+100"),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_of_its_kind_is_named(kind, value, message):
     with pytest.raises(MultiposError) as error:
         require({"a": value}, Fields({"a": kind}), "f.json", "do it again")
@@ -186,10 +186,18 @@ REMOVED = object()
         ("reg", ["edges"], [25.0, 15.0], "not a regression: its edges do not ascend"),
         ("reg", ["edges"], [15.0], "its segments do not fit its edges and branches"),
         ("reg", ["segment_variable"], ["t"], "segment_variable is a list of 1; a text is needed"),
-        ("reg", ["segments", 0, "terms", 1, "factors"], [["t", 2**63, False]],
-         "segments[0].terms[1].factors[0][1] is 9.223372036854776e+18; a whole number from 0"),
-        ("reg", ["segments", 0, "terms", 1, "factors"], [["q", 1, False]],
-         "a segment lacks the limits of a variable of its terms"),
+        (
+            "reg",
+            ["segments", 0, "terms", 1, "factors"],
+            [["t", 2**63, False]],
+            "segments[0].terms[1].factors[0][1] is 9.223372036854776e+18; a whole number from 0",
+        ),
+        (
+            "reg",
+            ["segments", 0, "terms", 1, "factors"],
+            [["q", 1, False]],
+            "a segment lacks the limits of a variable of its terms",
+        ),
         ("reg", ["segments", 0, "limits", "t"], [2.0, 1.0], "limits end before they begin"),
         ("reg", ["segments", 0, "limits", "t"], [2.0], "segments[0].limits.t is a list of 1"),
         ("reg", ["segments", 0, "covariance"], [[1.0]], "of a segment has shape (1, 1)"),
@@ -202,7 +210,7 @@ REMOVED = object()
         ("check", ["by_axis"], {}, "'by_axis' is of , not of its axes"),
         ("check", ["positions", 1, "counted", "x"], 1, "positions[1].counted.x is 1; true or"),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_file_names_the_key(files, name, place, value, message, tmp_path):
     content, load = files[name]
     content = copy.deepcopy(content)

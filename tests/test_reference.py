@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 import multipos as mp
+from multipos.numerics.terms import NAMED
 from multipos.positions import attitudes
 from multipos.positions.readings import _RESERVED
 from multipos.positions.scheme import named_schemes
 from multipos.reports.certificate import LAB_FIELDS
 from multipos.sensor.calibration import _EXTRA
-from multipos.sensor.model import NAMED, build_model
+from multipos.sensor.model import build_model
 from multipos.uncertainty.budgets import DIVISORS, KINDS
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs/reference/formats.md").read_text("utf-8")
@@ -34,8 +35,9 @@ def test_every_column_of_readings_is_described():
 
 
 def test_every_scheme_is_described():
-    families = {re.sub(r"^(fibonacci|roll-.|tumble)-\d+$", r"\1-N", name)
-                for name in named_schemes()}  # fmt: skip
+    families = {
+        re.sub(r"^(fibonacci|roll-.|tumble)-\d+$", r"\1-N", name) for name in named_schemes()
+    }
     assert families <= NAMES
 
 

@@ -15,10 +15,10 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import format_csv, read_table, to_json
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_quantile
+from multipos.numerics.terms import parse_terms
 from multipos.regression.correlation import time_order
 from multipos.regression.hysteresis import compare_branches
 from multipos.regression.observations import Data
-from multipos.sensor.model import parse_terms
 
 
 def write(path, columns):
@@ -99,9 +99,22 @@ def test_five_variables_make_21_terms():
 def test_hald_through_the_command(hald_csv, tmp_path, capsys):
     saved = tmp_path / "hald.json"
     status, out, err = run(
-        capsys, "regress", hald_csv, "--response", "y", "--variables", "x1,x2,x3,x4",
-        "--stepwise", "--enter", ".06", "--remove", ".10", "--json", "-o", saved,
-    )  # fmt: skip
+        capsys,
+        "regress",
+        hald_csv,
+        "--response",
+        "y",
+        "--variables",
+        "x1,x2,x3,x4",
+        "--stepwise",
+        "--enter",
+        ".06",
+        "--remove",
+        ".10",
+        "--json",
+        "-o",
+        saved,
+    )
     assert status == 0
     found = json.loads(out)
     assert found["schema"] == "multipos/regression/1"
@@ -201,8 +214,9 @@ def test_segments_are_fits_of_their_own_rows():
     columns = broken()
     found = mp.regress(columns, response="y", variables="t,v", segment="t:0")
     assert [s.range for s in found.segments] == [
-        (columns["t"].min(), 0.0), (0.0, columns["t"].max())
-    ]  # fmt: skip
+        (columns["t"].min(), 0.0),
+        (0.0, columns["t"].max()),
+    ]
     for segment, rows in zip(found.segments, (columns["t"] < 0, columns["t"] >= 0), strict=True):
         X = np.column_stack((np.ones(rows.sum()), columns["t"][rows], columns["v"][rows]))
         assert_allclose(segment.values, solve(X, columns["y"][rows]).coefficients, rtol=1e-12)
@@ -217,8 +231,9 @@ def test_edges_found_are_near_the_bend():
     assert abs(found.edges[0]) < 5.0
 
 
-@pytest.mark.parametrize("options", [{}, {"stepwise": True}, {"degree": 3},
-                                     {"terms": "1 + t^2 + t*v"}])  # fmt: skip
+@pytest.mark.parametrize(
+    "options", [{}, {"stepwise": True}, {"degree": 3}, {"terms": "1 + t^2 + t*v"}]
+)
 def test_continuous_segments_meet(options):
     options = {"variables": "t,v", **options}
     found = mp.regress(broken(), response="y", segment="t:-10,0,30", continuous=True, **options)
@@ -296,9 +311,18 @@ def test_rates_are_formed_from_time_and_used_again(tmp_path, capsys):
     del columns["t_rate"]
     data, model = write(tmp_path / "log.csv", columns), tmp_path / "model.json"
     status, out, _ = run(
-        capsys, "regress", data, "--response", "y", "--variables", "t_rate", "--rate-window", 9,
-        "-o", model,
-    )  # fmt: skip
+        capsys,
+        "regress",
+        data,
+        "--response",
+        "y",
+        "--variables",
+        "t_rate",
+        "--rate-window",
+        9,
+        "-o",
+        model,
+    )
     assert status == 0
     assert "rate       t_rate: window 9" in out
     found = mp.load_regression(model)
@@ -349,8 +373,15 @@ def test_cross_validation_repeats_the_choice():
     n = 60
     columns = {f"x{i}": rng.standard_normal(n) for i in range(15)} | {"y": rng.standard_normal(n)}
     names = [f"x{i}" for i in range(15)]
-    found = mp.regress(columns, response="y", variables=names, stepwise=True, enter=0.3,
-                       remove=0.4, cross_validate=5)  # fmt: skip
+    found = mp.regress(
+        columns,
+        response="y",
+        variables=names,
+        stepwise=True,
+        enter=0.3,
+        remove=0.4,
+        cross_validate=5,
+    )
     assert found.segments[0].significant  # noise, chosen until it looks like something
     assert found.cross_validation["r2"] < 0.1
     assert found.cross_validation["blocks"] == 5
@@ -406,8 +437,15 @@ def test_apply_adds_predicted_and_corrected(fitted, capsys, tmp_path):
 
     table = read_table(out)
     assert list(table.columns) == [
-        "t", "v", "y", "raw", "predicted", "corrected", "u_corrected", "outside"
-    ]  # fmt: skip
+        "t",
+        "v",
+        "y",
+        "raw",
+        "predicted",
+        "corrected",
+        "u_corrected",
+        "outside",
+    ]
     assert_allclose(table.number("corrected"), table.number("raw") - table.number("predicted"))
     left = table.number("y") - table.number("predicted")
     assert left.std() == pytest.approx(0.01, rel=0.1)

@@ -131,9 +131,12 @@ def test_numbers_of_the_budget(calibration):
     section = build_content(calibration).sections[2]
     lines, contributions = section.tables
     assert [row[0] for row in lines.rows] == [
-        "scatter of the residuals", "local gravity", "level of the table, two axes",
-        "gain of the ADC or voltmeter", "orientation of each position",
-    ]  # fmt: skip
+        "scatter of the residuals",
+        "local gravity",
+        "level of the table, two axes",
+        "gain of the ADC or voltmeter",
+        "orientation of each position",
+    ]
     assert lines.rows[3][3:5] == ("5e-06", "1")
     assert lines.rows[4][7] == "in the scatter"
     i = calibration.names.index("scale_ax")
@@ -262,9 +265,10 @@ def test_chinese_has_every_sentence(calibration, six):
             for a, b in zip((*one.figures, *one.tables), (*two.figures, *two.tables), strict=True):
                 pairs.append((a.caption, b.caption))
             pairs += [
-                pair for a, b in zip(one.figures, two.figures, strict=True)
+                pair
+                for a, b in zip(one.figures, two.figures, strict=True)
                 for pair in [(a.description, b.description)]
-            ]  # fmt: skip
+            ]
         same = [a for a, b in pairs if a == b]
         assert same == []
 
@@ -272,9 +276,10 @@ def test_chinese_has_every_sentence(calibration, six):
 def test_a_translation_keeps_what_is_put_in():
     words = Translator("zh").words
     wrong = [
-        text for text, other in words.items()
+        text
+        for text, other in words.items()
         if set(re.findall(r"\{\w+\}", text)) != set(re.findall(r"\{\w+\}", other))
-    ]  # fmt: skip
+    ]
     assert wrong == []
 
 
@@ -293,21 +298,26 @@ def test_long_tables_show_their_largest_twenty(tmp_path, capsys):
     lines = residuals.strip().splitlines()
     assert lines[-1] == "the largest 20 of 101 positions; --json has all"
     assert [line.split()[0] for line in (lines[0], lines[1], *lines[-3:-1])] == [
-        "position", "8", "s", "dof"
-    ]  # fmt: skip
+        "position",
+        "8",
+        "s",
+        "dof",
+    ]
     assert len(lines) == 1 + 20 + 2 + 1
     assert len(long.to_dict()["residuals"]) == 101
     tables = {
         table.caption: table
-        for part in build_content(long).sections for table in part.tables
+        for part in build_content(long).sections
+        for table in part.tables
         if "largest" in table.caption
-    }  # fmt: skip
+    }
     said = "(the 20 largest of 101; the calibration file has all)"
     assert [name.removesuffix(said) for name in tables] == [
-        "Residuals at every position ", "Size of the error [g] ",
+        "Residuals at every position ",
+        "Size of the error [g] ",
         "Up vector and leverage of every position ",
         "Influence of each position: studentised residual r, Cook's D, leave-one-out error e ",
-    ]  # fmt: skip
+    ]
     for name, table in tables.items():
         assert len(table.rows) in (20, 22)
         assert (table.rows[0][0] == "8") is not name.startswith("Up vector")
@@ -406,8 +416,9 @@ def section(content, title):
 def test_rolls_are_in_the_report(pair):
     found = section(build_content(pair), "Rolls")
     assert [figure.caption for figure in found.figures] == [
-        "Signal against angle", "Residual harmonics"
-    ]  # fmt: skip
+        "Signal against angle",
+        "Residual harmonics",
+    ]
     for figure in found.figures:
         assert "Ux [V]" in figure.draw()
     rows = {row[:2]: row for row in found.tables[0].rows}
@@ -464,9 +475,13 @@ def test_the_check_is_in_the_report(checked, ending, capsys):
     text = target.read_text("utf-8")
     found = mp.load_check(checked / "check.json")
     for said in (
-        "Independent check", "run.csv", "Verdict against 0.1 deg: pass", "max before [deg]",
-        f"{found.summary('x')['after']['maximum']:.4g}", "Every position",
-    ):  # fmt: skip
+        "Independent check",
+        "run.csv",
+        "Verdict against 0.1 deg: pass",
+        "max before [deg]",
+        f"{found.summary('x')['after']['maximum']:.4g}",
+        "Every position",
+    ):
         assert said in re.sub(r"\s+", " ", text)
     if ending == "html":
         assert "limit ±0.1 deg" in text

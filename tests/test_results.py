@@ -41,12 +41,14 @@ def sensor():
 @cache
 def session(seed=1):
     return mp.Readings(
-        np.column_stack([
-            mp.simulate(sensor(), TWICE["scheme"], reading_sd=1e-3, seed=seed)[name]
-            for name in ("ax", "ay", "az")
-        ]),
+        np.column_stack(
+            [
+                mp.simulate(sensor(), TWICE["scheme"], reading_sd=1e-3, seed=seed)[name]
+                for name in ("ax", "ay", "az")
+            ]
+        ),
         unit="g",
-    )  # fmt: skip
+    )
 
 
 @cache
@@ -76,9 +78,14 @@ def regressed():
     data["y"] = 0.3 + 0.02 * t + np.where(t > 20.0, 0.05 * (t - 20.0), 0.0)
     data["y"] = data["y"] + 0.01 * rng.standard_normal(240)
     return mp.regress(
-        data, response="y", variables="t,V", degree=2, stepwise=True, segment="t:20",
+        data,
+        response="y",
+        variables="t,V",
+        degree=2,
+        stepwise=True,
+        segment="t:20",
         cross_validate=3,
-    )  # fmt: skip
+    )
 
 
 @cache
@@ -258,11 +265,16 @@ def test_nan_equals_nan_and_shapes_count():
 def test_a_frozen_mapping_refuses_every_change():
     frozen = Frozen({"a": np.zeros(2), "b": {"c": 1}})
     for change in (
-        lambda: frozen.update(a=1), lambda: frozen.pop("a"), frozen.clear, frozen.popitem,
-        lambda: frozen.setdefault("d", 1), lambda: frozen.__setitem__("a", 1),
-        lambda: frozen.__delitem__("a"), lambda: frozen.__ior__({"a": 1}),
+        lambda: frozen.update(a=1),
+        lambda: frozen.pop("a"),
+        frozen.clear,
+        frozen.popitem,
+        lambda: frozen.setdefault("d", 1),
+        lambda: frozen.__setitem__("a", 1),
+        lambda: frozen.__delitem__("a"),
+        lambda: frozen.__ior__({"a": 1}),
         lambda: frozen["b"].update(c=2),
-    ):  # fmt: skip
+    ):
         with pytest.raises(TypeError, match=r"make a copy of it with dict\(…\)"):
             change()
     with pytest.raises(ValueError, match="read-only"):

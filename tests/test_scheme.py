@@ -29,10 +29,13 @@ def test_song_qin_is_table_1_of_the_paper():
 @pytest.mark.parametrize(
     ("name", "count", "smallest_deg", "neighbours"),
     [
-        ("faces-6", 6, 90, 4), ("corners-8", 8, 70.5288, 3), ("edges-12", 12, 60, 4),
-        ("icosahedron-12", 12, 63.4349, 5), ("dodecahedron-20", 20, 41.8103, 3),
+        ("faces-6", 6, 90, 4),
+        ("corners-8", 8, 70.5288, 3),
+        ("edges-12", 12, 60, 4),
+        ("icosahedron-12", 12, 63.4349, 5),
+        ("dodecahedron-20", 20, 41.8103, 3),
     ],
-)  # fmt: skip
+)
 def test_solids_have_their_angles(name, count, smallest_deg, neighbours):
     up = read_scheme(name).up
     found = angles_deg(up)
@@ -46,10 +49,14 @@ def test_solids_have_their_angles(name, count, smallest_deg, neighbours):
 
 @pytest.mark.parametrize(
     ("name", "parts"),
-    [("faces-corners-14", "faces-6+corners-8"), ("faces-edges-18", "faces-6+edges-12"),
-     ("all-26", "faces-6+edges-12+corners-8"), ("dual-axis-48", "roll-y-24+roll-x-24"),
-     ("tumble-12", "roll-z-12")],
-)  # fmt: skip
+    [
+        ("faces-corners-14", "faces-6+corners-8"),
+        ("faces-edges-18", "faces-6+edges-12"),
+        ("all-26", "faces-6+edges-12+corners-8"),
+        ("dual-axis-48", "roll-y-24+roll-x-24"),
+        ("tumble-12", "roll-z-12"),
+    ],
+)
 def test_composed_names_are_their_parts(name, parts):
     whole, joined = read_scheme(name), read_scheme(parts)
     assert_array_equal(whole.up, joined.up)
@@ -59,10 +66,12 @@ def test_composed_names_are_their_parts(name, parts):
 
 @pytest.mark.parametrize(
     ("name", "up"),
-    [("roll-x-4", [[0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]]),
-     ("roll-y-4", [[1, 0, 0], [0, 0, 1], [-1, 0, 0], [0, 0, -1]]),
-     ("roll-z-4", [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])],
-)  # fmt: skip
+    [
+        ("roll-x-4", [[0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]]),
+        ("roll-y-4", [[1, 0, 0], [0, 0, 1], [-1, 0, 0], [0, 0, -1]]),
+        ("roll-z-4", [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]),
+    ],
+)
 def test_rolls_are_exact_at_quarter_turns(name, up):
     assert_array_equal(read_scheme(name).up, up)
     family = name.rpartition("-")[0]

@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 from multipos.errors import MultiposError
 from multipos.numerics.least_squares import solve
 from multipos.numerics.selection import compress
+from multipos.numerics.terms import parse_terms
 from multipos.regression.rates import default_window, smoothed_rate
 from multipos.regression.segmentation import find_edges, hinges, residual_sum, segment_of
-from multipos.sensor.model import parse_terms
 
 
 def test_edges_of_a_broken_line_are_found():

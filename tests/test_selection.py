@@ -152,9 +152,11 @@ def test_it_ends_and_every_model_on_the_path_is_new(seed, enter):
     X[:, 4:] += 0.2 * rng.standard_normal((30, 6))
     names = [str(j) for j in range(10)]
     found = select_stepwise(
-        compress(X, rng.standard_normal(30) + X[:, 5]), names, Thresholds(enter, enter + 0.01),
+        compress(X, rng.standard_normal(30) + X[:, 5]),
+        names,
+        Thresholds(enter, enter + 0.01),
         forced=[0],
-    )  # fmt: skip
+    )
     inside, seen = {"0"}, {frozenset({"0"})}
     for step in found.path:
         inside ^= {step.term}
@@ -181,8 +183,10 @@ def test_hierarchy_keeps_what_a_term_stands_on():
     )
     assert [s.term for s in forward.path] == ["t", "t^2"]
     assert {s.columns for s in all_subsets(full, forced=[0], requires=rules)} == {
-        (0,), (0, 1), (0, 1, 2)
-    }  # fmt: skip
+        (0,),
+        (0, 1),
+        (0, 1, 2),
+    }
 
 
 def test_collinear_columns_stay_out_and_are_named():

@@ -61,9 +61,15 @@ def test_convention_and_gravity_are_the_calibrations():
 def test_a_log_rests_and_remembers():
     cal = sensor()
     log = mp.simulate_log(
-        cal, "faces-6", rate=200.0, rest=100.0, turn=1.0, sample_sd=1e-3, correlation_time=0.02,
+        cal,
+        "faces-6",
+        rate=200.0,
+        rest=100.0,
+        turn=1.0,
+        sample_sd=1e-3,
+        correlation_time=0.02,
         seed=3,
-    )  # fmt: skip
+    )
     assert len(log["time"]) == 6 * 20000 + 5 * 200
     assert log["time"][1] == pytest.approx(1.0 / 200.0)
     noise = matrix(log, cal)[:20000] - cal.predict(mp.read_scheme("faces-6").up[:1])

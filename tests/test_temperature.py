@@ -131,9 +131,10 @@ def test_curves_are_sums_of_parameters():
     assert bias.u[1] == pytest.approx(cal["ax", "1"].u)
     assert bias.U[1] == pytest.approx(cal["ax", "1"].U)
     # u² = w' C w with w = (1, 45, 45², 45³)
-    place = [cal.model.index("ax", "1"), *(
-        cal.model.index("ax", f"temperature{power}") for power in ("", "^2", "^3")
-    )]  # fmt: skip
+    place = [
+        cal.model.index("ax", "1"),
+        *(cal.model.index("ax", f"temperature{power}") for power in ("", "^2", "^3")),
+    ]
     w = 45.0 ** np.arange(4)
     assert bias.u[2] == pytest.approx(np.sqrt(w @ cal.covariance[np.ix_(place, place)] @ w))
     assert_allclose(bias.value, 0.01 + 1e-4 * t + 1e-6 * t**2, atol=3 * bias.band.max())
@@ -149,8 +150,11 @@ def test_bands_cover():
     runs, at_one, at_all, t = 300, 0, 0, np.linspace(-40, 60, 21)
     truth = 0.01 + 1e-4 * t + 1e-6 * t**2
     for seed in range(runs):
-        cal = mp.fit(readings(seed), model="1 + x + y + z + temperature + temperature^2"
-                     " + temperature*own", outputs="ax")  # fmt: skip
+        cal = mp.fit(
+            readings(seed),
+            model="1 + x + y + z + temperature + temperature^2 + temperature*own",
+            outputs="ax",
+        )
         bias = mp.over_temperature(cal, t)[0]
         off = np.abs(bias.value - truth)
         at_one += bool(off[3] <= bias.U[3])
@@ -204,15 +208,29 @@ VARIABLES = "V,temperature,temperature_rate,ambient,ambient_rate"
 
 
 @pytest.mark.parametrize("seed", range(1, 6))
-@pytest.mark.parametrize("options", [{"segment": "temperature:-20,20"},
-                                     {"segment": "temperature:-20,20", "continuous": True},
-                                     {"segment": "temperature:auto"}], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"segment": "temperature:-20,20"},
+        {"segment": "temperature:-20,20", "continuous": True},
+        {"segment": "temperature:auto"},
+    ],
+    ids=str,
+)
 def test_full_temperature_case(seed, options):
     """Within 3 mg in modelling and 5 mg on an independent run; the two-stage way is worse."""
     run = chamber()
     modelled, independent = run(seed), run(100 + seed)
-    found = mp.regress(modelled, response="error", variables=VARIABLES, degree=2, stepwise=True,
-                       rate_window=5.0, confidence=0.9, **options)  # fmt: skip
+    found = mp.regress(
+        modelled,
+        response="error",
+        variables=VARIABLES,
+        degree=2,
+        stepwise=True,
+        rate_window=5.0,
+        confidence=0.9,
+        **options,
+    )
     assert all(segment.significant for segment in found.segments)
     assert all(segment.robust.p < 0.1 for segment in found.segments if segment.robust)
     rms = {}
@@ -231,8 +249,15 @@ def test_full_temperature_case(seed, options):
 
 def test_figures_draw_what_they_are_given(tmp_path):
     data = chamber()(1)
-    found = mp.regress(data, response="error", variables=VARIABLES, degree=2, stepwise=True,
-                       rate_window=5.0, segment="temperature:-20,20")  # fmt: skip
+    found = mp.regress(
+        data,
+        response="error",
+        variables=VARIABLES,
+        degree=2,
+        stepwise=True,
+        rate_window=5.0,
+        segment="temperature:-20,20",
+    )
     figure, axes = plots.new_figure(3)
     plots.draw_correction(found, data, axes[0])
     before, after = axes[0].lines[:2]

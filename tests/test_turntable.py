@@ -21,18 +21,24 @@ MATRIX = np.array([[1.001, 0.02, 0.01], [0.018, 0.998, -0.005]])
 def stood(t, errors=ERRORS):
     e = errors
     return (
-        t + e["zero_offset"] + e["first_cos"] * np.cos(t) + e["first_sin"] * np.sin(t)
-        + e["second_cos"] * np.cos(2 * t) + e["second_sin"] * np.sin(2 * t)
-    )  # fmt: skip
+        t
+        + e["zero_offset"]
+        + e["first_cos"] * np.cos(t)
+        + e["first_sin"] * np.sin(t)
+        + e["second_cos"] * np.cos(2 * t)
+        + e["second_sin"] * np.sin(2 * t)
+    )
 
 
 def rolls(t, sd=1e-6, seed=0, shift=0.0):
     """Two rolls of an inclinometer, main axis x and then y."""
     zero = 0 * t
-    up = np.concatenate([
-        np.column_stack([np.cos(t), zero, np.sin(t)]),
-        np.column_stack([zero, np.cos(t), np.sin(t)]),
-    ])  # fmt: skip
+    up = np.concatenate(
+        [
+            np.column_stack([np.cos(t), zero, np.sin(t)]),
+            np.column_stack([zero, np.cos(t), np.sin(t)]),
+        ]
+    )
     noise = sd * np.random.default_rng(seed).standard_normal((48, 2))
     values = [2.5008, 2.4993] + up @ MATRIX.T + noise
     values[24:] += shift
@@ -74,8 +80,9 @@ def test_one_axis_in_one_plane(quantity, same):
     """Equation (12) of docs/theory/tumble.md: sin 3t is the only one with no double."""
     up = np.column_stack([np.cos(T), np.sin(T), 0 * T])
     noise = 1e-6 * np.random.default_rng(1).standard_normal(24)
-    cal = mp.fit({"E": up[:, 0] + noise}, scheme="tumble-24", unit="V",
-                 model="1 + x + y + x^2 + x^3 + x*y")  # fmt: skip
+    cal = mp.fit(
+        {"E": up[:, 0] + noise}, scheme="tumble-24", unit="V", model="1 + x + y + x^2 + x^3 + x*y"
+    )
     error = next(e for e in mp.table_errors(cal).errors if e.quantity == quantity)
     assert set(error.confounded_with) == same
     assert (error.value_deg is None) == bool(same)

@@ -82,9 +82,12 @@ def test_gain_is_how_the_estimator_follows_each_reading(closed_form, convention)
         values = np.array(c.readings.values)
         values.flat[place] += 1e-3
         moved = mp.fit(
-            replace(c.readings, values=values, up=None, rotation=None), scheme="song-qin-6",
-            model="own-quadratic", closed_form=closed_form, convention=convention,
-        )  # fmt: skip
+            replace(c.readings, values=values, up=None, rotation=None),
+            scheme="song-qin-6",
+            model="own-quadratic",
+            closed_form=closed_form,
+            convention=convention,
+        )
         assert_allclose((moved.parameters - c.parameters) / 1e-3, gain[:, place], atol=1e-11)
 
 
@@ -129,9 +132,11 @@ def test_sensitivities_against_the_whole_estimator(name, components, step, conve
             force = true_forces(c, name, size, component)
             moved = mp.fit(
                 mp.Readings(sense(force), unit="g", positions=c.readings.positions),
-                scheme="dual-axis-48", model="own-quadratic", convention=convention,
+                scheme="dual-axis-48",
+                model="own-quadratic",
+                convention=convention,
                 gravity=GRAVITY,
-            )  # fmt: skip
+            )
             found.append(moved.parameters)
         # central differences: third order in the step is left, (step)² of the effect
         assert_allclose((found[0] - found[1]) / (2 * step), effects[:, component], atol=2e-9)
@@ -171,8 +176,9 @@ def test_each_contribution_by_hand():
     c = calibrate("song-qin-6", reading_sd=1e-4, budget=tables)
     rows = {row.quantity: row for row in evaluate_budget(c).rows}
     degree = np.array([term.force_degree for _, term in c.model.keys])
-    assert_allclose(rows["gravity"].contribution, degree * np.abs(c.parameters) * 2e-4 / GRAVITY,
-                    atol=1e-18)  # fmt: skip
+    assert_allclose(
+        rows["gravity"].contribution, degree * np.abs(c.parameters) * 2e-4 / GRAVITY, atol=1e-18
+    )
     assert_allclose(rows["gain"].contribution, np.abs(c.parameters) * 2e-5, atol=1e-18)
     bias = degree == 0
     assert_allclose(rows["offset"].contribution[bias], 3e-4 / math.sqrt(6))
@@ -206,8 +212,13 @@ def test_a_temperature_term_of_the_model_is_used():
     temperature = np.linspace(10.0, 40.0, 48)
     values = sense(given.up) + 2e-3 * temperature[:, None]
     readings = mp.Readings(values, unit="g", environment={"temperature": temperature})
-    c = mp.fit(readings, scheme="dual-axis-48", model="1 + x + y + z + own^2 + temperature",
-               reading_sd=1e-4, budget={"temperature": {"u": 0.5}})  # fmt: skip
+    c = mp.fit(
+        readings,
+        scheme="dual-axis-48",
+        model="1 + x + y + z + own^2 + temperature",
+        reading_sd=1e-4,
+        budget={"temperature": {"u": 0.5}},
+    )
     row = evaluate_budget(c).rows[-1]
     # a thermometer that is off in common shifts the bias by minus the coefficient per degree
     assert_allclose(row.contribution[:6], [1e-3, 0, 0, 0, 0, 0], atol=1e-12)
@@ -228,8 +239,9 @@ def test_what_the_residuals_show_is_not_added_again():
 
 def test_index_error_has_the_stated_size_at_a_random_angle():
     given = read_scheme("roll-z-36")
-    c = mp.fit(mp.Readings(sense(given.up)[:, :2], unit="g"), scheme="roll-z-36", inputs="x,y",
-               axes="x,y")  # fmt: skip
+    c = mp.fit(
+        mp.Readings(sense(given.up)[:, :2], unit="g"), scheme="roll-z-36", inputs="x,y", axes="x,y"
+    )
     quantity = read_budget({"index": {"u_deg": 0.01, "harmonics": [1, 3]}}).quantities["index"]
     moves = reading_moves(c, quantity)
     across = np.stack([-given.up[:, 1], given.up[:, 0]], axis=1)  # d up / d angle
@@ -297,8 +309,12 @@ def test_coverage_of_budgeted_intervals():
         true_g = GRAVITY + u_g * rng.standard_normal()
         force = given.up * true_g / 9.80665
         values = sense(force) + 2e-4 * rng.standard_normal((14, 3))
-        c = mp.fit(mp.Readings(values, unit="g"), scheme="faces-corners-14", model="own-quadratic",
-                   budget={"gravity": {"value": GRAVITY, "u": u_g}})  # fmt: skip
+        c = mp.fit(
+            mp.Readings(values, unit="g"),
+            scheme="faces-corners-14",
+            model="own-quadratic",
+            budget={"gravity": {"value": GRAVITY, "u": u_g}},
+        )
         inside += abs(c.parameters[1] - truth[1]) <= c.U[1]
     assert inside / runs == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / runs))
 
@@ -347,8 +363,9 @@ def test_degrees_of_freedom_beyond_what_was_applied_by_hand():
 
 
 def test_a_third_order_term_that_was_fitted_is_not_unseen():
-    c = calibrate("icosahedron-12", model="own-cubic", reading_sd=1e-5,
-                  budget={"third_order": {"u": 1e-3}})  # fmt: skip
+    c = calibrate(
+        "icosahedron-12", model="own-cubic", reading_sd=1e-5, budget={"third_order": {"u": 1e-3}}
+    )
     assert_allclose(third_order_covariance(c, np.array([[3.0, 1.0, 2.0]]), {}), 0.0, atol=1e-24)
 
 
@@ -403,8 +420,17 @@ def demo(folder):
 
 
 def fit_argv(folder, *options):
-    return ["fit", str(folder / "readings.csv"), "--scheme", "song-qin-6", "--model",
-            "own-quadratic", "--convention", "gravity", *options]  # fmt: skip
+    return [
+        "fit",
+        str(folder / "readings.csv"),
+        "--scheme",
+        "song-qin-6",
+        "--model",
+        "own-quadratic",
+        "--convention",
+        "gravity",
+        *options,
+    ]
 
 
 def test_level_needs_headings():
@@ -413,8 +439,12 @@ def test_level_needs_headings():
 
 
 def test_index_needs_a_shaft():
-    quaternion = {"qw": np.full(4, 0.9), "qx": [0.1, 0.2, 0.3, 0.4], "qy": [0.3, -0.2, 0.1, 0.5],
-                  "qz": [0.2, 0.5, -0.7, 0.1]}  # fmt: skip
+    quaternion = {
+        "qw": np.full(4, 0.9),
+        "qx": [0.1, 0.2, 0.3, 0.4],
+        "qy": [0.3, -0.2, 0.1, 0.5],
+        "qz": [0.2, 0.5, -0.7, 0.1],
+    }
     columns = {**quaternion, "ax": [0.1, 0.5, 0.2, -0.3]}
     with pytest.raises(MultiposError, match="name the axis along the shaft"):
         mp.fit(columns, model="1 + x", reading_sd=0.1, budget={"index": {"u_deg": 0.01}})

@@ -39,9 +39,13 @@ def test_sine_is_odd_and_cosine_even(angle):
 # as ICAO's standard atmosphere quotes it to seven digits, 9.806198 m/s².
 @pytest.mark.parametrize(
     ("latitude", "gravity", "atol"),
-    [(0, 9.7803253359, 1e-10), (90, 9.8321849378, 1e-9), (-90, 9.8321849378, 1e-9),
-     (45, 9.8061977, 1e-7)],
-)  # fmt: skip
+    [
+        (0, 9.7803253359, 1e-10),
+        (90, 9.8321849378, 1e-9),
+        (-90, 9.8321849378, 1e-9),
+        (45, 9.8061977, 1e-7),
+    ],
+)
 def test_normal_gravity_at_sea_level(latitude, gravity, atol):
     assert normal_gravity(latitude) == pytest.approx(gravity, abs=atol)
 
@@ -79,9 +83,18 @@ def test_gravity_ratio_is_of_standard_gravity():
 
 @pytest.mark.parametrize(
     ("arguments", "unit"),
-    [(("V", 0), "V"), (("V", 1), "V/g"), (("V", 2), "V/g^2"), (("g", 0), "g"), (("g", 1), "1"),
-     (("g", 2), "1/g"), (("g", 3), "1/g^2"), (("V", 0, (("temperature", 2),)), "V/degC^2"),
-     (("V", 1, (("temperature", 1),)), "V/g/degC"), (("g", 1, (("ambient_p", 1),)), "1/ambient_p")],
-)  # fmt: skip
+    [
+        (("V", 0), "V"),
+        (("V", 1), "V/g"),
+        (("V", 2), "V/g^2"),
+        (("g", 0), "g"),
+        (("g", 1), "1"),
+        (("g", 2), "1/g"),
+        (("g", 3), "1/g^2"),
+        (("V", 0, (("temperature", 2),)), "V/degC^2"),
+        (("V", 1, (("temperature", 1),)), "V/g/degC"),
+        (("g", 1, (("ambient_p", 1),)), "1/ambient_p"),
+    ],
+)
 def test_units_of_coefficients(arguments, unit):
     assert unit_per(*arguments) == unit

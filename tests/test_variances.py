@@ -39,10 +39,14 @@ def a_linear(kind="uncertain"):
     if problem.level_spread:
         prior[-2:] = problem.level_spread**-2
     return Linearised(
-        error=2.0 * noise + 3.0 * off, design=np.concatenate([design, normal.shared], axis=2),
-        jacobian=normal.jacobian, precision=problem.precision[:, :, None] * np.eye(3),
-        spread=problem.spread, prior=prior, p=p,
-    )  # fmt: skip
+        error=2.0 * noise + 3.0 * off,
+        design=np.concatenate([design, normal.shared], axis=2),
+        jacobian=normal.jacobian,
+        precision=problem.precision[:, :, None] * np.eye(3),
+        spread=problem.spread,
+        prior=prior,
+        p=p,
+    )
 
 
 def by_definition(linear, v):

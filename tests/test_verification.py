@@ -89,13 +89,15 @@ def test_the_first_line_that_differs_is_named(cal, tmp_path, capsys):
     ("change", "message"),
     [
         (lambda text: text.replace("\n", "\r\n"), "its lines end in CR LF, and in nothing else"),
-        (lambda text: text.replace(f"multipos {mp.__version__}\n", "multipos 9.8.7\n"),
-         f"it was written by multipos 9.8.7, and this is {mp.__version__}"),
+        (
+            lambda text: text.replace(f"multipos {mp.__version__}\n", "multipos 9.8.7\n"),
+            f"it was written by multipos 9.8.7, and this is {mp.__version__}",
+        ),
         (lambda text: text + "\n", "is nothing of this calibration"),
         (lambda text: text[:-1], "where export writes '' of this calibration"),
         (lambda text: text * 20_000, "more than any file of multipos export has"),
     ],
-)  # fmt: skip
+)
 def test_how_a_file_differs(cal, change, message, tmp_path):
     if message.startswith("is nothing"):
         message = "is '' where export writes nothing of this calibration"
@@ -189,12 +191,18 @@ def test_other_parameters_and_comments_may_stand_beside(cal, tmp_path):
     ("target", "change", "message"),
     [
         ("px4", lambda text: f"{text}1\t1\tCAL_ACC0_XOFF\t7\t9\n", "is given twice"),
-        ("px4", lambda text: text.replace("CAL_ACC0_XOFF\t", "CAL_ACC0_XOFF\t1e300\t#"),
-         "differs from this calibration"),
-        ("ros-imu-calib", lambda text: text.replace("SM: [", "SM: [0,0,0,0,0,0,0,0,0]\n#"),
-         "SM has no inverse"),
+        (
+            "px4",
+            lambda text: text.replace("CAL_ACC0_XOFF\t", "CAL_ACC0_XOFF\t1e300\t#"),
+            "differs from this calibration",
+        ),
+        (
+            "ros-imu-calib",
+            lambda text: text.replace("SM: [", "SM: [0,0,0,0,0,0,0,0,0]\n#"),
+            "SM has no inverse",
+        ),
     ],
-)  # fmt: skip
+)
 def test_parameters_that_are_refused(cal, target, change, message, tmp_path):
     with pytest.raises(mp.MultiposError, match=message):
         edited(cal, target, change, tmp_path)

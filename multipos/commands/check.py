@@ -24,14 +24,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
     add("calibration", metavar="CAL.json", help="calibration or regression to check")
-    add("readings", metavar="READINGS", help="CSV file of an independent run: at known positions, "
-        "or with the response of the regression")  # fmt: skip
+    add(
+        "readings",
+        metavar="READINGS",
+        help="CSV file of an independent run: at known positions, "
+        "or with the response of the regression",
+    )
     add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
     add("--tilt", action="store_true", help="compare tilt in degrees and not force in g")
     limit = parser.add_mutually_exclusive_group()
     limit.add_argument("--limit-deg", type=float, metavar="D", help="largest error of tilt allowed")
-    limit.add_argument("--limit-g", type=float, metavar="G", help="largest error of force or of "
-        "a regression's response allowed")  # fmt: skip
+    limit.add_argument(
+        "--limit-g",
+        type=float,
+        metavar="G",
+        help="largest error of force or of a regression's response allowed",
+    )
     add(
         "--within-deg",
         type=float,

@@ -4,8 +4,7 @@ import argparse
 from pathlib import Path
 
 from multipos.commands.answers import STDOUT, Answer, Output
-from multipos.compensation.targets import TARGETS, export
-from multipos.compensation.targets import self_test
+from multipos.compensation.targets import TARGETS, export, self_test
 from multipos.files.tables import to_json
 from multipos.sensor.calibration import load
 

@@ -12,7 +12,7 @@ from typing import TypeVar
 from multipos.errors import UsageError
 from multipos.files.characters import one_line
 from multipos.files.lists import split_names, split_numbers
-from multipos.sensor.model import NAMED
+from multipos.numerics.terms import NAMED
 
 T = TypeVar("T")
 

@@ -19,13 +19,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("data", metavar="DATA.csv", help="table with a row per reading")
     add("--response", required=True, metavar="Y", help="column to describe")
-    add("--variables", type=names, metavar="A,B,C", help="columns to describe it by; X_rate is "
-        "formed from X and the time column where it is no column")  # fmt: skip
+    add(
+        "--variables",
+        type=names,
+        metavar="A,B,C",
+        help="columns to describe it by; X_rate is "
+        "formed from X and the time column where it is no column",
+    )
     add("--degree", type=int, metavar="D", help="all products up to this degree (default 1)")
     add("--terms", metavar="FORMULA", help='terms instead, such as "1 + A + A^2 + A*B"')
     add("--drop-missing", action="store_true", help="leave out rows with an empty cell")
-    add("--confidence", type=float, default=0.95, metavar="P",
-        help="of the critical F (default 0.95)")  # fmt: skip
+    add(
+        "--confidence",
+        type=float,
+        default=0.95,
+        metavar="P",
+        help="of the critical F (default 0.95)",
+    )
     _add_selection(parser.add_argument_group("choosing the terms"))
     _add_segments(parser.add_argument_group("segments"))
     _add_time(parser.add_argument_group("time"))
@@ -40,11 +50,19 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
     add("--remove", type=float, metavar="P", help="p above which it goes (default .10)")
     add("--f-enter", type=float, metavar="F", help="F above which a term enters, instead")
     add("--f-remove", type=float, metavar="F", help="F below which it goes, instead")
-    add("--criterion", default="aicc", metavar="C",
-        help="of --subsets: aicc (default), bic or adjusted_r2")  # fmt: skip
+    add(
+        "--criterion",
+        default="aicc",
+        metavar="C",
+        help="of --subsets: aicc (default), bic or adjusted_r2",
+    )
     add("--hierarchy", action="store_true", help="T before T^2, A and B before A*B")
-    add("--cross-validate", type=int, metavar="K",
-        help="check by leaving out K blocks of time in turn")  # fmt: skip
+    add(
+        "--cross-validate",
+        type=int,
+        metavar="K",
+        help="check by leaving out K blocks of time in turn",
+    )
 
 
 def _add_segments(group: argparse._ArgumentGroup) -> None:
@@ -58,10 +76,18 @@ def _add_segments(group: argparse._ArgumentGroup) -> None:
 def _add_time(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     add("--time", metavar="COLUMN", help="time column (default time, where there is one)")
-    add("--rate-window", type=float, metavar="W",
-        help="width of the smoothed derivative, in the unit of time (default 20 rows)")  # fmt: skip
-    add("--robust", default="hac", metavar="hac|effective",
-        help="F_robust by the covariance of correlated rows (default) or their number")  # fmt: skip
+    add(
+        "--rate-window",
+        type=float,
+        metavar="W",
+        help="width of the smoothed derivative, in the unit of time (default 20 rows)",
+    )
+    add(
+        "--robust",
+        default="hac",
+        metavar="hac|effective",
+        help="F_robust by the covariance of correlated rows (default) or their number",
+    )
     add("--cluster", metavar="COLUMN", help="rows of equal value here belong together")
 
 

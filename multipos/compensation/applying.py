@@ -7,9 +7,10 @@ covariance of the parameters and, beyond ±1 g, the third-order term that the bu
 largest reference or a column of the model leaves the range of the calibration's readings, 0
 elsewhere.
 
-With tilt the sensor is taken to be at rest (`multipos.sensor.tilt`): ``tilt_x_deg`` … are the angles of
-its axes above the horizon, and one axis that it does not have follows from |f| = g with that
-axis up. More outputs than axes leave a parity: ``parity`` and ``fault`` (`multipos.sensor.parity`).
+With tilt the sensor is taken to be at rest (`multipos.sensor.tilt`): ``tilt_x_deg`` … are the
+angles of its axes above the horizon, and one axis that it does not have follows from |f| = g with
+that axis up. More outputs than axes leave a parity: ``parity`` and ``fault``
+(`multipos.sensor.parity`).
 
 A table in memory is done at once (`apply`), a file piece by piece (`apply_log`), so that a log may
 be of any length.
@@ -23,17 +24,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.tables import LARGEST, Column, Source, Table, format_csv, read_table
+from multipos.files.tables import Column, Source, Table, format_csv, read_table
 from multipos.logs import Log, Piece, read_log
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS, largest_value
 from multipos.results import Record
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
-from multipos.sensor.model import COMPONENTS, largest_value
 from multipos.sensor.parity import FAULT_LEVEL, parity
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest
 from multipos.uncertainty.validity import force_covariance
-
-Array = NDArray[np.float64]
+from multipos.units import LARGEST
 
 Outside = Literal["flag", "clamp", "refuse"]
 OUTSIDE: tuple[Outside, ...] = get_args(Outside)
@@ -253,9 +254,12 @@ def check_outside(outside: str) -> None:
 
 
 def _check_columns(
-    calibration: Calibration, source: str, columns: Mapping[str, Column] | tuple[str, ...],
-    tilt: bool, uncertainty: bool,
-) -> None:  # fmt: skip
+    calibration: Calibration,
+    source: str,
+    columns: Mapping[str, Column] | tuple[str, ...],
+    tilt: bool,
+    uncertainty: bool,
+) -> None:
     for name in (*calibration.outputs, *calibration.model.environment):
         if name not in columns:
             raise MultiposError(
@@ -265,8 +269,9 @@ def _check_columns(
     # What one reading gets, every reading gets.
     one = {name: calibration.readings.values[:1, i] for i, name in enumerate(calibration.outputs)}
     one |= {n: calibration.readings.environment[n][:1] for n in calibration.model.environment}
-    added = add_columns(calibration, Table(source, one, rows=1), tilt=tilt,
-                        uncertainty=uncertainty, outside="flag")  # fmt: skip
+    added = add_columns(
+        calibration, Table(source, one, rows=1), tilt=tilt, uncertainty=uncertainty, outside="flag"
+    )
     for name in added:
         if name in columns:
             raise MultiposError(

@@ -23,14 +23,12 @@ import math
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS, CONSTANT, Factor, Term, linear_term
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
-from multipos.sensor.model import COMPONENTS, CONSTANT, Factor, Term, linear_term
-
-Array = NDArray[np.float64]
 
 _HEADROOM = 2.0  # times the largest calibrated force, over which rho is taken
 _SLOWEST = 0.5
@@ -118,9 +116,12 @@ class _Writer:
         inner = [
             f"const {self._kind} a{axis} = {axis} < {self._number(0.0)} ? -{axis} : {axis};"
             for axis in self._sensed
-            if any(f.modulus and f.variable == axis for _, term, _ in coefficients
-                   for f in term.factors)
-        ]  # fmt: skip
+            if any(
+                f.modulus and f.variable == axis
+                for _, term, _ in coefficients
+                for f in term.factors
+            )
+        ]
         inner += self._redundant(coefficients) if self._is_redundant else self._square(coefficients)
         lines = [
             "{",
@@ -142,8 +143,9 @@ class _Writer:
     def _square(self, coefficients: list[_Coefficient]) -> list[str]:
         lines = []
         for i in range(len(self._bias)):
-            rest = self._sum([(c, self._product(name, term)) for j, term, (c, name) in coefficients
-                              if j == i])  # fmt: skip
+            rest = self._sum(
+                [(c, self._product(name, term)) for j, term, (c, name) in coefficients if j == i]
+            )
             less = f" - ({rest})" if rest != self._number(0.0) else ""
             lines.append(f"const {self._kind} r{i} = d{i}{less};")
         for k, axis in enumerate(self._sensed):
@@ -156,8 +158,9 @@ class _Writer:
         lines = []
         count = len(self._bias)
         for i in range(count):
-            parts = [(c, self._product(name, term)) for j, term, (c, name) in coefficients
-                     if j == i]  # fmt: skip
+            parts = [
+                (c, self._product(name, term)) for j, term, (c, name) in coefficients if j == i
+            ]
             parts += [(v, axis) for v, axis in zip(self._slope[i], self._sensed, strict=True)]
             lines.append(f"const {self._kind} r{i} = d{i} - ({self._sum(parts)});")
         for k, axis in enumerate(self._sensed):

@@ -14,28 +14,56 @@ import numpy as np
 
 from multipos.compensation.c_body import environment_range, literal, needed_steps, steps_in_words
 from multipos.errors import MultiposError
+from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.instructions import read_instructions
 from multipos.sensor.inverse import sensed_axes
-from multipos.sensor.model import COMPONENTS
 
 # CasADi's operations as C: of one operand, of two, and functions of the library.
 _UNARY = {
-    "OP_ASSIGN": "{0}", "OP_NEG": "-{0}", "OP_SQ": "{0} * {0}", "OP_TWICE": "{0} + {0}",
-    "OP_INV": "{one} / {0}", "OP_NOT": "{0} == {zero} ? {one} : {zero}",
+    "OP_ASSIGN": "{0}",
+    "OP_NEG": "-{0}",
+    "OP_SQ": "{0} * {0}",
+    "OP_TWICE": "{0} + {0}",
+    "OP_INV": "{one} / {0}",
+    "OP_NOT": "{0} == {zero} ? {one} : {zero}",
     "OP_SIGN": "{0} > {zero} ? {one} : ({0} < {zero} ? -{one} : {zero})",
-}  # fmt: skip
+}
 _BINARY = {
-    "OP_ADD": "{0} + {1}", "OP_SUB": "{0} - {1}", "OP_MUL": "{0} * {1}", "OP_DIV": "{0} / {1}",
-    "OP_LT": "{0} < {1} ? {one} : {zero}", "OP_LE": "{0} <= {1} ? {one} : {zero}",
+    "OP_ADD": "{0} + {1}",
+    "OP_SUB": "{0} - {1}",
+    "OP_MUL": "{0} * {1}",
+    "OP_DIV": "{0} / {1}",
+    "OP_LT": "{0} < {1} ? {one} : {zero}",
+    "OP_LE": "{0} <= {1} ? {one} : {zero}",
     "OP_IF_ELSE_ZERO": "{0} > {zero} || {0} < {zero} ? {1} : {zero}",
-    "OP_FMIN": "{0} < {1} ? {0} : {1}", "OP_FMAX": "{0} > {1} ? {0} : {1}",
-    "OP_POW": "pow{f}({0}, {1})", "OP_CONSTPOW": "pow{f}({0}, {1})",
+    "OP_FMIN": "{0} < {1} ? {0} : {1}",
+    "OP_FMAX": "{0} > {1} ? {0} : {1}",
+    "OP_POW": "pow{f}({0}, {1})",
+    "OP_CONSTPOW": "pow{f}({0}, {1})",
     "OP_ATAN2": "atan2{f}({0}, {1})",
-}  # fmt: skip
-_FUNCTIONS = ("EXP", "LOG", "SQRT", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH",
-              "TANH", "ASINH", "ACOSH", "ATANH", "FABS", "FLOOR", "CEIL")  # fmt: skip
+}
+_FUNCTIONS = (
+    "EXP",
+    "LOG",
+    "SQRT",
+    "SIN",
+    "COS",
+    "TAN",
+    "ASIN",
+    "ACOS",
+    "ATAN",
+    "SINH",
+    "COSH",
+    "TANH",
+    "ASINH",
+    "ACOSH",
+    "ATANH",
+    "FABS",
+    "FLOOR",
+    "CEIL",
+)
 
 
 def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str, bool]:

@@ -7,7 +7,6 @@ called from any firmware. What the function does is in `multipos.compensation.c_
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos import __version__
 from multipos.compensation.c_body import environment_range, function_body, literal
@@ -15,12 +14,11 @@ from multipos.compensation.c_expression import expression_body
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import visible
 from multipos.files.numbers import number, table, uncertain
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
-from multipos.sensor.model import COMPONENTS
-
-Array = NDArray[np.float64]
 
 SIGNATURE = re.compile(
     r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const (?P<type>double|float) raw\[(?P<raw>\d{1,6})\]"

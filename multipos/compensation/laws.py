@@ -12,15 +12,14 @@ the convention 'gravity' has the sign of its force turned: consumers work in spe
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.estimation.known import solve_known
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.model import COMPONENTS, build_model
+from multipos.sensor.model import build_model
 from multipos.units import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 LINEAR = "1 + x + y + z"
 DIAGONAL = "1 + own"
@@ -95,8 +94,13 @@ def specific_force(calibration: Calibration) -> Array:
 
 def loss_text(calibration: Calibration, law: Law, target: str) -> str:
     """Return in words what a law loses."""
-    kept = set(build_model(DIAGONAL if target in ("px4", "ardupilot") else LINEAR,
-                           calibration.outputs, calibration.model.axes).names)  # fmt: skip
+    kept = set(
+        build_model(
+            DIAGONAL if target in ("px4", "ardupilot") else LINEAR,
+            calibration.outputs,
+            calibration.model.axes,
+        ).names
+    )
     gone = [name for name in calibration.names if name not in kept]
     listed = ", ".join(gone[:9]) + (f" and {len(gone) - 9} more" if len(gone) > 9 else "")
     return (

@@ -18,15 +18,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.compensation.laws import DIAGONAL, LINEAR, Law, in_metres, reduce_to
 from multipos.errors import MultiposError
 from multipos.files.characters import visible
 from multipos.files.tables import to_json
+from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
-
-Array = NDArray[np.float64]
 
 _REAL32 = 9  # MAV_PARAM_TYPE
 PX4 = tuple(f"CAL_ACC0_{axis}{kind}" for kind in ("OFF", "SCALE") for axis in "XYZ")

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos import __version__
 from multipos.compensation.c_source import SIGNATURE, WRITTEN_BY, c_source, signature
@@ -37,12 +36,11 @@ from multipos.errors import MultiposError
 from multipos.files.characters import visible
 from multipos.files.numbers import table
 from multipos.files.tables import plain, read_bytes
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration, labels
 from multipos.sensor.inverse import sensed_axes
-from multipos.sensor.model import COMPONENTS
-
-Array = NDArray[np.float64]
 
 _COMPILERS = ("cc", "gcc", "clang")
 _SECONDS = 60
@@ -265,8 +263,10 @@ def _difference(raw: bytes, own: bytes) -> str:
             f"{__version__}, which may write it otherwise{way}"
         )
     lines = (given.split("\n"), written.split("\n"))
-    number = next((i for i, pair in enumerate(zip(*lines, strict=False)) if pair[0] != pair[1]),
-                  min(map(len, lines)))  # fmt: skip
+    number = next(
+        (i for i, pair in enumerate(zip(*lines, strict=False)) if pair[0] != pair[1]),
+        min(map(len, lines)),
+    )
     here, there = (
         f"'{visible(text[number])[:_SHOWN]}'" if number < len(text) else "nothing" for text in lines
     )
@@ -301,9 +301,15 @@ def _run_c(
         else ""
     )
     main = _MAIN.format(
-        declaration=signature(calibration, name, single), columns=raw + count, axes=axes,
-        kind=kind, raw=raw, environment=environment, between="env, " if count else "", name=name,
-    )  # fmt: skip
+        declaration=signature(calibration, name, single),
+        columns=raw + count,
+        axes=axes,
+        kind=kind,
+        raw=raw,
+        environment=environment,
+        between="env, " if count else "",
+        name=name,
+    )
     with tempfile.TemporaryDirectory() as folder:
         inside = Path(folder)
         (inside / "main.c").write_text(main, encoding="utf-8")
@@ -333,10 +339,15 @@ def _call(command: list[str], folder: Path, path: str) -> None:
     try:
         with said.open("wb") as errors:
             process = subprocess.Popen(
-                command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                stderr=errors, start_new_session=posix, preexec_fn=_bound if posix else None,
+                command,
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                start_new_session=posix,
+                preexec_fn=_bound if posix else None,
                 env={**os.environ, "TMPDIR": str(folder)},
-            )  # fmt: skip
+            )
             try:
                 status = process.wait(timeout=_SECONDS)
             finally:

@@ -29,7 +29,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.designs.information import (
     Blocks,
@@ -45,12 +44,12 @@ from multipos.estimation.known import FLOOR
 from multipos.files.lists import Names, split_names, spread
 from multipos.files.numbers import number, table
 from multipos.files.tables import Source
+from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import name_combinations, separability
+from multipos.numerics.terms import COMPONENTS, Term
 from multipos.positions.scheme import Scheme, named_schemes, read_scheme
 from multipos.results import Record
-from multipos.sensor.model import COMPONENTS, Model, Term, build_model, default_axes
-
-Array = NDArray[np.float64]
+from multipos.sensor.model import Model, build_model, default_axes
 
 _UNSEEN = 1e-9  # share of a term in the residuals below which they hide it
 _HIGHER = "x^2 + y^2 + z^2 + x*y + x*z + y*z + own^3 + own*|own|"
@@ -229,9 +228,18 @@ def schemes_text(found: dict[str, Any]) -> str:
 def scheme_rows(entries: Sequence[dict[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of the table of schemes."""
     header = [
-        "scheme", "positions", "identifiable", "D", "A", "G", "I", "log det", "condition",
-        "largest u", "dof left",
-    ]  # fmt: skip
+        "scheme",
+        "positions",
+        "identifiable",
+        "D",
+        "A",
+        "G",
+        "I",
+        "log det",
+        "condition",
+        "largest u",
+        "dof left",
+    ]
     rows = []
     for entry in entries:
         shares = [entry[f"{letter}_efficiency"] for letter in "dagi"]

@@ -1,16 +1,15 @@
 """Schemes made: the best positions for a model on a bench, with the proof.
 
 The continuous optimum (`multipos.designs.optimum`) says what N positions could tell at most, its
-certificate how sure that is; exchange and polish (`multipos.designs.exchange`) find N positions that come
-near. The efficiency of a design is per position, against the optimum on the whole sphere: on a
-bench with few positions it also says what the bench costs.
+certificate how sure that is; exchange and polish (`multipos.designs.exchange`) find N positions
+that come near. The efficiency of a design is per position, against the optimum on the whole sphere:
+on a bench with few positions it also says what the bench costs.
 """
 
 import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.designs.assessment import Assessor, orientation, read_setting, scheme_details
 from multipos.designs.exchange import choose, polish, polish_largest
@@ -34,12 +33,11 @@ from multipos.errors import MultiposError, RankError, UsageError
 from multipos.files.lists import Names
 from multipos.files.numbers import table
 from multipos.files.tables import Source, format_csv
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Record
-from multipos.sensor.model import COMPONENTS
-
-Array = NDArray[np.float64]
 
 _STARTS = 24  # of the exchange
 _POLISHED = 4  # of the best starts
@@ -231,8 +229,10 @@ def _check_candidates(assessor: Assessor, bench: Array | None, given: Array) -> 
     total = len(assessor.setting.model.keys)
     raise RankError(
         f"{who} separate the parameters: {'; '.join(problems)}; {way_out}.",
-        rank=total - len(problems), parameters=total, combinations=problems,
-    )  # fmt: skip
+        rank=total - len(problems),
+        parameters=total,
+        combinations=problems,
+    )
 
 
 def _search(

@@ -1,8 +1,8 @@
 """The best N positions: exchange of candidates, restarts, polish, or every choice there is.
 
 N positions with rows Z_k have the information M = Z'Z/N. Replacing position i by candidate j
-changes the criteria of `multipos.designs.information` by a matrix of 2K rows only: with W = [Z_j; Z_i],
-C = diag(1, −1) and S = C + W (N M)⁻¹ W',
+changes the criteria of `multipos.designs.information` by a matrix of 2K rows only: with W = [Z_j;
+Z_i], C = diag(1, −1) and S = C + W (N M)⁻¹ W',
 
     ln det M' − ln det M = ln |det S|,
     tr(M'⁻¹ B) − tr(M⁻¹ B) = −tr(S⁻¹ W (N M)⁻¹ B M⁻¹ W'),                                    (1)
@@ -38,8 +38,8 @@ from multipos.designs.information import (
     tangents,
     unit,
 )
+from multipos.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 Choice = NDArray[np.intp]
 
 _ALL = 20_000  # choices that are tried one and all
@@ -174,8 +174,10 @@ class _State:
 
 def _forms(rows: Blocks, middle: list[Array]) -> tuple[list[Array], list[Array]]:
     """Return Z_j C Z_j' (n, K, K) and Z_j C (n, K, p) of each block."""
-    left = [multiply(Z.reshape(-1, Z.shape[2]), C).reshape(Z.shape) for Z, C in
-            zip(rows, middle, strict=True)]  # fmt: skip
+    left = [
+        multiply(Z.reshape(-1, Z.shape[2]), C).reshape(Z.shape)
+        for Z, C in zip(rows, middle, strict=True)
+    ]
     own = [np.einsum("nkp,nlp->nkl", A, Z) for A, Z in zip(left, rows, strict=True)]
     return own, left
 

@@ -32,14 +32,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import UsageError
-from multipos.files.tables import LARGEST, SMALLEST
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS, Term
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.sensor.model import COMPONENTS, Model, Term
+from multipos.sensor.model import Model
+from multipos.units import LARGEST, SMALLEST
 
-Array = NDArray[np.float64]
 Blocks = tuple[Array, ...]
 
 # A scheme that serves one parameter alone would leave others unknown: they count this much.

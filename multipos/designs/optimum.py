@@ -1,7 +1,7 @@
 """The best that positions can do: weights of a continuous design, with their certificate.
 
-Weights w on candidate positions, Σ w_k = 1, make a criterion F of `multipos.designs.information` as large
-as it can be. F is concave, so a solution is known when it is seen: with s its gradient,
+Weights w on candidate positions, Σ w_k = 1, make a criterion F of `multipos.designs.information` as
+large as it can be. F is concave, so a solution is known when it is seen: with s its gradient,
 
     F* − F(w) ≤ max s − 1,                                                                 (1)
 
@@ -46,9 +46,8 @@ from multipos.designs.information import (
     unit,
 )
 from multipos.errors import ConvergenceError
+from multipos.numerics.arrays import Array
 from multipos.positions.scheme import read_scheme
-
-Array = NDArray[np.float64]
 
 GAP = 1e-7  # certificate asked for: ten times sharper than the one promised
 _WORKING = 80  # candidates solved together at the start
@@ -117,9 +116,13 @@ def optimise_candidates(rows: Blocks, criterion: Criterion, *, gap: float = GAP)
         if found <= gap:
             kept = weights > 0.0
             return Optimum(
-                np.empty((0, 3)), working[kept], weights[kept],
-                objective(information, criterion), log_det(information), found,
-            )  # fmt: skip
+                np.empty((0, 3)),
+                working[kept],
+                weights[kept],
+                objective(information, criterion),
+                log_det(information),
+                found,
+            )
         # a candidate of lower s is in no optimum of D (R. Harman, L. Pronzato, 2007), hardly of L
         alive = (s[working] > 1.0 - np.sqrt(found)) & (weights > aim / len(working))
         heaviest = np.argsort(-weights[alive], kind="stable")[: _MOST - _JOINED]
@@ -151,9 +154,13 @@ def optimise_sphere(setting: Setting, criterion: Criterion, *, gap: float = GAP)
         found = float(heights.max()) - 1.0
         if found <= gap:
             return Optimum(
-                up, np.empty(0, dtype=np.intp), weights,
-                objective(information, criterion), log_det(information), found,
-            )  # fmt: skip
+                up,
+                np.empty(0, dtype=np.intp),
+                weights,
+                objective(information, criterion),
+                log_det(information),
+                found,
+            )
         joining = peaks[heights > 1.0][: _MOST // 3]
         heaviest = np.argsort(-weights, kind="stable")[: _MOST - len(joining)]
         up = np.concatenate([up[np.sort(heaviest)], joining])

@@ -14,18 +14,16 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.designs.information import Setting
 from multipos.errors import MultiposError, UsageError
 from multipos.files.numbers import number, table
 from multipos.files.tables import Source
+from multipos.numerics.arrays import Array
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import Scheme
 from multipos.results import Record
 from multipos.sensor.calibration import Calibration
-
-Array = NDArray[np.float64]
 
 _SHOWN = 10  # positions listed as text
 _MOST = 1000  # further positions looked ahead for a target

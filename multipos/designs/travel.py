@@ -9,9 +9,9 @@ neither helps, which for the few dozen positions of a scheme leaves little to ga
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _BETTER = 1e-9  # [rad]
 _MOVED = 3  # positions moved together at most

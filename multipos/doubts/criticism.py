@@ -28,17 +28,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, RankError
 from multipos.estimation.known import FLOOR, reading_noise
+from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail
+from multipos.numerics.terms import COMPONENTS, Term
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration, labels
-from multipos.sensor.model import COMPONENTS, Term, build_model
-
-Array = NDArray[np.float64]
+from multipos.sensor.model import build_model
 
 _CANDIDATES = "1 + x + y + z + own^2 + own^3 + OWN*OTHER"  # what a reader asks of: K2, K3, Kip
 _ORDERS = 4
@@ -122,9 +121,16 @@ def judge_terms(calibration: Calibration) -> list[TermTest]:
             dof = n - max(p, len(changed))
             f = (small - large) / (large / dof) if large > 0.0 else math.inf
             result.append(
-                TermTest(output, str(term), inside, f, (1.0, float(dof)),
-                         f_tail(f, 1.0, float(dof)), aicc(other, n, len(changed)))
-            )  # fmt: skip
+                TermTest(
+                    output,
+                    str(term),
+                    inside,
+                    f,
+                    (1.0, float(dof)),
+                    f_tail(f, 1.0, float(dof)),
+                    aicc(other, n, len(changed)),
+                )
+            )
     return result
 
 
@@ -168,9 +174,13 @@ def find_influence(calibration: Calibration) -> Influence:
         moved = (X @ cofactor) * (e[:, column] / left[:, column])[:, None]
         shift[:, column] = np.abs(moved / np.sqrt(s2[column] * np.diag(cofactor))).max(axis=1)
     return Influence(
-        studentised=r, external=t, cook=r**2 * h / (terms * left), left_out=left_out, shift=shift,
+        studentised=r,
+        external=t,
+        cook=r**2 * h / (terms * left),
+        left_out=left_out,
+        shift=shift,
         press=np.sqrt(np.mean(left_out**2, axis=0)),
-    )  # fmt: skip
+    )
 
 
 def fourier_residuals(calibration: Calibration) -> list[dict[str, Any]]:
@@ -209,9 +219,13 @@ def fourier_residuals(calibration: Calibration) -> list[dict[str, Any]]:
                     {"order": order, "cos": a, "sin": b, "amplitude": math.hypot(a, b), "p": p}
                 )
             result.append(
-                {"roll": axis, "positions": [names[row] for row in rows.tolist()],
-                 "output": output, "harmonics": entries}
-            )  # fmt: skip
+                {
+                    "roll": axis,
+                    "positions": [names[row] for row in rows.tolist()],
+                    "output": output,
+                    "harmonics": entries,
+                }
+            )
     return result
 
 
@@ -231,8 +245,9 @@ def residual_sum(c: Calibration, column: int, terms: tuple[Term, ...]) -> float:
     m = len(c.outputs)
     variances = None if noise is None or noise.ndim == 2 else noise.reshape(n, m)[:, column]
     names = [str(term) for term in terms]
-    found = solve(design, c.readings.values[:, column], covariance=variances, floor=FLOOR,
-                  names=names)  # fmt: skip
+    found = solve(
+        design, c.readings.values[:, column], covariance=variances, floor=FLOOR, names=names
+    )
     return float(found.rss)
 
 

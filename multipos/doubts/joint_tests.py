@@ -8,9 +8,9 @@ freedom,
 
 follows the F distribution on q and nu₁ if nothing is in the terms.
 
-- Uncertain and unknown orientations: chi² is the minimum F of `multipos.estimation.likelihood`, each model
-  with orientations of its own, both with the noise that was stated or found. Where variances
-  were estimated by restricted likelihood they are those of the model with the terms, chi²₁/nu₁
+- Uncertain and unknown orientations: chi² is the minimum F of `multipos.estimation.likelihood`,
+  each model with orientations of its own, both with the noise that was stated or found. Where
+  variances were estimated by restricted likelihood they are those of the model with the terms, chi²₁/nu₁
   is then 1 by construction, and the degrees of freedom of the denominator follow from
   Satterthwaite's of the q parameters, nu_j, through the mean of F,
 
@@ -31,7 +31,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.doubts.criticism import force_components, residual_sum
 from multipos.errors import MultiposError, RankError
@@ -43,14 +42,13 @@ from multipos.estimation.noise import judge_noise
 from multipos.estimation.problem import Optimum, Problem
 from multipos.estimation.restatement import estimated_variances, restate, return_to_optimum
 from multipos.estimation.starts import reduced_information
+from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Model, build_model
-
-Array = NDArray[np.float64]
 
 _GROUPS = ("own^2", "own^3", "own*|own|", "OWN*OTHER")  # K2, K3, Koq, Kip with Kio
 
@@ -184,9 +182,11 @@ def _by_output(c: Calibration) -> Iterator[JointTest]:
                 if q == 0.0:
                     continue
                 chi2 = [residual_sum(c, column, terms) for terms in (few, many)]
-                f = (chi2[0] - chi2[1]) / q / (chi2[1] / nu) if chi2[1] > 0.0 and nu > 0 else (
-                    math.nan
-                )  # fmt: skip
+                f = (
+                    (chi2[0] - chi2[1]) / q / (chi2[1] / nu)
+                    if chi2[1] > 0.0 and nu > 0
+                    else (math.nan)
+                )
                 found.append((f, (q, nu), f_tail(f, q, nu)))
         except RankError:
             continue
@@ -213,8 +213,12 @@ def _by_covariance(c: Calibration) -> Iterator[JointTest]:
                 places = zip(model.slices, model.columns, strict=True)
                 for output, (part, columns) in enumerate(places):
                     design[:, output, part] = phi[:, columns]
-                found = solve(design.reshape(n * m, -1), c.readings.values.ravel(),
-                              covariance=noise, names=model.names)  # fmt: skip
+                found = solve(
+                    design.reshape(n * m, -1),
+                    c.readings.values.ravel(),
+                    covariance=noise,
+                    names=model.names,
+                )
                 chi2.append(float(found.rss))
         except RankError:
             continue

@@ -26,7 +26,7 @@ Song Lijun, Qin Yongyuan, *Six-position testing of MEMS accelerometer*, 2009, eq
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _TOLERANCE = 1e-9  # [g], the floor below which a component of the reference is zero
 

@@ -1,4 +1,4 @@
-"""Levenberg and Marquardt's search for the minimum of F, eq. (4) of `multipos.estimation.likelihood`.
+"""Levenberg and Marquardt's search for the minimum of F, eq. (4) of `likelihood`.
 
 Each step d solves the normal equations with the diagonal of S, scaled to one, raised by the
 damping; it is taken if F falls, and tried again with ten times the damping if not. What a step
@@ -14,13 +14,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.likelihood import evaluate, linearise, moved, recentred
 from multipos.estimation.problem import Normal, Optimum, Point, Problem, State
 from multipos.estimation.sphere import SphereSearch, Surface
-
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _ITERATIONS = 200
 _DECREMENT = 1e-16  # of F

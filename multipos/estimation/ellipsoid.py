@@ -18,11 +18,9 @@ something else than an ellipsoid; then cross terms are left out of S, and last a
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _FLAT = 0.005  # thickness of the cloud of readings below which it is a disc
 _SHOWN = 1e-3  # relative singular value below which a coefficient is not seen in the positions

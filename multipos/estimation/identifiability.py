@@ -9,26 +9,18 @@ than any real sensor could be off, so the data say nothing about it.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import RankError
+from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import name_combinations, separability
 from multipos.sensor.model import Model
-
-Array = NDArray[np.float64]
 
 _UNSEEN = 1e-12  # eigenvalue of the scaled information: sd a million times that of the best
 _PLAUSIBLE = 0.5  # of a scale factor, at one g
 CANDIDATES = np.array(
-    [
-        [x, y, z]
-        for x in (1, 0, -1)
-        for y in (1, 0, -1)
-        for z in (1, 0, -1)
-        if x or y or z
-    ],
+    [[x, y, z] for x in (1, 0, -1) for y in (1, 0, -1) for z in (1, 0, -1) if x or y or z],
     dtype=np.float64,
-)  # fmt: skip
+)
 CANDIDATES /= np.linalg.norm(CANDIDATES, axis=1)[:, None]
 
 

@@ -19,19 +19,18 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.estimation.closed_form import closed_form_weights, six_positions
 from multipos.estimation.identifiability import formal_only
+from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import LinearFit, separability, solve
 from multipos.numerics.quantiles import chi2_quantile
+from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, stated_sd
 from multipos.sensor.calibration import Status, labels
 from multipos.sensor.diagnostics import bartlett, find_outliers
-from multipos.sensor.model import COMPONENTS, Model, build_model, linear_term
-
-Array = NDArray[np.float64]
+from multipos.sensor.model import Model, build_model
 
 FLOOR = 1e-9  # [g], absolute norm below which a column of the design is zero
 DENIED = 0.999  # χ² point beyond which a stated noise is not believed
@@ -181,9 +180,12 @@ def _solve_each(model: Model, phi: Array, readings: Readings, variances: Array |
     for group in groups:
         first = group[0]
         found = _solve_output(
-            model, phi, first, readings.values[:, group],
+            model,
+            phi,
+            first,
+            readings.values[:, group],
             None if variances is None else variances.reshape(n, m)[:, first],
-        )  # fmt: skip
+        )
         for column, output in enumerate(group):
             mine = model.slices[output]
             parameters[mine] = found.coefficients[:, column]
@@ -220,9 +222,13 @@ def _solve_jointly(model: Model, phi: Array, readings: Readings, covariance: Arr
     )
     residuals = found.residuals.reshape(n, m)
     return _Fits(
-        found.coefficients, found.cofactor, residuals, chi_squares(residuals, covariance),
-        found.leverage.reshape(n, m), found.condition,
-    )  # fmt: skip
+        found.coefficients,
+        found.cofactor,
+        residuals,
+        chi_squares(residuals, covariance),
+        found.leverage.reshape(n, m),
+        found.condition,
+    )
 
 
 def reading_noise(readings: Readings) -> Array | None:
@@ -395,13 +401,16 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     if len(design) < len(terms):
         return RankError(
             f"{len(design)} readings cannot determine the {len(terms)} terms of {name}; {way_out}.",
-            rank=error.rank, parameters=error.parameters,
-        )  # fmt: skip
+            rank=error.rank,
+            parameters=error.parameters,
+        )
     return RankError(
         f"{error.rank} of {error.parameters} parameters of {name} can be separated: "
         f"{'; '.join(error.combinations)}; {way_out}.",
-        rank=error.rank, parameters=error.parameters, combinations=error.combinations,
-    )  # fmt: skip
+        rank=error.rank,
+        parameters=error.parameters,
+        combinations=error.combinations,
+    )
 
 
 def _missing_positions(model: Model, phi: Array) -> str:

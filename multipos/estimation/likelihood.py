@@ -5,10 +5,11 @@ A reading at position k, and how the position may differ from where it should be
     y_k = h(theta, f_k) + e_k,                        e_k ~ N(0, Sigma_k)                   (1)
     f_k = ±g R_k E(u_k, t_k),                         t_k ~ N(0, s_k² I_2)                  (2)
 
-E(u, t) is a step t (two angles) on the sphere from the listed direction u (`multipos.numerics.rotations`);
-s_k = 0 is a position known exactly, s_k = inf one of which nothing is known. R_k is what
-positions share: the unknown rotation of the group they belong to, and the tilt
-tau ~ N(0, s_level² I_2) of a table that is not level, turned into case axes by the attitude C_k,
+E(u, t) is a step t (two angles) on the sphere from the listed direction u
+(`multipos.numerics.rotations`); s_k = 0 is a position known exactly, s_k = inf one of which nothing
+is known. R_k is what positions share: the unknown rotation of the group they belong to, and the
+tilt tau ~ N(0, s_level² I_2) of a table that is not level, turned into case axes by the attitude
+C_k,
 
     R_k = Exp([rho_g]x) · C_k Exp([tau]x) C_k'.                                             (3)
 
@@ -41,6 +42,7 @@ from numpy.typing import NDArray
 
 from multipos.estimation.losses import loss, loss_weight
 from multipos.estimation.problem import Normal, Point, Problem, State
+from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import (
     cross_matrix,
     left_jacobian,
@@ -50,8 +52,6 @@ from multipos.numerics.rotations import (
     tangent_basis,
 )
 from multipos.sensor.model import Block
-
-Array = NDArray[np.float64]
 
 
 def evaluate(problem: Problem, state: State) -> Point:
@@ -139,9 +139,11 @@ def moved(
     if problem.shared:
         outputs = outputs + np.einsum("nms,s->nm", normal.shared, step[p:])
         turns = np.array(
-            [rotation_matrix(step[p + 3 * g : p + 3 * g + 3]) @ turn
-             for g, turn in enumerate(state.turns)]
-        ).reshape(-1, 3, 3)  # fmt: skip
+            [
+                rotation_matrix(step[p + 3 * g : p + 3 * g + 3]) @ turn
+                for g, turn in enumerate(state.turns)
+            ]
+        ).reshape(-1, 3, 3)
         if problem.level_spread > 0.0:
             tilt = state.tilt + step[-2:]
     back = normal.pull - np.einsum("nmi,nm->ni", normal.weighted, outputs)

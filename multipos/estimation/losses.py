@@ -18,9 +18,8 @@ P. J. Huber, *Robust Statistics*, 1981; Z. Zhang 1997, *Parameter estimation tec
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 EFFICIENCY = 0.95  # of each loss at its constant, under the normal law
 Loss = Literal["huber", "soft-l1", "cauchy"]

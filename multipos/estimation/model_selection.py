@@ -1,9 +1,9 @@
 """Choice of a calibration's terms: stepwise, one output at a time, over positions and temperatures.
 
 A formula with temperature terms, such as `1 + x + y + z + temperature + temperature*own + …`, lists
-candidates; each output keeps those of them that its readings support (`multipos.numerics.selection`). Its
-constant and the term of its own axis always stay: without bias and scale factor there is no
-calibration. Readings that state their uncertainty are weighted by it.
+candidates; each output keeps those of them that its readings support
+(`multipos.numerics.selection`). Its constant and the term of its own axis always stay: without bias
+and scale factor there is no calibration. Readings that state their uncertainty are weighted by it.
 
 What was chosen by looking at the data looks better in the same data than it is: u and p of the
 terms kept are those of a model fixed beforehand, and too good.
@@ -13,15 +13,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.known import solve_known
+from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Selection, Thresholds, compress, select_stepwise
+from multipos.numerics.terms import CONSTANT, linear_term
 from multipos.positions.readings import Readings, read_readings
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.model import CONSTANT, Model, linear_term
-
-Array = NDArray[np.float64]
+from multipos.sensor.model import Model
 
 OPTIMISTIC = (
     "the terms were chosen stepwise by the readings that also test them: the uncertainties of the "

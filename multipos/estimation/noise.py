@@ -1,7 +1,7 @@
 """How noisy the readings are, and what a solution of the likelihood is therefore worth.
 
-- **Stated** noise is believed unless the residuals deny it: F of `multipos.estimation.likelihood` is then
-  χ² with nu degrees of freedom, and beyond its 99.9 % point the covariance is multiplied by
+- **Stated** noise is believed unless the residuals deny it: F of `multipos.estimation.likelihood`
+  is then χ² with nu degrees of freedom, and beyond its 99.9 % point the covariance is multiplied by
   F/nu.
 - **Unstated** noise, equal in all readings, is F/nu where every position is exact or unknown.
 - Where orientation errors share the blame for the residuals, noise is estimated by restricted
@@ -21,8 +21,7 @@ from multipos.estimation.descent import resume
 from multipos.estimation.known import believe
 from multipos.estimation.problem import Optimum, Problem
 from multipos.estimation.variances import Components, components, linearised, maximise_restricted
-
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _ROUNDS = 30  # of noise and solution in turn
 _SETTLED = 1e-5  # change of ln variance at which they agree
@@ -86,9 +85,10 @@ def _estimate(
         change = float(np.abs(found - v).max())
         v = found
         problem = replace(
-            first, precision=first.precision * np.exp(-v[0]),
+            first,
+            precision=first.precision * np.exp(-v[0]),
             spread=first.spread * np.exp(v[1] / 2.0),
-        )  # fmt: skip
+        )
         optimum = resume(problem, optimum)
         if change < _SETTLED:
             break
@@ -101,9 +101,13 @@ def _estimate(
             "(18 or more serve)"
         )
     worth = Worth(
-        1.0, np.inf if stated else max(2.0 / float(told.log_covariance[0, 0]), 1.0), told.dof,
-        problem.spread if orientation else None, tuple(warnings), (("variance_components", said),),
-    )  # fmt: skip
+        1.0,
+        np.inf if stated else max(2.0 / float(told.log_covariance[0, 0]), 1.0),
+        told.dof,
+        problem.spread if orientation else None,
+        tuple(warnings),
+        (("variance_components", said),),
+    )
     return problem, optimum, worth
 
 

@@ -15,11 +15,10 @@ from multipos.errors import MultiposError
 from multipos.estimation.known import reading_noise
 from multipos.estimation.losses import Loss
 from multipos.estimation.problem import Problem
+from multipos.numerics.arrays import Array
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import labels
 from multipos.sensor.model import Model
-
-Array = NDArray[np.float64]
 
 _RELATIVE_NOISE = 1e-3  # of the readings' spread: any value serves where only ratios matter
 _FIRST_SPREAD = np.radians(0.1)  # where the estimate of an orientation sd starts
@@ -124,9 +123,9 @@ def place(
 
 
 def _attitude(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
-    rotation = np.full((len(readings), 3, 3), np.nan) if readings.rotation is None else (
-        readings.rotation
-    )  # fmt: skip
+    rotation = (
+        np.full((len(readings), 3, 3), np.nan) if readings.rotation is None else (readings.rotation)
+    )
     open_heading = np.isnan(rotation).any(axis=(1, 2)) & ~unknown
     if open_heading.any():
         names = [labels(readings)[row] for row in np.flatnonzero(open_heading)[:6].tolist()]
@@ -164,12 +163,19 @@ def state_problem(
     else:
         precision = _block_precision(noise, n, m)
     return Problem(
-        model=model, values=values, environment=readings.environment, precision=precision,
-        reference=placement.reference, spread=placement.spread, group=placement.group,
+        model=model,
+        values=values,
+        environment=readings.environment,
+        precision=precision,
+        reference=placement.reference,
+        spread=placement.spread,
+        group=placement.group,
         weight=np.ones(n),
-        groups=placement.groups, attitude=placement.attitude,
-        level_spread=placement.level_sd, robust=robust,
-    )  # fmt: skip
+        groups=placement.groups,
+        attitude=placement.attitude,
+        level_spread=placement.level_sd,
+        robust=robust,
+    )
 
 
 def _block_precision(covariance: Array, n: int, m: int) -> Array:

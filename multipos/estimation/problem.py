@@ -1,8 +1,8 @@
 """The problem of uncertain and unknown orientations, a point of its search, and where it ended.
 
-The equations are those of `multipos.estimation.likelihood`; here is what they are about. Arrays have one
-row per position, but are laid out with positions running fastest, since a position is two or
-three numbers and there may be many of them.
+The equations are those of `multipos.estimation.likelihood`; here is what they are about. Arrays
+have one row per position, but are laid out with positions running fastest, since a position is two
+or three numbers and there may be many of them.
 """
 
 from collections.abc import Mapping
@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.losses import Loss
+from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import tangent_basis
 from multipos.sensor.model import Block, Model
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Readings and what is known of their positions, eqs. (1)–(3) of `multipos.estimation.likelihood`.
+    """Readings and what is known of their positions, eqs. (1)–(3) of `likelihood`.
 
     Attributes
     ----------
@@ -145,7 +144,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Normal:
-    """The reduced normal equations at a point, eqs. (5), (6) of `multipos.estimation.likelihood`."""
+    """The reduced normal equations at a point, eqs. (5), (6) of `likelihood`."""
 
     information: Array  # S, (p + shared, p + shared)
     gradient: Array  # (p + shared,)
@@ -175,9 +174,7 @@ def start_state(
 ) -> State:
     """Return a state: at the listed directions, or at others where nothing is known of them."""
     listed = problem.reference / problem.magnitude[:, None]
-    centre = listed if direction is None else np.where(
-        problem.unknown[:, None], direction, listed
-    )  # fmt: skip
+    centre = listed if direction is None else np.where(problem.unknown[:, None], direction, listed)
     centre = np.asfortranarray(centre)
     return State(
         theta=theta,

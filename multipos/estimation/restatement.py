@@ -1,9 +1,10 @@
 """The problem that a finished calibration solved, stated again with the noise that it found.
 
-Profiles, tests of terms, gains and Monte Carlo ask of the likelihood of `multipos.estimation.likelihood`
-what the fit did not. A calibration carries all of it: readings, what was known of the positions,
-and a noise that is either stated with the readings or the residual standard deviation. Where a
-stated noise was denied by the residuals, everything counts in units of F/nu instead of one.
+Profiles, tests of terms, gains and Monte Carlo ask of the likelihood of
+`multipos.estimation.likelihood` what the fit did not. A calibration carries all of it: readings,
+what was known of the positions, and a noise that is either stated with the readings or the residual
+standard deviation. Where a stated noise was denied by the residuals, everything counts in units of
+F/nu instead of one.
 """
 
 from dataclasses import replace
@@ -18,8 +19,6 @@ from multipos.estimation.problem import Optimum, Problem, start_state
 from multipos.estimation.robustness import set_aside
 from multipos.numerics.rotations import rotation_matrix
 from multipos.sensor.calibration import Calibration
-
-Array = NDArray[np.float64]
 
 
 def restate(calibration: Calibration) -> Problem:

@@ -35,8 +35,6 @@ from multipos.estimation.problem import Optimum, Problem
 from multipos.estimation.variances import FINEST_OF_PLACEMENT
 from multipos.numerics.quantiles import chi2_quantile
 
-Array = NDArray[np.float64]
-
 ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is still reported
 _BEYOND_DOUBT = 1e-6  # chance below which a position is set aside
 _ROUNDS = 30  # of noise and solution in turn

@@ -1,4 +1,4 @@
-"""Unknown orientation of a triad: the search of `multipos.estimation.likelihood` with one number a position.
+"""Unknown orientation of a triad: the search of `likelihood` with one number a position.
 
 Where nothing is known of any position and three outputs see it, what is left of a reading after
 its two angles are eliminated is its part along the normal of the surface that the readings of
@@ -11,21 +11,19 @@ and the direction follows along the surface, which no projection is needed for:
 
     df = G^-1 (x − Sigma m m'x),                x = r − A d,        f'df = 0.               (3)
 
-That is `multipos.estimation.likelihood` at s = inf to the digit, in a fifth of its operations; a test holds
-the two together. Arrays here are (3, n), positions last.
+That is `multipos.estimation.likelihood` at s = inf to the digit, in a fifth of its operations; a
+test holds the two together. Arrays here are (3, n), positions last.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.losses import loss, loss_weight
 from multipos.estimation.problem import Point, Problem, State
+from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import step_on_sphere, tangent_basis
 from multipos.sensor.model import Model
-
-Array = NDArray[np.float64]
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # the other two axes, in cyclic order
 
@@ -86,9 +84,12 @@ class SphereSearch:
             (places, place.phi[columns].T) for columns, places in self.problem.model.contributions
         )
         return replace(
-            state, theta=place.theta, centre=centre, basis=tangent_basis(centre),
+            state,
+            theta=place.theta,
+            centre=centre,
+            basis=tangent_basis(centre),
             step=np.zeros_like(state.step),
-        ), Point(place.force.T, blocks, place.residuals.T, place.q, place.objective)  # fmt: skip
+        ), Point(place.force.T, blocks, place.residuals.T, place.q, place.objective)
 
     def linearise(self, place: Place) -> Surface:
         """Return the normal equations of eqs. (1), (2), weighted by the loss."""
@@ -113,9 +114,14 @@ class SphereSearch:
         if problem.robust is not None:
             weighted = rows * loss_weight(problem.robust, place.q, problem.degrees)
         return Surface(
-            weighted @ rows.T, weighted @ height, cofactors, determinant, normal, across * root,
+            weighted @ rows.T,
+            weighted @ height,
+            cofactors,
+            determinant,
+            normal,
+            across * root,
             excess,
-        )  # fmt: skip
+        )
 
     def move(self, place: Place, surface: Surface, step: Array, damping: float) -> Place:
         """Return the place after a step of the parameters, directions following by eq. (3)."""
@@ -123,7 +129,8 @@ class SphereSearch:
         left = place.residuals - change @ place.phi
         left -= surface.across * np.einsum("mn,mn->n", surface.normal, left)
         turn = np.einsum("min,mn->in", surface.cofactors, left) / surface.determinant
-        # as in `multipos.estimation.likelihood`: damped like the rest, and eased far outside the sphere
+        # as in `multipos.estimation.likelihood`: damped like the rest, and eased far outside the
+        # sphere
         force = place.force + turn / ((1.0 + damping) * (1.0 + np.maximum(surface.excess, 0.0)))
         force *= self.problem.magnitude / np.sqrt(np.einsum("in,in->n", force, force))
         return self._at(place.theta + step, force)

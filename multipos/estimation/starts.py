@@ -1,7 +1,7 @@
 """Where the search for an uncertain or unknown orientation starts, and whether its end is sound.
 
-No guess is asked for. Least squares at the listed directions, where they are enough, is one
-start; the ellipsoid on which readings at rest lie (`multipos.estimation.ellipsoid`), turned to the listed
+No guess is asked for. Least squares at the listed directions, where they are enough, is one start;
+the ellipsoid on which readings at rest lie (`multipos.estimation.ellipsoid`), turned to the listed
 directions where some are, is the other. The second is tried where the first fails, or where
 positions may be further off than five degrees; the lower minimum wins.
 """
@@ -9,7 +9,6 @@ positions may be further off than five degrees; the lower minimum wins.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import ConvergenceError, MultiposError, RankError
 from multipos.estimation.descent import maximise
@@ -25,13 +24,12 @@ from multipos.estimation.identifiability import (
 )
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Normal, Optimum, Problem, State, start_state
+from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.rotations import align
+from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import invert, parameter_jacobian
-from multipos.sensor.model import COMPONENTS
-
-Array = NDArray[np.float64]
 
 _LEVER = 2.0  # how far above the information that noise pretends
 _FEWEST = 4  # parameters that any turn of the sensor shows: a bias for each output, one scale
@@ -60,8 +58,9 @@ def search(problem: Problem) -> Optimum:
         if problem.adrift:
             found = _positive(problem, found)
         better = best is None or (found.converged, -found.point.objective) > (
-            best[1].converged, -best[1].point.objective
-        )  # fmt: skip
+            best[1].converged,
+            -best[1].point.objective,
+        )
         best = (state, found) if better else best
         if best is not None and best[1].converged and not wide:
             break
@@ -121,8 +120,9 @@ def _require_told(problem: Problem, start: State, optimum: Optimum) -> None:
         f"{rank} of {len(limit)} parameters can be told from the noise: "
         f"{', '.join(f'`{name}`' for name in missing)} out of reach; add positions such as "
         f"{position_words(best)}, or drop those terms.",
-        rank=rank, parameters=len(limit),
-    )  # fmt: skip
+        rank=rank,
+        parameters=len(limit),
+    )
 
 
 def _require_sphere(problem: Problem, optimum: Optimum) -> None:
@@ -213,9 +213,12 @@ def _hand(problem: Problem, direction: Array) -> Array:
     known = [problem.listed, *(problem.group == g for g in range(problem.groups))]
 
     def misfit(mirror: float) -> float:
-        turned = (mirror * direction[rows] @ align(mirror * direction[rows],
-                  problem.reference[rows]).T - problem.reference[rows]
-                  for rows in known if rows.any())  # fmt: skip
+        turned = (
+            mirror * direction[rows] @ align(mirror * direction[rows], problem.reference[rows]).T
+            - problem.reference[rows]
+            for rows in known
+            if rows.any()
+        )
         return float(sum(np.sum(left**2) for left in turned))
 
     mirror = -1.0 if misfit(-1.0) < misfit(1.0) else 1.0
@@ -268,10 +271,12 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
     return maximise(
         problem,
         start_state(
-            problem, theta, optimum.point.force * mirror / size,
+            problem,
+            theta,
+            optimum.point.force * mirror / size,
             state.turns * mirror[:, None] if problem.groups else state.turns,
         ),
-    )  # fmt: skip
+    )
 
 
 def _require_information(problem: Problem, optimum: Optimum) -> None:
@@ -282,9 +287,10 @@ def _require_information(problem: Problem, optimum: Optimum) -> None:
     gains = _candidate_gains(problem, optimum.state.theta)
     best = CANDIDATES[helpful_positions(information, gains, 2)]
     require_separable(
-        information, problem.model.names,
+        information,
+        problem.model.names,
         f"add positions such as {position_words(best)}, or drop a term",
-    )  # fmt: skip
+    )
 
 
 def reduced_information(normal: Normal, p: int) -> Array:
@@ -308,12 +314,19 @@ def _candidate_gains(problem: Problem, theta: Array) -> Array:
     }
     mean = problem.precision.mean(axis=0)
     candidates = replace(
-        problem, values=np.zeros((count, problem.values.shape[1])), environment=environment,
-        precision=np.broadcast_to(mean, (count, *mean.shape)), reference=size * CANDIDATES,
+        problem,
+        values=np.zeros((count, problem.values.shape[1])),
+        environment=environment,
+        precision=np.broadcast_to(mean, (count, *mean.shape)),
+        reference=size * CANDIDATES,
         spread=np.full(count, spread.max() if len(spread) else 0.0),
-        group=np.full(count, -1), weight=np.ones(count), groups=0, attitude=None,
-        level_spread=0.0, robust=None,
-    )  # fmt: skip
+        group=np.full(count, -1),
+        weight=np.ones(count),
+        groups=0,
+        attitude=None,
+        level_spread=0.0,
+        robust=None,
+    )
     state = start_state(candidates, theta, CANDIDATES)
     jacobian = parameter_jacobian(problem.model, state.theta, size * CANDIDATES, environment)
     marginal = linearise(candidates, state, evaluate(candidates, state)).marginal
@@ -327,8 +340,11 @@ def too_few(problem: Problem) -> RankError:
     equations = int(problem.degrees.sum()) - (problem.unknowns - p)
     said = f"{n} positions give {max(equations, 0)} equations for {p} parameters"
     if not np.isinf(problem.spread).all() or sorted(model.axes) != ["x", "y", "z"]:
-        return RankError(f"{said}; add positions or choose a model with fewer terms.",
-                         rank=min(equations, p), parameters=p)  # fmt: skip
+        return RankError(
+            f"{said}; add positions or choose a model with fewer terms.",
+            rank=min(equations, p),
+            parameters=p,
+        )
     # The readings themselves say about where the positions are: enough to see what they miss.
     values = problem.values
     centre = (values.max(axis=0) + values.min(axis=0)) / 2.0
@@ -353,5 +369,6 @@ def too_few(problem: Problem) -> RankError:
     return RankError(
         f"{said}: {', '.join(f'`{name}`' for name in missing)} out of reach; add positions "
         f"such as {position_words(best)}, or drop those terms.",
-        rank=equations, parameters=p,
-    )  # fmt: skip
+        rank=equations,
+        parameters=p,
+    )

@@ -1,10 +1,11 @@
 """Orientations known badly, or not at all: from readings to a solution of the one likelihood.
 
 `solve_uncertain` states the problem of `multipos.estimation.likelihood`, starts it without a guess
-(`multipos.estimation.starts`), finds the reading noise where it is not given (`multipos.estimation.noise`,
-`multipos.estimation.robustness`), and completes the solution. Where nothing ties the readings to the
-directions of the world (every position unknown, or in a group of unknown rotation), the rotation
-of the case is a convention: a gauge fixes it, lower triangular or symmetric.
+(`multipos.estimation.starts`), finds the reading noise where it is not given
+(`multipos.estimation.noise`, `multipos.estimation.robustness`), and completes the solution. Where
+nothing ties the readings to the directions of the world (every position unknown, or in a group of
+unknown rotation), the rotation of the case is a convention: a gauge fixes it, lower triangular or
+symmetric.
 
 Maximum likelihood has a bias of second order. Noise across the direction moves the estimated
 position along the sphere, which curves away, so that a triad of scale factors k_i with noise
@@ -25,7 +26,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.estimation.identifiability import condition, formal_only
@@ -37,6 +37,7 @@ from multipos.estimation.placement import Placement, state_problem
 from multipos.estimation.problem import Optimum, Problem
 from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.starts import reduced_information, search, too_few
+from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.readings import Readings, read_readings
 from multipos.sensor.calibration import Status, labels
@@ -44,8 +45,6 @@ from multipos.sensor.diagnostics import find_outlying_positions
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Gauge, Model
-
-Array = NDArray[np.float64]
 
 _STATED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is stated
 
@@ -59,7 +58,7 @@ def solve_uncertain(
     robust: Loss | None = None,
     pool: bool = False,
 ) -> Solution:
-    """Fit all outputs together by the likelihood of eqs. (1)–(4) of `multipos.estimation.likelihood`.
+    """Fit all outputs together by eqs. (1)–(4) of `multipos.estimation.likelihood`.
 
     Parameters
     ----------
@@ -188,9 +187,11 @@ def _solution(
     told = np.isfinite(worth.factor) and worth.factor > 0.0  # 0 where every residual is
     misfit = point.q / problem.weight / (worth.factor if told else 1.0)
     robust = problem.robust is not None
-    precision = problem.precision if problem.precision.ndim == 2 else np.diagonal(
-        problem.precision, axis1=1, axis2=2
-    )  # fmt: skip
+    precision = (
+        problem.precision
+        if problem.precision.ndim == 2
+        else np.diagonal(problem.precision, axis1=1, axis2=2)
+    )
     kept = problem.weight == 1.0
     residual_sd = np.sqrt(
         np.mean(1.0 / precision[kept], axis=0) * (1.0 if robust else worth.factor)
@@ -202,8 +203,7 @@ def _solution(
         reference=point.force,
         parameters=state.theta,
         covariance=covariance,
-        parameter_dof=np.full(p, worth.dof) if worth.parameter_dof is None
-        else worth.parameter_dof,
+        parameter_dof=np.full(p, worth.dof) if worth.parameter_dof is None else worth.parameter_dof,
         variance=np.full(m, worth.factor),
         dof=np.full(m, worth.dof),
         residuals=point.residuals,
@@ -218,7 +218,7 @@ def _solution(
         status=_status(optimum),
         extra={**dict(worth.extra), **_found_orientations(problem, optimum, readings)},
         orientation_sd=worth.spread,
-    )  # fmt: skip
+    )
 
 
 def _scale_bias(

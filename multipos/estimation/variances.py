@@ -4,8 +4,8 @@ Linearised about a solution, the readings at the listed positions have residuals
 
     cov e_k = a Sigma_k + b s_k² J_k J_k',     e = A theta + error,                         (1)
 
-(Sigma_k, s_k, J_k, A as in `multipos.estimation.likelihood`), a and b factors on what is stated. What the
-parameters do not use up is judged by
+(Sigma_k, s_k, J_k, A as in `multipos.estimation.likelihood`), a and b factors on what is stated.
+What the parameters do not use up is judged by
 
     -2 l = sum ln det V_k + ln det(A'V⁻¹A) + e'Pe,   P = V⁻¹ − V⁻¹A (A'V⁻¹A)⁻¹ A'V⁻¹,       (2)
 
@@ -31,9 +31,8 @@ from numpy.typing import NDArray
 
 from multipos.estimation.likelihood import linearise
 from multipos.estimation.problem import Optimum, Problem
+from multipos.numerics.arrays import Array
 from multipos.sensor.inverse import parameter_jacobian
-
-Array = NDArray[np.float64]
 
 _H = 0.05  # step of the curvature in ln variance: the likelihood is smooth over factors of e
 _LEAST, _MOST = 1e-8, 1e2  # of what either variance would be if all the error were its own
@@ -113,10 +112,13 @@ def maximise_restricted(linear: Linearised, start: Array, free: NDArray[np.bool_
 
     low, high = _bounds(linear)[free].T
     found = minimize(
-        objective, np.clip(start[free], low, high), jac=True, method="L-BFGS-B",
+        objective,
+        np.clip(start[free], low, high),
+        jac=True,
+        method="L-BFGS-B",
         bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
         options={"ftol": 1e-13, "gtol": 1e-6},
-    )  # fmt: skip
+    )
     return _at(start, free, np.asarray(found.x))
 
 
@@ -193,9 +195,11 @@ def _restricted(linear: Linearised, v: Array) -> tuple[float, Array, tuple[Array
     right = A.T @ plain.ravel()
     left = plain - (X @ (C @ right)).reshape(n, m)  # P e
     value = (
-        log_det + float(np.linalg.slogdet(information)[1])
-        + float(np.einsum("nm,nm->", linear.error, plain)) - float(right @ C @ right)
-    )  # fmt: skip
+        log_det
+        + float(np.linalg.slogdet(information)[1])
+        + float(np.einsum("nm,nm->", linear.error, plain))
+        - float(right @ C @ right)
+    )
 
     noise = np.linalg.inv(P)  # a Sigma
     by_noise = X.T @ (noise @ X.reshape(n, m, -1)).reshape(n * m, -1)
@@ -204,10 +208,12 @@ def _restricted(linear: Linearised, v: Array) -> tuple[float, Array, tuple[Array
     by_spread = Y.T @ Y
     gradient = np.array(
         [
-            np.einsum("nij,nji->", W, noise) - np.sum(C * by_noise)
+            np.einsum("nij,nji->", W, noise)
+            - np.sum(C * by_noise)
             - np.einsum("ni,nij,nj->", left, noise, left),
-            np.einsum("nai,nij,naj->", seen, W, seen) - np.sum(C * by_spread)
+            np.einsum("nai,nij,naj->", seen, W, seen)
+            - np.sum(C * by_spread)
             - np.sum(np.einsum("nai,ni->na", seen, left) ** 2),
         ]
-    )  # fmt: skip
+    )
     return float(value), gradient, (C, np.array([by_noise, by_spread]))

@@ -12,9 +12,8 @@ from operator import itemgetter, methodcaller
 from typing import NamedTuple, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _PIECE = 1 << 22  # bytes
 
@@ -82,8 +81,12 @@ class Cells(Sequence[str]):
         try:
             return np.loadtxt(
                 [row.replace(",", ".") for row in rows] if decimal_comma else rows,
-                dtype=np.float64, delimiter=self._mark, usecols=self._place, comments=None, ndmin=1,
-            )  # fmt: skip
+                dtype=np.float64,
+                delimiter=self._mark,
+                usecols=self._place,
+                comments=None,
+                ndmin=1,
+            )
         except ValueError:
             return parse(self._split(rows))
 

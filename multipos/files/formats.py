@@ -26,7 +26,7 @@ from multipos.files.records import (
     Text,
     Whole,
 )
-from multipos.sensor.model import COMPONENTS
+from multipos.numerics.terms import COMPONENTS
 
 _AXIS = Text(COMPONENTS)
 _VARIANCES = Numbers(2, gaps=True, low=-LARGEST_SQUARE, high=LARGEST_SQUARE)
@@ -139,7 +139,7 @@ CALIBRATION = Fields(
             }
         ),
     },
-)  # fmt: skip
+)
 
 _PAIR = Listed(ANY_NUMBER, 2, 2)
 _POWER = Whole(0, 300)  # a power is so many multiplications in every row
@@ -253,7 +253,7 @@ REGRESSION = Fields(
             1,
         ),
     }
-)  # fmt: skip
+)
 
 _BY_AXIS = Named(ANY_NUMBER)
 _BY_AXIS_OR_NONE = Named(Maybe(ANY_NUMBER))

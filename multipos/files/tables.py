@@ -33,10 +33,8 @@ from multipos.files.characters import control_characters, visible
 from multipos.files.columns import Cells, read_plain
 
 Column = Sequence[Any] | NDArray[Any]
-SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
 _CELLS = 1 << 14  # of a column in a piece of JSON
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
-LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # a file, columns, or a data frame
 
 _SURROGATE = re.compile("[\ud800-\udfff]")  # what UTF-8 does not have, a byte of a file name

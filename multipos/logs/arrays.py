@@ -14,8 +14,6 @@ from multipos.files.tables import Table
 from multipos.logs.isolation import first_line, read_apart
 from multipos.logs.table import Log, Piece, name_columns
 
-Array = NDArray[np.float64]
-
 _ROWS = 1 << 16  # at a time
 
 

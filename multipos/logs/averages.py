@@ -7,16 +7,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.tables import Column, format_csv, plain, write_text
 from multipos.logs.rest_means import RestMean
 from multipos.logs.rests import Rest
+from multipos.numerics.arrays import Array
 from multipos.positions.readings import Readings
 from multipos.results import Result
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +157,14 @@ def averages_text(found: Averages) -> str:
     """Return the table of the rests, as people read it."""
     timed = found.rests[0].time is not None
     matched = found.rests[0].distance_deg is not None
-    header = ["position", *(["from [s]", "to [s]"] if timed else ["from row", "to row"]), "n",
-              "n_eff", *found.outputs, *(["off [deg]"] if matched else [])]  # fmt: skip
+    header = [
+        "position",
+        *(["from [s]", "to [s]"] if timed else ["from row", "to row"]),
+        "n",
+        "n_eff",
+        *found.outputs,
+        *(["off [deg]"] if matched else []),
+    ]
     rows = []
     for rest in found.rests:
         ends = rest.rows if rest.time is None else rest.time

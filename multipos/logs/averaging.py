@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import Names, split_names
@@ -22,11 +21,10 @@ from multipos.logs.rest_faults import check_units, find_faults, refuse_saturated
 from multipos.logs.rest_means import RestMean, RestSum
 from multipos.logs.rests import Finder, Grid, Rest, Survey, Windows
 from multipos.logs.samples import Progress, Samples, small_pieces
+from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.readings import is_environment
 from multipos.positions.scheme import Scheme, read_scheme
-
-Array = NDArray[np.float64]
 
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
@@ -114,8 +112,9 @@ def average(
     refuse_saturated(names, list(chosen.items()), means, survey)
     check_units(names, np.array([each.mean for each in means]))
     match = None if wanted is None else _match(means, chosen, wanted, convention)
-    return _complete(source, names, chosen, found, survey, match, wanted, rate, threshold,
-                     samples.notes)  # fmt: skip
+    return _complete(
+        source, names, chosen, found, survey, match, wanted, rate, threshold, samples.notes
+    )
 
 
 def _outputs(log: Log, given: tuple[str, ...] | None, time_column: str | None) -> tuple[str, ...]:
@@ -268,10 +267,17 @@ class _Sum:
 
 
 def _complete(
-    log: Log, names: tuple[str, ...], chosen: Mapping[str, Rest], found: list[_Found],
-    survey: Survey, match: Match | None, scheme: Scheme | None, rate: float | None,
-    threshold: float | None, notes: list[str],
-) -> Averages:  # fmt: skip
+    log: Log,
+    names: tuple[str, ...],
+    chosen: Mapping[str, Rest],
+    found: list[_Found],
+    survey: Survey,
+    match: Match | None,
+    scheme: Scheme | None,
+    rate: float | None,
+    threshold: float | None,
+    notes: list[str],
+) -> Averages:
     labels = list(chosen)
     if match is not None and scheme is not None:
         known = scheme.labels or [str(i + 1) for i in range(len(scheme))]
@@ -280,9 +286,13 @@ def _complete(
         if unseen:
             notes = [*notes, f"no rest at position {', '.join(unseen)} of scheme '{scheme.name}'"]
     faults, general = find_faults(
-        names, [each.found for each in found], survey.resolution,
-        [each.gaps for each in found], [each.moving for each in found], labels,
-    )  # fmt: skip
+        names,
+        [each.found for each in found],
+        survey.resolution,
+        [each.gaps for each in found],
+        [each.moving for each in found],
+        labels,
+    )
     rests = tuple(
         RestAverage(
             position=label,
@@ -295,8 +305,11 @@ def _complete(
         )
         for i, (label, rest, each) in enumerate(zip(labels, chosen.values(), found, strict=True))
     )
-    warnings = [f"position '{rest.position}' (rows {rest.rows.start} to {rest.rows.end}): {note}"
-                for rest in rests for note in rest.notes]  # fmt: skip
+    warnings = [
+        f"position '{rest.position}' (rows {rest.rows.start} to {rest.rows.end}): {note}"
+        for rest in rests
+        for note in rest.notes
+    ]
     return Averages(
         source=log.source,
         outputs=names,

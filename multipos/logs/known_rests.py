@@ -67,8 +67,9 @@ def read_sections(source: Source) -> Sections:
         }
     if not found:
         raise MultiposError(f"{where}: no sections; give a start and an end for each position.")
-    return Sections(where, {str(label): _section(where, label, each)
-                            for label, each in found.items()})  # fmt: skip
+    return Sections(
+        where, {str(label): _section(where, label, each) for label, each in found.items()}
+    )
 
 
 def _is_json(path: os.PathLike[str]) -> bool:

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention
 from multipos.positions.scheme import Scheme
-
-Array = NDArray[np.float64]
 
 FARTHEST_DEG = 20.0
 _STEPS = 20

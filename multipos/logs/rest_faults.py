@@ -4,13 +4,11 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.logs.rest_means import RestMean
 from multipos.logs.rests import Rest, Survey
-
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 # A share of the samples at one value, the extreme of the log, that noise does not explain.
 _SATURATED = 0.01

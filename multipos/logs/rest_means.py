@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.numerics.arrays import Array
 from multipos.results import Result
 
-Array = NDArray[np.float64]
 Counts = NDArray[np.signedinteger[Any]]
 
 _BATCHES = 512

@@ -19,11 +19,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
-
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 BLOCKS = 8  # of a window
 LARGEST_SAMPLE = 1e15  # no sensor counts so far, and sums of squares are far from overflow

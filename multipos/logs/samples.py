@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from typing import IO, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.logs import Log
@@ -20,8 +19,8 @@ from multipos.logs.rests import (
     Windows,
     choose_grid,
 )
+from multipos.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], object]  # is told how much of the log has been read, 0 to 1
 
 _IN_MEMORY = 1 << 22  # bytes

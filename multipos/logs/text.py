@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
 from multipos.logs.table import Log, Piece, name_columns
-
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 HEAD = 1 << 16  # bytes that must hold the header and the first row
 _PIECE = 1 << 22  # bytes read at a time
@@ -121,9 +119,13 @@ def _parse(
     wanted = list(dict.fromkeys((*names, *optional)))
     index = [text.columns.index(name) for name in wanted]
     table = partial(
-        Table, str(text.path), rows=len(rows.lines), lines=rows.numbers, first=first,
+        Table,
+        str(text.path),
+        rows=len(rows.lines),
+        lines=rows.numbers,
+        first=first,
         delimiter=text.delimiter or " ",
-    )  # fmt: skip
+    )
     try:
         columns = dict(zip(wanted, _fast(text, rows, index), strict=True))
         if all(np.isfinite(columns[name]).all() for name in names):

@@ -30,9 +30,8 @@ Rows are taken in blocks that stay in cache, so working memory does not grow wit
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _SPLIT = 134217729.0  # 2^27 + 1: halves a significand so that products of halves are exact
 _BLOCK = 1 << 15  # products held at once, in some ten arrays of this size

@@ -56,8 +56,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, RankError
 from multipos.numerics import extended
-
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _RANK = 1e-13  # singular values of the scaled design below this part of the largest are zero
 _REFINE_COFACTOR = 1e6  # condition from which the cofactor takes twice the working precision

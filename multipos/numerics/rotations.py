@@ -13,9 +13,8 @@ to first order, with the left Jacobian
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _SMALL = 1e-4  # [rad], below it the series is exact to rounding
 

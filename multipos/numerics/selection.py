@@ -35,14 +35,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
+from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import name_combinations, separability
 from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.results import Result
-
-Array = NDArray[np.float64]
 
 COLLINEAR = 1e-5  # part of a column's length below which it says nothing of its own
 NOTHING = 1e-12  # part of a column's length below which what the forced terms leave is rounding
@@ -280,8 +279,11 @@ def select_backward(
             best = max(search.addable(), key=lambda t: t.F, default=None)
             return search.result(path, best, limits)
         rest = [t for t in removable if t is not out]
-        path.append(search.take(len(path) + 1, out, min(rest, key=lambda t: t.F, default=None),
-                                tuple(removable)))  # fmt: skip
+        path.append(
+            search.take(
+                len(path) + 1, out, min(rest, key=lambda t: t.F, default=None), tuple(removable)
+            )
+        )
 
 
 class _Search:

@@ -1,12 +1,12 @@
 """All subsets of a list of columns: the residual sum of every one, from one factor.
 
-R of [X y] (`multipos.numerics.selection`) is triangular. Of its first column two things can be said. It is
-in the model: then the triangle without its first row and column holds the part of the others that
-is orthogonal to it. Or it is out: then R without that column is brought back to a triangle by
-Givens rotations of neighbouring rows, and its last row falls away. Either way a triangle one
-smaller is left, so after m columns 2^m numbers are left, each the root of one residual sum. All
-triangles of one size are rotated together. No sum of squares is formed before the last, so a
-residual sum is as good as that of a QR of its own; the work is some 10 · 2^m operations, not 2^m
+R of [X y] (`multipos.numerics.selection`) is triangular. Of its first column two things can be
+said. It is in the model: then the triangle without its first row and column holds the part of the
+others that is orthogonal to it. Or it is out: then R without that column is brought back to a
+triangle by Givens rotations of neighbouring rows, and its last row falls away. Either way a
+triangle one smaller is left, so after m columns 2^m numbers are left, each the root of one residual
+sum. All triangles of one size are rotated together. No sum of squares is formed before the last, so
+a residual sum is as good as that of a QR of its own; the work is some 10 · 2^m operations, not 2^m
 fits.
 
 A subset in which a column has less than 1e-5 of its length outside those before it is left out.
@@ -27,13 +27,11 @@ from math import inf, log
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import UsageError
+from multipos.numerics.arrays import Array
 from multipos.numerics.selection import COLLINEAR, NOTHING, Triangle
 from multipos.results import Result
-
-Array = NDArray[np.float64]
 
 SubsetCriterion = Literal["aicc", "bic", "adjusted_r2"]
 CRITERIA: tuple[SubsetCriterion, ...] = get_args(SubsetCriterion)
@@ -162,10 +160,13 @@ def all_subsets(
     found = [
         _describe(
             tuple(sorted([*forced, *(free[j] for j in np.flatnonzero(member[i]))])),
-            float(rss[i]), total, triangle.rows, len(forced),
+            float(rss[i]),
+            total,
+            triangle.rows,
+            len(forced),
         )
         for i in index.tolist()
-    ]  # fmt: skip
+    ]
     return tuple(sorted(found, key=lambda s: _badness(s, criterion)))
 
 

@@ -3,17 +3,16 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, scale_by_powers, write
 from multipos.sensor.calibration import Calibration, labels
-from multipos.sensor.model import COMPONENTS, linear_term
 from multipos.uncertainty.propagation import Evaluation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 _TICKS = 26  # labels that fit below a figure
 
@@ -32,8 +31,9 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     if np.isfinite(band).all():
         axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label="±2 sd")
-    axes.plot(at, c.residuals[:, column], MARKERS[column % 8], color=COLOURS[column % 6],
-              label=output)  # fmt: skip
+    axes.plot(
+        at, c.residuals[:, column], MARKERS[column % 8], color=COLOURS[column % 6], label=output
+    )
     _name_positions(axes, labels(c.readings))
     axes.set_ylabel(f"{output} [{c.model.unit}]")
     axes.ticklabel_format(axis="y", scilimits=(-3, 4))
@@ -54,14 +54,20 @@ def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
         axes.plot(centre + np.cos(circle), np.sin(circle), color="#000000", linewidth=0.8)
         for elevation in (30.0, 60.0):
             r = np.sqrt(1.0 - np.sin(np.radians(elevation)))
-            axes.plot(centre + r * np.cos(circle), r * np.sin(circle), color=COLOURS[6],
-                      linewidth=0.4)  # fmt: skip
+            axes.plot(
+                centre + r * np.cos(circle), r * np.sin(circle), color=COLOURS[6], linewidth=0.4
+            )
         on = side * up[:, 2] >= -1e-12  # positions on the rim belong to both discs
         height = np.clip(side * up[on, 2], 0.0, 1.0)
         radius = np.sqrt(1.0 - height) / np.maximum(np.hypot(up[on, 0], up[on, 1]), 1e-300)
         x, y = up[on, 0] * radius, up[on, 1] * radius
-        axes.plot(centre + x, y, MARKERS[0] if side > 0 else MARKERS[1], linestyle="none",
-                  color=COLOURS[0] if side > 0 else COLOURS[1])  # fmt: skip
+        axes.plot(
+            centre + x,
+            y,
+            MARKERS[0] if side > 0 else MARKERS[1],
+            linestyle="none",
+            color=COLOURS[0] if side > 0 else COLOURS[1],
+        )
         write(axes, centre, -1.24, "+z" if side > 0 else "-z", ha="center", va="center")
         for name, px, py in (("+x", 1.13, 0.0), ("+y", 0.0, 1.1)):
             write(axes, centre + px, py, name, ha="center", va="center", fontsize=7)
@@ -78,8 +84,16 @@ def draw_leverage(calibration: Calibration, axes: "Axes") -> None:
     width = 0.8 / m
     for i, output in enumerate(c.outputs):
         at = np.arange(n) + (i - (m - 1) / 2.0) * width
-        axes.bar(at, c.diagnostics.leverage[:, i], width, color=COLOURS[i % 6], label=output,
-                 hatch=HATCHES[i % 8], edgecolor="#ffffff", linewidth=0.3)  # fmt: skip
+        axes.bar(
+            at,
+            c.diagnostics.leverage[:, i],
+            width,
+            color=COLOURS[i % 6],
+            label=output,
+            hatch=HATCHES[i % 8],
+            edgecolor="#ffffff",
+            linewidth=0.3,
+        )
     axes.set_ylim(0.0, min(1.02, 1.2 * float(c.diagnostics.leverage.max())))
     axes.set_ylabel("leverage")
     _name_positions(axes, labels(c.readings))
@@ -134,8 +148,16 @@ def draw_budget(evaluation: Evaluation, axes: "Axes") -> None:
     at = np.arange(len(evaluation.names))
     left = np.zeros(len(at))
     for i, (quantity, part) in enumerate(zip(quantities, share, strict=True)):
-        axes.barh(at, part, left=left, color=COLOURS[i % 8], hatch=HATCHES[i % 8], label=quantity,
-                  edgecolor="#ffffff", linewidth=0.3)  # fmt: skip
+        axes.barh(
+            at,
+            part,
+            left=left,
+            color=COLOURS[i % 8],
+            hatch=HATCHES[i % 8],
+            label=quantity,
+            edgecolor="#ffffff",
+            linewidth=0.3,
+        )
         left = left + part
     axes.set_yticks(at, list(evaluation.names))
     axes.invert_yaxis()
@@ -164,14 +186,29 @@ def draw_correlation(calibration: Calibration, axes: "Axes") -> None:
     p = len(c.names)
     shades = LinearSegmentedColormap.from_list("signed", [COLOURS[1], "#ffffff", COLOURS[0]])
     values = np.nan_to_num(c.correlation)
-    axes.pcolormesh(np.arange(p + 1), np.arange(p + 1), values, cmap=shades, vmin=-1.0, vmax=1.0,
-                    edgecolors="#999999", linewidth=0.2)  # fmt: skip
+    axes.pcolormesh(
+        np.arange(p + 1),
+        np.arange(p + 1),
+        values,
+        cmap=shades,
+        vmin=-1.0,
+        vmax=1.0,
+        edgecolors="#999999",
+        linewidth=0.2,
+    )
     for i in range(p):
         for j in range(p):
             if i != j and abs(values[i, j]) >= 0.05 and p <= 20:
-                write(axes, j + 0.5, i + 0.5, f"{values[i, j]:.1f}".replace("0.", "."), ha="center",
-                          va="center", fontsize=6,
-                          color="#ffffff" if abs(values[i, j]) > 0.6 else "#222222")  # fmt: skip
+                write(
+                    axes,
+                    j + 0.5,
+                    i + 0.5,
+                    f"{values[i, j]:.1f}".replace("0.", "."),
+                    ha="center",
+                    va="center",
+                    fontsize=6,
+                    color="#ffffff" if abs(values[i, j]) > 0.6 else "#222222",
+                )
     axes.set_xticks(np.arange(p) + 0.5, list(c.names), rotation=90, fontsize=7)
     axes.set_yticks(np.arange(p) + 0.5, list(c.names), fontsize=7)
     axes.invert_yaxis()

@@ -41,9 +41,14 @@ def draw_check(found: Check, axes: "Axes", *, axis: str) -> None:
         for sign in (-1.0, 1.0):
             axes.axhline(sign * found.limit, color="#555555", linestyle="--", linewidth=0.8)
         axes.annotate(
-            f"limit ±{found.limit:g} {found.unit}", (1.0, found.limit), va="bottom", ha="right",
-            xycoords=("axes fraction", "data"), color="#555555", fontsize=9.0,
-        )  # fmt: skip
+            f"limit ±{found.limit:g} {found.unit}",
+            (1.0, found.limit),
+            va="bottom",
+            ha="right",
+            xycoords=("axes fraction", "data"),
+            color="#555555",
+            fontsize=9.0,
+        )
         if np.abs(before).max() > _WIDE * found.limit:  # else the limits would be one line
             scale_by_powers(axes, "y", linthresh=2.0 * found.limit)
     axes.axhline(0.0, color="#999999", linewidth=0.5)

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from multipos.numerics.terms import CONSTANT
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure
-from multipos.sensor.model import CONSTANT
 from multipos.verification.comparison import Comparison
 
 if TYPE_CHECKING:
@@ -22,18 +22,24 @@ def draw_runs(comparison: Comparison, axes: "Axes", *, term: str = "1") -> None:
     runs = np.arange(1, len(found.calibrations) + 1)
     model = found.calibrations[0].model
     wanted = [
-        i for i, (_, t) in enumerate(model.keys)
+        i
+        for i, (_, t) in enumerate(model.keys)
         if (t == CONSTANT if term == "1" else str(t) == term)
-    ]  # fmt: skip
+    ]
     for series, i in enumerate(wanted):
         U = np.array([c.U[i] for c in found.calibrations])
         values = found.values[:, i] - found.mean[i]
         axes.errorbar(
-            runs + 0.06 * (series - (len(wanted) - 1) / 2.0), values,
-            yerr=np.where(np.isfinite(U), U, 0.0), color=COLOURS[series % 6],
-            marker=MARKERS[series % 8], capsize=2.0, capthick=1.0, linewidth=0.9,
+            runs + 0.06 * (series - (len(wanted) - 1) / 2.0),
+            values,
+            yerr=np.where(np.isfinite(U), U, 0.0),
+            color=COLOURS[series % 6],
+            marker=MARKERS[series % 8],
+            capsize=2.0,
+            capthick=1.0,
+            linewidth=0.9,
             label=model.names[i],
-        )  # fmt: skip
+        )
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     axes.set_xticks(runs)
     axes.set_xlabel("run")

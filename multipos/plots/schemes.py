@@ -4,19 +4,18 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.designs.assessment import read_setting
 from multipos.designs.information import Criterion, inform, kernels, sensitivity
 from multipos.files.tables import Source
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
 from multipos.plots.style import COLOURS, MARKERS, dress_axis, name_series, write
 from multipos.positions.scheme import Scheme, read_scheme
-from multipos.sensor.model import COMPONENTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 _APART = 2.3  # of the middles of the two hemispheres, whose radius is 1
 
@@ -50,9 +49,15 @@ def draw_scheme(
     low, top = min(values.min() for values in maps), max(values.max() for values in maps)
     for side, values in enumerate(maps):
         mesh = axes.pcolormesh(
-            r * np.cos(t) + side * _APART, r * np.sin(t), values,
-            vmin=low, vmax=top, cmap="cividis", shading="gouraud", rasterized=True,
-        )  # fmt: skip
+            r * np.cos(t) + side * _APART,
+            r * np.sin(t),
+            values,
+            vmin=low,
+            vmax=top,
+            cmap="cividis",
+            shading="gouraud",
+            rasterized=True,
+        )
         write(axes, side * _APART, -1.2, f"z {'down' if side else 'up'}", ha="center")
         for angle, name in ((0.0, "x"), (0.5 * np.pi, "y")):
             place = 1.12 * np.cos(angle) + side * _APART, 1.12 * np.sin(angle)
@@ -77,9 +82,13 @@ def _draw_positions(up: Array, axes: "Axes") -> None:
             shrink = 1.0 / np.sqrt(1.0 + abs(z))
             place = x * shrink + side * _APART, y * shrink
             axes.plot(
-                *place, "o", color="white", markeredgecolor="black", clip_on=False,
+                *place,
+                "o",
+                color="white",
+                markeredgecolor="black",
+                clip_on=False,
                 markersize=6.0 if count == 1 else 11.0,
-            )  # fmt: skip
+            )
             if count > 1:
                 write(axes, *place, str(count), ha="center", va="center_baseline", fontsize=7.0)
 
@@ -90,9 +99,12 @@ def draw_efficiency(designs: Mapping[str, Sequence[Mapping[str, Any]]], axes: "A
         axes.plot(
             [len(design["positions"]) for design in found],
             [design["efficiency"] for design in found],
-            color=COLOURS[k % len(COLOURS)], marker=MARKERS[k % len(MARKERS)], label=name,
-            linewidth=0.8, fillstyle="none",
-        )  # fmt: skip
+            color=COLOURS[k % len(COLOURS)],
+            marker=MARKERS[k % len(MARKERS)],
+            label=name,
+            linewidth=0.8,
+            fillstyle="none",
+        )
     axes.axhline(1.0, color="#999999", linewidth=0.8, linestyle="--")
     axes.locator_params(axis="x", integer=True)
     axes.set_xlabel("positions")

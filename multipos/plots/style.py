@@ -43,9 +43,14 @@ def new_figure(rows: int = 1, *, width: float = 5.8, height: float = 2.6) -> "tu
 
     layout = ConstrainedLayoutEngine(h_pad=0.04167, w_pad=0.04167, hspace=0.02, wspace=0.02)
     figure = Figure(
-        figsize=(width, height * rows), dpi=100.0, facecolor="#ffffff", edgecolor="#ffffff",
-        linewidth=0.0, frameon=True, layout=layout,
-    )  # fmt: skip
+        figsize=(width, height * rows),
+        dpi=100.0,
+        facecolor="#ffffff",
+        edgecolor="#ffffff",
+        linewidth=0.0,
+        frameon=True,
+        layout=layout,
+    )
     edges = {"left": 0.125, "right": 0.9, "bottom": 0.11, "top": 0.88}  # before the layout
     axes = figure.subplots(rows, 1, squeeze=False, gridspec_kw=edges)[:, 0]
     for one in axes:
@@ -68,9 +73,13 @@ def to_svg(figure: "Figure") -> str:
     _settle(figure)
     with _DRAWING:
         figure.dpi = 72.0  # that of SVG
-        vectors = _renderer()(72.0 * width, 72.0 * height, stream, image_dpi=kept[1],
-                              metadata=dict.fromkeys(("Date", "Creator", "Format", "Type"))
-                              )  # fmt: skip
+        vectors = _renderer()(
+            72.0 * width,
+            72.0 * height,
+            stream,
+            image_dpi=kept[1],
+            metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")),
+        )
         _canvas()(figure, vectors)
         mixed: Any = backend_mixed  # without types
         figure.draw(mixed.MixedModeRenderer(figure, width, height, kept[1], vectors))
@@ -92,17 +101,37 @@ def render(figure: "Figure", ending: str) -> str | bytes:
     dates = {"CreationDate": None} if ending == ".pdf" else None
     _settle(figure)
     with _DRAWING:
-        figure.savefig(stream, format=ending.removeprefix("."), dpi=_DPI, facecolor="#ffffff",
-                       bbox_inches=figure.bbox_inches, transparent=False, metadata=dates)  # fmt: skip
+        figure.savefig(
+            stream,
+            format=ending.removeprefix("."),
+            dpi=_DPI,
+            facecolor="#ffffff",
+            bbox_inches=figure.bbox_inches,
+            transparent=False,
+            metadata=dates,
+        )
     return stream.getvalue()
 
 
 def name_series(axes: "Axes", columns: int) -> None:
     """Name the series above the axes, where no datum is."""
-    axes.legend(loc="lower right", ncols=columns, fontsize=8, bbox_to_anchor=(1.0, 1.0),
-                frameon=False, borderaxespad=0.0, borderpad=0.4, labelspacing=0.5, markerscale=1.0,
-                handlelength=2.0, handleheight=0.7, handletextpad=0.8, columnspacing=2.0,
-                numpoints=1, labelcolor=_INK)  # fmt: skip
+    axes.legend(
+        loc="lower right",
+        ncols=columns,
+        fontsize=8,
+        bbox_to_anchor=(1.0, 1.0),
+        frameon=False,
+        borderaxespad=0.0,
+        borderpad=0.4,
+        labelspacing=0.5,
+        markerscale=1.0,
+        handlelength=2.0,
+        handleheight=0.7,
+        handletextpad=0.8,
+        columnspacing=2.0,
+        numpoints=1,
+        labelcolor=_INK,
+    )
 
 
 def write(axes: "Axes", x: float, y: float, text: str, **look: Any) -> None:
@@ -132,8 +161,9 @@ def dress_axis(axis: "Axis") -> None:
     """Give an axis its ticks, labels and numbers."""
     from matplotlib.ticker import MaxNLocator, NullLocator
 
-    axis.set_tick_params(which="both", reset=False, direction="out", color=_INK, labelcolor=_INK,
-                         labelsize=_SIZE)  # fmt: skip
+    axis.set_tick_params(
+        which="both", reset=False, direction="out", color=_INK, labelcolor=_INK, labelsize=_SIZE
+    )
     axis.set_tick_params(which="major", size=3.5, width=0.8, pad=3.5)
     axis.set_tick_params(which="minor", size=2.0, width=0.6, pad=3.4)
     axis.set_major_locator(MaxNLocator(nbins="auto", steps=[1, 2, 2.5, 5, 10]))
@@ -150,8 +180,17 @@ def _dress(axes: "Axes") -> None:
 
     for side, spine in axes.spines.items():
         spine.set(visible=side in ("left", "bottom"), edgecolor=_INK, linewidth=0.8)
-    axes.tick_params(which="both", top=False, right=False, bottom=True, left=True, labeltop=False,
-                     labelright=False, labelbottom=True, labelleft=True)  # fmt: skip
+    axes.tick_params(
+        which="both",
+        top=False,
+        right=False,
+        bottom=True,
+        left=True,
+        labeltop=False,
+        labelright=False,
+        labelbottom=True,
+        labelleft=True,
+    )
     for axis in (axes.xaxis, axes.yaxis):
         dress_axis(axis)
     axes.set_facecolor("#ffffff")
@@ -159,9 +198,16 @@ def _dress(axes: "Axes") -> None:
     axes.margins(0.05)
     # What a line is like where the call that draws it does not say.
     axes.set_prop_cycle(
-        cycler(color=[COLOURS[0]], linewidth=[1.5], linestyle=["-"], marker=["None"],
-               markersize=[4.0], markeredgewidth=[1.0], fillstyle=["full"])
-    )  # fmt: skip
+        cycler(
+            color=[COLOURS[0]],
+            linewidth=[1.5],
+            linestyle=["-"],
+            marker=["None"],
+            markersize=[4.0],
+            markeredgewidth=[1.0],
+            fillstyle=["full"],
+        )
+    )
 
 
 def _settle(figure: "Figure") -> None:
@@ -172,15 +218,25 @@ def _settle(figure: "Figure") -> None:
     for text in figure.findobj(Text):  # ticks that are made later take after the first
         text.set(usetex=False, fontproperties=_plain_font(float(text.get_fontsize())))
     for line in figure.findobj(Line2D):
-        line.set(solid_capstyle="projecting", dash_capstyle="butt", solid_joinstyle="round",
-                 dash_joinstyle="round")  # fmt: skip
+        line.set(
+            solid_capstyle="projecting",
+            dash_capstyle="butt",
+            solid_joinstyle="round",
+            dash_joinstyle="round",
+        )
 
 
 def _plain_font(size: float) -> Any:
     from matplotlib.font_manager import FontProperties
 
-    return FontProperties(family=[_FONT], style="normal", variant="normal", weight="normal",
-                          stretch="normal", size=size)  # fmt: skip
+    return FontProperties(
+        family=[_FONT],
+        style="normal",
+        variant="normal",
+        weight="normal",
+        stretch="normal",
+        size=size,
+    )
 
 
 def _plain(text: str) -> str:
@@ -213,9 +269,16 @@ def _renderer() -> Any:
 
     class Renderer(base):  # type: ignore[misc]
         def draw_text(
-            self, gc: Any, x: float, y: float, s: str, prop: Any, angle: float,
-            ismath: bool = False, mtext: Any = None,
-        ) -> None:  # fmt: skip
+            self,
+            gc: Any,
+            x: float,
+            y: float,
+            s: str,
+            prop: Any,
+            angle: float,
+            ismath: bool = False,
+            mtext: Any = None,
+        ) -> None:
             # `svg.fonttype` would decide between text and outlines: reports translate text.
             self._draw_text_as_text(gc, x, y, s, prop, angle, False, mtext)
 

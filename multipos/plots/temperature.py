@@ -45,17 +45,20 @@ def draw_correction(
     table = read_table(data, what="data")
     target = column or regression.response
     columns = read_predictors(regression, table)
-    name, x = range_column(regression, table, columns) if variable is None else (
-        variable, table.number(variable)
-    )  # fmt: skip
+    name, x = (
+        range_column(regression, table, columns)
+        if variable is None
+        else (variable, table.number(variable))
+    )
     found = correct(regression, table, column=target)
     before, after = table.number(target), np.asarray(found["corrected"])
     for values, label, colour, marker in (
         (before, "before", COLOURS[6], "x"),
         (after, "after", COLOURS[0], "."),
     ):
-        axes.plot(x, values, color=colour, marker=marker, linestyle="none", markersize=3.0,
-                  label=label)  # fmt: skip
+        axes.plot(
+            x, values, color=colour, marker=marker, linestyle="none", markersize=3.0, label=label
+        )
     if name == regression.segment_variable:
         for edge in regression.edges:
             axes.axvline(edge, color="black", linewidth=0.8, linestyle="--")
@@ -67,11 +70,24 @@ def draw_correction(
 def draw_curve(curve: Curve, axes: "Axes") -> None:
     """Draw a parameter against temperature with its bands: U at one, and at all temperatures."""
     t = curve.temperature
-    axes.fill_between(t, curve.value - curve.band, curve.value + curve.band, color=COLOURS[5],
-                      alpha=0.35, linewidth=0.0, label="band, all temperatures")  # fmt: skip
+    axes.fill_between(
+        t,
+        curve.value - curve.band,
+        curve.value + curve.band,
+        color=COLOURS[5],
+        alpha=0.35,
+        linewidth=0.0,
+        label="band, all temperatures",
+    )
     for sign in (-1.0, 1.0):
-        axes.plot(t, curve.value + sign * curve.U, color=COLOURS[0], linewidth=0.8, linestyle="--",
-                  label="U, one temperature" if sign > 0.0 else None)  # fmt: skip
+        axes.plot(
+            t,
+            curve.value + sign * curve.U,
+            color=COLOURS[0],
+            linewidth=0.8,
+            linestyle="--",
+            label="U, one temperature" if sign > 0.0 else None,
+        )
     axes.plot(t, curve.value, color=COLOURS[0], linewidth=1.2, label=curve.name)
     axes.set(xlabel="temperature", ylabel=f"{curve.name} [{curve.unit}]")
     name_series(axes, 3)
@@ -85,8 +101,14 @@ def draw_path(segment: Segment, axes: "Axes") -> None:
     steps = segment.path
     for row, step in enumerate(steps):
         added = step.action == "add"
-        axes.barh(row, step.F, color=COLOURS[0] if added else "none", edgecolor=COLOURS[0],
-                  hatch="" if added else "//", linewidth=1.0)  # fmt: skip
+        axes.barh(
+            row,
+            step.F,
+            color=COLOURS[0] if added else "none",
+            edgecolor=COLOURS[0],
+            hatch="" if added else "//",
+            linewidth=1.0,
+        )
         if step.runner_up is not None and step.runner_up.F > 0.0:
             axes.plot(step.runner_up.F, row, marker="D", color=COLOURS[1], linestyle="none")
     axes.set_yticks(

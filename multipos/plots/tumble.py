@@ -30,9 +30,12 @@ def draw_rolls(calibration: Calibration, axes: "Axes", *, output: str) -> None:
 
 
 def _draw_signal(
-    calibration: Calibration, output: str, rolls: Sequence[Roll], harmonics: Sequence[Harmonic],
+    calibration: Calibration,
+    output: str,
+    rolls: Sequence[Roll],
+    harmonics: Sequence[Harmonic],
     axes: "Axes",
-) -> None:  # fmt: skip
+) -> None:
     signal = calibration.readings.values[:, calibration.outputs.index(output)]
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
     for k, roll in enumerate(rolls):
@@ -41,9 +44,13 @@ def _draw_signal(
         if terms:
             axes.plot(np.degrees(turn), curve, color=COLOURS[k], linewidth=0.8)
         axes.plot(
-            np.degrees(roll.angle), signal[roll.rows], MARKERS[k], color=COLOURS[k],
-            fillstyle="none", label=f"plane {roll.plane}",
-        )  # fmt: skip
+            np.degrees(roll.angle),
+            signal[roll.rows],
+            MARKERS[k],
+            color=COLOURS[k],
+            fillstyle="none",
+            label=f"plane {roll.plane}",
+        )
     axes.set_xticks(range(0, 361, 45))
     axes.set_xlabel("angle [deg]")
     axes.set_ylabel(f"{output} [{calibration.model.unit}]")
@@ -59,9 +66,13 @@ def draw_harmonics(calibration: Calibration, axes: "Axes", *, output: str) -> No
         axes.bar(
             place + (k - (len(rolls) - 1) / 2.0) * width,
             [h["amplitude"] for h in entry["harmonics"]],
-            width, color=COLOURS[k], hatch=HATCHES[k], edgecolor="white", linewidth=0.0,
+            width,
+            color=COLOURS[k],
+            hatch=HATCHES[k],
+            edgecolor="white",
+            linewidth=0.0,
             label=f"roll about {entry['roll']}",
-        )  # fmt: skip
+        )
         axes.set_xticks(place)
     axes.set_xlabel("order")
     axes.set_ylabel(f"{output} [{calibration.model.unit}]")
@@ -77,9 +88,15 @@ def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
         left = [h for h in found.residual_harmonics if h.plane == roll.plane]
         place = np.array([h.order for h in left]) + (k - (len(found.rolls) - 1) / 2.0) * width
         axes.bar(
-            place, [h.amplitude for h in left], width, color=COLOURS[k], hatch=HATCHES[k],
-            edgecolor="white", linewidth=0.0, label=f"plane {roll.plane}",
-        )  # fmt: skip
+            place,
+            [h.amplitude for h in left],
+            width,
+            color=COLOURS[k],
+            hatch=HATCHES[k],
+            edgecolor="white",
+            linewidth=0.0,
+            label=f"plane {roll.plane}",
+        )
         for x, h in zip(place.tolist(), left, strict=True):
             if f"harmonic {h.order} in plane {h.plane} " in named:
                 axes.annotate(

@@ -22,9 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Table
+from multipos.numerics.arrays import Array
 from multipos.units import cos_deg, sin_deg
-
-Array = NDArray[np.float64]
 
 Convention = Literal["specific-force", "gravity"]  # which sign the axis that points up has
 CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
@@ -86,8 +85,9 @@ def read_attitudes(table: Table, unknown: NDArray[np.bool_] | None = None) -> At
         )
     if unknown is None:
         return _READERS[found[0]](table)
-    empty = np.array([not any(table.text(name)[row] for name in names)
-                      for row in range(table.rows)])  # fmt: skip
+    empty = np.array(
+        [not any(table.text(name)[row] for name in names) for row in range(table.rows)]
+    )
     skipped = unknown & empty
     result = Attitudes(np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan))
     if not skipped.all():

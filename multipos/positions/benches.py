@@ -16,14 +16,12 @@ bench too. Up vectors that come twice are kept once. Angles are degrees.
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import UsageError
 from multipos.files.tables import Source
+from multipos.numerics.arrays import Array
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.units import cos_deg, sin_deg
-
-Array = NDArray[np.float64]
 
 _NUMBER = r"\d+(?:\.\d+)?"
 _TWO_AXIS = re.compile(rf"two-axis-({_NUMBER})(?:x({_NUMBER}))?")

@@ -23,12 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.results import Result
-from multipos.sensor.model import COMPONENTS
-
-Array = NDArray[np.float64]
 
 _SAME = 1e-9  # [rad or g], below which two angles are one and a component is zero
 _HIGHEST_UNEVEN = 24
@@ -126,9 +125,12 @@ class Harmonic(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as JSON carries it, without p."""
         return {
-            "plane": self.plane, "order": self.order, "cos": self.cos, "sin": self.sin,
+            "plane": self.plane,
+            "order": self.order,
+            "cos": self.cos,
+            "sin": self.sin,
             "amplitude": self.amplitude,
-        }  # fmt: skip
+        }
 
 
 def find_rolls(readings: Readings, first: str = "x", sign: float = 1.0) -> tuple[Roll, ...]:

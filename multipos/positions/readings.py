@@ -11,17 +11,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import control_characters, visible
 from multipos.files.lists import Names, split_names
-from multipos.files.tables import LARGEST, SMALLEST, Source, Table, read_table
+from multipos.files.tables import Source, Table, read_table
+from multipos.numerics.arrays import Array
 from multipos.positions import attitudes
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Frozen, Result
-
-Array = NDArray[np.float64]
+from multipos.units import LARGEST, SMALLEST
 
 _RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group"}
 
@@ -94,9 +94,14 @@ class Readings(Result):
         _set(self, "values", values)
         _set(self, "outputs", self._named(m))
         for name, shape in (
-            ("u", (n, m)), ("covariance", (n * m, n * m)), ("sd", (n, m)), ("samples", (n,)),
-            ("orientation_sd", (n,)), ("up", (n, 3)), ("rotation", (n, 3, 3)),
-        ):  # fmt: skip
+            ("u", (n, m)),
+            ("covariance", (n * m, n * m)),
+            ("sd", (n, m)),
+            ("samples", (n,)),
+            ("orientation_sd", (n,)),
+            ("up", (n, 3)),
+            ("rotation", (n, 3, 3)),
+        ):
             given = getattr(self, name)
             if given is not None:
                 _set(self, name, _array(name, given, shape))
@@ -141,8 +146,12 @@ class Readings(Result):
                     )
 
     def _check_values(self) -> None:
-        for name, lowest in (("u", "above 0"), ("sd", "0 or more"), ("samples", "above 0"),
-                             ("orientation_sd", "0 or more")):  # fmt: skip
+        for name, lowest in (
+            ("u", "above 0"),
+            ("sd", "0 or more"),
+            ("samples", "above 0"),
+            ("orientation_sd", "0 or more"),
+        ):
             array = getattr(self, name)
             if array is None:
                 continue
@@ -438,9 +447,11 @@ def _beside(table: Table, prefix: str, outputs: tuple[str, ...], notes: list[str
     others = [
         name
         for name in table.columns
-        if name.startswith(f"{prefix}_") and name not in names and name not in outputs
+        if name.startswith(f"{prefix}_")
+        and name not in names
+        and name not in outputs
         and name.partition("_")[2] in table.columns
-    ]  # fmt: skip
+    ]
     notes += [f"column '{name}' belongs to no output and is not used" for name in others]
     if not present:
         return None

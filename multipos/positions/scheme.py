@@ -24,11 +24,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import is_pipe
 from multipos.files.tables import Source, read_table
+from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import (
     Attitudes,
     from_rotation,
@@ -38,8 +38,6 @@ from multipos.positions.attitudes import (
     roll,
 )
 from multipos.results import Result
-
-Array = NDArray[np.float64]
 
 LARGEST = 1_000_000  # positions; a typing slip in fibonacci-N should not fill the memory
 

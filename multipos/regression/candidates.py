@@ -10,7 +10,7 @@ from itertools import combinations_with_replacement
 
 from multipos.errors import UsageError
 from multipos.files.lists import Names, split_names
-from multipos.sensor.model import Factor, Term, parse_terms
+from multipos.numerics.terms import Factor, Term, parse_terms
 
 HIGHEST_DEGREE = 30  # of a power; NIST's Filip has 10
 

@@ -42,7 +42,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _GAP = 5.0  # median intervals without a row that end a run
 _CLEARLY = 2.33  # standard deviations of the lag-1 correlation of independent rows: 1 % above it

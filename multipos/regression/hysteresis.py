@@ -17,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
+from multipos.numerics.terms import Term, evaluate_terms
 from multipos.regression.correlation import effective_size
 from multipos.regression.observations import Data
 from multipos.regression.segmentation import segment_of
-from multipos.sensor.model import Term, evaluate_terms
-
-Array = NDArray[np.float64]
 
 BRANCHES = ("heating", "cooling")
 
@@ -39,9 +38,13 @@ def branch_of(rate: Array) -> NDArray[np.intp]:
 
 
 def compare_branches(
-    terms: Sequence[Term], data: Data, column: str, variable: str | None,
-    edges: Sequence[float], confidence: float,
-) -> dict[str, Any]:  # fmt: skip
+    terms: Sequence[Term],
+    data: Data,
+    column: str,
+    variable: str | None,
+    edges: Sequence[float],
+    confidence: float,
+) -> dict[str, Any]:
     """Test whether heating and cooling need models of their own, eq. (1).
 
     Parameters
@@ -94,9 +97,12 @@ def compare_branches(
     nu = size - 2 * d
     p_value = f_tail(F, d, nu)
     return {
-        "column": column, "F": F, "dof": [d, nu], "p": p_value,
+        "column": column,
+        "F": F,
+        "dof": [d, nu],
+        "p": p_value,
         "significant": bool(p_value < 1.0 - confidence),
-    }  # fmt: skip
+    }
 
 
 def _residual(X: Array, y: Array) -> Array:

@@ -1,8 +1,8 @@
 """Observations: the columns a regression uses, in the rows that are complete.
 
-Rates are formed from the time column where they are asked for (`multipos.regression.rates`). A row with an
-empty cell is refused by name and number, or left out on request and counted. Columns that could
-only say nothing, or the same as another one, are refused before anything is fitted.
+Rates are formed from the time column where they are asked for (`multipos.regression.rates`). A row
+with an empty cell is refused by name and number, or left out on request and counted. Columns that
+could only say nothing, or the same as another one, are refused before anything is fitted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files.tables import LARGEST, Table
+from multipos.files.tables import Table
+from multipos.numerics.arrays import Array
 from multipos.regression.correlation import TimeOrder, time_order
 from multipos.regression.rates import default_window, smoothed_rate
+from multipos.units import LARGEST
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 _SAME = 1e-10  # relative difference below which two columns are one
@@ -56,10 +57,16 @@ class Observations:
 
 
 def read_observations(
-    table: Table, response: str, wanted: Sequence[str], *, time: str | None = None,
+    table: Table,
+    response: str,
+    wanted: Sequence[str],
+    *,
+    time: str | None = None,
     rate_window: float | None = None,
-    cluster: str | None = None, drop_missing: bool = False, largest: Mapping[str, float],
-) -> Observations:  # fmt: skip
+    cluster: str | None = None,
+    drop_missing: bool = False,
+    largest: Mapping[str, float],
+) -> Observations:
     """Return the columns that are used, in the rows that are complete.
 
     Parameters
@@ -85,9 +92,10 @@ def read_observations(
     if time is None and "time" in table and not table.is_text("time"):
         time = "time"
     formed = [
-        name for name in dict.fromkeys(wanted)
+        name
+        for name in dict.fromkeys(wanted)
         if name not in table and name.endswith("_rate") and name.removesuffix("_rate") in table
-    ]  # fmt: skip
+    ]
     plain = [name for name in wanted if name not in formed]
     sources = [name.removesuffix("_rate") for name in formed]
     needed = list(dict.fromkeys([response, *plain, *sources, *([time] if time else [])]))

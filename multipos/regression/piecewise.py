@@ -1,7 +1,8 @@
 """Fits of one segment, or of all segments of a branch without a jump: selection, fit, tests.
 
-The rows are factored once for the selection (`multipos.numerics.selection`); the terms that come out are
-fitted by `multipos.numerics.least_squares`, so what is reported has full precision whatever the path was.
+The rows are factored once for the selection (`multipos.numerics.selection`); the terms that come
+out are fitted by `multipos.numerics.least_squares`, so what is reported has full precision whatever
+the path was.
 
 The figures of a fit of q coefficients, k slopes, to n rows, with leverage h:
 
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, RankError
+from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import LinearFit, solve
 from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.numerics.selection import (
@@ -31,6 +33,7 @@ from multipos.numerics.selection import (
     select_stepwise,
 )
 from multipos.numerics.subsets import Subset, SubsetCriterion, all_subsets, criteria
+from multipos.numerics.terms import CONSTANT, Term, evaluate_terms
 from multipos.regression.correlation import (
     cluster_covariance,
     effective_size,
@@ -42,9 +45,7 @@ from multipos.regression.correlation import (
 from multipos.regression.observations import Data
 from multipos.regression.segment import Robust, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
-from multipos.sensor.model import CONSTANT, Term, evaluate_terms
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 METHODS = ("full", "stepwise", "backward", "subsets")
@@ -135,9 +136,19 @@ def fit_segment(
     values = np.zeros(0) if fit.found is None else fit.found.coefficients
     robust = _robust(plan, fit, data)
     return _segment(
-        plan, fit, data, np.arange(len(data)), terms, values, fit.covariance, (k, fit.dof), F,
-        span, branch, None if robust is None else _robust_test(robust, terms, values),
-    )  # fmt: skip
+        plan,
+        fit,
+        data,
+        np.arange(len(data)),
+        terms,
+        values,
+        fit.covariance,
+        (k, fit.dof),
+        F,
+        span,
+        branch,
+        None if robust is None else _robust_test(robust, terms, values),
+    )
 
 
 def fit_continuous(
@@ -188,9 +199,21 @@ def fit_continuous(
             local = _robust_test(turned, terms, values)
         rows = np.flatnonzero(place == s)
         segments.append(
-            _segment(plan, fit, data, rows, terms, values, covariance, (k, fit.dof), F, span,
-                     branch, local)
-        )  # fmt: skip
+            _segment(
+                plan,
+                fit,
+                data,
+                rows,
+                terms,
+                values,
+                covariance,
+                (k, fit.dof),
+                F,
+                span,
+                branch,
+                local,
+            )
+        )
     return segments
 
 
@@ -217,17 +240,22 @@ def _requires(terms: Sequence[Term]) -> list[frozenset[int]]:
         frozenset(
             j
             for j, lower in enumerate(degrees)
-            if lower and lower != own
+            if lower
+            and lower != own
             and all(degree <= own.get(name, 0) for name, degree in lower.items())
         )
         for own in degrees
-    ]  # fmt: skip
+    ]
 
 
 def _fit(
-    plan: Plan, design: Array, response: Array, names: list[str],
-    requires: list[frozenset[int]], where: str,
-) -> _Fit:  # fmt: skip
+    plan: Plan,
+    design: Array,
+    response: Array,
+    names: list[str],
+    requires: list[frozenset[int]],
+    where: str,
+) -> _Fit:
     n, p = design.shape
     if n < (p if plan.method == "full" else int(plan.constant) + 2):
         raise MultiposError(
@@ -246,13 +274,23 @@ def _fit(
         said = "; ".join(error.combinations) or str(error)
         raise RankError(
             f"{where}: {said}; drop a term, give rows that tell them apart, or use --stepwise.",
-            rank=error.rank, parameters=error.parameters, combinations=error.combinations,
-        ) from None  # fmt: skip
+            rank=error.rank,
+            parameters=error.parameters,
+            combinations=error.combinations,
+        ) from None
     except MultiposError as error:
         raise MultiposError(f"{where}: {error}") from None
     s2 = float(found.rss) / found.dof if found.dof else np.nan
-    return _Fit(selection, subsets, found, chosen, found.residuals, found.leverage,
-                found.cofactor * s2, found.dof)  # fmt: skip
+    return _Fit(
+        selection,
+        subsets,
+        found,
+        chosen,
+        found.residuals,
+        found.leverage,
+        found.cofactor * s2,
+        found.dof,
+    )
 
 
 def _select(
@@ -273,10 +311,19 @@ def _select(
 
 
 def _segment(
-    plan: Plan, fit: _Fit, data: Data, rows: Rows, terms: tuple[Term, ...], values: Array,
-    covariance: Array, dof: tuple[int, int], F: float, span: tuple[float, float],
-    branch: str | None, robust: Robust | None,
-) -> Segment:  # fmt: skip
+    plan: Plan,
+    fit: _Fit,
+    data: Data,
+    rows: Rows,
+    terms: tuple[Term, ...],
+    values: Array,
+    covariance: Array,
+    dof: tuple[int, int],
+    F: float,
+    span: tuple[float, float],
+    branch: str | None,
+    robust: Robust | None,
+) -> Segment:
     y, e, h = data.response[rows], fit.residuals[rows], fit.leverage[rows]
     constant = CONSTANT in terms
     rss, tss = float(e @ e), float(((y - (y.mean() if constant else 0.0)) ** 2).sum())

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
-
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
 
 _WINDOW_ROWS = 20  # of the default window: quiet enough to be of use, short beside a soak
 

@@ -1,8 +1,8 @@
 """Regression: the result of `multipos.regress`, and its file.
 
 The rows are cut into segments, ranges of one variable, and where heating and cooling differ, by the
-sign of a rate; each has a model of its own (`multipos.regression.segment`). The result is complete when it is
-made and never changes.
+sign of a rate; each has a model of its own (`multipos.regression.segment`). The result is complete
+when it is made and never changes.
 """
 
 import os
@@ -19,12 +19,11 @@ from multipos.files.formats import REGRESSION
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.records import require
 from multipos.files.tables import plain, read_json, to_json, write_text
+from multipos.numerics.arrays import Array
 from multipos.regression.hysteresis import BRANCHES, branch_of
 from multipos.regression.segment import Segment, segment_from_dict, segment_to_dict
 from multipos.regression.segmentation import segment_of
 from multipos.results import Result
-
-Array = NDArray[np.float64]
 
 SCHEMA = "multipos/regression/1"
 
@@ -231,14 +230,18 @@ def _text(r: Regression) -> list[str]:
     lines = [
         f"response   {r.response}, {counted}",
         f"terms      {len(r.candidates)} candidates, {r.method}"
-        + (" (" + ", ".join(f"{k} {v:g}" for k, v in r.thresholds.items()) + ")"
-           if r.thresholds else ""),
-    ]  # fmt: skip
+        + (
+            " (" + ", ".join(f"{k} {v:g}" for k, v in r.thresholds.items()) + ")"
+            if r.thresholds
+            else ""
+        ),
+    ]
     lines += [f"rate       {name}: window {window:.6g}" for name, window in r.rates.items()]
     if r.edges:
         edges = ", ".join(f"{edge:.6g}" for edge in r.edges)
-        lines.append(f"edges      {r.segment_variable} = {edges}"
-                     + (", continuous" if r.continuous else ""))  # fmt: skip
+        lines.append(
+            f"edges      {r.segment_variable} = {edges}" + (", continuous" if r.continuous else "")
+        )
     if r.hysteresis is not None:
         h = r.hysteresis
         lines.append(
@@ -263,12 +266,34 @@ def _text(r: Regression) -> list[str]:
 
 def _overview(r: Regression) -> str:
     robust = any(s.robust is not None for s in r.segments)
-    header = ["segment", "n", "k", "dof", "R²", "rms", "PRESS", "AICc", "F", f"F_{r.confidence:g}",
-              *(["F_robust", "p_robust"] if robust else []), "significant"]  # fmt: skip
+    header = [
+        "segment",
+        "n",
+        "k",
+        "dof",
+        "R²",
+        "rms",
+        "PRESS",
+        "AICc",
+        "F",
+        f"F_{r.confidence:g}",
+        *(["F_robust", "p_robust"] if robust else []),
+        "significant",
+    ]
     rows = []
     for i, s in enumerate(r.segments, start=1):
-        row = [str(i), str(s.n), str(s.dof[0]), str(s.dof[1]), number(s.r2), number(s.rms),
-               number(s.press), number(s.aicc, 5), number(s.F), f"{s.F_critical:.4f}"]  # fmt: skip
+        row = [
+            str(i),
+            str(s.n),
+            str(s.dof[0]),
+            str(s.dof[1]),
+            number(s.r2),
+            number(s.rms),
+            number(s.press),
+            number(s.aicc, 5),
+            number(s.F),
+            f"{s.F_critical:.4f}",
+        ]
         if robust:
             row += ["-", "-"] if s.robust is None else [number(s.robust.F), number(s.robust.p, 2)]
         rows.append([*row, "yes" if s.significant else "no"])
@@ -279,10 +304,15 @@ def _segment_text(s: Segment) -> list[str]:
     robust = s.robust is not None
     header = ["term", "value(u)", "t", "p", *(["u_robust", "p_robust"] if robust else [])]
     rows = [
-        [c.term, uncertain(c.value, c.u), number(c.t), number(c.p, 2),
-         *([number(c.u_robust, 2), number(c.p_robust, 2)] if robust else [])]
+        [
+            c.term,
+            uncertain(c.value, c.u),
+            number(c.t),
+            number(c.p, 2),
+            *([number(c.u_robust, 2), number(c.p_robust, 2)] if robust else []),
+        ]
         for c in s.coefficients
-    ]  # fmt: skip
+    ]
     return [table(header, rows)]
 
 
@@ -290,11 +320,17 @@ def _path_text(s: Segment) -> list[str]:
     lines = []
     if s.path:
         steps = [
-            [str(x.step), f"{'+' if x.action == 'add' else '-'}{x.term}", number(x.F, 6),
-             number(x.p, 3), "" if x.runner_up is None else
-             f"{x.runner_up.term} (F = {number(x.runner_up.F)}, p = {number(x.runner_up.p, 2)})"]
+            [
+                str(x.step),
+                f"{'+' if x.action == 'add' else '-'}{x.term}",
+                number(x.F, 6),
+                number(x.p, 3),
+                ""
+                if x.runner_up is None
+                else f"{x.runner_up.term} (F = {number(x.runner_up.F)}, p = {number(x.runner_up.p, 2)})",
+            ]
             for x in s.path
-        ]  # fmt: skip
+        ]
         lines += ["", table(["step", "term", "F", "p", "runner-up"], steps, left=2)]
     if s.runner_up is not None:
         lines.append(
@@ -303,9 +339,14 @@ def _path_text(s: Segment) -> list[str]:
         )
     if s.subsets:
         best = [
-            [" + ".join(names), number(b.r2), number(b.adjusted_r2), number(b.aicc, 5),
-             number(b.bic, 5)]
+            [
+                " + ".join(names),
+                number(b.r2),
+                number(b.adjusted_r2),
+                number(b.aicc, 5),
+                number(b.bic, 5),
+            ]
             for names, b in s.subsets[:10]
-        ]  # fmt: skip
+        ]
         lines += ["", table(["subset", "R²", "adjusted R²", "AICc", "BIC"], best)]
     return lines

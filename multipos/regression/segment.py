@@ -21,19 +21,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.files.records import require_covariance
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import t_tail
 from multipos.numerics.selection import Step, Tested
 from multipos.numerics.subsets import Subset
+from multipos.numerics.terms import Factor, Term, evaluate_terms
 from multipos.results import Result
-from multipos.sensor.model import Factor, Term, evaluate_terms
-
-Array = NDArray[np.float64]
 
 # What stands beside 'robust' in a file.
 _ROBUST = (
-    "covariance_robust", "F_robust", "p_robust", "dof_robust", "t_dof_robust", "n_effective",
+    "covariance_robust",
+    "F_robust",
+    "p_robust",
+    "dof_robust",
+    "t_dof_robust",
+    "n_effective",
     "lag_one",
-)  # fmt: skip
+)
 
 
 class Coefficient(NamedTuple):
@@ -181,24 +185,39 @@ def segment_to_dict(s: Segment) -> dict[str, Any]:
         "path": [_step_dict(step) for step in s.path],
         "runner_up": None
         if s.runner_up is None
-        else {"term": s.runner_up.term, "F": s.runner_up.F, "p": s.runner_up.p,
-              "F_to_enter": s.F_to_enter},
+        else {
+            "term": s.runner_up.term,
+            "F": s.runner_up.F,
+            "p": s.runner_up.p,
+            "F_to_enter": s.F_to_enter,
+        },
         "collinear": s.collinear,
         "limits": dict(s.limits),
-    }  # fmt: skip
+    }
     if s.subsets:
         content["subsets"] = [
-            {"terms": names, "rss": b.rss, "r2": b.r2, "adjusted_r2": b.adjusted_r2,
-             "aicc": b.aicc, "bic": b.bic}
+            {
+                "terms": names,
+                "rss": b.rss,
+                "r2": b.r2,
+                "adjusted_r2": b.adjusted_r2,
+                "aicc": b.aicc,
+                "bic": b.bic,
+            }
             for names, b in s.subsets
-        ]  # fmt: skip
+        ]
     if s.robust is not None:
         r = s.robust
         content |= {
-            "F_robust": r.F, "p_robust": r.p, "dof_robust": r.dof, "robust": r.kind,
-            "t_dof_robust": r.t_dof, "covariance_robust": r.covariance,
-            "n_effective": r.n_effective, "lag_one": r.lag_one,
-        }  # fmt: skip
+            "F_robust": r.F,
+            "p_robust": r.p,
+            "dof_robust": r.dof,
+            "robust": r.kind,
+            "t_dof_robust": r.t_dof,
+            "covariance_robust": r.covariance,
+            "n_effective": r.n_effective,
+            "lag_one": r.lag_one,
+        }
     return content
 
 
@@ -206,9 +225,15 @@ def _step_dict(step: Step) -> dict[str, Any]:
     tested = [found._asdict() for found in step.tested]
     runner_up = None if step.runner_up is None else step.runner_up._asdict()
     return {
-        "step": step.step, "action": step.action, "term": step.term, "F": step.F, "p": step.p,
-        "dof": step.dof, "runner_up": runner_up, "tested": tested,
-    }  # fmt: skip
+        "step": step.step,
+        "action": step.action,
+        "term": step.term,
+        "F": step.F,
+        "p": step.p,
+        "dof": step.dof,
+        "runner_up": runner_up,
+        "tested": tested,
+    }
 
 
 def segment_from_dict(c: Mapping[str, Any]) -> Segment:
@@ -239,13 +264,21 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
         with np.errstate(invalid="ignore"):
             require_covariance(wide, np.sqrt(np.diag(wide)))
         robust = Robust(
-            c["robust"], wide, _number(c["F_robust"]),
-            _number(c["p_robust"]), tuple(map(_number, c["dof_robust"])),  # type: ignore[arg-type]
-            _number(c["t_dof_robust"]), c["n_effective"], c["lag_one"],
-        )  # fmt: skip
+            c["robust"],
+            wide,
+            _number(c["F_robust"]),
+            _number(c["p_robust"]),
+            tuple(map(_number, c["dof_robust"])),  # type: ignore[arg-type]
+            _number(c["t_dof_robust"]),
+            c["n_effective"],
+            c["lag_one"],
+        )
     found = c["runner_up"]
-    runner_up = None if found is None else Tested("add", found["term"], _number(found["F"], np.inf),
-                                                  found["p"])  # fmt: skip
+    runner_up = (
+        None
+        if found is None
+        else Tested("add", found["term"], _number(found["F"], np.inf), found["p"])
+    )
     return Segment(
         range=tuple(c["range"]),
         branch=c["branch"],

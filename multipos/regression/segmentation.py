@@ -1,9 +1,9 @@
 """Segments: where one variable is cut so that a model per piece explains the response best.
 
 **Edges.** The rows are sorted by the variable and cut into fine bins; each bin is compressed to a
-triangle (`multipos.numerics.selection`), and the rows from bin i to bin j are the triangles between, joined.
-With c(i, j) the residual sum of the whole list of terms there, the best m segments follow from the
-best m − 1 (Bellman),
+triangle (`multipos.numerics.selection`), and the rows from bin i to bin j are the triangles
+between, joined. With c(i, j) the residual sum of the whole list of terms there, the best m segments
+follow from the best m − 1 (Bellman),
 
     D_1(j) = c(0, j),      D_m(j) = min_i D_{m−1}(i) + c(i, j),                             (1)
 
@@ -39,10 +39,10 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.numbers import number
+from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Triangle, compress, join
-from multipos.sensor.model import Factor, Term
+from multipos.numerics.terms import Factor, Term
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 MOST = 6  # segments that are looked for

@@ -15,13 +15,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.regression.observations import Data
 from multipos.regression.result import Regression
-
-Array = NDArray[np.float64]
 
 
 def check_by_blocks(data: Data, blocks: int, fit: Callable[[Data], Regression]) -> dict[str, Any]:

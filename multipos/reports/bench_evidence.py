@@ -80,32 +80,38 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
             "An independent run at known positions ({file}), before compensation by (reading − "
             "{bias}) / {scale}, and after. U has the calibration and the readings of the run in "
             "it, with a coverage probability of {percent} %.",
-            file=found.source or tr("from memory"), bias=f"{found.bias:g}",
-            scale=f"{found.scale:g}", percent=f"{100.0 * found.confidence:g}",
+            file=found.source or tr("from memory"),
+            bias=f"{found.bias:g}",
+            scale=f"{found.scale:g}",
+            percent=f"{100.0 * found.confidence:g}",
         )
-    ]  # fmt: skip
+    ]
     if found.limit is not None:
         paragraphs.append(
             tr(
                 "Verdict against {limit} {unit}: {verdict}. It is pass where error and U together "
                 "stay within the limit, fail where the error less U is beyond it, else undecided; "
                 "the worst position counts.",
-                limit=f"{found.limit:g}", unit=found.unit, verdict=tr(found.verdict or "-"),
+                limit=f"{found.limit:g}",
+                unit=found.unit,
+                verdict=tr(found.verdict or "-"),
             )
-        )  # fmt: skip
+        )
     return Section(
         tr("Independent check"),
         tuple(paragraphs),
         (
             Figure(
                 tr("Error against {what}", what=tr(found.quantity)),
-                tr("One panel for each axis: open squares before, circles with U after, dashed "
-                   "lines the limit."),
+                tr(
+                    "One panel for each axis: open squares before, circles with U after, dashed "
+                    "lines the limit."
+                ),
                 lambda: draw_svg(tr, len(found.axes), 2.4, draw),
             ),
         ),
         tuple(_grid(sheet, tr) for sheet in check_sheets(found)),
-    )  # fmt: skip
+    )
 
 
 def _grid(sheet: Sheet, tr: Translator, left: int = 1) -> Grid:

@@ -163,7 +163,8 @@ def build_content(
         title=tr("Calibration report"),
         subtitle=tr(
             "Accelerometer with outputs {outputs}, model {model}",
-            outputs=", ".join(c.outputs), model=c.model.text,
+            outputs=", ".join(c.outputs),
+            model=c.model.text,
         ),
         warnings=tuple(
             tr.message(text) for text in (*c.diagnostics.warnings, *c.diagnostics.outliers)
@@ -184,17 +185,26 @@ def build_content(
             _method(c, tr),
             _statements(c, tr),
         ),
-        words={text: tr(text) for text in (
-            "Warnings", "Administrative data", "to be filled in by the laboratory",
-            "There is nothing to warn of.", "Contents", "end of the report",
-        )},
-    )  # fmt: skip
+        words={
+            text: tr(text)
+            for text in (
+                "Warnings",
+                "Administrative data",
+                "to be filled in by the laboratory",
+                "There is nothing to warn of.",
+                "Contents",
+                "end of the report",
+            )
+        },
+    )
 
 
 def _method(c: Calibration, tr: Translator) -> Section:
-    gravity = tr("local, one g") if c.gravity is None else (
-        f"{c.gravity.value:.10g} m/s^2, u = {c.gravity.u:.3g} m/s^2"
-    )  # fmt: skip
+    gravity = (
+        tr("local, one g")
+        if c.gravity is None
+        else (f"{c.gravity.value:.10g} m/s^2, u = {c.gravity.u:.3g} m/s^2")
+    )
     rows: list[tuple[str, str]] = [
         (tr("Readings"), c.readings.source or tr("from memory")),
         (tr("SHA-256 of the readings"), c.readings.sha256 or "-"),

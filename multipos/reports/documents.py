@@ -1,8 +1,8 @@
 """The report as one HTML page, as Markdown or as plain text.
 
-`write_report` writes everything that `multipos.reports.certificate` has to say. The HTML is one file:
-figures are inline SVG, nothing is fetched and no script runs, and the same calibration gives the
-same bytes.
+`write_report` writes everything that `multipos.reports.certificate` has to say. The HTML is one
+file: figures are inline SVG, nothing is fetched and no script runs, and the same calibration gives
+the same bytes.
 """
 
 import os
@@ -34,9 +34,11 @@ def html_report(content: Content) -> str:
     from markupsafe import Markup
 
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, keep_trailing_newline=True,
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
         finalize=_without_controls,
-    )  # fmt: skip
+    )
     template = (
         files("multipos.reports").joinpath("templates", "report.html").read_text(encoding="utf-8")
     )

@@ -100,15 +100,18 @@ def errors_section(c: Calibration, tr: Translator) -> Section:
             ),
         ),
         (
-            Grid(tr("Size of the error [g]") + suffix,
-                 tuple(map(tr, ("Position", "before", "after"))), tuple(rows)),
+            Grid(
+                tr("Size of the error [g]") + suffix,
+                tuple(map(tr, ("Position", "before", "after"))),
+                tuple(rows),
+            ),
             Grid(
                 tr("Linearity [%]"),
                 tuple(map(tr, ("Output", "without the model", "with the model"))),
                 tuple(lines),
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 def positions_section(c: Calibration, tr: Translator) -> Section:
@@ -118,10 +121,13 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
     leverage, names = c.diagnostics.leverage, labels(c.readings)
     shown, suffix = _largest(tr, leverage.max(axis=1))
     rows = [
-        (names[row], *(f"{value:.4f}" for value in up[row].tolist()),
-         *(f"{value:.3f}" for value in leverage[row].tolist()))
+        (
+            names[row],
+            *(f"{value:.4f}" for value in up[row].tolist()),
+            *(f"{value:.3f}" for value in leverage[row].tolist()),
+        )
         for row in shown
-    ]  # fmt: skip
+    ]
     return Section(
         tr("Positions"),
         (
@@ -191,9 +197,11 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
         rows.append((tr("closed form against least squares"), f"{c.cross_check:.1e}"))
     for output, test in c.diagnostics.lack_of_fit.items():
         rows.append(
-            (tr("lack of fit of {output} against repeats", output=output),
-             f"F = {number(_float(test['F']))}, p = {number(_float(test['p']), 3)}")
-        )  # fmt: skip
+            (
+                tr("lack of fit of {output} against repeats", output=output),
+                f"F = {number(_float(test['F']))}, p = {number(_float(test['p']), 3)}",
+            )
+        )
     grids = [Grid(tr("Checks of the fit"), (tr("Check"), tr("Result")), tuple(rows))]
     paragraphs: list[str] = []
     tests = _joint_tests(c, tr)
@@ -225,36 +233,61 @@ def _joint_tests(c: Calibration, tr: Translator) -> list[Grid]:
     if "robust_weight" in c.extra or isinstance(c.model, ExpressionModel):
         return []
     rows = [
-        (t.terms, tr("in the model") if t.inside else tr("not in the model"), str(t),
-         number(t.p, 2))
+        (
+            t.terms,
+            tr("in the model") if t.inside else tr("not in the model"),
+            str(t),
+            number(t.p, 2),
+        )
         for t in judge_jointly(c)
-    ]  # fmt: skip
+    ]
     header = tuple(map(tr, ("Terms", "Status", "Statistic", "p")))
     return [Grid(tr("Tests of terms over all outputs"), header, tuple(rows), 2)] if rows else []
 
 
 def _simulated(found: MonteCarlo, tr: Translator) -> Grid:
     rows = [
-        (name, number(u, 3), f"[{low:.7g}, {high:.7g}]", f"[{first:.7g}, {last:.7g}]",
-         number(tolerance, 2), tr("yes") if valid else tr("no"))
-        for name, u, (low, high), (first, last), tolerance, valid in zip(
-            found.names, found.u.tolist(), found.symmetric.tolist(), found.shortest.tolist(),
-            found.tolerance.tolist(), found.valid.tolist(), strict=True,
+        (
+            name,
+            number(u, 3),
+            f"[{low:.7g}, {high:.7g}]",
+            f"[{first:.7g}, {last:.7g}]",
+            number(tolerance, 2),
+            tr("yes") if valid else tr("no"),
         )
-    ]  # fmt: skip
+        for name, u, (low, high), (first, last), tolerance, valid in zip(
+            found.names,
+            found.u.tolist(),
+            found.symmetric.tolist(),
+            found.shortest.tolist(),
+            found.tolerance.tolist(),
+            found.valid.tolist(),
+            strict=True,
+        )
+    ]
     header = ("Parameter", "u", "Symmetric interval", "Shortest interval", "Tolerance", "U valid")
-    return Grid(tr("Monte Carlo, {trials} trials", trials=str(found.trials)),
-                tuple(map(tr, header)), tuple(rows))  # fmt: skip
+    return Grid(
+        tr("Monte Carlo, {trials} trials", trials=str(found.trials)),
+        tuple(map(tr, header)),
+        tuple(rows),
+    )
 
 
 def _criticism(c: Calibration, tr: Translator) -> list[Grid]:
     """Return tests of terms, influence of the positions and harmonics of the residuals."""
     grids = []
     terms = [
-        (t.output, t.term, tr("in the model") if t.inside else tr("not in the model"),
-         number(t.f), number(t.dof[1]), number(t.p, 2), number(t.aicc))
+        (
+            t.output,
+            t.term,
+            tr("in the model") if t.inside else tr("not in the model"),
+            number(t.f),
+            number(t.dof[1]),
+            number(t.p, 2),
+            number(t.aicc),
+        )
         for t in judge_terms(c)
-    ]  # fmt: skip
+    ]
     header = ("Output", "Term", "Status", "F", "dof", "p", "AICc if changed")
     if terms:
         grids.append(Grid(tr("Tests of single terms"), tuple(map(tr, header)), tuple(terms), 3))
@@ -262,30 +295,50 @@ def _criticism(c: Calibration, tr: Translator) -> list[Grid]:
     names = labels(c.readings)
     shown, suffix = _largest(tr, np.abs(found.studentised).max(axis=1))
     influence = [
-        (names[row], *(number(value, 3) for i in range(len(c.outputs)) for value in (
-            float(found.studentised[row, i]), float(found.cook[row, i]),
-            float(found.left_out[row, i]))))
+        (
+            names[row],
+            *(
+                number(value, 3)
+                for i in range(len(c.outputs))
+                for value in (
+                    float(found.studentised[row, i]),
+                    float(found.cook[row, i]),
+                    float(found.left_out[row, i]),
+                )
+            ),
+        )
         for row in shown
-    ]  # fmt: skip
+    ]
     columns = [f"{name} {output}" for output in c.outputs for name in ("r", "D", "e")]
     grids.append(
         Grid(
-            tr("Influence of each position: studentised residual r, Cook's D, leave-one-out "
-               "error e") + suffix,
-            (tr("Position"), *columns), tuple(influence),
+            tr(
+                "Influence of each position: studentised residual r, Cook's D, leave-one-out "
+                "error e"
+            )
+            + suffix,
+            (tr("Position"), *columns),
+            tuple(influence),
         )
-    )  # fmt: skip
+    )
     waves = [
-        (entry["roll"], entry["output"],
-         *(f"{number(w['amplitude'], 2)} ({number(w['p'], 2)})" for w in entry["harmonics"]))
+        (
+            entry["roll"],
+            entry["output"],
+            *(f"{number(w['amplitude'], 2)} ({number(w['p'], 2)})" for w in entry["harmonics"]),
+        )
         for entry in fourier_residuals(c)
-    ]  # fmt: skip
+    ]
     if waves:
         orders = [tr("order {n}", n=str(i)) for i in range(1, max(map(len, waves)) - 1)]
         grids.append(
-            Grid(tr("Residuals along each roll: amplitude (p)"),
-                 (tr("Roll about"), tr("Output"), *orders), tuple(waves), 2)
-        )  # fmt: skip
+            Grid(
+                tr("Residuals along each roll: amplitude (p)"),
+                (tr("Roll about"), tr("Output"), *orders),
+                tuple(waves),
+                2,
+            )
+        )
     return grids
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from multipos import plots
 from multipos.files.numbers import number, uncertain
 from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.terms import COMPONENTS
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.derived import intrinsic_gradient
-from multipos.sensor.model import COMPONENTS
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import sphere_uncertainty
@@ -64,9 +64,18 @@ def parameters_section(c: Calibration, tr: Translator) -> Section:
     for output, term in c.model.keys:
         p = c[output, str(term)]
         rows.append(
-            (p.name, p.symbol or "", tr.message(p.label), p.unit, uncertain(p.value, p.u),
-             number(p.u, 2), number(p.k, 3), number(p.U, 2), number(p.dof))
-        )  # fmt: skip
+            (
+                p.name,
+                p.symbol or "",
+                tr.message(p.label),
+                p.unit,
+                uncertain(p.value, p.u),
+                number(p.u, 2),
+                number(p.k, 3),
+                number(p.U, 2),
+                number(p.dof),
+            )
+        )
     header = ("Parameter", "Symbol", "Meaning", "Unit", "Value(u)", "u", "k", "U", "dof")
     symbols = any(row[1] for row in rows)
     keep = [i for i in range(len(header)) if symbols or i != 1]
@@ -120,10 +129,14 @@ def sensor_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
         in_mrad = {key: np.pi / 0.18 * size for key, size in found.items()}
         for unit, entry in (("deg", found), ("mrad", in_mrad)):
             rows.append(
-                (tr("Output on {i} leans to {j}", i=pair[0], j=pair[1]), unit,
-                 uncertain(entry["value"], entry["u"]), number(entry["U"], 2),
-                 number(entry["U"] / entry["u"] if entry["u"] else None, 3))
-            )  # fmt: skip
+                (
+                    tr("Output on {i} leans to {j}", i=pair[0], j=pair[1]),
+                    unit,
+                    uncertain(entry["value"], entry["u"]),
+                    number(entry["U"], 2),
+                    number(entry["U"] / entry["u"] if entry["u"] else None, 3),
+                )
+            )
     if not rows:
         return Section(tr("The sensor"), (tr("The model has too few linear terms for it."),))
     header = tuple(map(tr, ("Quantity", "Unit", "Value(u)", "U", "k")))
@@ -142,10 +155,17 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
             continue
         seen.add(row.quantity)
         lines.append(
-            (tr(row.text), row.evaluation, tr(row.distribution), number(row.u, 3), row.unit,
-             number(float(row.dof.min())), tr("yes") if row.common else tr("no"),
-             tr("in the scatter") if row.contained.all() else tr("added"))
-        )  # fmt: skip
+            (
+                tr(row.text),
+                row.evaluation,
+                tr(row.distribution),
+                number(row.u, 3),
+                row.unit,
+                number(float(row.dof.min())),
+                tr("yes") if row.common else tr("no"),
+                tr("in the scatter") if row.contained.all() else tr("added"),
+            )
+        )
     stated = c.extra.get("budget", {}).get("tables", {})
     absent = [
         tr(kind.text) for name, kind in KINDS.items() if name not in seen and name not in stated
@@ -173,15 +193,32 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
             Figure(
                 tr("Share of every input quantity in the variance of each parameter"),
                 tr("Stacked bars, one for each parameter; the numbers are in the table below."),
-                lambda: draw_svg(tr, 1, 0.9 + 0.2 * len(budget.names),
-                             lambda axes: plots.draw_budget(budget, axes[0])),
+                lambda: draw_svg(
+                    tr,
+                    1,
+                    0.9 + 0.2 * len(budget.names),
+                    lambda axes: plots.draw_budget(budget, axes[0]),
+                ),
             ),
         ),
         (
             Grid(
                 tr("Input quantities"),
-                tuple(map(tr, ("Quantity", "Type", "Distribution", "u", "Unit", "dof", "Common",
-                               "Treatment"))),
+                tuple(
+                    map(
+                        tr,
+                        (
+                            "Quantity",
+                            "Type",
+                            "Distribution",
+                            "u",
+                            "Unit",
+                            "dof",
+                            "Common",
+                            "Treatment",
+                        ),
+                    )
+                ),
                 tuple(lines),
                 left=3,
             ),
@@ -191,7 +228,7 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
                 tuple(contributions),
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _contribution(budget: Evaluation, quantity: str, parameter: int) -> str:
@@ -214,13 +251,19 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
                 continue
             for axis, entry in axes.items():
                 rows.append(
-                    (tr("force along {axis}", axis=axis) if what == "force"
-                     else tr("tilt of {axis}", axis=axis),
-                     f"{size:g} g" + ("" if size <= 1.0 else " *"),
-                     "g" if what == "force" else "deg",
-                     number(entry["rms"], 2), number(entry["worst"], 2), number(entry["k"], 3),
-                     number(entry["U"], 2), ", ".join(f"{v / size:.2f}" for v in entry["at"]))
-                )  # fmt: skip
+                    (
+                        tr("force along {axis}", axis=axis)
+                        if what == "force"
+                        else tr("tilt of {axis}", axis=axis),
+                        f"{size:g} g" + ("" if size <= 1.0 else " *"),
+                        "g" if what == "force" else "deg",
+                        number(entry["rms"], 2),
+                        number(entry["worst"], 2),
+                        number(entry["k"], 3),
+                        number(entry["U"], 2),
+                        ", ".join(f"{v / size:.2f}" for v in entry["at"]),
+                    )
+                )
     paragraphs = [
         tr(
             "Uncertainty of compensated force and of tilt from the parameters, over all "
@@ -241,6 +284,12 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     return Section(
         tr("Compensated force and tilt"),
         tuple(paragraphs),
-        tables=(Grid(tr("Worst case and rms over the sphere"), tuple(map(tr, header)),
-                     tuple(rows), left=3),),
-    )  # fmt: skip
+        tables=(
+            Grid(
+                tr("Worst case and rms over the sphere"),
+                tuple(map(tr, header)),
+                tuple(rows),
+                left=3,
+            ),
+        ),
+    )

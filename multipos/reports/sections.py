@@ -1,7 +1,7 @@
 """What tumbles, turntables and checks say: as sheets of text, and as plain text of them.
 
-A sheet is a title, a header and rows. Commands print it, and `multipos.reports.documents` puts it into a
-report of any form and language.
+A sheet is a title, a header and rows. Commands print it, and `multipos.reports.documents` puts it
+into a report of any form and language.
 """
 
 from typing import NamedTuple
@@ -33,9 +33,13 @@ def installation_sheets(calibration: Calibration) -> list[Sheet]:
     for pair, angle in calibration.installation_deg.items():
         output = calibration.outputs[calibration.model.axes.index(pair[0])]
         rows.append(
-            [f"theta_{pair}", f"{output} towards {pair[1]}",
-             uncertain(angle["value"], angle["u"]), number(angle["U"], 2)]
-        )  # fmt: skip
+            [
+                f"theta_{pair}",
+                f"{output} towards {pair[1]}",
+                uncertain(angle["value"], angle["u"]),
+                number(angle["U"], 2),
+            ]
+        )
     header = ["angle", "of", "value(u) [deg]", "U"]
     return [Sheet("Installation", header, rows)] if rows else []
 
@@ -47,18 +51,27 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
     for error in found.errors:
         told = error.value_deg is not None and error.u_deg is not None
         rows.append(
-            [error.plane, error.quantity.replace("_", " "),
-             uncertain(error.value_deg or 0.0, error.u_deg or 0.0) if told else "cannot be told",
-             number(error.U_deg, 2), ", ".join(error.confounded_with) or "nothing"]
-        )  # fmt: skip
+            [
+                error.plane,
+                error.quantity.replace("_", " "),
+                uncertain(error.value_deg or 0.0, error.u_deg or 0.0) if told else "cannot be told",
+                number(error.U_deg, 2),
+                ", ".join(error.confounded_with) or "nothing",
+            ]
+        )
     if rows:
         header = ["roll", "table error", "value(u) [deg]", "U", "does the same as"]
         sections.append(Sheet("Turntable", header, rows))
     shifts = [
-        [shift.plane, shift.output, f"{uncertain(shift.value, shift.u)} {shift.unit}",
-         number(shift.U, 2), f"{shift.p:.2g}"]
+        [
+            shift.plane,
+            shift.output,
+            f"{uncertain(shift.value, shift.u)} {shift.unit}",
+            number(shift.U, 2),
+            f"{shift.p:.2g}",
+        ]
         for shift in found.zero_shifts
-    ]  # fmt: skip
+    ]
     if shifts:
         header = ["roll", "zero of", "shift(u)", "U", "p"]
         sections.append(Sheet("Zero between rolls", header, shifts))
@@ -72,9 +85,17 @@ def tumble_sections(found: Tumble) -> list[tuple[str, str]]:
         custom = c.customary
         value = uncertain(custom["value"], custom["u"]) if "value" in custom else "-"
         rows.append(
-            [name, uncertain(c.value, c.u), c.unit, value, number(custom["U"], 2), custom["unit"],
-             number(c.k), number(c.dof)]
-        )  # fmt: skip
+            [
+                name,
+                uncertain(c.value, c.u),
+                c.unit,
+                value,
+                number(custom["U"], 2),
+                custom["unit"],
+                number(c.k),
+                number(c.dof),
+            ]
+        )
     header = ["coefficient", "value(u)", "unit", "value(u)", "U", "unit", "k", "dof"]
     sections = [("Tumble", table(header, rows))]
     hidden = [*found.unidentifiable, *found.weak]
@@ -89,9 +110,8 @@ def tumble_sections(found: Tumble) -> list[tuple[str, str]]:
     for h in found.harmonics:
         left = residual[h.plane, h.order]
         rows.append(
-            [h.plane, str(h.order), *_harmonic_cells(h), f"{left.amplitude:.2g}",
-             number(left.p, 2)]
-        )  # fmt: skip
+            [h.plane, str(h.order), *_harmonic_cells(h), f"{left.amplitude:.2g}", number(left.p, 2)]
+        )
     if rows:
         header = ["plane", "order", f"cos [{unit}]", "sin", "amplitude", "left by the model", "p"]
         sections.append(("Harmonics", table(header, rows)))
@@ -124,8 +144,17 @@ def check_sheets(found: Check) -> list[Sheet]:
     if found.segments:
         return [_by_segment(found)]
     unit = found.unit
-    header = ["axis", f"max before [{unit}]", "max after", "rms before", "rms after",
-              "linearity before [%]", "after", "largest U", "verdict"]  # fmt: skip
+    header = [
+        "axis",
+        f"max before [{unit}]",
+        "max after",
+        "rms before",
+        "rms after",
+        "linearity before [%]",
+        "after",
+        "largest U",
+        "verdict",
+    ]
     rows = []
     for axis in (*found.axes, None) if len(found.axes) > 1 else found.axes:
         s = found.summary(axis)
@@ -160,8 +189,16 @@ def check_sheets(found: Check) -> list[Sheet]:
 def _by_segment(found: Check) -> Sheet:
     """Return the summary of a regression's check: one row for each segment that has rows."""
     unit = f" [{found.unit}]" if found.unit else ""
-    header = ["segment", "rows", f"max before{unit}", "max after", "rms before", "rms after",
-              "largest U", "verdict"]  # fmt: skip
+    header = [
+        "segment",
+        "rows",
+        f"max before{unit}",
+        "max after",
+        "rms before",
+        "rms after",
+        "largest U",
+        "verdict",
+    ]
     rows = []
     for name in (*(n for n, inside in found.segments.items() if inside.any()), None):
         s = found.summary(segment=name)
@@ -171,9 +208,14 @@ def _by_segment(found: Check) -> Sheet:
         ]
         U = s["after"]["largest_U"]
         rows.append(
-            [name or "all", str(int(counted.sum())), *values,
-             number(U if np.isfinite(U) else None, 2), s["verdict"] or "-"]
-        )  # fmt: skip
+            [
+                name or "all",
+                str(int(counted.sum())),
+                *values,
+                number(U if np.isfinite(U) else None, 2),
+                s["verdict"] or "-",
+            ]
+        )
     return Sheet("Errors before and after correction", header, rows)
 
 

@@ -8,10 +8,10 @@ of every position, and how the result was checked.
 import math
 
 from multipos.files.numbers import largest_rows, number, table
+from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sections import installation_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration, labels, parameter_rows
 from multipos.sensor.inverse import sensed_axes
-from multipos.sensor.model import COMPONENTS
 from multipos.uncertainty.turntable import has_rolls, table_errors
 
 
@@ -42,9 +42,11 @@ def _sections(calibration: Calibration) -> list[tuple[str, str]]:
 
 def _summary(calibration: Calibration) -> str:
     c = calibration
-    gravity = "local, one g" if c.gravity is None else (
-        f"{c.gravity.value:.10g} m/s^2, u = {c.gravity.u:.3g} m/s^2"
-    )  # fmt: skip
+    gravity = (
+        "local, one g"
+        if c.gravity is None
+        else (f"{c.gravity.value:.10g} m/s^2, u = {c.gravity.u:.3g} m/s^2")
+    )
     readings = c.readings
     counted = f"{len(readings)} of {', '.join(c.outputs)} [{c.model.unit}]"
     lines = [
@@ -64,10 +66,13 @@ def _residuals(calibration: Calibration) -> str:
     header = ["position", "x", "y", "z", *(f"{output} [{c.model.unit}]" for output in c.outputs)]
     names, shown = labels(c.readings), largest_rows(c.relative_residuals.tolist())
     rows = [
-        [names[row], *(f"{value:.4g}" for value in c.reference[row].tolist()),
-         *(f"{value:+.3e}" for value in c.residuals[row].tolist())]
+        [
+            names[row],
+            *(f"{value:.4g}" for value in c.reference[row].tolist()),
+            *(f"{value:+.3e}" for value in c.residuals[row].tolist()),
+        ]
         for row in shown
-    ]  # fmt: skip
+    ]
     sd = ["s", "", "", "", *(number(value, 3) for value in c.residual_sd.tolist())]
     dof = ["dof", "", "", "", *(number(value) for value in c.dof.tolist())]
     text = table(header, [*rows, sd, dof])

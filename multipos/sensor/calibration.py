@@ -15,29 +15,24 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
 from multipos.files.formats import CALIBRATION
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.records import require, require_covariance
 from multipos.files.tables import plain, read_json, to_json, write_text
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor import derived, inverse
 from multipos.sensor.diagnostics import Diagnostics, linearity
 from multipos.sensor.expressions import expression_dict, load_expression
-from multipos.sensor.model import (
-    COMPONENTS,
-    Model,
-    build_model,
-    paper_symbol,
-    parameter_label,
-)
-
-Array = NDArray[np.float64]
+from multipos.sensor.model import Model, build_model, paper_symbol
+from multipos.sensor.names import parameter_label
 
 SCHEMA = "multipos/calibration/1"
 _EXTRA = (
@@ -199,9 +194,12 @@ class Calibration(Result):
         """
         # What no output senses is known here, so that it does not pass for an error.
         force = inverse.invert(
-            self.model, self.parameters, self.readings.values, self.readings.environment,
+            self.model,
+            self.parameters,
+            self.readings.values,
+            self.readings.environment,
             unseen=self.reference,
-        )  # fmt: skip
+        )
         if self.estimator == "unknown-orientation":
             size = np.linalg.norm(self.reference, axis=1)
             return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
@@ -227,14 +225,16 @@ class Calibration(Result):
             angle["U"] = coverage_factor(self.confidence, own[pair[0]]) * angle["u"]
         return found
 
-    def predict(self, reference: ArrayLike, environment: Mapping[str, ArrayLike] | None = None
-                ) -> Array:  # fmt: skip
+    def predict(
+        self, reference: ArrayLike, environment: Mapping[str, ArrayLike] | None = None
+    ) -> Array:
         """Return the readings (n, M) that the model expects at a reference (n, 3) [g]."""
         force = np.array(reference, dtype=np.float64, ndmin=2)
         return self.model.predict(self.parameters, force, environment or {})
 
-    def compensate(self, raw: ArrayLike, environment: Mapping[str, ArrayLike] | None = None
-                   ) -> Array:  # fmt: skip
+    def compensate(
+        self, raw: ArrayLike, environment: Mapping[str, ArrayLike] | None = None
+    ) -> Array:
         """Return the force that explains raw readings.
 
         Parameters
@@ -351,10 +351,18 @@ class Calibration(Result):
         axis = self.model.axes[self.outputs.index(output)]
         value, u, k = float(self.parameters[index]), float(self.u[index]), float(self.k[index])
         return Parameter(
-            output=output, term=str(term), name=self.names[index], value=value, u=u,
-            dof=float(self.parameter_dof[index]), k=k, U=k * u, unit=self.model.units[index],
-            label=parameter_label(output, axis, term), symbol=paper_symbol(self.model, index),
-        )  # fmt: skip
+            output=output,
+            term=str(term),
+            name=self.names[index],
+            value=value,
+            u=u,
+            dof=float(self.parameter_dof[index]),
+            k=k,
+            U=k * u,
+            unit=self.model.units[index],
+            label=parameter_label(output, axis, term),
+            symbol=paper_symbol(self.model, index),
+        )
 
 
 def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]]:
@@ -365,9 +373,16 @@ def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]
     for index in range(len(calibration.parameters)):
         p = calibration._parameter(index)
         rows.append(
-            [p.name, *([p.symbol or ""] if symbols else []), p.unit, uncertain(p.value, p.u),
-             number(p.U, 2), number(p.k), number(p.dof)]
-        )  # fmt: skip
+            [
+                p.name,
+                *([p.symbol or ""] if symbols else []),
+                p.unit,
+                uncertain(p.value, p.u),
+                number(p.U, 2),
+                number(p.k),
+                number(p.dof),
+            ]
+        )
     return header, rows
 
 
@@ -395,7 +410,8 @@ def from_dict(content: Mapping[str, Any], where: str = "the calibration") -> Cal
     Raises
     ------
     MultiposError
-        A key is missing or not as `multipos.files.formats` has it, or the parts contradict each other.
+        A key is missing or not as `multipos.files.formats` has it, or the parts contradict each
+        other.
     """
     require(content, CALIBRATION, where, "fit again")
     try:
@@ -413,10 +429,17 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
     environment = {
         name: _numbers(column) for name, column in content.get("environment", {}).items()
     }
-    model: Model = load_expression(content) if "expression" in content else build_model(
-        content["model"], outputs, tuple(content["axes"]), tuple(content["inputs"]),
-        str(content["unit"]),
-    )  # fmt: skip
+    model: Model = (
+        load_expression(content)
+        if "expression" in content
+        else build_model(
+            content["model"],
+            outputs,
+            tuple(content["axes"]),
+            tuple(content["inputs"]),
+            str(content["unit"]),
+        )
+    )
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
     selection = content.get("selection")

@@ -16,11 +16,11 @@ part of a model with temperature terms is taken at the mean temperature of its r
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.sensor.model import COMPONENTS, Model
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.model import Model
 
-Array = NDArray[np.float64]
 Value = dict[str, float]  # {"value": …, "u": …}
 
 _STEP = 1e-5  # central differences: truncation 1e-10, rounding 1e-11, of the largest entry

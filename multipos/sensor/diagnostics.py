@@ -22,11 +22,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_tail, f_tail, t_tail
+from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result
-from multipos.sensor.model import COMPONENTS, Model
-
-Array = NDArray[np.float64]
+from multipos.sensor.model import Model
 
 OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named
 

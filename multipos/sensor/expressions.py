@@ -21,19 +21,19 @@ from inspect import Parameter, signature
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS, Term
 from multipos.sensor.instructions import (
     Instruction,
     read_instructions,
     require_instructions,
     write_instructions,
 )
-from multipos.sensor.model import COMPONENTS, Block, Gauge, Model, Term, check_axes
+from multipos.sensor.model import Block, Gauge, Model, check_axes
 from multipos.units import unit_per
-
-Array = NDArray[np.float64]
 
 Expression = Callable[..., Any]
 
@@ -140,9 +140,17 @@ class ExpressionModel(Model):
         """Return the model of one output alone."""
         i = self.outputs.index(output)
         return ExpressionModel(
-            self.text, (output,), (self.axes[i],), self.inputs, self.unit, (self.terms[i],),
-            None, (self.functions[i],), self.columns_used, self.start,
-        )  # fmt: skip
+            self.text,
+            (output,),
+            (self.axes[i],),
+            self.inputs,
+            self.unit,
+            (self.terms[i],),
+            None,
+            (self.functions[i],),
+            self.columns_used,
+            self.start,
+        )
 
     def with_gauge(self, gauge: Gauge) -> "Model":
         """Refuse: which parameters a rotation of the case mixes is not known of an expression."""
@@ -223,9 +231,17 @@ def build_expression(
     symbols = tuple(Symbol(name=a.name) for a in parameters)
     name = getattr(expression, "__name__", "expression")
     return ExpressionModel(
-        f"expression {name}", outputs, axes, COMPONENTS, unit, (symbols,) * len(outputs), None,
-        tuple(functions), columns, start,
-    )  # fmt: skip
+        f"expression {name}",
+        outputs,
+        axes,
+        COMPONENTS,
+        unit,
+        (symbols,) * len(outputs),
+        None,
+        tuple(functions),
+        columns,
+        start,
+    )
 
 
 def _program(y: Any, arguments: list[Any], expression: Expression) -> tuple[Instruction, ...]:
@@ -283,8 +299,14 @@ def load_expression(content: Mapping[str, Any]) -> ExpressionModel:
         require_instructions(program, sizes)
     symbols = tuple(Symbol(name=name) for name in expression["parameters"])
     return ExpressionModel(
-        content["model"], outputs, axes, inputs,
-        content["unit"], (symbols,) * len(outputs), None,
+        content["model"],
+        outputs,
+        axes,
+        inputs,
+        content["unit"],
+        (symbols,) * len(outputs),
+        None,
         tuple(tuple(map(tuple, program)) for program in expression["functions"]),
-        tuple(expression["columns"]), (0.0,) * len(symbols),
-    )  # fmt: skip
+        tuple(expression["columns"]),
+        (0.0,) * len(symbols),
+    )

@@ -19,14 +19,54 @@ Instruction = tuple[Any, ...]
 
 # Operations of one and two arguments; names as casadi.OP_* in lower case.
 _UNARY = (
-    "neg", "exp", "log", "sqrt", "sq", "twice", "sin", "cos", "tan", "asin", "acos", "atan",
-    "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "fabs", "sign", "inv", "not", "floor",
-    "ceil", "erf", "log1p", "expm1",
-)  # fmt: skip
+    "neg",
+    "exp",
+    "log",
+    "sqrt",
+    "sq",
+    "twice",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "fabs",
+    "sign",
+    "inv",
+    "not",
+    "floor",
+    "ceil",
+    "erf",
+    "log1p",
+    "expm1",
+)
 _BINARY = (
-    "add", "sub", "mul", "div", "pow", "constpow", "lt", "le", "eq", "ne", "and", "or", "fmin",
-    "fmax", "atan2", "copysign", "if_else_zero", "hypot",
-)  # fmt: skip
+    "add",
+    "sub",
+    "mul",
+    "div",
+    "pow",
+    "constpow",
+    "lt",
+    "le",
+    "eq",
+    "ne",
+    "and",
+    "or",
+    "fmin",
+    "fmax",
+    "atan2",
+    "copysign",
+    "if_else_zero",
+    "hypot",
+)
 
 # How many numbers follow an operation's name.
 _OPERANDS: Mapping[str, int] = {

@@ -22,12 +22,12 @@ and (1), (3) are solved in turn: the error shrinks by about (cross term/scale fa
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
-from multipos.sensor.model import COMPONENTS, Model
-
-Array = NDArray[np.float64]
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.model import Model
 
 _STEPS = 50  # quadratic convergence needs five; more means there is no solution
 _XTOL = 1e-13  # [g], where a step is only rounding

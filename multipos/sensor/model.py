@@ -1,22 +1,17 @@
-"""The measurement equation: terms, formulas, names and units of an accelerometer's parameters.
+"""The measurement equation: the terms of each output, and the names and units of its parameters.
 
 Each output i is a sum of coefficients times terms of the reference f (components x, y, z in g)
 and of other columns of the readings,
 
     y_i = sum_t Theta_it phi_t(f, e),                                                       (1)
 
-where a term is a product such as ``1``, ``x``, ``x^2``, ``x*y``, ``x*|x|``, ``temperature*x``.
-The six-position paper's model is, per output, ``1 + x + y + z + own^2``, its eq. (1), with `own`
-the component along the output's own axis.
-
-Terms are evaluated on components, so the same lines take NumPy arrays and CasADi symbols.
-Formulas are parsed, never evaluated: `formula = term ('+' term)*`, `term = factor ('*' factor)*`,
-`factor = '1' | name ['^' power] | '|' name '|' ['^' power]`.
+where the terms phi are those of `multipos.numerics.terms`. The six-position paper's model is, per
+output, ``1 + x + y + z + own^2``, its eq. (1), with `own` the component along the output's own
+axis.
 """
 
-import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal, get_args
@@ -26,133 +21,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
 from multipos.files.lists import Names, near, split_names
-from multipos.files.tables import LARGEST
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import (
+    COMPONENTS,
+    CONSTANT,
+    NAMED,
+    Term,
+    expand_products,
+    linear_term,
+    parse_term,
+    sees_only,
+    split_terms,
+)
 from multipos.results import Result
+from multipos.sensor.names import parameter_name
 from multipos.units import unit_per
 
-Array = NDArray[np.float64]
 Block = tuple[NDArray[np.intp], Array]  # places in the parameter vector, and dy/dp (n, p_i)
 
-COMPONENTS = ("x", "y", "z")
-NAMED = {
-    "linear": "1 + x + y + z",
-    "own-quadratic": "1 + x + y + z + own^2",
-    "own-cubic": "1 + x + y + z + own^2 + own^3",
-    "cross-quadratic": "1 + x + y + z + own^2 + OWN*OTHER",
-    "ieee": "1 + x + y + z + own^2 + own^3 + OWN*OTHER",
-    "ieee-odd": "1 + x + y + z + own^2 + own^3 + OWN*OTHER + own*|own|",
-    "full-quadratic": "1 + x + y + z + x^2 + y^2 + z^2 + x*y + x*z + y*z",
-}
 Gauge = Literal["lower", "symmetric"]
 GAUGES: tuple[Gauge, ...] = get_args(Gauge)
-_LARGEST_POWER = 100.0  # log10 of what a term may reach: its square is a number still
-HIGHEST_POWER = 9  # beyond it a term of specific force within 1 g says nothing new
-
-
-@dataclass(frozen=True, order=True)
-class Factor:
-    """A variable to a power, times its modulus where `modulus` is set: v^power |v|."""
-
-    variable: str
-    power: int
-    modulus: bool = False
-
-    def __str__(self) -> str:
-        parts = []
-        if self.power:
-            parts.append(self.variable if self.power == 1 else f"{self.variable}^{self.power}")
-        if self.modulus:
-            parts.append(f"|{self.variable}|")
-        return "*".join(parts)
-
-    @property
-    def degree(self) -> int:
-        """Power, the modulus counted."""
-        return self.power + self.modulus
-
-
-@dataclass(frozen=True)
-class Term:
-    """A product of factors in alphabetical order; no factor is the constant ``1``."""
-
-    factors: tuple[Factor, ...] = ()
-
-    def __str__(self) -> str:
-        return "*".join(map(str, self.factors)) or "1"
-
-    @property
-    def force_degree(self) -> int:
-        """Degree in specific force: 0 for a bias, 1 for a scale factor, 2 for second order."""
-        return sum(factor.degree for factor in self.factors if factor.variable in COMPONENTS)
-
-    @property
-    def along(self) -> str | None:
-        """The component of specific force that it is proportional to, if it is to one."""
-        force = [factor for factor in self.factors if factor.variable in COMPONENTS]
-        if len(force) == 1 and force[0] == Factor(force[0].variable, 1):
-            return force[0].variable
-        return None
-
-    def turned(self, axis: str) -> "Term":
-        """Return the term that is along another axis."""
-        mine = next(factor for factor in self.factors if factor.variable == self.along)
-        rest = (factor for factor in self.factors if factor is not mine)
-        return Term(tuple(sorted((*rest, Factor(axis, 1)))))
-
-    @property
-    def environment(self) -> tuple[tuple[str, int], ...]:
-        """Other columns of the readings in the term, with their degrees."""
-        return tuple((f.variable, f.degree) for f in self.factors if f.variable not in COMPONENTS)
-
-    def evaluate(self, variables: Mapping[str, Any]) -> Any:
-        """Return the term's value on components: arrays, floats or CasADi symbols."""
-        value: Any = 1.0
-        for factor in self.factors:
-            v = variables[factor.variable]
-            for _ in range(factor.power):
-                value = value * v
-            if factor.modulus:
-                value = value * abs(v)
-        return value
-
-    def derivative(self, variables: Mapping[str, Any], by: str) -> Any:
-        """Return the partial derivative by one variable: d(v^m|v|)/dv = (m+1) v^(m-1) |v|."""
-        mine = next((factor for factor in self.factors if factor.variable == by), None)
-        if mine is None:
-            return 0.0
-        rest = tuple(factor for factor in self.factors if factor is not mine)
-        if not mine.power:
-            return np.sign(variables[by]) * Term(rest).evaluate(variables)
-        return mine.degree * self.lowered(mine).evaluate(variables)
-
-    def lowered(self, factor: Factor) -> "Term":
-        """Return the term with one power of a factor less, which has a power to lose."""
-        lower = Factor(factor.variable, factor.power - 1, factor.modulus)
-        others = tuple(lower if other is factor else other for other in self.factors)
-        return Term(tuple(other for other in others if other.degree))
-
-
-CONSTANT = Term()
-
-
-def evaluate_terms(terms: Sequence[Term], columns: Mapping[str, Array], n: int) -> Array:
-    """Return the design (n, q) of terms; powers by repeated multiplication, each rounded once."""
-    design = np.empty((n, len(terms)))
-    for column, term in enumerate(terms):
-        design[:, column] = term.evaluate(columns)
-    return design
-
-
-def largest_value(terms: Iterable[Term], variable: str) -> float:
-    """Return how large a variable may be for its powers in terms to be squared and summed."""
-    factors = (factor for term in terms for factor in term.factors)
-    degree = max((f.degree for f in factors if f.variable == variable), default=1)
-    return min(LARGEST, math.pow(10.0, _LARGEST_POWER / degree))
-
-
-def linear_term(variable: str) -> Term:
-    """Return the bare variable as a term."""
-    return Term((Factor(variable, 1),))
 
 
 @dataclass(frozen=True)
@@ -323,12 +211,16 @@ class Model(Result):
         None stands for a modulus alone, whose derivative is no term.
         """
         return tuple(
-            (column, COMPONENTS.index(factor.variable), factor.degree,
-             term.lowered(factor) if factor.power else None)
+            (
+                column,
+                COMPONENTS.index(factor.variable),
+                factor.degree,
+                term.lowered(factor) if factor.power else None,
+            )
             for column, term in enumerate(self.basis_terms)
             for factor in term.factors
             if factor.variable in COMPONENTS
-        )  # fmt: skip
+        )
 
     @cached_property
     def rows(self) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[tuple[int, int, int], ...]]:
@@ -417,7 +309,7 @@ class Model(Result):
             known = [(name, str(own)) for name, own in self.keys]
             if (output, str(term)) not in known:  # `own^2`, or factors in another order
                 axis = self.axes[self.outputs.index(output)]
-                term = _parse_term(str(term), str(term), axis)
+                term = parse_term(str(term), str(term), axis)
             return known.index((output, str(term)))
         except ValueError:
             raise KeyError(
@@ -481,9 +373,10 @@ def build_model(
     terms = []
     for axis in axes:
         parsed = dict.fromkeys(
-            _parse_term(part, text, axis) for part in _split(_expand(formula, axis), text)
+            parse_term(part, text, axis)
+            for part in split_terms(expand_products(formula, axis), text)
         )
-        seen = [t for t in parsed if _sees_only(t, inputs)]
+        seen = [t for t in parsed if sees_only(t, inputs)]
         if len(seen) < len(parsed) and name not in NAMED:
             hidden = next(str(t) for t in parsed if t not in seen)
             raise UsageError(
@@ -502,78 +395,6 @@ def build_model(
                     + "."
                 )
     return model
-
-
-def parse_terms(text: str, *, highest: int = HIGHEST_POWER) -> tuple[Term, ...]:
-    """Return the terms of a formula over any columns, in order, each once.
-
-    Raises
-    ------
-    UsageError
-        The formula cannot be read, or a power is above `highest`.
-    """
-    # With 'own' for the own axis, a column of that name stays what it is.
-    parts = _split(text, text)
-    return tuple(dict.fromkeys(_parse_term(part, text, "own", highest) for part in parts))
-
-
-def formula_columns(text: str) -> tuple[str, ...]:
-    """Return the columns other than x, y, z and own that a model's text uses."""
-    name = text.strip()
-    if name in NAMED:
-        return ()
-    words = re.findall(r"[^\W\d]\w*", name)
-    return tuple(dict.fromkeys(w for w in words if w not in (*COMPONENTS, "own")))
-
-
-def default_axes(outputs: Sequence[str], axes: Names | None) -> tuple[str, ...]:
-    """Return the case axis of each output: as given, or x, y, z in order."""
-    if axes is not None:
-        return split_names(axes, "--axes")
-    if len(outputs) > 3:
-        raise UsageError(
-            f"{len(outputs)} columns could be outputs: {', '.join(outputs)}; name them with "
-            "--outputs, or say with --axes which axis each one senses."
-        )
-    return COMPONENTS[: len(outputs)]
-
-
-def parameter_name(output: str, axis: str, term: Term) -> str:
-    """Return the name of a parameter, as INTERFACE lists them: bias_ax, scale_ax, cross_ax_y."""
-    if not term.factors:
-        return f"bias_{output}"
-    if len(term.factors) == 1:
-        factor = term.factors[0]
-        own = factor.variable == axis
-        if factor == Factor(factor.variable, 1) and factor.variable in COMPONENTS:
-            return f"scale_{output}" if own else f"cross_{output}_{factor.variable}"
-        if factor == Factor(factor.variable, 2) and factor.variable in COMPONENTS:
-            return f"quad_{output}" if own else f"square_{output}_{factor.variable}"
-        if own and factor == Factor(axis, 3):
-            return f"cubic_{output}"
-        if own and factor == Factor(axis, 1, modulus=True):
-            return f"odd_{output}"
-    pair = [f.variable for f in term.factors if f.degree == 1 and f.variable in COMPONENTS]
-    if len(pair) == len(term.factors) == 2 and not any(f.modulus for f in term.factors):
-        return f"product_{output}_{''.join(pair)}"
-    return f"{term}_{output}"
-
-
-def parameter_label(output: str, axis: str, term: Term) -> str:
-    """Return a parameter in plain words, for reports."""
-    name = parameter_name(output, axis, term)
-    kind = name.partition("_")[0]
-    words = {
-        "bias": f"output of {output} at zero specific force",
-        "scale": f"scale factor of {output} along {axis}",
-        "cross": f"sensitivity of {output} to force along {term}",
-        "quad": f"second-order coefficient of {output} along {axis}",
-        "cubic": f"third-order coefficient of {output} along {axis}",
-        "odd": f"odd second-order coefficient of {output} along {axis}",
-        "product": f"cross-coupling of {output} with {term}",
-        "square": f"sensitivity of {output} to {term}",
-    }
-    return words.get(kind, f"coefficient of {term} in {output}")
 
 
 def paper_symbol(model: Model, index: int) -> str | None:
@@ -597,6 +418,18 @@ def paper_symbol(model: Model, index: int) -> str | None:
     return f"K_a{axis}{others.index(factor.variable) + 1}"
 
 
+def default_axes(outputs: Sequence[str], axes: Names | None) -> tuple[str, ...]:
+    """Return the case axis of each output: as given, or x, y, z in order."""
+    if axes is not None:
+        return split_names(axes, "--axes")
+    if len(outputs) > 3:
+        raise UsageError(
+            f"{len(outputs)} columns could be outputs: {', '.join(outputs)}; name them with "
+            "--outputs, or say with --axes which axis each one senses."
+        )
+    return COMPONENTS[: len(outputs)]
+
+
 def check_axes(outputs: tuple[str, ...], axes: tuple[str, ...], inputs: tuple[str, ...]) -> None:
     """Raise `UsageError` where axes and inputs are not components, or do not fit the outputs."""
     for option, names in (("--axes", axes), ("--inputs", inputs)):
@@ -616,57 +449,3 @@ def check_axes(outputs: tuple[str, ...], axes: tuple[str, ...], inputs: tuple[st
                 f"output '{output}' senses axis {axis}, which is not among "
                 f"--inputs {','.join(inputs)}; name it there, or choose the outputs with --outputs."
             )
-
-
-def _sees_only(term: Term, inputs: tuple[str, ...]) -> bool:
-    return all(f.variable in inputs for f in term.factors if f.variable in COMPONENTS)
-
-
-def _expand(formula: str, axis: str) -> str:
-    """Write out the products of the own component with each of the two others."""
-    products = " + ".join(f"{axis}*{other}" for other in COMPONENTS if other != axis)
-    return formula.replace("OWN*OTHER", products)
-
-
-def _split(formula: str, text: str) -> list[str]:
-    parts = [part.strip() for part in formula.split("+")]
-    if any(not part for part in parts):
-        raise UsageError(f"model '{text}': a term is missing beside a '+'.")
-    return parts
-
-
-_FACTOR = re.compile(
-    r"(?:(?P<name>[^\W\d]\w*)|\|\s*(?P<modulus>[^\W\d]\w*)\s*\|)(?:\s*\^\s*(?P<power>\d+))?"
-)
-
-
-def _parse_term(part: str, text: str, axis: str, highest: int = HIGHEST_POWER) -> Term:
-    """Parse ``x*|own|`` for the output whose own axis is given."""
-    plain: dict[str, int] = {}
-    modulus: dict[str, int] = {}
-    refused = f"must lie between 1 and {highest}."
-    for factor in part.split("*"):
-        if factor.strip() == "1":
-            continue
-        match = _FACTOR.fullmatch(factor.strip())
-        if match is None:
-            raise UsageError(
-                f"model '{text}': cannot read '{factor.strip() or part}'; a term is a product of "
-                "1, x, y, z, own, |own| and column names, each with ^power."
-            )
-        digits = match["power"] or "1"
-        power = int(digits) if len(digits) <= len(str(highest)) else highest + 1
-        if not 1 <= power <= highest:
-            raise UsageError(f"model '{text}': the power in '{factor.strip()}' {refused}")
-        name = match["name"] or match["modulus"]
-        counts = plain if match["name"] else modulus
-        name = axis if name == "own" else name
-        counts[name] = counts.get(name, 0) + power
-        if plain.get(name, 0) + modulus.get(name, 0) > highest:
-            raise UsageError(f"model '{text}': the power of {name} in '{part.strip()}' {refused}")
-    factors = []
-    for name in sorted({*plain, *modulus}):
-        # |v|^2 = v^2, so at most one modulus stays.
-        pairs, odd = divmod(modulus.get(name, 0), 2)
-        factors.append(Factor(name, plain.get(name, 0) + 2 * pairs, bool(odd)))
-    return Term(tuple(factors))

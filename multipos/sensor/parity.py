@@ -16,13 +16,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes, sensitivities
-
-Array = NDArray[np.float64]
 
 FAULT_LEVEL = 1e-3  # share of sound readings that are called a fault
 

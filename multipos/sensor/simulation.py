@@ -20,16 +20,15 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
-from multipos.files.tables import LARGEST, Column, Source
+from multipos.files.tables import Column, Source
+from multipos.numerics.arrays import Array
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Record
 from multipos.sensor.calibration import Calibration
-from multipos.units import gravity_ratio
-
-Array = NDArray[np.float64]
+from multipos.units import LARGEST, gravity_ratio
 
 _TREMBLE = 0.03  # [g], standard deviation of each component while a hand turns the case
 _LARGEST = 200_000_000  # samples

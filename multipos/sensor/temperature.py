@@ -17,15 +17,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor, f_quantile
+from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.model import COMPONENTS, CONSTANT, linear_term, parameter_name
-
-Array = NDArray[np.float64]
+from multipos.sensor.names import parameter_name
 
 _POINTS = 101
 

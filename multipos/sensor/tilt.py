@@ -16,9 +16,9 @@ with the arguments clipped to ±1. Away from ±90° it is U/(g cos theta); at ±
 sqrt(2 U/g). Because the arcsine is monotonic, (3) covers the tilt where f ± U covers the force.
 Where |f| exceeds g by more than U no tilt explains the reading: the angle is NaN.
 
-The force itself is that of a sensor at rest: with two axes the third component follows from
-|f| = g (`multipos.sensor.inverse`, eq. (3)) and is taken to point up unless it is known to point down.
-For one new reading of noise s, C the covariance of the parameters,
+The force itself is that of a sensor at rest: with two axes the third component follows from |f| = g
+(`multipos.sensor.inverse`, eq. (3)) and is taken to point up unless it is known to point down. For
+one new reading of noise s, C the covariance of the parameters,
 
     cov f = A [(df/dp) C (df/dp)' + J^+ diag(s²) J^+'] A',    A = (I − c f'/w)⁻¹.           (4)
 
@@ -32,8 +32,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import (
@@ -44,8 +45,6 @@ from multipos.sensor.inverse import (
     unseen_leak,
 )
 from multipos.units import gravity_ratio
-
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-12  # [g], by which a noise-free |f| may exceed g
 

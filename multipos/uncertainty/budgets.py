@@ -132,8 +132,9 @@ def read_budget(source: "Source | Budget") -> Budget:
         where, tables = "the budget", source
     else:
         where, tables = str(source), read_toml(source, "budget")
-    quantities = {name: _quantity(f"{where}, [{name}]", name, table)
-                  for name, table in tables.items()}  # fmt: skip
+    quantities = {
+        name: _quantity(f"{where}, [{name}]", name, table) for name, table in tables.items()
+    }
     plain = {name: dict(table) for name, table in tables.items()}
     return Budget(quantities, plain)
 
@@ -217,10 +218,14 @@ def _check_settings(where: str, name: str, settings: dict[str, Any]) -> None:
             )
     if name == "index":
         harmonics = settings.setdefault("harmonics", [1, 2])
-        whole = isinstance(harmonics, list) and harmonics and all(
-            isinstance(order, int) and not isinstance(order, bool) and order >= 0
-            for order in harmonics
-        )  # fmt: skip
+        whole = (
+            isinstance(harmonics, list)
+            and harmonics
+            and all(
+                isinstance(order, int) and not isinstance(order, bool) and order >= 0
+                for order in harmonics
+            )
+        )
         if not whole:
             raise MultiposError(f"{where}: 'harmonics' must be whole numbers, such as [1, 2].")
         if settings.get("axis", "x") not in ("x", "y", "z"):

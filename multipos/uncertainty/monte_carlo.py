@@ -32,13 +32,13 @@ from multipos.errors import UsageError
 from multipos.estimation.descent import maximise
 from multipos.estimation.problem import start_state
 from multipos.estimation.restatement import noise_factor, restate, return_to_optimum
+from multipos.numerics.arrays import Array
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.budgets import Quantity, read_budget
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.sensitivities import estimator_gain, reading_moves, turn_axes
 
-Array = NDArray[np.float64]
 Estimator = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (trials, p)
 
 _BLOCK = 10_000  # trials of a block (JCGM 101, 7.9.4)
@@ -83,14 +83,27 @@ class MonteCarlo(Result):
             "trials": self.trials,
             "stable": self.stable,
             "parameters": [
-                {"name": name, "mean": mean, "u": u, "symmetric": symmetric, "shortest": shortest,
-                 "tolerance": tolerance, "valid": bool(valid)}
+                {
+                    "name": name,
+                    "mean": mean,
+                    "u": u,
+                    "symmetric": symmetric,
+                    "shortest": shortest,
+                    "tolerance": tolerance,
+                    "valid": bool(valid),
+                }
                 for name, mean, u, symmetric, shortest, tolerance, valid in zip(
-                    self.names, self.mean, self.u, self.symmetric, self.shortest, self.tolerance,
-                    self.valid, strict=True,
+                    self.names,
+                    self.mean,
+                    self.u,
+                    self.symmetric,
+                    self.shortest,
+                    self.tolerance,
+                    self.valid,
+                    strict=True,
                 )
             ],
-        }  # fmt: skip
+        }
 
 
 def simulate_budget(
@@ -160,10 +173,16 @@ def simulate_budget(
     low, high = _symmetric(values, c.confidence)
     off = np.maximum(np.abs(c.parameters - c.U - low), np.abs(c.parameters + c.U - high))
     return MonteCarlo(
-        names=c.names, trials=count, stable=stable, mean=values.mean(axis=1),
-        u=values.std(axis=1, ddof=1) * exists, symmetric=np.column_stack([low, high]),
-        shortest=_shortest(values, c.confidence), tolerance=delta, valid=off <= delta,
-    )  # fmt: skip
+        names=c.names,
+        trials=count,
+        stable=stable,
+        mean=values.mean(axis=1),
+        u=values.std(axis=1, ddof=1) * exists,
+        symmetric=np.column_stack([low, high]),
+        shortest=_shortest(values, c.confidence),
+        tolerance=delta,
+        valid=off <= delta,
+    )
 
 
 def numerical_tolerance(u: Array, digits: int) -> Array:
@@ -186,9 +205,10 @@ class _Draws:
         if c.estimator == "unknown-orientation":
             contained |= {"level", "index"}  # orientations that were not used cannot be wrong
         self.quantities = [
-            quantity for name, quantity in stated.items()
+            quantity
+            for name, quantity in stated.items()
             if name not in ("gravity", "third_order", *contained)
-        ]  # fmt: skip
+        ]
         if c.gravity is not None and c.gravity.u > 0.0:
             given = stated.get("gravity")
             law, dof = (given.distribution, given.dof) if given else ("normal", math.inf)

@@ -9,9 +9,10 @@ S_j(t) = min over p with p_j = t of S(p). Its interval is where
 For a linear fit that is p_j ± k u_j exactly; for a nonlinear one it bends with the model, is not
 symmetric, and does not depend on how the parameters are written.
 
-For uncertain and unknown orientations S is the minimum F of `multipos.estimation.likelihood`, orientations
-fitted anew with the others, at the noise of the fit; where a stated noise was denied, k² is
-multiplied by F_min/ν. Where variances were estimated ν is the parameter's own, by Satterthwaite.
+For uncertain and unknown orientations S is the minimum F of `multipos.estimation.likelihood`,
+orientations fitted anew with the others, at the noise of the fit; where a stated noise was denied,
+k² is multiplied by F_min/ν. Where variances were estimated ν is the parameter's own, by
+Satterthwaite.
 
 References
 ----------
@@ -25,7 +26,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import ConvergenceError, MultiposError
 from multipos.estimation.descent import maximise
@@ -38,10 +39,10 @@ from multipos.estimation.restatement import (
     return_to_optimum,
 )
 from multipos.estimation.variances import components, linearised
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.sensor.calibration import Calibration
 
-Array = NDArray[np.float64]
 Profile = Callable[[float], float]  # how much a parameter's value costs, S_j(t) - S_min
 
 _FARTHEST = 50.0  # expanded uncertainties from the estimate; farther out the interval is open
@@ -251,8 +252,14 @@ def fit_residuals(residuals: Callable[[Array], Array], start: ArrayLike) -> Arra
     """Return the parameters (p,) at which a sum of squares is least, from a start."""
     from scipy.optimize import least_squares
 
-    found = least_squares(residuals, np.asarray(start, dtype=np.float64), x_scale="jac",
-                          xtol=1e-15, ftol=1e-15, gtol=1e-15)  # fmt: skip
+    found = least_squares(
+        residuals,
+        np.asarray(start, dtype=np.float64),
+        x_scale="jac",
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
     if not found.success:
         raise ConvergenceError(f"no least sum of squares was found: {found.message}")
     return np.asarray(found.x)

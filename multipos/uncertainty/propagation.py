@@ -25,12 +25,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from multipos.numerics.arrays import Array
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.budgets import Budget, Quantity, Source, read_budget
 from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +145,9 @@ def welch_satterthwaite(contributions: ArrayLike, dof: ArrayLike) -> Array:
     total = np.sum(u**2, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(total > 0.0, u**2 / total, 0.0)
-        summed = np.sum(np.where(share > 0.0, share**2 / nu, np.where(np.isnan(u), np.inf, 0.0)),
-                        axis=0)  # fmt: skip
+        summed = np.sum(
+            np.where(share > 0.0, share**2 / nu, np.where(np.isnan(u), np.inf, 0.0)), axis=0
+        )
         return np.asarray(1.0 / summed)
 
 

@@ -25,17 +25,15 @@ JCGM 100:2008, clause 5.1; docs/theory/budget.md.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.estimation.gains import uncertain_gain
 from multipos.estimation.known import closed_form_gain, reading_noise
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.sensor.model import COMPONENTS
 from multipos.uncertainty.budgets import Quantity
-
-Array = NDArray[np.float64]
 
 _DEGREE = 1e-2  # [degC] of central differences: exact for terms up to the second degree
 
@@ -192,10 +190,13 @@ def _temperature_moves(c: Calibration, quantity: Quantity) -> Array:
     environment = c.readings.environment
     if "temperature" in c.model.environment:
         sides = [
-            c.model.predict(c.parameters, c.reference,
-                            {**environment, "temperature": environment["temperature"] + step})
+            c.model.predict(
+                c.parameters,
+                c.reference,
+                {**environment, "temperature": environment["temperature"] + step},
+            )
             for step in (_DEGREE, -_DEGREE)
-        ]  # fmt: skip
+        ]
         return np.asarray((sides[0] - sides[1]) / (2.0 * _DEGREE))
     known = [key for key in ("bias_per_degC", "scale_per_degC") if key in quantity.settings]
     if not known:
@@ -205,6 +206,7 @@ def _temperature_moves(c: Calibration, quantity: Quantity) -> Array:
         )
     force = c.model.predict(c.parameters, c.reference, c.readings.environment)
     at_rest = c.model.predict(c.parameters, 0.0 * c.reference, c.readings.environment)
-    bias, scale = (float(quantity.settings.get(key, 0.0))
-                   for key in ("bias_per_degC", "scale_per_degC"))  # fmt: skip
+    bias, scale = (
+        float(quantity.settings.get(key, 0.0)) for key in ("bias_per_degC", "scale_per_degC")
+    )
     return np.asarray(bias + scale * (force - at_rest))

@@ -25,19 +25,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.known import FLOOR
+from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import separability, solve
 from multipos.numerics.quantiles import coverage_factor, t_tail
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
 from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.model import COMPONENTS, Model, build_model
+from multipos.sensor.model import Model, build_model
 from multipos.sensor.tilt import magnitude_of, sign_of
-
-Array = NDArray[np.float64]
 
 QUANTITIES = ("zero_offset", "first_cos", "first_sin", "second_cos", "second_sin")
 _SHIFTED = 1e-3  # chance of a zero shift where there is none

@@ -1,7 +1,7 @@
 """Where a calibration holds: force and tilt with uncertainty over the sphere, and beyond ±1 g.
 
-Compensated force f has the covariance of the parameters by eq. (2) of `multipos.sensor.inverse`. The
-tilt of a sensed axis i is the angle above the horizon of that axis of the case,
+Compensated force f has the covariance of the parameters by eq. (2) of `multipos.sensor.inverse`.
+The tilt of a sensed axis i is the angle above the horizon of that axis of the case,
 
     β_i = atan2(f_i, sqrt(sum_{j≠i} f_j²)),   or   asin(f_i / |f|)  with fewer than three;   (1)
 
@@ -21,19 +21,18 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import inverse_covariance, sensed_axes
 from multipos.sensor.inverse import sensitivities as inverse_sensitivities
-from multipos.sensor.model import COMPONENTS, linear_term
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.sensitivities import estimator_gain
-
-Array = NDArray[np.float64]
 
 POINTS = "fibonacci-1000"  # even directions: the worst of them is within 1 % of the worst of all
 
@@ -97,9 +96,13 @@ def sphere_uncertainty(
             nu = float(dof[worst]) * float((total[worst] / u[worst]) ** 4) if u[worst] else np.inf
             k = coverage_factor(c.confidence, nu)
             result[name][COMPONENTS[i]] = {
-                "worst": float(total[worst]), "U": k * float(total[worst]), "k": k, "dof": nu,
-                "at": force[worst].tolist(), "rms": float(np.sqrt(np.mean(total**2))),
-            }  # fmt: skip
+                "worst": float(total[worst]),
+                "U": k * float(total[worst]),
+                "k": k,
+                "dof": nu,
+                "at": force[worst].tolist(),
+                "rms": float(np.sqrt(np.mean(total**2))),
+            }
     return result
 
 

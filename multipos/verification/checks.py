@@ -5,8 +5,9 @@ tilt [degrees]: before by the nominal conversion (raw − bias)/scale, after by 
 
     e = f − f_ref,    u² = u²(f) + u²(f_ref),    U = k u,                                   (1)
 
-with u(f) of eq. (4) of `multipos.sensor.tilt`, the noise of the run's own readings in it, and u(f_ref)
-from ``orientation_sd_deg`` where the run states it. Verdicts are those of `multipos.verification.verdicts`.
+with u(f) of eq. (4) of `multipos.sensor.tilt`, the noise of the run's own readings in it, and
+u(f_ref) from ``orientation_sd_deg`` where the run states it. Verdicts are those of
+`multipos.verification.verdicts`.
 
 Linearity is the largest departure from the least-squares line against the reference, in percent of
 that line's span: from −1 to +1 g for force, over the angles of the run for tilt. The positions
@@ -24,12 +25,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Source
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings, orient, read_readings, require_range
 from multipos.positions.scheme import Scheme
 from multipos.regression.result import Regression
 from multipos.sensor.calibration import Calibration, labels
 from multipos.sensor.inverse import sensed_axes
-from multipos.sensor.model import COMPONENTS
 from multipos.sensor.tilt import (
     at_rest,
     coverage_factors,
@@ -43,8 +45,6 @@ from multipos.sensor.tilt import (
 )
 from multipos.verification.regression_checks import check_regression
 from multipos.verification.verdicts import Check, judge
-
-Array = NDArray[np.float64]
 
 
 def check(
@@ -96,13 +96,21 @@ def check(
         An option is at fault.
     """
     if isinstance(calibration, Regression):
-        given = {"--scheme": scheme, "--tilt": tilt or None, "--limit-deg": limit_deg,
-                 "--within-deg": within_deg, "--reading-sd": reading_sd, "--range": range,
-                 "--nominal": None if tuple(nominal) == (0.0, 1.0) else nominal}  # fmt: skip
+        given = {
+            "--scheme": scheme,
+            "--tilt": tilt or None,
+            "--limit-deg": limit_deg,
+            "--within-deg": within_deg,
+            "--reading-sd": reading_sd,
+            "--range": range,
+            "--nominal": None if tuple(nominal) == (0.0, 1.0) else nominal,
+        }
         for name, value in given.items():
             if value is not None:
-                raise UsageError(f"{name} goes with a calibration; a regression is checked row by "
-                                 "row, against --limit-g.")  # fmt: skip
+                raise UsageError(
+                    f"{name} goes with a calibration; a regression is checked row by "
+                    "row, against --limit-g."
+                )
         return check_regression(calibration, readings, limit_g=limit_g)
     tilt = tilt or limit_deg is not None
     _check_options(tilt, limit_deg, limit_g, within_deg, nominal)
@@ -160,8 +168,10 @@ def _check_options(
     if tilt and limit_g is not None:
         raise UsageError("--limit-g is a limit of force; give --limit-deg for tilt.")
     for name, value in (
-        ("--limit-deg", limit_deg), ("--limit-g", limit_g), ("--within-deg", within_deg)
-    ):  # fmt: skip
+        ("--limit-deg", limit_deg),
+        ("--limit-g", limit_g),
+        ("--within-deg", within_deg),
+    ):
         if value is not None and not 0.0 < value < np.inf:
             raise UsageError(f"{name} must be above 0, got {value}.")
     if len(nominal) != 2 or not np.isfinite(nominal).all() or nominal[1] == 0.0:

@@ -1,8 +1,9 @@
 """Repeated calibrations of one unit: spread, drift, and whether they agree with what they claim.
 
-Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the stability of the
-biases, and the drift: the slope of the straight line through the repeats, per run, or per unit of
-the readings' `time` where they have it, judged by Student's t on R − 2 degrees of freedom.
+Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the
+stability of the biases, and the drift: the slope of the straight line through the repeats, per run,
+or per unit of the readings' `time` where they have it, judged by Student's t on R − 2 degrees of
+freedom.
 
 Several methods on the same readings share their noise, so no test of spread applies: they agree
 where no parameter differs by more than its expanded uncertainty.
@@ -19,18 +20,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import spread
 from multipos.files.numbers import number, table, uncertain
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import t_tail
+from multipos.numerics.terms import CONSTANT
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration, load
-from multipos.sensor.model import CONSTANT
 from multipos.verification.consistency import Judgement, judge
 
-Array = NDArray[np.float64]
 Run = Calibration | str | os.PathLike[str]
 
 _LEAST = 4  # repeats that the six-position paper asks for
@@ -89,18 +89,46 @@ class Comparison(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""
         first = self.calibrations[0].model
-        columns = (self.values.T, self.mean, self.sd, self.range, self.chi2, self.dof, self.p,
-                   self.scatter_dof, self.drift, self.drift_u, self.drift_p)  # fmt: skip
-        names = ("values", "mean", "sd", "range", "chi2", "dof", "p",
-                 "scatter_dof", "drift", "drift_u", "drift_p")  # fmt: skip
+        columns = (
+            self.values.T,
+            self.mean,
+            self.sd,
+            self.range,
+            self.chi2,
+            self.dof,
+            self.p,
+            self.scatter_dof,
+            self.drift,
+            self.drift_u,
+            self.drift_p,
+        )
+        names = (
+            "values",
+            "mean",
+            "sd",
+            "range",
+            "chi2",
+            "dof",
+            "p",
+            "scatter_dof",
+            "drift",
+            "drift_u",
+            "drift_p",
+        )
         return {
             "calibrations": [
                 {"file": file, "created": c.created}
                 for file, c in zip(self.files, self.calibrations, strict=True)
             ],
             "parameters": [
-                {"output": output, "term": str(term), "name": name, "unit": unit,
-                 **dict(zip(names, row, strict=True)), "moved": name in self.moved}
+                {
+                    "output": output,
+                    "term": str(term),
+                    "name": name,
+                    "unit": unit,
+                    **dict(zip(names, row, strict=True)),
+                    "moved": name in self.moved,
+                }
                 for (output, term), name, unit, row in zip(
                     first.keys, first.names, first.units, zip(*columns, strict=True), strict=True
                 )
@@ -113,7 +141,7 @@ class Comparison(Result):
             "consistent": self.consistent,
             "drift_per": self.per,
             "warnings": self.warnings,
-        }  # fmt: skip
+        }
 
 
 def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> Comparison:
@@ -163,17 +191,31 @@ def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> C
             f"{len(found)} repeats say little about stability; calibrate at least {_LEAST} times"
         )
     return Comparison(
-        calibrations=found, files=files, values=values, mean=values.mean(axis=0), sd=sd,
-        range=np.ptp(values, axis=0), drift=drift, drift_u=drift_u, drift_p=drift_p,
-        chi2=judged.chi2, p=judged.p, dof=judged.dof, scatter_dof=judged.scatter_dof,
+        calibrations=found,
+        files=files,
+        values=values,
+        mean=values.mean(axis=0),
+        sd=sd,
+        range=np.ptp(values, axis=0),
+        drift=drift,
+        drift_u=drift_u,
+        drift_p=drift_p,
+        chi2=judged.chi2,
+        p=judged.p,
+        dof=judged.dof,
+        scatter_dof=judged.scatter_dof,
         bias_stability={
-            output: float(sd[i])
-            for i, (output, term) in enumerate(model.keys) if term == CONSTANT
+            output: float(sd[i]) for i, (output, term) in enumerate(model.keys) if term == CONSTANT
         },
-        statistic=judged.statistic, dof_total=judged.dof_total, p_total=judged.p_total,
-        test=judged.test, consistent=judged.consistent, moved=judged.moved, per=per,
+        statistic=judged.statistic,
+        dof_total=judged.dof_total,
+        p_total=judged.p_total,
+        test=judged.test,
+        consistent=judged.consistent,
+        moved=judged.moved,
+        per=per,
         warnings=tuple(warnings),
-    )  # fmt: skip
+    )
 
 
 def _check_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
@@ -181,12 +223,15 @@ def _check_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
     for c, file in zip(found[1:], files[1:], strict=True):
         for what, mine, other in (
             ("outputs", first.outputs, c.outputs),
-            ("terms", [f"{o}:{t}" for o, t in first.model.keys],
-             [f"{o}:{t}" for o, t in c.model.keys]),
+            (
+                "terms",
+                [f"{o}:{t}" for o, t in first.model.keys],
+                [f"{o}:{t}" for o, t in c.model.keys],
+            ),
             ("unit", first.model.unit, c.model.unit),
             ("convention", first.convention, c.convention),
             ("gauge", first.model.gauge, c.model.gauge),
-        ):  # fmt: skip
+        ):
             if mine != other:
                 raise MultiposError(
                     f"{file}: its {what} differ from those of {files[0]} ({_listed(other)}, not "
@@ -229,8 +274,10 @@ def _drift(found: Sequence[Calibration], values: Array) -> tuple[Array, Array, A
 
 def comparison_text(found: Comparison) -> str:
     """Return a comparison as text."""
-    lines = [f"{i}  {file}  ({c.created})" for i, (file, c) in
-             enumerate(zip(found.files, found.calibrations, strict=True), start=1)]  # fmt: skip
+    lines = [
+        f"{i}  {file}  ({c.created})"
+        for i, (file, c) in enumerate(zip(found.files, found.calibrations, strict=True), start=1)
+    ]
     model = found.calibrations[0].model
     runs = [str(i) for i in range(1, len(found.files) + 1)]
     header = ["parameter", "unit", *runs, "mean(sd)", f"drift per {found.per}", "p", ""]
@@ -239,12 +286,16 @@ def comparison_text(found: Comparison) -> str:
         mean, sd = float(found.mean[i]), float(found.sd[i])
         rounding = 1e-12 * float(np.abs(found.values).max())
         rows.append(
-            [name, model.units[i], *(f"{value:.7g}" for value in found.values[:, i].tolist()),
-             uncertain(mean, sd if sd > rounding else 0.0),
-             number(float(found.drift[i]) if sd > rounding else 0.0, 2),
-             number(float(found.p[i]), 2),
-             "moved" if name in found.moved else ""]
-        )  # fmt: skip
+            [
+                name,
+                model.units[i],
+                *(f"{value:.7g}" for value in found.values[:, i].tolist()),
+                uncertain(mean, sd if sd > rounding else 0.0),
+                number(float(found.drift[i]) if sd > rounding else 0.0, 2),
+                number(float(found.p[i]), 2),
+                "moved" if name in found.moved else "",
+            ]
+        )
     stability = [[output, number(sd, 3)] for output, sd in found.bias_stability.items()]
     verdict = "consistent" if found.consistent else "NOT consistent"
     dof = found.dof_total

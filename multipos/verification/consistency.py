@@ -38,12 +38,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.known import reading_noise
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.diagnostics import bartlett
 from multipos.uncertainty.propagation import evaluate_budget
-
-Array = NDArray[np.float64]
 
 _UNEQUAL = 0.01  # level at which repeats of different scatter are warned of
 
@@ -88,11 +87,18 @@ class Judgement:
         beyond = spread > np.maximum(np.where(np.isnan(expanded), 0.0, expanded), rounding)
         names = tuple(name for name, over in zip(found[0].names, beyond, strict=True) if over)
         return cls(
-            chi2=nothing, dof=nothing, scatter_dof=nothing, p=nothing, statistic=math.nan,
-            dof_total=math.nan, p_total=math.nan, consistent=not names, moved=names,
+            chi2=nothing,
+            dof=nothing,
+            scatter_dof=nothing,
+            p=nothing,
+            statistic=math.nan,
+            dof_total=math.nan,
+            p_total=math.nan,
+            consistent=not names,
+            moved=names,
             test="the readings are the same, so their noise cannot tell the methods apart: "
             "consistent where no parameter differs by more than its U",
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -157,10 +163,18 @@ def judge(found: Sequence[Calibration], values: Array, level: float) -> Judgemen
     count = int(np.argmin(passed)) if not passed.all() else p
     moved = tuple(found[0].names[i] for i in sorted(order[:count].tolist()))
     return Judgement(
-        chi2=chi2, dof=np.full(p, repeats - 1.0), scatter_dof=scatter_dof, p=tails,
-        statistic=statistic, dof_total=dof, p_total=p_total, test=test,
-        consistent=not p_total < level, moved=moved, warnings=tuple(warnings),
-    )  # fmt: skip
+        chi2=chi2,
+        dof=np.full(p, repeats - 1.0),
+        scatter_dof=scatter_dof,
+        p=tails,
+        statistic=statistic,
+        dof_total=dof,
+        p_total=p_total,
+        test=test,
+        consistent=not p_total < level,
+        moved=moved,
+        warnings=tuple(warnings),
+    )
 
 
 def _together(outcome: list[tuple[float, float, float]]) -> tuple[float, Any, float, str]:
@@ -177,9 +191,11 @@ def _together(outcome: list[tuple[float, float, float]]) -> tuple[float, Any, fl
     statistic = -2.0 * sum(math.log(max(p, np.finfo(float).tiny)) for p in tails)
     dof = 2.0 * len(tails)
     return (
-        statistic, dof, chi2_tail(statistic, dof),
+        statistic,
+        dof,
+        chi2_tail(statistic, dof),
         "F of the repeats against the pooled scatter of each output, combined by Fisher's method",
-    )  # fmt: skip
+    )
 
 
 def _quadratic(values: Array, covariances: Array) -> float:
@@ -199,14 +215,19 @@ def _families(found: Sequence[Calibration]) -> list[_Family]:
     covariances = np.array([evaluate_budget(c).independent for c in found])
     count = [len(terms) for terms in found[0].model.terms]
     output_of = np.repeat(np.arange(len(count)), count)
-    apart = all(_is_apart(c, covariance, output_of)
-                for c, covariance in zip(found, covariances, strict=True))  # fmt: skip
+    apart = all(
+        _is_apart(c, covariance, output_of)
+        for c, covariance in zip(found, covariances, strict=True)
+    )
     groups = [np.flatnonzero(output_of == i) for i in range(len(count))]
     names = list(found[0].outputs)
     outputs = [[i] for i in range(len(count))]
     if not apart:
-        groups, names, outputs = [np.arange(len(output_of))], ["all outputs"], [list(range(
-            len(count)))]  # fmt: skip
+        groups, names, outputs = (
+            [np.arange(len(output_of))],
+            ["all outputs"],
+            [list(range(len(count)))],
+        )
     families = []
     for group, name, mine in zip(groups, names, outputs, strict=True):
         dof = np.array([c.dof[mine[0]] for c in found])

@@ -4,22 +4,21 @@ The response is an error that the run knows, and what the regression leaves of i
 
     e = response − predicted,    u² = x' C x + rms²,    U = k u,                            (1)
 
-with u of eq. (1) of `multipos.compensation.correction`, that is of predicting one new row, and k from Student's
-t. A column that is corrected by the same prediction (``apply --correct``) has the same error left.
-Rows outside what the regression was fitted to are not counted, because it says nothing there.
+with u of eq. (1) of `multipos.compensation.correction`, that is of predicting one new row, and k
+from Student's t. A column that is corrected by the same prediction (``apply --correct``) has the
+same error left. Rows outside what the regression was fitted to are not counted, because it says
+nothing there.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.compensation.correction import correct, range_column, read_predictors
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Source, read_table
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.regression.result import Regression, format_span
 from multipos.verification.verdicts import Check, judge
-
-Array = NDArray[np.float64]
 
 
 def check_regression(

@@ -12,9 +12,10 @@ linear in K1 times each coefficient and fitted by least squares; the ratios to K
 
     u²(p/K1) = [u²(p) − 2 r u(p, K1) + r² u²(K1)]/K1²,    r = p/K1.                         (2)
 
-The Fourier view (`multipos.positions.harmonics`) of the same readings gives the same coefficients where the
-points are even steps of a turn, and its residual harmonics are the test of table and model: what
-no term of (1) explains. The axes i, p, o are x, y, z in cyclic order from the output's own axis.
+The Fourier view (`multipos.positions.harmonics`) of the same readings gives the same coefficients
+where the points are even steps of a turn, and its residual harmonics are the test of table and
+model: what no term of (1) explains. The axes i, p, o are x, y, z in cyclic order from the output's
+own axis.
 
 Source: the model equation of IEEE Std 1293 as the project's formats reference writes it.
 """
@@ -25,14 +26,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.estimation.known import FLOOR
 from multipos.files.lists import Names
 from multipos.files.tables import Source
 from multipos.fitting import fit
+from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import name_combinations, separability, solve
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.harmonics import (
     Harmonic,
@@ -48,11 +51,9 @@ from multipos.positions.readings import Readings, orient, read_readings
 from multipos.positions.scheme import Scheme
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.model import COMPONENTS, Model, build_model, default_axes
+from multipos.sensor.model import Model, build_model, default_axes
 from multipos.sensor.tilt import reading_noise
 from multipos.uncertainty.turntable import TableErrors, table_errors
-
-Array = NDArray[np.float64]
 
 SCHEMA = "multipos/tumble/1"
 # Coefficient: its term of eq. (1), sign, unit, and the customary unit, a millionth of it.
@@ -304,9 +305,10 @@ def _kept(data: Readings, axis: str, sign: float) -> tuple[tuple[str, ...], tupl
         raise RankError(
             f"{data.source or 'the readings'}: these points cannot tell K0 from K1; "
             "give points with the input axis up and down.",
-            rank=found.rank, parameters=found.parameters,
+            rank=found.rank,
+            parameters=found.parameters,
             combinations=name_combinations(found.null, every, rows="points"),
-        )  # fmt: skip
+        )
     said = name_combinations(found.null, every, rows="points")
     return tuple(every[column] for column in kept), _with_squares(said, found.null, every)
 

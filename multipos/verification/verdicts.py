@@ -18,9 +18,8 @@ from multipos.errors import MultiposError
 from multipos.files.formats import CHECK
 from multipos.files.records import require
 from multipos.files.tables import read_json, to_json, write_text
+from multipos.numerics.arrays import Array
 from multipos.results import Result
-
-Array = NDArray[np.float64]
 
 SCHEMA = "multipos/check/1"
 _BY_AXIS = ("reference", "before", "after", "u", "U", "counted", "by_axis")

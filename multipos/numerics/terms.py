@@ -1,0 +1,218 @@
+"""Terms: products of columns to powers and their moduli, and the formulas that list them.
+
+A term is a product such as ``1``, ``x``, ``x^2``, ``x*y``, ``x*|x|``, ``temperature*x``: of the
+components x, y, z of a reference in models of a sensor, of any columns in a regression. Terms are
+evaluated on components, so the same lines take NumPy arrays and CasADi symbols.
+
+Formulas are parsed, never evaluated: `formula = term ('+' term)*`, `term = factor ('*' factor)*`,
+`factor = '1' | name ['^' power] | '|' name '|' ['^' power]`.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from multipos.errors import UsageError
+from multipos.numerics.arrays import Array
+from multipos.units import LARGEST
+
+COMPONENTS = ("x", "y", "z")
+NAMED = {
+    "linear": "1 + x + y + z",
+    "own-quadratic": "1 + x + y + z + own^2",
+    "own-cubic": "1 + x + y + z + own^2 + own^3",
+    "cross-quadratic": "1 + x + y + z + own^2 + OWN*OTHER",
+    "ieee": "1 + x + y + z + own^2 + own^3 + OWN*OTHER",
+    "ieee-odd": "1 + x + y + z + own^2 + own^3 + OWN*OTHER + own*|own|",
+    "full-quadratic": "1 + x + y + z + x^2 + y^2 + z^2 + x*y + x*z + y*z",
+}
+_LARGEST_POWER = 100.0  # log10 of what a term may reach: its square is a number still
+HIGHEST_POWER = 9  # beyond it a term of specific force within 1 g says nothing new
+
+
+@dataclass(frozen=True, order=True)
+class Factor:
+    """A variable to a power, times its modulus where `modulus` is set: v^power |v|."""
+
+    variable: str
+    power: int
+    modulus: bool = False
+
+    def __str__(self) -> str:
+        parts = []
+        if self.power:
+            parts.append(self.variable if self.power == 1 else f"{self.variable}^{self.power}")
+        if self.modulus:
+            parts.append(f"|{self.variable}|")
+        return "*".join(parts)
+
+    @property
+    def degree(self) -> int:
+        """Power, the modulus counted."""
+        return self.power + self.modulus
+
+
+@dataclass(frozen=True)
+class Term:
+    """A product of factors in alphabetical order; no factor is the constant ``1``."""
+
+    factors: tuple[Factor, ...] = ()
+
+    def __str__(self) -> str:
+        return "*".join(map(str, self.factors)) or "1"
+
+    @property
+    def force_degree(self) -> int:
+        """Degree in specific force: 0 for a bias, 1 for a scale factor, 2 for second order."""
+        return sum(factor.degree for factor in self.factors if factor.variable in COMPONENTS)
+
+    @property
+    def along(self) -> str | None:
+        """The component of specific force that it is proportional to, if it is to one."""
+        force = [factor for factor in self.factors if factor.variable in COMPONENTS]
+        if len(force) == 1 and force[0] == Factor(force[0].variable, 1):
+            return force[0].variable
+        return None
+
+    def turned(self, axis: str) -> "Term":
+        """Return the term that is along another axis."""
+        mine = next(factor for factor in self.factors if factor.variable == self.along)
+        rest = (factor for factor in self.factors if factor is not mine)
+        return Term(tuple(sorted((*rest, Factor(axis, 1)))))
+
+    @property
+    def environment(self) -> tuple[tuple[str, int], ...]:
+        """Other columns of the readings in the term, with their degrees."""
+        return tuple((f.variable, f.degree) for f in self.factors if f.variable not in COMPONENTS)
+
+    def evaluate(self, variables: Mapping[str, Any]) -> Any:
+        """Return the term's value on components: arrays, floats or CasADi symbols."""
+        value: Any = 1.0
+        for factor in self.factors:
+            v = variables[factor.variable]
+            for _ in range(factor.power):
+                value = value * v
+            if factor.modulus:
+                value = value * abs(v)
+        return value
+
+    def derivative(self, variables: Mapping[str, Any], by: str) -> Any:
+        """Return the partial derivative by one variable: d(v^m|v|)/dv = (m+1) v^(m-1) |v|."""
+        mine = next((factor for factor in self.factors if factor.variable == by), None)
+        if mine is None:
+            return 0.0
+        rest = tuple(factor for factor in self.factors if factor is not mine)
+        if not mine.power:
+            return np.sign(variables[by]) * Term(rest).evaluate(variables)
+        return mine.degree * self.lowered(mine).evaluate(variables)
+
+    def lowered(self, factor: Factor) -> "Term":
+        """Return the term with one power of a factor less, which has a power to lose."""
+        lower = Factor(factor.variable, factor.power - 1, factor.modulus)
+        others = tuple(lower if other is factor else other for other in self.factors)
+        return Term(tuple(other for other in others if other.degree))
+
+
+CONSTANT = Term()
+
+
+def evaluate_terms(terms: Sequence[Term], columns: Mapping[str, Array], n: int) -> Array:
+    """Return the design (n, q) of terms; powers by repeated multiplication, each rounded once."""
+    design = np.empty((n, len(terms)))
+    for column, term in enumerate(terms):
+        design[:, column] = term.evaluate(columns)
+    return design
+
+
+def largest_value(terms: Iterable[Term], variable: str) -> float:
+    """Return how large a variable may be for its powers in terms to be squared and summed."""
+    factors = (factor for term in terms for factor in term.factors)
+    degree = max((f.degree for f in factors if f.variable == variable), default=1)
+    return min(LARGEST, math.pow(10.0, _LARGEST_POWER / degree))
+
+
+def linear_term(variable: str) -> Term:
+    """Return the bare variable as a term."""
+    return Term((Factor(variable, 1),))
+
+
+def parse_terms(text: str, *, highest: int = HIGHEST_POWER) -> tuple[Term, ...]:
+    """Return the terms of a formula over any columns, in order, each once.
+
+    Raises
+    ------
+    UsageError
+        The formula cannot be read, or a power is above `highest`.
+    """
+    # With 'own' for the own axis, a column of that name stays what it is.
+    parts = split_terms(text, text)
+    return tuple(dict.fromkeys(parse_term(part, text, "own", highest) for part in parts))
+
+
+def formula_columns(text: str) -> tuple[str, ...]:
+    """Return the columns other than x, y, z and own that a model's text uses."""
+    name = text.strip()
+    if name in NAMED:
+        return ()
+    words = re.findall(r"[^\W\d]\w*", name)
+    return tuple(dict.fromkeys(w for w in words if w not in (*COMPONENTS, "own")))
+
+
+def sees_only(term: Term, inputs: tuple[str, ...]) -> bool:
+    """Tell whether a term has no other components than these."""
+    return all(f.variable in inputs for f in term.factors if f.variable in COMPONENTS)
+
+
+def expand_products(formula: str, axis: str) -> str:
+    """Write out the products of the own component with each of the two others."""
+    products = " + ".join(f"{axis}*{other}" for other in COMPONENTS if other != axis)
+    return formula.replace("OWN*OTHER", products)
+
+
+def split_terms(formula: str, text: str) -> list[str]:
+    """Return the terms of a formula as they are written; `text` is the model in messages."""
+    parts = [part.strip() for part in formula.split("+")]
+    if any(not part for part in parts):
+        raise UsageError(f"model '{text}': a term is missing beside a '+'.")
+    return parts
+
+
+_FACTOR = re.compile(
+    r"(?:(?P<name>[^\W\d]\w*)|\|\s*(?P<modulus>[^\W\d]\w*)\s*\|)(?:\s*\^\s*(?P<power>\d+))?"
+)
+
+
+def parse_term(part: str, text: str, axis: str, highest: int = HIGHEST_POWER) -> Term:
+    """Parse ``x*|own|`` for the output whose own axis is given."""
+    plain: dict[str, int] = {}
+    modulus: dict[str, int] = {}
+    refused = f"must lie between 1 and {highest}."
+    for factor in part.split("*"):
+        if factor.strip() == "1":
+            continue
+        match = _FACTOR.fullmatch(factor.strip())
+        if match is None:
+            raise UsageError(
+                f"model '{text}': cannot read '{factor.strip() or part}'; a term is a product of "
+                "1, x, y, z, own, |own| and column names, each with ^power."
+            )
+        digits = match["power"] or "1"
+        power = int(digits) if len(digits) <= len(str(highest)) else highest + 1
+        if not 1 <= power <= highest:
+            raise UsageError(f"model '{text}': the power in '{factor.strip()}' {refused}")
+        name = match["name"] or match["modulus"]
+        counts = plain if match["name"] else modulus
+        name = axis if name == "own" else name
+        counts[name] = counts.get(name, 0) + power
+        if plain.get(name, 0) + modulus.get(name, 0) > highest:
+            raise UsageError(f"model '{text}': the power of {name} in '{part.strip()}' {refused}")
+    factors = []
+    for name in sorted({*plain, *modulus}):
+        # |v|^2 = v^2, so at most one modulus stays.
+        pairs, odd = divmod(modulus.get(name, 0), 2)
+        factors.append(Factor(name, plain.get(name, 0) + 2 * pairs, bool(odd)))
+    return Term(tuple(factors))
