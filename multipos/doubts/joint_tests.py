@@ -10,8 +10,8 @@ follows the F distribution on q and nu₁ if nothing is in the terms.
 
 - Uncertain and unknown orientations: chi² is the minimum F of `multipos.estimation.likelihood`,
   each model with orientations of its own, both with the noise that was stated or found. Where
-  variances were estimated by restricted likelihood they are those of the model with the terms, chi²₁/nu₁
-  is then 1 by construction, and the degrees of freedom of the denominator follow from
+  variances were estimated by restricted likelihood they are those of the model with the terms,
+  chi²₁/nu₁ is then 1 by construction, and the degrees of freedom of the denominator follow from
   Satterthwaite's of the q parameters, nu_j, through the mean of F,
 
       E = sum nu_j/(nu_j − 2),     nu = 2 E/(E − q).                                        (2)

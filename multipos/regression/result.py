@@ -20,6 +20,7 @@ from multipos.files.numbers import number, table, uncertain
 from multipos.files.records import require
 from multipos.files.tables import plain, read_json, to_json, write_text
 from multipos.numerics.arrays import Array
+from multipos.numerics.selection import Tested
 from multipos.regression.hysteresis import BRANCHES, branch_of
 from multipos.regression.segment import Segment, segment_from_dict, segment_to_dict
 from multipos.regression.segmentation import segment_of
@@ -316,6 +317,10 @@ def _segment_text(s: Segment) -> list[str]:
     return [table(header, rows)]
 
 
+def _tested_text(tested: Tested) -> str:
+    return f"{tested.term} (F = {number(tested.F)}, p = {number(tested.p, 2)})"
+
+
 def _path_text(s: Segment) -> list[str]:
     lines = []
     if s.path:
@@ -325,9 +330,7 @@ def _path_text(s: Segment) -> list[str]:
                 f"{'+' if x.action == 'add' else '-'}{x.term}",
                 number(x.F, 6),
                 number(x.p, 3),
-                ""
-                if x.runner_up is None
-                else f"{x.runner_up.term} (F = {number(x.runner_up.F)}, p = {number(x.runner_up.p, 2)})",
+                "" if x.runner_up is None else _tested_text(x.runner_up),
             ]
             for x in s.path
         ]

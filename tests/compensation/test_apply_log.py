@@ -5,7 +5,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from logs import sensor, write_csv
+from log_bench import sensor, write_csv
 
 import multipos as mp
 from multipos.cli import main

@@ -7,7 +7,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from logs import sensor, shared
+from log_bench import sensor, shared
 
 import multipos as mp
 from multipos.cli import main

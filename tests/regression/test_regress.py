@@ -6,8 +6,8 @@ import hald
 import nist
 import numpy as np
 import pytest
+from nist import digits
 from numpy.testing import assert_allclose
-from test_least_squares import digits
 
 import multipos as mp
 from multipos.cli import main

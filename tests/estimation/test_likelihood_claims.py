@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from logs import shared
+from log_bench import shared
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 

@@ -7,8 +7,8 @@ import pytest
 from inclinometer_bench import (
     DRIFT_SD,
     READING,
-    TABLE_DEG,
     Bench,
+    calibrated,
     calibration_run,
     check_run,
     make_bench,
@@ -34,13 +34,6 @@ def write(path, columns):
     rows = zip(*(np.asarray(columns[name]).tolist() for name in names), strict=True)
     path.write_text("\n".join([",".join(names), *(",".join(map(str, r)) for r in rows), ""]))
     return str(path)
-
-
-def calibrated(bench, rng, inputs="x,y"):
-    """The bench's own way: a first fit, and the fit that knows the bench."""
-    first = mp.fit(calibration_run(bench, rng), inputs=inputs, unit="V")
-    known = mp.state_bench(first, reading_sd=READING, zero_drift=DRIFT_SD, angle_sd_deg=TABLE_DEG)
-    return mp.fit(known, inputs=inputs, unit="V")
 
 
 @pytest.mark.parametrize(("inputs", "third"), [("x,y", 0.0), ("x,y,z", 0.01)])

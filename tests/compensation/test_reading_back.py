@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from logs import sensor
+from log_bench import sensor
 
 import multipos as mp
 from multipos.cli import main

@@ -1,9 +1,9 @@
 """One fit from a perfect table to a hand-held sensor: its limits, its figures and what it says."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
+import log_bench
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -30,7 +30,6 @@ from multipos.positions.scheme import read_scheme
 from multipos.sensor.model import build_model
 from multipos.song_qin import TABLE_2
 
-SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 UP = read_scheme("fibonacci-24").up
 SENSOR = Sensor()
 SPREAD = read_scheme("all-26+roll-x-24").up  # whole attitudes are not needed of these
@@ -212,10 +211,7 @@ def test_temperature_terms_go_with_the_gauge():
 
 
 def shared(name):
-    path = SHARED / name
-    if not path.exists():
-        pytest.skip(f"{path} is not here")
-    return mp.read_readings(path)
+    return mp.read_readings(log_bench.shared(name))
 
 
 def joint_f(readings):

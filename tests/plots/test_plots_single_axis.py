@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from inclinometer_bench import check_run, make_bench
-from test_inclinometer import calibrated
-from test_single_axis import tumble
+from inclinometer_bench import calibrated, check_run, make_bench
+from tumble_bench import tumble
 
 import multipos as mp
 from multipos.plots import draw_check, draw_residual_harmonics, draw_signal

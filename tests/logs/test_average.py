@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from logs import sensor, shared, write_csv
+from log_bench import sensor, shared, write_csv
 
 import multipos as mp
 from multipos.cli import main

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from logs import sensor
+from log_bench import sensor
 
 import multipos as mp
 from multipos.cli import main

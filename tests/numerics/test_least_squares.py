@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nist import digits
 from numpy.testing import assert_allclose
 
 from multipos.errors import MultiposError, RankError
@@ -28,12 +29,6 @@ def orders(n):
     yield np.arange(n)[::-1]
     for _ in range(ORDERS - 2):
         yield rng.permutation(n)
-
-
-def digits(value, certified):
-    """Correct digits as NIST counts them, −log10 of the relative error, the fewest of all."""
-    error = float(np.max(np.abs(np.asarray(value) - certified) / np.abs(certified)))
-    return 16.0 if error == 0.0 else -math.log10(error)
 
 
 @pytest.mark.parametrize("data", nist.DATASETS, ids=str)

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from logs import ar1, shared
+from log_bench import ar1, shared
 
 from multipos import MultiposError, UsageError
 from multipos.logs.rest_means import RestSum, zero_density
