@@ -101,8 +101,8 @@ def scaled(factor, unit="m/s^2", model="linear"):
     ("factor", "message"),
     [
         (
-            1e-46,
-            r"'bias_ax' = 1e-48 vanishes in single precision; leave out --float",
+            1e-39,
+            r"'bias_ax' = 1e-41 vanishes in single precision; leave out --float",
         ),
         (1e39, r"'scale_ax' = 1e\+39 overflows in single precision"),
     ],
@@ -144,10 +144,10 @@ def test_no_number_of_c_is_infinite(value, single):
 @pytest.mark.parametrize(
     ("target", "message"),
     [
-        ("px4", r"CAL_ACC0_XSCALE would be .*e\+46, which the consumer cannot hold"),
-        ("ardupilot", r"INS_ACCSCAL_X would be .*e\+46"),
+        ("px4", r"CAL_ACC0_XSCALE would be .*e\+39, which the consumer cannot hold"),
+        ("ardupilot", r"INS_ACCSCAL_X would be .*e\+39"),
     ],
 )
 def test_parameters_beyond_the_consumers_precision_are_named(target, message):
     with pytest.raises(mp.MultiposError, match=message):
-        export(scaled(1e-46), target, allow_lossy=True)
+        export(scaled(1e-39), target, allow_lossy=True)
