@@ -143,7 +143,7 @@ def calibration_interval(calibration: Calibration, output: str, term: str) -> In
     Raises
     ------
     MultiposError
-        The fit was robust: its loss is no likelihood.
+        The fit was robust, and its loss is no likelihood; or nothing tells the noise.
     ConvergenceError
         As in `profile_interval`.
     """
@@ -155,8 +155,13 @@ def calibration_interval(calibration: Calibration, output: str, term: str) -> In
     index = c.model.index(output, term)
     if c.estimator.endswith("orientation"):
         return _likelihood_interval(c, index)
-    residuals, best = _known_problem(c)
     dof = float(c.dof[c.outputs.index(output)])
+    if not dof > 0.0:
+        raise MultiposError(
+            f"as many terms of {output} as readings: nothing is left to tell how far they may "
+            "move; give --reading-sd or more positions."
+        )
+    residuals, best = _known_problem(c)
     return profile_interval(
         residuals, best, index, u=float(c.u[index]), dof=dof, confidence=c.confidence
     )

@@ -44,7 +44,9 @@ def test_a_log_is_applied_as_a_table_is(cal, saved, log, tmp_path, monkeypatch):
     found = read(out)
     assert found.dtype.names == tuple(whole)
     for name, column in whole.items():
-        np.testing.assert_array_equal(found[name], column)
+        # how a product of matrices rounds may depend on its number of rows: ulps of 1 g
+        atol = 1e-15 if name.startswith(("f_", "u_f_", "U_f_")) else 0.0
+        np.testing.assert_allclose(found[name], column, rtol=0, atol=atol)
 
 
 def test_columns_are_kept_as_they_stand(cal, saved, tmp_path, capsys):

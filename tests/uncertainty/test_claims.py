@@ -288,6 +288,13 @@ def test_profile_needs_the_least_sum_of_squares():
         profile_interval(lambda p: np.array([p[0], 0.5]), [10.0], 0, u=1.0)
 
 
+def test_profile_needs_a_noise():
+    c = mp.fit({"ax": [1.01, -0.98]}, scheme={"up_x": [1, -1], "up_y": [0, 0], "up_z": [0, 0]},
+               model="1 + x")  # fmt: skip
+    with pytest.raises(MultiposError, match="as many terms of ax as readings"):
+        calibration_interval(c, "ax", "x")
+
+
 def test_profile_may_be_open():
     # a response that flattens: beyond some size no larger one is worse
     low, high = profile_interval(
