@@ -154,7 +154,9 @@ def regress(
         drop_missing=drop_missing,
         largest={name: largest_value(candidates, name) for name in names},
     )
-    check_columns(table.source, read.data, response, names, constant=plan.constant)
+    source, sha256 = table.source, table.sha256
+    del table  # whose text may be most of what is in memory
+    check_columns(source, read.data, response, names, constant=plan.constant)
     said = list(read.notes)
     edges = given
     if wanted is not None and given is None:
@@ -188,8 +190,8 @@ def regress(
         dropped=read.dropped,
         hysteresis=hysteresis,
         cross_validation=validation,
-        source=table.source if table.sha256 else None,
-        sha256=table.sha256,
+        source=source if sha256 else None,
+        sha256=sha256,
         warnings=(*said, *_warnings(plan, segments, hysteresis, validation)),
     )
 

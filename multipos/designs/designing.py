@@ -41,6 +41,7 @@ from multipos.results import Record
 
 _STARTS = 24  # of the exchange
 _POLISHED = 4  # of the best starts
+_MOST = 200  # new positions: the search grows with their square, what it gains not at all
 _MANY = 1500  # candidates that the exchange takes; of more, those that matter
 
 
@@ -215,6 +216,12 @@ def _check_count(setting: Setting, positions: int, included: int) -> None:
         raise UsageError(
             f"--positions {positions} counts the {included} included positions; "
             f"give more than {included}."
+        )
+    if positions - included > _MOST:
+        raise UsageError(
+            f"--positions {positions} asks for {positions - included} new positions, of which at "
+            f"most {_MOST} are searched for; take a design of fewer and repeat it, which tells as "
+            "much per reading."
         )
 
 

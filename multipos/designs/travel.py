@@ -15,6 +15,7 @@ from multipos.numerics.arrays import Array
 
 _BETTER = 1e-9  # [rad]
 _MOVED = 3  # positions moved together at most
+_LONGEST = 50  # positions of a stretch that is looked at as a whole
 _STARTS = 10  # paths that are shortened
 _FEW = 20  # positions up to which more than one is
 
@@ -70,23 +71,45 @@ def _beginnings(cost: list[list[float]]) -> list[list[int]]:
 
 def _shorten(cost: list[list[float]], path: list[int]) -> list[int]:
     """Reverse stretches and move short ones while the open path gets shorter."""
-    n, shortest = len(path), _length(cost, path)
+    n = len(path)
     improved = True
     while improved:
         improved = False
         for i in range(1, n):
-            for j in range(i + 1, n + 1):
-                stretch = path[i:j]
-                trials = [stretch[::-1]]
-                for k in range(1, min(_MOVED, j - i - 1) + 1):
-                    head, tail = stretch[:k], stretch[-k:]
-                    trials += [stretch[k:] + head, stretch[k:] + head[::-1]]
-                    trials += [tail + stretch[:-k], tail[::-1] + stretch[:-k]]
-                for turned in trials:
-                    trial = path[:i] + turned + path[j:]
-                    if (length := _length(cost, trial)) < shortest - _BETTER:
-                        path, shortest, improved = trial, length, True
+            for j in range(i + 1, min(i + _LONGEST, n) + 1):
+                before, best = path, 0.0
+                for parts in _rearranged(i, j):
+                    if (gain := _gain(cost, before, i, j, parts)) > best + _BETTER:
+                        turned = [before[k] for a, b in parts for k in _between(a, b)]
+                        path, best, improved = before[:i] + turned + before[j:], gain, True
     return path
+
+
+def _rearranged(i: int, j: int) -> list[list[tuple[int, int]]]:
+    """Return other orders of the places i to j − 1, as parts from one place to another."""
+    first, last = i, j - 1
+    orders = [[(last, first)]]
+    for k in range(1, min(_MOVED, last - first) + 1):
+        head, behind = (first, first + k - 1), (first + k, last)
+        ahead, tail = (first, last - k), (last - k + 1, last)
+        orders += [[behind, head], [behind, head[::-1]], [tail, ahead], [tail[::-1], ahead]]
+    return orders
+
+
+def _gain(
+    cost: list[list[float]], path: list[int], i: int, j: int, parts: list[tuple[int, int]]
+) -> float:
+    """Return what another order of the places i to j − 1 saves: turns within parts stay."""
+    ends = [i - 1, *(place for part in parts for place in part), *([j] if j < len(path) else [])]
+    after = sum(cost[path[a]][path[b]] for a, b in zip(ends[::2], ends[1::2], strict=False))
+    cuts = [i, j] if j < len(path) else [i]
+    if len(parts) == 2:
+        cuts.append(max(min(part) for part in parts))
+    return sum(cost[path[cut - 1]][path[cut]] for cut in cuts) - after
+
+
+def _between(a: int, b: int) -> range:
+    return range(a, b + 1) if a <= b else range(a, b - 1, -1)
 
 
 def _length(cost: list[list[float]], path: list[int]) -> float:

@@ -113,7 +113,8 @@ def read_observations(
         name: table.number(name, empty=True, largest=largest.get(name, LARGEST)) for name in needed
     }
     kept, notes = _complete(table, columns, drop_missing)
-    columns = {name: column[kept] for name, column in columns.items()}
+    if len(kept) < table.rows:
+        columns = {name: column[kept] for name, column in columns.items()}
     rates = {}
     for name, source in zip(formed, sources, strict=True):
         assert time is not None

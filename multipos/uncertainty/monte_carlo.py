@@ -135,8 +135,11 @@ def simulate_budget(
     -------
     MonteCarlo
     """
-    if trials is not None and trials < 100:
-        raise UsageError(f"`trials` must be 100 or more, got {trials}.")
+    if trials is not None and not 100 <= trials <= _MOST:
+        raise UsageError(
+            f"`trials` must lie between 100 and {_MOST}, got {trials}; a million tell the ends of "
+            "an interval to three digits, beyond which it is the budget that is not known so well."
+        )
     if digits not in (1, 2):
         raise UsageError(f"`digits` must be 1 or 2, got {digits}.")
     c = calibration

@@ -508,6 +508,16 @@ def test_benches_reach_what_they_say():
     assert read_bench("tilt-30-x")[:, 0].min() == pytest.approx(math.cos(math.radians(30)))
 
 
+def test_travel_of_many_positions_ends_and_is_short():
+    rng = np.random.default_rng(5)
+    up = read_scheme("fibonacci-200").up[rng.permutation(200)]
+    ordered = order_positions(up)
+    assert_allclose(np.sort(ordered, axis=0), np.sort(up, axis=0), rtol=0, atol=0)
+    assert_allclose(ordered[0], up[0], rtol=0, atol=0)
+    # 200 even points lie about 14.4 degrees apart, so 199 steps turn 2860 degrees at least
+    assert 2860.0 * 0.95 < travel_deg(ordered) < 2860.0 * 1.1
+
+
 def test_travel_is_the_shortest_of_all_orders():
     rng = np.random.default_rng(7)
     for _ in range(5):
@@ -619,6 +629,8 @@ def test_design_writes_a_scheme_that_schemes_reads(tmp_path):
         ("design --model linear --positions 6 --move-time 3", 2, "two times"),
         ("design --model linear --positions 6 --seed -1", 2, "--seed must be 0"),
         ("design --model linear", 2, "--positions"),
+        ("design --model linear --positions 5000", 2, "at most 200 are searched for"),
+        ("design --model linear --positions 207 --include faces-6", 2, "201 new positions"),
         ("schemes faces-6 --reading-sd 0", 2, "--reading-sd must be above 0"),
         ("schemes faces-6 --reading-sd 1e308", 2, "--reading-sd must be above 0, from 1e-40"),
         ("schemes faces-6 --orientation-sd 1e308", 2, "give --unknown-orientation"),

@@ -340,7 +340,10 @@ def test_the_check_by_monte_carlo_is_reported(calibration, tmp_path, capsys):
     text = (tmp_path / "r.md").read_text("utf-8")
     assert "Monte Carlo, 20000 trials" in text
     assert text.count("| yes |") >= 15
-    assert main([*argv, "--monte-carlo", "3"]) == 2
+    capsys.readouterr()
+    for trials in ("3", "1000001", "1000000000"):
+        assert main([*argv, "--monte-carlo", trials]) == 2
+        assert f"between 100 and 1000000, got {trials};" in capsys.readouterr().err
 
 
 def test_labels_of_positions_are_escaped(six):

@@ -289,8 +289,11 @@ def test_profile_needs_the_least_sum_of_squares():
 
 
 def test_profile_needs_a_noise():
-    c = mp.fit({"ax": [1.01, -0.98]}, scheme={"up_x": [1, -1], "up_y": [0, 0], "up_z": [0, 0]},
-               model="1 + x")  # fmt: skip
+    c = mp.fit(
+        {"ax": [1.01, -0.98]},
+        scheme={"up_x": [1, -1], "up_y": [0, 0], "up_z": [0, 0]},
+        model="1 + x",
+    )
     with pytest.raises(MultiposError, match="as many terms of ax as readings"):
         calibration_interval(c, "ax", "x")
 
