@@ -206,8 +206,10 @@ def test_without_labels_rows_are_matched_where_the_counts_agree():
         (
             Readings(np.ones((2, 1)), positions=("1", "A")),
             "faces-6",
-            "position 'A' is not in scheme 'faces-6', "
-            "whose labels are '1', '2', '3', '4', '5', '6'",
+            (
+                "position 'A' is not in scheme 'faces-6', "
+                "whose labels are '1', '2', '3', '4', '5', '6'"
+            ),
         ),
         (Readings(np.ones((5, 1))), "faces-6", "5 readings but scheme 'faces-6' has 6 positions"),
         (
