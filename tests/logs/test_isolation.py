@@ -113,7 +113,7 @@ def test_a_damaged_mat_file_does_not_end_the_process(place, value, tmp_path):
     script.write_text(
         "print('runs')\n"
         "import multipos as mp\n"
-        "from multipos.logs import open_log\n"
+        "from multipos.logs.opening import open_log\n"
         "print(*open_log('good.mat').columns)\n"
         "try:\n"
         "    open_log('bad.mat')\n"
