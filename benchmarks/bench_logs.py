@@ -14,8 +14,8 @@ from benchmarks.timing import Ratio, paired_ratio
 from multipos.compensation.applying import apply_log
 from multipos.compensation.targets import export
 from multipos.files.tables import write_text
-from multipos.logs import open_log
 from multipos.logs.averaging import average
+from multipos.logs.opening import open_log
 from multipos.logs.rests import detect_static
 
 ROWS = 1_000_000

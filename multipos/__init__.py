@@ -32,99 +32,87 @@ _PUBLIC = {
     "UsageError": "errors",
     "apply": "compensation.applying",
     "average": "logs.averaging",
+    "check": "verification.checks",
     "compare": "verification.comparison",
     "correct": "compensation.correction",
-    "check": "verification.checks",
     "demo": "song_qin",
     "design": "designs.designing",
+    "evaluate_budget": "uncertainty.propagation",
+    "evaluate_sphere": "uncertainty.validity",
     "export": "compensation.targets",
     "fit": "fitting",
+    "judge_terms_jointly": "doubts.joint_tests",
     "load": "sensor.calibration",
     "load_check": "verification.verdicts",
     "load_regression": "regression.result",
     "normal_gravity": "units",
     "over_temperature": "sensor.temperature",
+    "profile_interval": "uncertainty.profiles",
     "read_readings": "positions.readings",
     "read_scheme": "positions.scheme",
+    "read_table": "files.tables",
     "regress": "regressing",
     "schemes": "designs.assessment",
     "simulate": "sensor.simulation",
+    "simulate_budget": "uncertainty.monte_carlo",
     "simulate_log": "sensor.simulation",
     "state_bench": "uncertainty.turntable",
+    "state_budget": "uncertainty.propagation",
     "table_errors": "uncertainty.turntable",
     "tumble": "verification.single_axis",
     "verify_export": "compensation.reading_back",
     "worth": "designs.prospects",
+    "write_table": "files.tables",
 }
 
-__all__ = [
-    "Averages",
-    "Calibration",
-    "Check",
-    "ConvergenceError",
-    "Model",
-    "MultiposError",
-    "RankError",
-    "Readings",
-    "Regression",
-    "Scheme",
-    "Tumble",
-    "UsageError",
-    "__version__",
-    "apply",
-    "average",
-    "check",
-    "compare",
-    "correct",
-    "demo",
-    "design",
-    "export",
-    "fit",
-    "load",
-    "load_check",
-    "load_regression",
-    "normal_gravity",
-    "over_temperature",
-    "read_readings",
-    "read_scheme",
-    "regress",
-    "schemes",
-    "simulate",
-    "simulate_log",
-    "state_bench",
-    "table_errors",
-    "tumble",
-    "verify_export",
-    "worth",
-]
+__all__ = sorted([*_PUBLIC, "__version__"])
 
 if TYPE_CHECKING:
-    from multipos.compensation.applying import apply
-    from multipos.compensation.correction import correct
-    from multipos.compensation.reading_back import verify_export
-    from multipos.compensation.targets import export
-    from multipos.designs.assessment import schemes
-    from multipos.designs.designing import design
-    from multipos.designs.prospects import worth
-    from multipos.errors import ConvergenceError, MultiposError, RankError, UsageError
-    from multipos.fitting import fit
-    from multipos.logs.averages import Averages
-    from multipos.logs.averaging import average
-    from multipos.positions.readings import Readings, read_readings
-    from multipos.positions.scheme import Scheme, read_scheme
-    from multipos.regressing import regress
-    from multipos.regression.result import Regression, load_regression
-    from multipos.sensor.calibration import Calibration, load
-    from multipos.sensor.model import Model
-    from multipos.sensor.simulation import simulate, simulate_log
-    from multipos.sensor.temperature import over_temperature
-    from multipos.song_qin import demo
-    from multipos.uncertainty.turntable import state_bench, table_errors
-    from multipos.units import normal_gravity
-    from multipos.verification.checks import check
-    from multipos.verification.comparison import compare
-    from multipos.verification.single_axis import Tumble, tumble
-    from multipos.verification.verdicts import Check, load_check
+    from multipos.compensation.applying import apply as apply
+    from multipos.compensation.correction import correct as correct
+    from multipos.compensation.reading_back import verify_export as verify_export
+    from multipos.compensation.targets import export as export
+    from multipos.designs.assessment import schemes as schemes
+    from multipos.designs.designing import design as design
+    from multipos.designs.prospects import worth as worth
+    from multipos.doubts.joint_tests import judge_terms_jointly as judge_terms_jointly
+    from multipos.errors import ConvergenceError as ConvergenceError
+    from multipos.errors import MultiposError as MultiposError
+    from multipos.errors import RankError as RankError
+    from multipos.errors import UsageError as UsageError
+    from multipos.files.tables import read_table as read_table
+    from multipos.files.tables import write_table as write_table
+    from multipos.fitting import fit as fit
+    from multipos.logs.averages import Averages as Averages
+    from multipos.logs.averaging import average as average
+    from multipos.positions.readings import Readings as Readings
+    from multipos.positions.readings import read_readings as read_readings
+    from multipos.positions.scheme import Scheme as Scheme
+    from multipos.positions.scheme import read_scheme as read_scheme
+    from multipos.regressing import regress as regress
+    from multipos.regression.result import Regression as Regression
+    from multipos.regression.result import load_regression as load_regression
+    from multipos.sensor.calibration import Calibration as Calibration
+    from multipos.sensor.calibration import load as load
+    from multipos.sensor.model import Model as Model
+    from multipos.sensor.simulation import simulate as simulate
+    from multipos.sensor.simulation import simulate_log as simulate_log
+    from multipos.sensor.temperature import over_temperature as over_temperature
+    from multipos.song_qin import demo as demo
+    from multipos.uncertainty.monte_carlo import simulate_budget as simulate_budget
+    from multipos.uncertainty.profiles import profile_interval as profile_interval
+    from multipos.uncertainty.propagation import evaluate_budget as evaluate_budget
+    from multipos.uncertainty.propagation import state_budget as state_budget
+    from multipos.uncertainty.turntable import state_bench as state_bench
+    from multipos.uncertainty.turntable import table_errors as table_errors
+    from multipos.uncertainty.validity import evaluate_sphere as evaluate_sphere
+    from multipos.units import normal_gravity as normal_gravity
+    from multipos.verification.checks import check as check
+    from multipos.verification.comparison import compare as compare
+    from multipos.verification.single_axis import Tumble as Tumble
+    from multipos.verification.single_axis import tumble as tumble
+    from multipos.verification.verdicts import Check as Check
+    from multipos.verification.verdicts import load_check as load_check
 
 
 def __getattr__(name: str) -> Any:

@@ -52,7 +52,7 @@ from multipos.sensor.expressions import Expression, build_expression
 from multipos.sensor.model import GAUGES, Gauge, Model, build_model, default_axes
 from multipos.uncertainty.budgets import Budget, read_budget
 from multipos.uncertainty.budgets import Source as BudgetSource
-from multipos.uncertainty.propagation import with_budget
+from multipos.uncertainty.propagation import state_budget
 from multipos.uncertainty.turntable import roll_warnings
 from multipos.units import LARGEST, SMALLEST, gravity_ratio, normal_gravity
 
@@ -232,7 +232,7 @@ def fit(
     )
     if selection is not None:
         calibration = with_selection(calibration, selection)
-    return calibration if stated is None else with_budget(calibration, stated)
+    return calibration if stated is None else state_budget(calibration, stated)
 
 
 def complete(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.numbers import number, table
-from multipos.files.tables import Column, format_csv, to_json, write_text
+from multipos.files.tables import Column, to_json, write_table, write_text
 from multipos.fitting import fit
 from multipos.positions.readings import Readings
 from multipos.reports.summary import text_report
@@ -177,6 +177,6 @@ def _write(folder: Path, found: Demonstration) -> None:
     c = found.calibration
     columns: dict[str, Column] = {"position": c.readings.positions or ()}
     columns |= {output: TABLE_2[:, i] for i, output in enumerate(c.outputs)}
-    write_text(folder / "readings.csv", format_csv(columns))
+    write_table(folder / "readings.csv", columns)
     write_text(folder / "calibration.json", to_json(c.to_dict()))
     write_text(folder / "report.txt", f"{demo_text(found)}\n{text_report(c)}")

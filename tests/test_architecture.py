@@ -75,6 +75,19 @@ def start_up_imports(body: list[ast.stmt]) -> Iterator[tuple[int, str]]:
             yield from start_up_imports(children)
 
 
+def names_for_types() -> dict[str, str]:
+    """Return where type checkers find each public name, as the package file says it to them."""
+    (guarded,) = (node for node in parse("__init__.py").body if isinstance(node, ast.If))
+    found = {}
+    for node in guarded.body:
+        assert isinstance(node, ast.ImportFrom)
+        assert node.module
+        for alias in node.names:
+            assert alias.asname == alias.name  # the form that exports a name
+            found[alias.name] = node.module.removeprefix("multipos.")
+    return found
+
+
 def is_or_is_in(name: str, package: str) -> bool:
     return name == package or name.startswith(package + ".")
 
@@ -105,6 +118,31 @@ def test_a_room_says_what_it_is_for(name):
     said = ast.get_docstring(parse(name))
     assert said
     assert len(said) < 800
+
+
+@pytest.mark.parametrize("name", [name for name in EXISTING if name.endswith("/__init__.py")])
+def test_only_the_public_room_has_names_of_its_own(name):
+    assert bool(all_imports(parse(name))) == (ROOM[name] == "plots")
+
+
+def test_inside_nothing_comes_through_the_face_of_a_room():
+    rooms = {ROOM[name] for name in EXISTING if name.endswith("/__init__.py")} - {"__init__"}
+    faces = {f"multipos.{room}" for room in rooms}
+    modules = {f"multipos.{name.removesuffix('.py').replace('/', '.')}" for name in EXISTING}
+    wrong = [
+        f"{name}:{line} imports {target}"
+        for name in EXISTING
+        for line, target in all_imports(parse(name))
+        if target.rpartition(".")[0] in faces and target not in modules
+    ]
+    assert not wrong
+
+
+def test_types_and_names_at_run_time_agree():
+    import multipos
+
+    assert names_for_types() == multipos._PUBLIC
+    assert all(hasattr(multipos, name) for name in multipos.__all__)
 
 
 @every_file

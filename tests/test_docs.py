@@ -34,16 +34,19 @@ PAGES = [
     *sorted(path for path in ROOT.glob("docs/**/*.md") if "_build" not in path.parts),
 ]
 MODULES = sorted(
-    f"multipos.{module.name}"
-    for module in pkgutil.iter_modules(multipos.__path__)
-    if module.name != "__main__"
+    module.name
+    for module in pkgutil.walk_packages(multipos.__path__, "multipos.")
+    if not module.name.endswith(".__main__")
 )
+# What users import, as docs/reference/api.md says: all else moves without a word.
+PUBLIC_MODULES = {"multipos", "multipos.plots"}
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS | doctest.REPORT_UDIFF
 TIMEOUT = 300  # [s] for one command: a hang must end, a slow machine must not fail
 
 FENCE = re.compile(r"(?P<indent> *)(?P<ticks>`{3,})(?P<language>[^`\s]*)")
 NOTE = re.compile(r"\s*<!-- (?P<kind>command|file): (?P<name>.+?) -->\s*$")
 EQUATION = re.compile(r"^\$\$ \([\w-]*?(?P<number>\d+)\)\s*$", re.MULTILINE)
+IMPORT = re.compile(r"^[>.\s]*(?:from|import) (?P<module>multipos[\w.]*)", re.MULTILINE)
 CITATION = re.compile(r"eqs?\. (?P<numbers>\(\d+\)[^a-z]*?) of (?P<page>docs/[\w/-]+\.md)")
 
 
@@ -191,6 +194,16 @@ def test_page_prints_what_it_says(page, tmp_path, monkeypatch):
     problems = run_page(page, tmp_path)
     if problems:
         pytest.fail("\n\n".join(problems), pytrace=False)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_page_imports_only_what_is_public(page):
+    imports = [
+        (block.where(), match["module"])
+        for block in blocks(page)
+        for match in IMPORT.finditer(block.text)
+    ]
+    assert not [(where, module) for where, module in imports if module not in PUBLIC_MODULES]
 
 
 @pytest.mark.parametrize("name", MODULES)

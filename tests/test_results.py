@@ -14,7 +14,7 @@ import pytest
 
 import multipos as mp
 from multipos.doubts.criticism import find_influence, judge_terms
-from multipos.doubts.joint_tests import judge_jointly
+from multipos.doubts.joint_tests import judge_terms_jointly
 from multipos.results import Frozen, Record
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.monte_carlo import simulate_budget
@@ -133,7 +133,7 @@ RESULTS = {
     "Evaluation": lambda: evaluate_budget(calibrated(), read_budget(BUDGET)),
     "Exported": lambda: mp.export(sensor(), to="c"),
     "Influence": lambda: find_influence(calibrated()),
-    "Joint tests": lambda: tuple(judge_jointly(calibrated())),
+    "Joint tests": lambda: tuple(judge_terms_jointly(calibrated())),
     "Model": lambda: calibrated().model,
     "MonteCarlo": lambda: simulate_budget(calibrated(), trials=1000, rng=1),
     "Readings": session,

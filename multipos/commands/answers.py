@@ -139,7 +139,7 @@ class Answer:
         """Return the answer in a form that ``-o`` asks for."""
         made: Any = {"text": self.text, "json": self.json, **self.forms}[form]()
         if form == "figure":
-            from multipos.plots import render
+            from multipos.plots.style import render
 
             made = render(made, ending)
         return made

@@ -17,7 +17,7 @@ from multipos.files.tables import (
     read_schema,
     read_table,
 )
-from multipos.logs import open_log
+from multipos.logs.opening import open_log
 from multipos.regression.result import SCHEMA, load_regression
 from multipos.sensor.calibration import load
 

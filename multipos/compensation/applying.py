@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Column, Source, Table, format_csv, read_table
-from multipos.logs import Log, Piece, read_log
+from multipos.logs.opening import read_log
+from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, largest_value
 from multipos.results import Record

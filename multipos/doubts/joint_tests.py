@@ -80,7 +80,7 @@ class JointTest(Result):
         return f"{law}({', '.join(f'{v:.4g}' for v in self.dof)}) = {self.statistic:.3g}"
 
 
-def judge_jointly(calibration: Calibration) -> list[JointTest]:
+def judge_terms_jointly(calibration: Calibration) -> list[JointTest]:
     """Test second- and third-order terms over all outputs, out of the model or into it.
 
     Terms that the positions cannot tell, or with which the search finds no end, are left out.

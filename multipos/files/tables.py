@@ -477,6 +477,23 @@ def format_csv(columns: Mapping[str, Column], delimiter: str = ",") -> str:
     return stream.getvalue()
 
 
+def write_table(path: str | os.PathLike[str], columns: Source) -> None:
+    """Write columns as a CSV file, whole or not at all; numbers keep all their digits.
+
+    Parameters
+    ----------
+    path : path
+    columns : mapping of name to (n,) array, or data frame
+        NaN becomes an empty cell.
+
+    Raises
+    ------
+    MultiposError
+        The columns are empty or differ in length, or the file cannot be written.
+    """
+    write_text(path, format_csv(read_table(columns).columns))
+
+
 def to_json(value: Any) -> str:
     """Return one JSON object as text; what is not finite becomes null.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from multipos.files.numbers import number, table, uncertain
-from multipos.files.tables import Column, format_csv, plain, write_text
+from multipos.files.tables import Column, plain, write_table
 from multipos.logs.rest_means import RestMean
 from multipos.logs.rests import Rest
 from multipos.numerics.arrays import Array
@@ -115,7 +115,7 @@ class Averages(Result):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the readings as CSV, whole or not at all."""
-        write_text(path, format_csv(self.columns()))
+        write_table(path, self.columns())
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can carry, keys as in the formats reference."""

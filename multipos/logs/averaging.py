@@ -13,14 +13,15 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import Names, split_names
 from multipos.files.tables import Source
-from multipos.logs import Log, open_log
 from multipos.logs.averages import Averages, RestAverage
 from multipos.logs.known_rests import read_sections
 from multipos.logs.matching import FARTHEST_DEG, Match, match_directions
+from multipos.logs.opening import open_log
 from multipos.logs.rest_faults import check_units, find_faults, refuse_saturated
 from multipos.logs.rest_means import RestMean, RestSum
 from multipos.logs.rests import Finder, Grid, Rest, Survey, Windows
 from multipos.logs.samples import Progress, Samples, small_pieces
+from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.readings import is_environment

@@ -1,4 +1,12 @@
-"""Which reader serves which log."""
+"""Which reader serves which log.
+
+A log is a table of samples, one row a sample. Text comes with commas, semicolons (and decimal
+commas), tabs or white space between the cells, with or without a header; without one the columns
+are called 1, 2, 3, …. Which reader serves a file is decided by its first bytes and then by its
+suffix (`READERS`); whatever is neither is text. Only what was asked for is turned into numbers,
+in pieces of some megabytes, so that the length of a log does not matter; a `.npz` or `.mat` file
+is the exception, because its format holds each array in one piece.
+"""
 
 import os
 from collections.abc import Callable, Mapping

@@ -7,7 +7,6 @@ from typing import IO, Self
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.logs import Log
 from multipos.logs.rests import (
     FASTEST,
     LARGEST_SAMPLE,
@@ -19,6 +18,7 @@ from multipos.logs.rests import (
     Windows,
     choose_grid,
 )
+from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 
 Progress = Callable[[float], object]  # is told how much of the log has been read, 0 to 1

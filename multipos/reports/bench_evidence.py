@@ -2,9 +2,10 @@
 
 from typing import Any
 
-from multipos import plots
 from multipos.doubts.criticism import fourier_residuals
 from multipos.errors import MultiposError
+from multipos.plots.check import draw_check
+from multipos.plots.tumble import draw_harmonics, draw_rolls
 from multipos.reports.findings import Figure, Grid, Section, draw_svg
 from multipos.reports.sections import Sheet, check_sheets, table_error_sheets
 from multipos.reports.translations import Translator
@@ -18,11 +19,11 @@ def rolls_section(c: Calibration, tr: Translator) -> Section:
 
     def signal(axes: Any) -> None:
         for output, one in zip(c.outputs, axes, strict=True):
-            plots.draw_rolls(c, one, output=output)
+            draw_rolls(c, one, output=output)
 
     def left(axes: Any) -> None:
         for output, one in zip(c.outputs, axes, strict=True):
-            plots.draw_harmonics(c, one, output=output)
+            draw_harmonics(c, one, output=output)
 
     figures = [
         Figure(
@@ -73,7 +74,7 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
 
     def draw(axes: Any) -> None:
         for axis, one in zip(found.axes, axes, strict=True):
-            plots.draw_check(found, one, axis=axis)
+            draw_check(found, one, axis=axis)
 
     paragraphs = [
         tr(

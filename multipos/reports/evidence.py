@@ -5,10 +5,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos import plots
 from multipos.doubts.criticism import find_influence, fourier_residuals, judge_terms
-from multipos.doubts.joint_tests import judge_jointly
+from multipos.doubts.joint_tests import judge_terms_jointly
 from multipos.files.numbers import largest_rows, number
+from multipos.plots.calibration import (
+    compensated_error,
+    draw_correlation,
+    draw_coverage,
+    draw_errors,
+    draw_leverage,
+    draw_residuals,
+    nominal_error,
+)
 from multipos.reports.findings import Figure, Grid, Section, draw_svg
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration, labels
@@ -24,7 +32,7 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
 
     def draw(axes: Any) -> None:
         for output, one in zip(c.outputs, axes, strict=True):
-            plots.draw_residuals(c, one, output=output)
+            draw_residuals(c, one, output=output)
 
     shown, suffix = _largest(tr, c.relative_residuals)
     names = labels(c.readings)
@@ -65,7 +73,7 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
 
 def errors_section(c: Calibration, tr: Translator) -> Section:
     """Return the errors before and after compensation, and linearity."""
-    before, after = plots.nominal_error(c), plots.compensated_error(c)
+    before, after = nominal_error(c), compensated_error(c)
     shown, suffix = _largest(tr, after)
     names = labels(c.readings)
     rows = [
@@ -96,7 +104,7 @@ def errors_section(c: Calibration, tr: Translator) -> Section:
             Figure(
                 tr("Size of the error at every position, before and after compensation"),
                 tr("Squares before, circles after; the numbers are in the table below."),
-                lambda: draw_svg(tr, 1, 2.4, lambda axes: plots.draw_errors(c, axes[0])),
+                lambda: draw_svg(tr, 1, 2.4, lambda axes: draw_errors(c, axes[0])),
             ),
         ),
         (
@@ -141,12 +149,12 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
             Figure(
                 tr("Coverage of the sphere, equal-area"),
                 tr("The left disc is the half of the sphere around +z, the right one around −z."),
-                lambda: draw_svg(tr, 1, 3.2, lambda axes: plots.draw_coverage(c, axes[0])),
+                lambda: draw_svg(tr, 1, 3.2, lambda axes: draw_coverage(c, axes[0])),
             ),
             Figure(
                 tr("Leverage of every position"),
                 tr("Bars, one for each output; the numbers are in the table below."),
-                lambda: draw_svg(tr, 1, 2.4, lambda axes: plots.draw_leverage(c, axes[0])),
+                lambda: draw_svg(tr, 1, 2.4, lambda axes: draw_leverage(c, axes[0])),
             ),
         ),
         (
@@ -179,7 +187,7 @@ def correlation_section(c: Calibration, tr: Translator) -> Section:
             Figure(
                 tr("Correlation matrix of the parameters"),
                 tr("Blue is positive, orange negative; coefficients from 0.05 are written in."),
-                lambda: draw_svg(tr, 1, 5.4, lambda axes: plots.draw_correlation(c, axes[0])),
+                lambda: draw_svg(tr, 1, 5.4, lambda axes: draw_correlation(c, axes[0])),
             ),
         ),
         (Grid(tr("Correlation coefficients"), ("", *names), rows),) if small else (),
@@ -239,7 +247,7 @@ def _joint_tests(c: Calibration, tr: Translator) -> list[Grid]:
             str(t),
             number(t.p, 2),
         )
-        for t in judge_jointly(c)
+        for t in judge_terms_jointly(c)
     ]
     header = tuple(map(tr, ("Terms", "Status", "Statistic", "p")))
     return [Grid(tr("Tests of terms over all outputs"), header, tuple(rows), 2)] if rows else []

@@ -10,16 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from multipos import plots
 from multipos.files.numbers import number, uncertain
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
+from multipos.plots.calibration import draw_budget
+from multipos.plots.style import new_figure, to_svg
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.derived import intrinsic_gradient
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation
-from multipos.uncertainty.validity import sphere_uncertainty
+from multipos.uncertainty.validity import evaluate_sphere
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,9 @@ class Section:
 
 def draw_svg(tr: Translator, rows: int, height: float, draw: Callable[[Any], None]) -> str:
     """Return a figure of so many axes as SVG with its words translated."""
-    figure, axes = plots.new_figure(rows, height=height)
+    figure, axes = new_figure(rows, height=height)
     draw(axes)
-    return tr.svg(plots.to_svg(figure))
+    return tr.svg(to_svg(figure))
 
 
 def parameters_section(c: Calibration, tr: Translator) -> Section:
@@ -197,7 +198,7 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
                     tr,
                     1,
                     0.9 + 0.2 * len(budget.names),
-                    lambda axes: plots.draw_budget(budget, axes[0]),
+                    lambda axes: draw_budget(budget, axes[0]),
                 ),
             ),
         ),
@@ -246,7 +247,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     rows = []
     allowed = "third_order" in c.extra.get("budget", {}).get("tables", {})
     for size in (1.0, 2.0, 5.0) if allowed else (1.0,):
-        for what, axes in sphere_uncertainty(c, size=size).items():
+        for what, axes in evaluate_sphere(c, size=size).items():
             if what == "tilt_deg" and size > 1.0:
                 continue
             for axis, entry in axes.items():

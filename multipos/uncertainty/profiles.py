@@ -55,7 +55,7 @@ class Interval(NamedTuple):
     high: float
 
 
-def profile_interval(
+def search_interval(
     residuals: Callable[[Array], Array],
     estimate: ArrayLike,
     index: int,
@@ -137,7 +137,7 @@ def _search_ends(rise: Profile, centre: float, k: float, u: float) -> Interval:
     return Interval(*ends)
 
 
-def calibration_interval(calibration: Calibration, output: str, term: str) -> Interval:
+def profile_interval(calibration: Calibration, output: str, term: str) -> Interval:
     """Return the profile-likelihood interval of a parameter, without what the budget adds.
 
     Raises
@@ -145,7 +145,7 @@ def calibration_interval(calibration: Calibration, output: str, term: str) -> In
     MultiposError
         The fit was robust, and its loss is no likelihood; or nothing tells the noise.
     ConvergenceError
-        As in `profile_interval`.
+        As in `search_interval`.
     """
     c = calibration
     if "robust_weight" in c.extra:
@@ -162,7 +162,7 @@ def calibration_interval(calibration: Calibration, output: str, term: str) -> In
             "move; give --reading-sd or more positions."
         )
     residuals, best = _known_problem(c)
-    return profile_interval(
+    return search_interval(
         residuals, best, index, u=float(c.u[index]), dof=dof, confidence=c.confidence
     )
 

@@ -188,7 +188,7 @@ def evaluate_budget(
     return Evaluation((*_scatter(calibration, before), *rows), calibration.names)
 
 
-def with_budget(calibration: Calibration, budget: "Source | Budget") -> Calibration:
+def state_budget(calibration: Calibration, budget: "Source | Budget") -> Calibration:
     """Return a calibration whose covariance and degrees of freedom follow from a budget.
 
     Raises

@@ -47,7 +47,7 @@ def force_covariance(
     ) + third_order_covariance(c, force, environment)
 
 
-def sphere_uncertainty(
+def evaluate_sphere(
     calibration: Calibration, *, size: float = 1.0, directions: str = POINTS
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Return how well force and tilt are known over a sphere of directions.

@@ -12,7 +12,7 @@ from multipos.cli import main
 from multipos.compensation.applying import apply_log
 from multipos.errors import MultiposError
 from multipos.files.tables import json_table, to_json, write_text
-from multipos.logs import open_log, read_log
+from multipos.logs.opening import open_log, read_log
 
 
 @pytest.fixture(scope="module")

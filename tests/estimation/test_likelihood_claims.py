@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 import multipos as mp
-from multipos.doubts.joint_tests import _denominator, judge_jointly
+from multipos.doubts.joint_tests import _denominator, judge_terms_jointly
 from multipos.errors import MultiposError
 from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.numerics.quantiles import chi2_tail, coverage_factor
@@ -19,7 +19,7 @@ from multipos.positions.scheme import read_scheme
 from multipos.reports.documents import write_report
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.monte_carlo import simulate_budget
-from multipos.uncertainty.profiles import calibration_interval
+from multipos.uncertainty.profiles import profile_interval
 from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
@@ -91,7 +91,7 @@ def test_profile_meets_the_linear_fit_where_orientations_are_certain(noise):
     certain = mp.fit(data, orientation_sd=1e-5, **noise)  # degrees: 2e-4 of the noise
     for output, term in (("ax", "1"), ("ay", "x"), ("az", "z")):
         p = linear[output, term]
-        ends = calibration_interval(certain, output, term)
+        ends = profile_interval(certain, output, term)
         assert_allclose(ends, [p.value - p.U, p.value + p.U], atol=1e-4 * p.U)
 
 
@@ -112,7 +112,7 @@ def test_profile_is_the_t_interval_where_nearly_linear(options):
     c = mp.fit(readings(off_deg=0.2), **options)
     for output, term in (("ax", "1"), ("ay", "y"), ("az", "x")):
         p = c[output, term]
-        low, high = calibration_interval(c, output, term)
+        low, high = profile_interval(c, output, term)
         # noise of 1e-3 on a sphere of radius 1: 1 % of U, with a little room
         assert_allclose([low, high], [p.value - p.U, p.value + p.U], atol=0.03 * p.U)
 
@@ -121,7 +121,7 @@ def test_profile_bends_where_the_noise_is_large():
     """At both ends, every unknown fitted anew by SciPy, the fit is worse by exactly k²."""
     c = mp.fit(readings(15, sd=0.05), unknown_orientation=True, reading_sd=0.05)
     index = c.model.index("ax", "x")
-    low, high = calibration_interval(c, "ax", "x")
+    low, high = profile_interval(c, "ax", "x")
     k = coverage_factor(0.95, math.inf)
 
     def cost(theta, angles):
@@ -150,9 +150,9 @@ def test_profile_bends_where_the_noise_is_large():
 def test_a_robust_fit_has_no_profile_and_no_joint_tests():
     c = mp.fit(readings(off_deg=0.2), orientation_sd=0.2, reading_sd=1e-3, robust="huber")
     with pytest.raises(MultiposError, match="a robust loss is no likelihood"):
-        calibration_interval(c, "ax", "1")
+        profile_interval(c, "ax", "1")
     with pytest.raises(MultiposError, match="without --robust"):
-        judge_jointly(c)
+        judge_terms_jointly(c)
 
 
 @pytest.mark.slow
@@ -161,7 +161,7 @@ def test_coverage_of_profiles_of_an_uncertain_orientation():
     truth = M[1, 0]
     for seed in range(runs):
         c = mp.fit(readings(12, sd=1e-3, off_deg=0.3, seed=seed), orientation_sd=0.3)
-        low, high = calibration_interval(c, "ay", "x")
+        low, high = profile_interval(c, "ay", "x")
         inside += low <= truth <= high
     assert inside / runs == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / runs))
 
@@ -175,7 +175,7 @@ def test_coverage_of_profiles_of_an_uncertain_orientation():
 @pytest.mark.parametrize("model", ["linear", "own-quadratic"])
 def test_second_order_of_real_recordings(name, p, model):
     c = mp.fit(shared(f"{name}.csv"), unknown_orientation=True, model=model)
-    test = judge_jointly(c)[0]
+    test = judge_terms_jointly(c)[0]
     assert (test.terms, test.dof) == ("own^2", (3.0, 12.0))
     assert test.inside is (model == "own-quadratic")
     assert float(f"{test.p:.1g}") == p
@@ -189,7 +189,7 @@ def test_joint_test_of_an_unknown_orientation_against_two_fits():
     chi2 = [np.sum(c.residuals**2) for c in fits]
     f = (chi2[0] - chi2[1]) / 3 / (chi2[1] / 12)
     for c in fits:
-        test = judge_jointly(c)[0]
+        test = judge_terms_jointly(c)[0]
         assert test.statistic == pytest.approx(f, rel=1e-6)
 
 
@@ -213,14 +213,14 @@ def test_joint_test_of_an_uncertain_orientation_is_the_generalised_f():
         y = np.concatenate([w @ row for w, row in zip(root, data.values, strict=True)])
         chi2.append(float(np.linalg.lstsq(np.concatenate(rows), y, rcond=None)[1][0]))
     f = (chi2[0] - chi2[1]) / 3 / (chi2[1] / (72 - 15))
-    test = judge_jointly(c)[0]
+    test = judge_terms_jointly(c)[0]
     assert test.dof == (3.0, 57.0)
     assert test.statistic == pytest.approx(f, rel=0.03)  # K2 and M of the fit, not of the truth
 
 
 def test_joint_test_of_known_orientations_combines_the_outputs():
     c = mp.fit(readings(quad=1e-3), model="own-quadratic")
-    test = judge_jointly(c)[0]
+    test = judge_terms_jointly(c)[0]
     p = [(c[f"a{axis}", f"{axis}^2"].value / c[f"a{axis}", f"{axis}^2"].u) ** 2 for axis in "xyz"]
     from scipy.special import fdtrc
 
@@ -232,7 +232,7 @@ def test_joint_test_of_known_orientations_combines_the_outputs():
     alone = mp.fit(
         mp.Readings(c.readings.values[:, :1], unit="g", up=c.readings.up), model="own-quadratic"
     )
-    assert judge_jointly(alone)[0].statistic == pytest.approx(p[0], rel=1e-9)
+    assert judge_terms_jointly(alone)[0].statistic == pytest.approx(p[0], rel=1e-9)
 
 
 def test_joint_test_of_correlated_readings():
@@ -241,7 +241,7 @@ def test_joint_test_of_correlated_readings():
     data = readings(sd=0.0)
     values = data.values + 1e-3 * (root @ rng.standard_normal(72)).reshape(24, 3)
     data = replace(data, values=values, covariance=1e-6 * root @ root.T)
-    found = judge_jointly(mp.fit(data))[0]
+    found = judge_terms_jointly(mp.fit(data))[0]
     c = mp.fit(data, model="own-quadratic")
     # the difference of chi² is Wald's quadratic form of the three terms
     tested = [c.names.index(f"quad_a{axis}") for axis in "xyz"]
@@ -270,7 +270,7 @@ def test_degrees_of_freedom_of_a_joint_test_by_hand(dof, wanted):
 
 def test_terms_that_the_positions_cannot_tell_are_left_out():
     c = mp.fit(mp.Readings(sense(read_scheme("faces-6").up), unit="g"), scheme="faces-6")
-    assert [test.terms for test in judge_jointly(c)] == ["own^2"]
+    assert [test.terms for test in judge_terms_jointly(c)] == ["own^2"]
 
 
 @pytest.mark.slow
@@ -286,7 +286,7 @@ def test_terms_that_the_positions_cannot_tell_are_left_out():
 def test_joint_tests_reject_as_often_as_they_say(options):
     runs, level = 100, 0.05
     p = [
-        judge_jointly(mp.fit(readings(18, off_deg=0.2, seed=seed), **options))[0].p
+        judge_terms_jointly(mp.fit(readings(18, off_deg=0.2, seed=seed), **options))[0].p
         for seed in range(runs)
     ]
     assert np.mean(np.array(p) < level) == pytest.approx(
@@ -301,7 +301,7 @@ def test_the_report_shows_joint_tests(options, tmp_path):
     write_report(c, tmp_path / "r.md")
     said = (tmp_path / "r.md").read_text(encoding="utf-8")
     assert "Tests of terms over all outputs" in said
-    test = judge_jointly(c)[0]
+    test = judge_terms_jointly(c)[0]
     row = next(line for line in said.splitlines() if str(test) in line)
     assert "own^2" in row
     assert "not in the model" in row

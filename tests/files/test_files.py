@@ -22,6 +22,7 @@ from multipos.files.tables import (
     read_table,
     read_toml,
     to_json,
+    write_table,
     write_text,
 )
 
@@ -229,6 +230,17 @@ def test_toml_takes_all_of_64_bits(tmp_path):
 
 
 # --- writing, whole or not at all
+
+
+def test_a_table_is_written_from_columns_and_read_back(tmp_path):
+    path = tmp_path / "out.csv"
+    columns = {"a": [0.1, float("nan")], "name": ["one, two", "three"]}
+    for source in (columns, pd.DataFrame(columns)):
+        write_table(path, source)
+        assert path.read_text() == 'a,name\n0.1,"one, two"\n,three\n'
+    assert read_table(path).text("name") == ("one, two", "three")
+    with pytest.raises(MultiposError, match="differ in length"):
+        write_table(path, {"a": [1.0], "b": [1.0, 2.0]})
 
 
 def test_a_file_that_cannot_be_written_stays_as_it_was(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 import multipos as mp
 from multipos.errors import UsageError
 from multipos.files.lists import near, split_names, split_numbers
-from multipos.logs import open_log
+from multipos.logs.opening import open_log
 from multipos.reports.documents import write_report
 
 UP = mp.read_scheme("faces-6").up

@@ -10,9 +10,9 @@ from log_bench import sensor, shared, write_csv
 
 import multipos as mp
 from multipos.cli import main
-from multipos.logs import open_log, read_log
 from multipos.logs.averaging import average
 from multipos.logs.matching import Match, match_directions
+from multipos.logs.opening import open_log, read_log
 from multipos.logs.rest_faults import _semi_axes, check_units, find_faults
 from multipos.logs.rest_means import RestMean
 

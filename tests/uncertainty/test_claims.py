@@ -16,10 +16,10 @@ from multipos.positions.scheme import read_scheme
 from multipos.uncertainty import monte_carlo
 from multipos.uncertainty.budgets import Quantity
 from multipos.uncertainty.monte_carlo import _Draws, numerical_tolerance, simulate_budget
-from multipos.uncertainty.profiles import calibration_interval, profile_interval
+from multipos.uncertainty.profiles import profile_interval, search_interval
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.sensitivities import estimator_gain
-from multipos.uncertainty.validity import sphere_uncertainty
+from multipos.uncertainty.validity import evaluate_sphere
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
 BIAS = np.array([0.01, -0.02, 0.015])
@@ -78,7 +78,7 @@ def test_budget_of_uncertain_and_unknown_orientations(options):
     plain = mp.fit(readings("fibonacci-24"), scheme=scheme, gravity=9.81, **options)
     assert_allclose(rows["readings"].covariance, plain.covariance, rtol=1e-6, atol=1e-18)
     assert (c.u >= plain.u * (1 - 1e-9)).all()
-    assert sphere_uncertainty(c)["force"]["x"]["worst"] > 0.0
+    assert evaluate_sphere(c)["force"]["x"]["worst"] > 0.0
 
 
 # --- Monte Carlo
@@ -278,14 +278,14 @@ def test_profile_of_a_linear_fit_is_its_interval(kind):
         c = random_linear_fit(kind, rng)
         for output, term in c.model.keys:
             p = c[output, str(term)]
-            ends = calibration_interval(c, output, str(term))
+            ends = profile_interval(c, output, str(term))
             # the search for an end stops at 1e-10 U; residuals of 1e-3 are known to 1e-13
             assert_allclose(ends, [p.value - p.U, p.value + p.U], rtol=0, atol=1e-9 * p.U)
 
 
 def test_profile_needs_the_least_sum_of_squares():
     with pytest.raises(ConvergenceError, match="fit again"):
-        profile_interval(lambda p: np.array([p[0], 0.5]), [10.0], 0, u=1.0)
+        search_interval(lambda p: np.array([p[0], 0.5]), [10.0], 0, u=1.0)
 
 
 def test_profile_needs_a_noise():
@@ -300,7 +300,7 @@ def test_profile_needs_a_noise():
 
 def test_profile_may_be_open():
     # a response that flattens: beyond some size no larger one is worse
-    low, high = profile_interval(
+    low, high = search_interval(
         lambda p: np.array([math.tanh(p[0]) - 0.9]) / 0.2, [math.atanh(0.9)], 0, u=0.3
     )
     assert low < math.atanh(0.9)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from multipos.numerics.least_squares import solve
 from multipos.sensor.derived import propagate
-from multipos.uncertainty.profiles import fit_residuals, profile_interval
+from multipos.uncertainty.profiles import fit_residuals, search_interval
 from multipos.uncertainty.propagation import welch_satterthwaite
 
 # H.3: corrections of a thermometer [degC] at temperatures [degC], table H.6
@@ -140,7 +140,7 @@ def test_pearson_york_by_least_squares_of_points_and_line():
 
 def test_profile_of_pearson_york_bends():
     best = fit_residuals(york, [5.0, -0.5])
-    low, high = profile_interval(york, best, 1, u=0.058)
+    low, high = search_interval(york, best, 1, u=0.058)
     assert low < best[1] < high
     assert (high - low) / 2 == pytest.approx(1.96 * 0.058, rel=0.05)
     for end in (low, high):

@@ -13,11 +13,11 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import read_json
 from multipos.positions.scheme import read_scheme
 from multipos.uncertainty.budgets import read_budget
-from multipos.uncertainty.propagation import evaluate_budget, welch_satterthwaite, with_budget
+from multipos.uncertainty.propagation import evaluate_budget, state_budget, welch_satterthwaite
 from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects, reading_moves
 from multipos.uncertainty.validity import (
+    evaluate_sphere,
     force_covariance,
-    sphere_uncertainty,
     third_order_covariance,
 )
 
@@ -293,7 +293,7 @@ def test_the_budget_travels_with_the_file(tmp_path):
 
 def test_another_budget_can_be_asked_of_a_finished_calibration():
     c = calibrate(noise=1e-5, budget={"gain": {"u": 1e-5}})
-    other = with_budget(c, {"level": {"u_deg": 0.001}})
+    other = state_budget(c, {"level": {"u_deg": 0.001}})
     direct = calibrate(noise=1e-5, budget={"level": {"u_deg": 0.001}})
     assert_allclose(other.covariance, direct.covariance, rtol=1e-6, atol=1e-20)
 
@@ -326,7 +326,7 @@ def test_sphere_of_a_linear_fit_by_hand():
     up = read_scheme("faces-6").up
     c = mp.fit(mp.Readings(up, unit="g"), scheme="faces-6", reading_sd=1e-3)
     # u² of force = u_bias² + f² u_scale², 1/6 + 1/2 at |f| = 1 in any direction
-    found = sphere_uncertainty(c)
+    found = evaluate_sphere(c)
     expected = 1e-3 * math.sqrt(1 / 6 + 1 / 2)
     for entry in found["force"].values():
         assert entry["worst"] == pytest.approx(expected, rel=1e-9)
@@ -352,9 +352,9 @@ def test_degrees_of_freedom_beyond_what_was_applied_by_hand():
     up = read_scheme("faces-6").up
     values = up + 1e-5 * np.random.default_rng(1).standard_normal(up.shape)
     how = {"scheme": "faces-6", "model": "linear"}
-    plain = sphere_uncertainty(mp.fit(mp.Readings(values), **how), size=2.0, directions="faces-6")
+    plain = evaluate_sphere(mp.fit(mp.Readings(values), **how), size=2.0, directions="faces-6")
     beyond = mp.fit(mp.Readings(values), budget={"third_order": {"u": 2e-6}}, **how)
-    for axis, entry in sphere_uncertainty(beyond, size=2.0, directions="faces-6")["force"].items():
+    for axis, entry in evaluate_sphere(beyond, size=2.0, directions="faces-6")["force"].items():
         u2 = plain["force"][axis]["worst"] ** 2
         assert plain["force"][axis]["dof"] == pytest.approx(2.0)
         # the sensor is nominal to some 1e-5
