@@ -254,8 +254,13 @@ def _paths(rng: random.Random, valid: Files) -> Case:
             name = rng.choice(PLACES)
         words[at] = name
     # To what the command reads now: another file may be written over where -o names it.
-    target = "nothing" if linked is None else words[linked]
-    links = {"loop": "loop", "dangling": "nowhere", "link": target, "beside.csv": "missing/x.csv"}
+    target = "" if linked is None else words[linked]
+    links = {
+        "loop": "loop",
+        "dangling": "nowhere",
+        "link": target or "nothing",
+        "beside.csv": "missing/x.csv",
+    }
     if rng.random() < 0.7:
         same = [f"{rng.choice(('', './'))}{words[i]}" for i in inputs]
         named = (*PLACES, "/dev/full", *NAMES, *same * 3)
