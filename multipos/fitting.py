@@ -17,7 +17,6 @@ References
 JCGM 100:2008, clause 5.1 and G.4.1.
 """
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -381,8 +380,10 @@ def resolve_gravity(
         raise UsageError("--height needs --latitude.")
     if gravity_u is not None and gravity is None:
         raise UsageError("--gravity-u needs --gravity.")
-    if gravity_u is not None and not 0.0 <= gravity_u < math.inf:
-        raise UsageError(f"--gravity-u must be 0 or more, got {gravity_u}.")
+    if gravity_u is not None and not 0.0 <= gravity_u <= LARGEST:
+        raise UsageError(
+            f"--gravity-u must be 0 or more, and no more than {LARGEST:g}, got {gravity_u}."
+        )
     if latitude is not None:
         try:
             return Gravity(normal_gravity(latitude, height or 0.0), 0.0)

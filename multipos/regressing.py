@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos import __version__
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import Names, split_numbers
 from multipos.files.tables import Source, read_table
 from multipos.numerics.selection import thresholds
@@ -328,6 +328,10 @@ def _fit_all(plan: Plan, data: Data, cut: _Cut) -> list[Segment]:
     segments: list[Segment] = []
     for branch, rows, place in _groups(data, cut):
         if cut.continuous and cut.edges:
+            for number, span in enumerate(spans):
+                if number not in place:
+                    empty = f"segment {number + 1} ({format_span(variable, span, branch)})"
+                    raise MultiposError(f"{empty} has no rows; move the edge, or give more rows.")
             where = "the continuous model" if branch is None else f"the {branch} branch"
             segments += fit_continuous(
                 plan, data.take(rows), variable, cut.edges, spans, branch, where

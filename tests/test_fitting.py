@@ -230,6 +230,7 @@ def test_gravity_from_a_place():
         ({"gravity_u": 0.1}, "--gravity-u needs --gravity"),
         ({"latitude": 45, "gravity_u": 0.1}, "--gravity-u needs --gravity"),
         ({"gravity": 9.81, "gravity_u": -1}, "--gravity-u must be 0 or more"),
+        ({"gravity": 9.81, "gravity_u": 1e200}, "no more than 1e\\+40, got 1e\\+200"),
         ({"gravity": 0.98}, "--gravity must be in m/s²"),
         ({"gravity": math.nan}, "--gravity must be in m/s²"),
         ({"latitude": 100}, "`latitude` must lie between -90 and 90"),

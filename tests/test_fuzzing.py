@@ -218,6 +218,9 @@ def test_a_case_depends_on_its_kind_seed_and_number_alone(tmp_path):
     backward = [case(kind, 5, number, valid) for kind in kinds for number in range(39, -1, -1)]
     assert backward[::-1] == forward
     assert len({(made.argv, *made.files.values(), made.stdin) for made in forward}) > 600
+    linked = [(made.links["link"], made.argv) for made in forward if made.links]
+    assert linked
+    assert all(target in ("nothing", *argv) for target, argv in linked)
 
 
 @pytest.mark.slow

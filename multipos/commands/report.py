@@ -28,7 +28,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--monte-carlo",
         type=int,
         metavar="TRIALS",
-        help="check the uncertainties by so many trials",
+        help="check the uncertainties by so many trials, 100 to 1000000",
     )
 
 

@@ -1,6 +1,7 @@
 """Write a calibration in the form that a target takes."""
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
@@ -58,8 +59,9 @@ class Exported(Result):
 def self_test(path: str | os.PathLike[str]) -> tuple[Path, ...]:
     """Return where the self-test of a C file goes; a folder or a device has none beside it."""
     path = Path(path)
-    if not path.name or (path.exists() and not path.is_file()):
-        return ()
+    with suppress(OSError):  # a name that cannot be there is refused where it is written
+        if not path.name or (path.exists() and not path.is_file()):
+            return ()
     return (path.with_name(f"{path.stem}_test{path.suffix}"),)
 
 

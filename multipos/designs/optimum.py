@@ -126,10 +126,12 @@ def optimise_candidates(rows: Blocks, criterion: Criterion, *, gap: float = GAP)
         # a candidate of lower s is in no optimum of D (R. Harman, L. Pronzato, 2007), hardly of L
         alive = (s[working] > 1.0 - np.sqrt(found)) & (weights > aim / len(working))
         heaviest = np.argsort(-weights[alive], kind="stable")[: _MOST - _JOINED]
-        kept = working[alive][heaviest]
+        staying = working[alive][heaviest]
+        if log_det(inform(_taken(rows, staying))) == -np.inf:  # L: weights of all but one are small
+            staying = working[np.argsort(-weights, kind="stable")[: _MOST - _JOINED]]
         s[working] = -np.inf
         highest = np.argpartition(-s, min(_JOINED, n - 1))[:_JOINED]
-        working = np.concatenate([kept, highest[s[highest] > 1.0]])
+        working = np.concatenate([staying, highest[s[highest] > 1.0]])
     raise ConvergenceError(_unfinished(found))
 
 

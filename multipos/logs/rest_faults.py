@@ -141,9 +141,11 @@ def _output_faults(
 
 
 def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[str]:
+    if len(found) < 3:
+        return []
     means = np.array([each.mean for each in found])
     half_range = float(np.ptp(means, axis=0).max()) / 2.0
-    if len(means) < 3 or not half_range:
+    if not half_range:
         return []
     near = np.radians(_TWIN_DEG) * half_range
     pairs = [

@@ -37,7 +37,7 @@ from typing import Any
 from multipos.errors import MultiposError
 from multipos.files.tables import read_toml
 from multipos.results import Result
-from multipos.units import normal_gravity
+from multipos.units import LARGEST, normal_gravity
 
 Source = str | os.PathLike[str] | Mapping[str, Any]
 
@@ -186,6 +186,8 @@ def _size(where: str, spread: Mapping[str, Any], suffix: str) -> tuple[float, st
         factor = _number(where, spread, "k")
         if not factor > 0.0:
             raise MultiposError(f"{where}: 'k' must be above 0, got {factor:g}.")
+        if not value <= factor * LARGEST:
+            raise MultiposError(f"{where}: 'k' is {factor:g}, too small for a coverage factor.")
         return value / factor, law
     if "k" in spread:
         raise MultiposError(f"{where}: 'k' belongs to 'U{suffix}'; leave it out.")
@@ -246,4 +248,8 @@ def _number(
         raise MultiposError(f"{where}: '{name or key}' must be a number, got {value!r}.")
     if not signed and value < 0.0:
         raise MultiposError(f"{where}: '{name or key}' must be 0 or more, got {value:g}.")
+    if abs(value) > LARGEST and key != "dof":
+        raise MultiposError(
+            f"{where}: '{name or key}' must be no more than {LARGEST:g}, got {value:g}."
+        )
     return float(value)

@@ -43,7 +43,7 @@ Estimator = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (t
 
 _BLOCK = 10_000  # trials of a block (JCGM 101, 7.9.4)
 _FEW = 100  # of an estimator that runs once a trial, so that progress shows
-_MOST = 1_000_000
+_MOST = 1_000_000  # all are kept until they are sorted
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ def simulate_budget(
     ----------
     calibration : Calibration
     trials : int, optional
-        Their number; adaptive where not given, up to a million.
+        Their number, from a hundred to a million; adaptive where not given.
     digits : int
         Significant digits of u that are to be meaningful: 1 or 2.
     rng : seed or Generator
@@ -134,6 +134,11 @@ def simulate_budget(
     Returns
     -------
     MonteCarlo
+
+    Raises
+    ------
+    UsageError
+        An option is out of range, or the calibration needs an `estimator`.
     """
     if trials is not None and not 100 <= trials <= _MOST:
         raise UsageError(

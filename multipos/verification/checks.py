@@ -267,6 +267,8 @@ def _linearity(reference: Array, error: Array, counted: NDArray[np.bool_], tilt:
             continue
         centred = x - x.mean()
         slope = float(centred @ y) / float(centred @ centred)
+        if abs(slope) < 1e-9:  # an output that does not answer has no line to depart from
+            continue
         span = abs(slope) * (float(np.ptp(x)) if tilt else 2.0)
         left = y - y.mean() - slope * centred
         result[column] = 100.0 * float(np.abs(left).max()) / span

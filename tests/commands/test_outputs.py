@@ -351,6 +351,14 @@ def test_the_longest_name_can_be_written(tmp_path):
         write_text(tmp_path / ("x" * 256), "")
 
 
+def test_a_name_that_is_too_long_is_refused_with_a_self_test_as_without(here, capsys):
+    for arguments in (["export", "cal.json", "--to", "c"], ["fit", "six.csv"]):
+        status, out, error = run(capsys, *arguments, "-o", "x" * 256)
+        assert (status, out) == (1, "")
+        assert error.startswith("multipos: error: x")
+        assert "cannot write: File name too long" in error
+
+
 def test_links_that_lead_nowhere(here, capsys):
     (here / "loop").symlink_to("loop")
     for arguments in (["six.csv", "-o", "loop"], ["loop"]):

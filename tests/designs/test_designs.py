@@ -121,6 +121,17 @@ def test_sensitivity_is_the_gradient_of_the_criterion(name, options):
         assert (up - down) / (2 * h) == pytest.approx(s[k] - 1.0, abs=1e-5 * max(1.0, s[k]))
 
 
+def test_one_parameter_alone_leaves_candidates_for_the_others():
+    """Two faces of x carry all but 2 % of the weight; without the rest the information is 0."""
+    alone = make_setting(build_model("linear", ("ax",), ("x",), AXES, known=()))
+    rows = alone.rows(read_scheme("all-26").up)
+    found = optimise_candidates(rows, make_criterion("u:ax:x", alone))
+    information = inform([block[found.chosen] for block in rows], found.weights)[0]
+    assert found.gap <= 1e-7
+    # least tr(M⁻¹ B) at M_xx + M_yy + M_zz = 1: they are as the roots of B, 1 : 0.01 : 0.01
+    assert_allclose(np.diag(information)[1:], np.array([100, 1, 1]) / 102, atol=1e-4)
+
+
 def test_candidates_and_sphere_agree_where_the_candidates_hold_the_optimum():
     known = setting("ieee")
     listed = optimise_candidates(known.rows(read_bench("all-26")), Criterion("D"))

@@ -244,8 +244,7 @@ def _paths(rng: random.Random, valid: Files) -> Case:
     words = list(recipes.draw(rng).words)
     files = {word: valid[word] for word in words if word in valid}
     inputs = [i for i, word in enumerate(words) if word in valid]
-    target = words[rng.choice(inputs)] if inputs else "nothing"
-    links = {"loop": "loop", "dangling": "nowhere", "link": target, "beside.csv": "missing/x.csv"}
+    linked = rng.choice(inputs) if inputs else None
     if inputs and rng.random() < 0.5:
         at = rng.choice(inputs)
         if rng.random() < 0.5:
@@ -254,6 +253,14 @@ def _paths(rng: random.Random, valid: Files) -> Case:
         else:
             name = rng.choice(PLACES)
         words[at] = name
+    # To what the command reads now: another file may be written over where -o names it.
+    target = "" if linked is None else words[linked]
+    links = {
+        "loop": "loop",
+        "dangling": "nowhere",
+        "link": target or "nothing",
+        "beside.csv": "missing/x.csv",
+    }
     if rng.random() < 0.7:
         same = [f"{rng.choice(('', './'))}{words[i]}" for i in inputs]
         named = (*PLACES, "/dev/full", *NAMES, *same * 3)

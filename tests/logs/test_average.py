@@ -341,6 +341,13 @@ def test_faults_of_a_rest_begin_where_they_are_said_to(below, above, said):
         assert twins == []
 
 
+def test_sections_that_are_all_in_motion_have_no_twins():
+    rests = [a_rest(mean=0.5), a_rest(mean=0.5)]
+    faults, twins = find_faults(("a",), rests, np.array([1e-6]), [0] * 2, [0.5, 0.5], "12")
+    assert faults == [["in motion during 50 % of the time"]] * 2
+    assert twins == []
+
+
 def test_motion_of_a_section_and_twins_begin_where_they_are_said_to():
     rests = [a_rest(mean=0.5), a_rest(mean=-0.5), a_rest(mean=0.0), a_rest(mean=0.0)]
     still = find_faults(("a",), rests, np.array([1e-6]), [0] * 4, [0.09, 0.11, 0.0, 0.0], "1234")

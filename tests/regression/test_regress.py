@@ -521,6 +521,12 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
         ({}, [*REGRESS, "--segment", "t:-37"], 1, "rows for 3 terms"),
         ({}, [*REGRESS, "--segment", "t:500"], 1, "the edge t = 500 is outside the data"),
         ({}, [*REGRESS, "--segment", "t:5,-5"], 2, "edges must be finite and increase"),
+        (
+            {"t": np.where(np.abs(GOOD["t"]) < 5.0, 20.0, GOOD["t"])},
+            [*REGRESS, "--segment", "t:-5,5", "--continuous"],
+            1,
+            "segment 2 (t -5 to 5) has no rows; move the edge",
+        ),
         ({}, [*REGRESS, "--segment", "t"], 2, "VARIABLE:EDGE,EDGE or VARIABLE:auto"),
         ({}, [*REGRESS, "--segment", "t:warm"], 2, "not a list of numbers"),
         ({}, [*REGRESS, "--segment", "q:1"], 1, "no column 'q'"),

@@ -235,8 +235,12 @@ def test_progress_and_limits():
     seen = []
     simulate_budget(c, trials=25_000, progress=seen.append)
     assert seen == [10_000, 20_000, 25_000]
-    for options in ({"trials": 3}, {"digits": 5}):
-        with pytest.raises(UsageError):
+    for options, said in (
+        ({"trials": 3}, "from 100 to 1000000, got 3"),
+        ({"trials": 2**63}, "from 100 to 1000000, got 9223372036854775808"),
+        ({"digits": 5}, "must be 1 or 2, got 5"),
+    ):
+        with pytest.raises(UsageError, match=said):
             simulate_budget(c, **options)
     assert_allclose(
         simulate_budget(c, trials=1000, rng=1).mean, simulate_budget(c, trials=1000, rng=1).mean

@@ -137,6 +137,14 @@ def test_linearity_by_hand():
     assert_allclose(found.linearity_percent["after"], [100 * 0.005 / 2], rtol=1e-6)
 
 
+def test_an_output_that_does_not_answer_has_no_linearity(calibration):
+    columns, scheme = triad(seed=1)
+    found = mp.check(calibration, columns | {"ay": np.full(14, 0.5)}, scheme=scheme)
+    for which in ("before", "after"):
+        known = np.isfinite(found.linearity_percent[which])
+        assert known.tolist() == [True, which == "after", True]
+
+
 def test_temperature_model_is_checked_at_its_temperatures():
     rng = np.random.default_rng(3)
     up = np.tile(read_scheme("faces-6").up, (3, 1))
