@@ -28,6 +28,7 @@ from multipos.errors import MultiposError
 
 Column = Sequence[Any] | NDArray[Any]
 SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
+_LONGEST = 100  # characters of a number, in an array of cells
 _CELLS = 1 << 14  # of a column in a piece of JSON
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
 LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
@@ -116,6 +117,8 @@ class Table:
             if self.decimal_comma:
                 cells = [cell.replace(",", ".") for cell in cells]
             if any("_" in cell for cell in cells):  # float() would take 1_000
+                raise ValueError
+            if max(map(len, cells), default=0) > _LONGEST:  # every cell would take as much
                 raise ValueError
             return np.array(cells, dtype=np.str_).astype(np.float64)
         except (ValueError, TypeError, AttributeError):

@@ -649,7 +649,7 @@ def _parse_term(part: str, text: str, axis: str, highest: int = HIGHEST_POWER) -
         counts = plain if match["name"] else modulus
         name = axis if name == "own" else name
         counts[name] = counts.get(name, 0) + power
-        if plain.get(name, 0) + modulus.get(name, 0) > highest:
+        if counts[name] > highest:
             raise UsageError(f"model '{text}': the power of {name} in '{part.strip()}' {refused}")
     factors = []
     for name in sorted({*plain, *modulus}):
