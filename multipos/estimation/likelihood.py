@@ -36,6 +36,7 @@ synthesis*, 2000, section 6 (elimination); JCGM 102.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,10 +79,8 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
     by_force = problem.model.force_jacobian(state.theta, point.force, problem.environment)
     jacobian = np.einsum("nmi,nij->nmj", by_force, _force_by_step(problem, state))
     weighted = _weigh(problem.precision, jacobian)
-    gram = np.einsum("nmi,nmj->nij", jacobian, weighted)
-    inverse = _inverse_2x2(gram, problem.prior, problem.exact)
-    gain = np.einsum("nmi,nij->nmj", weighted, inverse)
-    marginal = _full(problem.precision) - np.einsum("nmi,nki->nmk", gain, weighted)
+    own = eliminate(_full(problem.precision), jacobian, weighted, problem.prior, problem.exact)
+    gain, inverse, marginal = own.gain, own.inverse, own.marginal
     weighted_residuals = _weigh(problem.precision, point.residuals)
     pull = np.einsum("nmi,nm->ni", weighted, point.residuals)
     pull -= problem.prior[:, None] * state.step
@@ -89,7 +88,7 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
     # A reading far outside the sphere is pulled to it harder than its tangent plane says, and
     # would be thrown from side to side: d²f/dt² = -f.
     outside = np.einsum("nm,nmi,ni->n", weighted_residuals, by_force, point.force)
-    mean = (gram[:, 0, 0] + gram[:, 1, 1]) / 2.0 + problem.prior
+    mean = np.einsum("nmi,nmi->n", jacobian, weighted) / 2.0 + problem.prior
     ease = mean / (mean + np.maximum(outside, 0.0) + 1e-300)
     if problem.robust is not None:
         weight = loss_weight(problem.robust, point.q, problem.degrees)
@@ -226,15 +225,61 @@ def _full(precision: Array) -> Array:
     return full.transpose(2, 0, 1)
 
 
-def _inverse_2x2(matrix: Array, prior: Array, zero: NDArray[np.bool_]) -> Array:
-    """Return (matrix + prior I)^-1; zero where marked, or singular, so that nothing is claimed."""
-    a, d = matrix[:, 0, 0] + prior, matrix[:, 1, 1] + prior
-    b = matrix[:, 0, 1]
-    product = a * d
-    determinant = product - b * b
-    sound = (determinant > 1e-28 * product) & ~zero
-    factor = np.where(sound, 1.0, 0.0) / np.where(sound, determinant, 1.0)
-    inverse = np.empty((2, 2, len(prior)))
-    inverse[0, 0], inverse[1, 1] = d * factor, a * factor
-    inverse[0, 1] = inverse[1, 0] = -b * factor
-    return inverse.transpose(2, 0, 1)
+class Eliminated(NamedTuple):
+    """What is left of a position when its own turn t_k is eliminated, eq. (5)."""
+
+    gain: Array  # Sigma^-1 J H^-1, (n, M, 2)
+    inverse: Array  # H^-1, (n, 2, 2)
+    marginal: Array  # W, (n, M, M)
+    determinant: Array  # of H, (n,); 0 where nothing is eliminated
+
+
+def eliminate(
+    precision: Array, jacobian: Array, weighted: Array, prior: Array, exact: NDArray[np.bool_]
+) -> Eliminated:
+    """Eliminate the turns t_k, in the axes that diagonalise J' Sigma^-1 J.
+
+    There H is diagonal. Elsewhere W would be a difference of numbers that are (s/sigma)² larger,
+    where noise is little beside the placement. Nothing is eliminated where a position is exact, nor
+    where H is singular, so that nothing is claimed.
+
+    Parameters
+    ----------
+    precision : (n, M, M) array
+    jacobian, weighted : (n, M, 2) arrays
+        J and Sigma^-1 J.
+    prior : (n,) array
+        1/s².
+    exact : (n,) array of bool
+    """
+    first, second = jacobian[:, :, 0], jacobian[:, :, 1]
+    one, two = weighted[:, :, 0], weighted[:, :, 1]
+    a, d = _dot(first, one), _dot(second, two)
+    angle = np.arctan2(2.0 * _dot(first, two), a - d) / 2.0
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    along, across = c * one + s * two, c * two - s * one
+    large = _dot(c * first + s * second, along) + prior
+    small = np.maximum(_dot(c * second - s * first, across), 0.0) + prior
+    determinant = large * small
+    sound = (determinant > 1e-28 * (a + prior) * (d + prior)) & ~exact
+    by_large = (sound / np.where(sound, large, 1.0))[:, None]
+    by_small = (sound / np.where(sound, small, 1.0))[:, None]
+    n, m = one.shape
+    marginal = np.asarray(
+        precision
+        - (by_large * along)[:, :, None] * along[:, None, :]
+        - (by_small * across)[:, :, None] * across[:, None, :],
+        dtype=np.float64,
+    )
+    gain = np.empty((m, 2, n)).transpose(2, 0, 1)
+    gain[:, :, 0] = by_large * c * along - by_small * s * across
+    gain[:, :, 1] = by_large * s * along + by_small * c * across
+    inverse = np.empty((2, 2, n)).transpose(2, 0, 1)
+    inverse[:, 0, 0] = (by_large * c * c + by_small * s * s)[:, 0]
+    inverse[:, 1, 1] = (by_large * s * s + by_small * c * c)[:, 0]
+    inverse[:, 0, 1] = inverse[:, 1, 0] = ((by_large - by_small) * c * s)[:, 0]
+    return Eliminated(gain, inverse, marginal, np.where(sound, determinant, 0.0))
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("nm,nm->n", a, b))

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.likelihood import linearise
+from multipos.estimation.likelihood import eliminate, linearise
 from multipos.estimation.problem import Optimum, Problem
 from multipos.numerics.arrays import Array
 from multipos.sensor.inverse import parameter_jacobian
@@ -176,21 +176,18 @@ def _restricted(linear: Linearised, v: Array) -> tuple[float, Array, tuple[Array
     tied = ~(exact | unknown)
     spread2 = np.where(tied, b * np.where(tied, linear.spread, 1.0) ** 2, 0.0)
     weighted = P @ J
-    inner = J.transpose(0, 2, 1) @ weighted
-    inner += np.where(tied, 1.0 / np.where(tied, spread2, 1.0), 0.0)[:, None, None] * np.eye(2)
-    inner[exact] = np.eye(2)
-    K = weighted @ np.linalg.inv(inner)
-    K[exact] = 0.0
-    W = P - K @ weighted.transpose(0, 2, 1)
+    prior = np.where(tied, 1.0 / np.where(tied, spread2, 1.0), 0.0)
+    own = eliminate(P, J, weighted, prior, exact)
+    W, H = own.marginal, own.determinant
     # ln det V = M ln a + ln det H + 2 ln s², less what does not depend on v: ln det Sigma, and
     # 2 ln s² where s is infinite.
-    log_det = n * m * v[0] + float(np.sum(np.where(exact, 0.0, np.log(np.linalg.det(inner)))))
+    log_det = n * m * v[0] + float(np.sum(np.log(np.where(H > 0.0, H, 1.0))))
     log_det += float(np.sum(2.0 * np.log(np.where(tied, spread2, 1.0))))
 
     X = (W @ linear.design).reshape(n * m, -1)  # V⁻¹A
     A = linear.design.reshape(n * m, -1)
     information = A.T @ X + np.diag(linear.prior)
-    C = np.linalg.inv(information)
+    C = np.asarray(np.linalg.inv(information), dtype=np.float64)
     plain = np.einsum("nij,nj->ni", W, linear.error)
     right = A.T @ plain.ravel()
     left = plain - (X @ (C @ right)).reshape(n, m)  # P e
@@ -214,6 +211,7 @@ def _restricted(linear: Linearised, v: Array) -> tuple[float, Array, tuple[Array
             np.einsum("nai,nij,naj->", seen, W, seen)
             - np.sum(C * by_spread)
             - np.sum(np.einsum("nai,ni->na", seen, left) ** 2),
-        ]
+        ],
+        dtype=np.float64,
     )
     return float(value), gradient, (C, np.array([by_noise, by_spread]))

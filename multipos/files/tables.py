@@ -33,6 +33,7 @@ from multipos.files.characters import control_characters, visible
 from multipos.files.columns import Cells, read_plain
 
 Column = Sequence[Any] | NDArray[Any]
+_LONGEST = 100  # characters of a number, in an array of cells
 _CELLS = 1 << 14  # of a column in a piece of JSON
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # a file, columns, or a data frame
@@ -123,6 +124,8 @@ class Table:
             if self.decimal_comma:
                 cells = [cell.replace(",", ".") for cell in cells]
             if any("_" in cell for cell in cells):  # float() would take 1_000
+                raise ValueError
+            if max(map(len, cells), default=0) > _LONGEST:  # every cell would take as much
                 raise ValueError
             return np.array(cells, dtype=np.str_).astype(np.float64)
         except (ValueError, TypeError, AttributeError):

@@ -18,13 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import Array
+from multipos.units import SMALLEST
 
 _WINDOW_ROWS = 20  # of the default window: quiet enough to be of use, short beside a soak
 
 
 def default_window(time: ArrayLike) -> float:
-    """Return twenty times the median interval between rows, in the unit of `time`."""
-    return _WINDOW_ROWS * float(np.median(np.diff(np.asarray(time, dtype=np.float64))))
+    """Return twenty times the median interval between rows, in the unit of `time`; NaN of one."""
+    steps = np.diff(np.asarray(time, dtype=np.float64))
+    return _WINDOW_ROWS * float(np.median(steps)) if len(steps) else np.nan
 
 
 def smoothed_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = None) -> Array:
@@ -45,7 +47,7 @@ def smoothed_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = 
     Raises
     ------
     MultiposError
-        Time does not increase, or a window holds one row only.
+        Time does not increase, or by nothing to speak of, or a window holds one row only.
     UsageError
         The window is not above 0.
     """
@@ -57,6 +59,11 @@ def smoothed_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = 
         raise MultiposError(
             f"the time column does not increase at row {row}, so there is no rate; "
             "sort the rows by time, or give a column with the rate."
+        )
+    if (shortest := float(np.diff(t).min())) < SMALLEST:
+        raise MultiposError(
+            f"the time column steps by {shortest:g}, too little to be squared, so there is no "
+            "rate; give the time in another unit."
         )
     width = default_window(t) if window is None else window
     if not width > 0.0:

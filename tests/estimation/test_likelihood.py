@@ -13,6 +13,7 @@ from multipos.estimation.problem import Problem, start_state
 from multipos.estimation.sphere import SphereSearch
 from multipos.numerics.rotations import rotation_matrix
 from multipos.numerics.terms import COMPONENTS, NAMED
+from multipos.positions.scheme import read_scheme
 from multipos.sensor.expressions import load_casadi
 from multipos.sensor.model import build_model
 
@@ -183,6 +184,29 @@ def every_unknown(problem, state):
     held = np.repeat(problem.spread == 0.0, 2)
     free = np.concatenate([np.ones(p + q, bool), ~held])
     return np.array(columns).T[:, free], whitened(np.zeros(size))
+
+
+def test_elimination_keeps_its_digits_where_placement_is_all():
+    # One output sees one turn of two; with noise of 1e-7 of it a d − b² keeps no digit.
+    up = read_scheme("all-26").up
+    sd, spread = 1e-8, 0.1
+    model = build_model("linear", ("a",), ("x",), ("x", "y", "z"), "g", ())
+    problem = Problem(
+        model=model,
+        values=up[:, :1],
+        environment={},
+        precision=np.full((26, 1), sd**-2.0),
+        reference=up,
+        spread=np.full(26, spread),
+        group=np.full(26, -1),
+        weight=np.ones(26),
+    )
+    state = start_state(problem, np.array([0.0, 1.0, 0.02, -0.03]))
+    normal = linearise(problem, state, evaluate(problem, state))
+    square = np.einsum("nmi,nmi->n", normal.jacobian, normal.jacobian)
+    by_hand = 1.0 / (sd**2 + spread**2 * square)  # W = (Sigma + s² J J')^-1 of one reading
+    # P − P J H^-1 J'P cancels but for (sd/s)² of P, of which eps/(sd/s)² is not known
+    assert_allclose(normal.marginal[:, 0, 0], by_hand, rtol=8.0 * 2.0**-52 / (sd / spread) ** 2)
 
 
 @pytest.mark.parametrize("full", [False, True], ids=["variances", "covariances"])

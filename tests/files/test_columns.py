@@ -1,5 +1,7 @@
 """Long tables stay bytes, and say the same as short ones, which are lists of cells."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -79,6 +81,18 @@ def test_a_column_of_a_long_table_is_a_sequence(tmp_path):
     assert some.text("c") == ("name 59999", "name 3")
     with pytest.raises(IndexError):
         cells[60_000]
+
+
+def test_a_long_cell_costs_only_itself(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("a\n" + "1\n" * 20_000 + "9" * 100_000 + "\n")
+    table = files.read_table(path)
+    tracemalloc.start()
+    with pytest.raises(MultiposError, match="is not finite"):
+        table.number("a")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6  # an array of cells takes 4 bytes a character for each: 8 GB
 
 
 def test_a_header_of_many_columns_is_checked_in_one_pass(tmp_path, monkeypatch):

@@ -516,6 +516,12 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
             1,
             "column 't': the rate there is",
         ),
+        (
+            {"time": 1e-310 * np.arange(60.0)},
+            [*REGRESS, "--variables", "t_rate"],
+            1,
+            "the time column steps by 1e-310, too little to be squared",
+        ),
         ({"v": GOOD["t"]}, REGRESS, 1, "columns 't' and 'v' say the same"),
         ({"v": 1.8 * GOOD["t"] + 32}, REGRESS, 1, "columns 't' and 'v' say the same"),
         ({}, [*REGRESS, "--segment", "t:-37"], 1, "rows for 3 terms"),
@@ -603,6 +609,12 @@ def test_a_corrupt_number_is_not_corrected(column):
     bad[column][7] = -1e155
     with pytest.raises(MultiposError, match=rf"row 8, column '{column}': -1e\+155 is no number"):
         mp.correct(found, bad)
+
+
+def test_one_row_has_no_rate():
+    one = {name: column[:1] for name, column in GOOD.items()} | {"time": [0.0]}
+    with pytest.raises(MultiposError, match="does not increase at row 1"):
+        mp.regress(one, response="y", variables="t_rate")
 
 
 def test_saturated_backward_is_refused_by_segment():

@@ -81,6 +81,7 @@ def test_formulas(formula, expected):
         ("x^" + 5000 * "9", "must lie between 1 and 9"),
         ("x*" * 9 + "x", "the power of x in .* must lie between 1 and 9"),
         ("own^5*|own|^6", "the power of x in .* must lie between 1 and 9"),
+        ("own*|own|^5*|x|^5", "the power of x in .* must lie between 1 and 9"),
         ("x^-1", "cannot read"),
         ("x^1.5", "cannot read"),
         ("|x", "cannot read"),

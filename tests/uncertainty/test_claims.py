@@ -236,8 +236,8 @@ def test_progress_and_limits():
     simulate_budget(c, trials=25_000, progress=seen.append)
     assert seen == [10_000, 20_000, 25_000]
     for options, said in (
-        ({"trials": 3}, "from 100 to 1000000, got 3"),
-        ({"trials": 2**63}, "from 100 to 1000000, got 9223372036854775808"),
+        ({"trials": 3}, "between 100 and 1000000, got 3"),
+        ({"trials": 2**63}, "between 100 and 1000000, got 9223372036854775808"),
         ({"digits": 5}, "must be 1 or 2, got 5"),
     ):
         with pytest.raises(UsageError, match=said):
@@ -299,7 +299,7 @@ def test_profile_needs_a_noise():
         model="1 + x",
     )
     with pytest.raises(MultiposError, match="as many terms of ax as readings"):
-        calibration_interval(c, "ax", "x")
+        mp.profile_interval(c, "ax", "x")
 
 
 def test_profile_may_be_open():
