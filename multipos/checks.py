@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.calibration import Calibration, labels
 from multipos.errors import MultiposError, UsageError
-from multipos.files import Source
+from multipos.files import LARGEST, SMALLEST, Source
 from multipos.inverse import sensed_axes
 from multipos.model import COMPONENTS
 from multipos.readings import Readings, orient, read_readings, require_range
@@ -175,8 +175,11 @@ def _noise(calibration: Calibration, data: Readings, reading_sd: ArrayLike | Non
         sd = np.asarray(reading_sd, dtype=np.float64).ravel()
         if len(sd) not in (1, shape[1]):
             raise UsageError(f"--reading-sd takes 1 or {shape[1]} values, got {len(sd)}.")
-        if not (np.isfinite(sd).all() and (sd > 0.0).all()):
-            raise UsageError("--reading-sd must be above 0.")
+        if not ((sd >= SMALLEST) & (sd <= LARGEST)).all():
+            raise UsageError(
+                f"--reading-sd must be above 0, from {SMALLEST:g} to {LARGEST:g}, got "
+                f"{', '.join(f'{each:g}' for each in sd.tolist())}."
+            )
         return np.broadcast_to(sd, shape)
     if data.u is not None:
         return data.u
