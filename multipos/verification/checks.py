@@ -43,6 +43,7 @@ from multipos.sensor.tilt import (
     triad_tilt,
     true_tilt,
 )
+from multipos.units import LARGEST, SMALLEST
 from multipos.verification.regression_checks import check_regression
 from multipos.verification.verdicts import Check, judge
 
@@ -185,8 +186,11 @@ def _noise(calibration: Calibration, data: Readings, reading_sd: ArrayLike | Non
         sd = np.asarray(reading_sd, dtype=np.float64).ravel()
         if len(sd) not in (1, shape[1]):
             raise UsageError(f"--reading-sd takes 1 or {shape[1]} values, got {len(sd)}.")
-        if not (np.isfinite(sd).all() and (sd > 0.0).all()):
-            raise UsageError("--reading-sd must be above 0.")
+        if not ((sd >= SMALLEST) & (sd <= LARGEST)).all():
+            raise UsageError(
+                f"--reading-sd must be above 0, from {SMALLEST:g} to {LARGEST:g}, got "
+                f"{', '.join(f'{each:g}' for each in sd.tolist())}."
+            )
         return np.broadcast_to(sd, shape)
     if data.u is not None:
         return data.u
