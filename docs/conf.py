@@ -4,7 +4,7 @@ import inspect
 import os
 from pathlib import Path
 
-import multipos
+import multipos.plots
 from multipos.cli import COMMANDS, command_parser
 
 project = "multipos"
@@ -43,15 +43,23 @@ def write_generated(app):
         f"### multipos {name}\n\n```text\n{command_parser(name).format_help()}```\n"
         for name in COMMANDS
     ]
-    names = sorted(set(multipos.__all__) - {"__version__"}, key=str.swapcase)
-    directives = []
-    for name in names:
-        kind = "class" if inspect.isclass(getattr(multipos, name)) else "function"
-        directives.append(
-            f".. auto{kind}:: multipos.{name}\n{'   :members:' * (kind == 'class')}\n"
-        )
     (folder / "commands.md").write_text("\n".join(commands), encoding="utf-8")
-    (folder / "names.rst").write_text("\n".join(directives), encoding="utf-8")
+    for module in (multipos, multipos.plots):
+        name = module.__name__.rpartition(".")[2]
+        (folder / f"{name}.rst").write_text(described(module), encoding="utf-8")
+
+
+def described(module):
+    """Return a table of the public names of a module, a line each, and then each in full."""
+    names = sorted(set(module.__all__) - {"__version__"}, key=str.swapcase)
+    table = [".. autosummary::", "   :nosignatures:", ""]
+    table += [f"   {module.__name__}.{name}" for name in names]
+    entries = []
+    for name in names:
+        kind = "class" if inspect.isclass(getattr(module, name)) else "function"
+        entries += [f".. auto{kind}:: {module.__name__}.{name}"]
+        entries += ["   :members:"] * (kind == "class") + [""]
+    return "\n".join([*table, "", *entries])
 
 
 def setup(app):

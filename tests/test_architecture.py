@@ -1,6 +1,7 @@
 """The shape of the package: rooms in their order, imports that look up, a quick start."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -123,6 +124,20 @@ def test_a_room_says_what_it_is_for(name):
 @pytest.mark.parametrize("name", [name for name in EXISTING if name.endswith("/__init__.py")])
 def test_only_the_public_room_has_names_of_its_own(name):
     assert bool(all_imports(parse(name))) == (ROOM[name] == "plots")
+
+
+def test_the_architecture_page_shows_the_rooms_as_they_are():
+    rows = []
+    for room in (room for rooms in ORDER for room in rooms):
+        face = f"{room}/__init__.py" if (PACKAGE / room).is_dir() else f"{room}.py"
+        said = ast.get_docstring(parse(face)) or ""
+        (opened,) = re.findall(r"Open\s`(\w+)`", said) or [""]
+        assert not opened or (PACKAGE / room / f"{opened}.py").exists()
+        sentence = " ".join(said.partition("\n\n")[0].replace("``", "`").split())
+        shown = f"`{room}/`" if (PACKAGE / room).is_dir() else f"`{room}.py`"
+        rows.append(f"| {shown} | {sentence} | {f'`{opened}`' if opened else ''} |")
+    page = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\| `.*", page, re.MULTILINE) == rows
 
 
 def test_inside_nothing_comes_through_the_face_of_a_room():

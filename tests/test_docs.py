@@ -31,6 +31,7 @@ import multipos
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
     ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
     *sorted(path for path in ROOT.glob("docs/**/*.md") if "_build" not in path.parts),
 ]
 MODULES = sorted(
@@ -47,6 +48,7 @@ FENCE = re.compile(r"(?P<indent> *)(?P<ticks>`{3,})(?P<language>[^`\s]*)")
 NOTE = re.compile(r"\s*<!-- (?P<kind>command|file): (?P<name>.+?) -->\s*$")
 EQUATION = re.compile(r"^\$\$ \([\w-]*?(?P<number>\d+)\)\s*$", re.MULTILINE)
 IMPORT = re.compile(r"^[>.\s]*(?:from|import) (?P<module>multipos[\w.]*)", re.MULTILINE)
+FILE = re.compile(r"`((?:multipos|tests)/[a-z_/]+(?:\.py)?)`")
 CITATION = re.compile(r"eqs?\. (?P<numbers>\(\d+\)[^a-z]*?) of (?P<page>docs/[\w/-]+\.md)")
 
 
@@ -204,6 +206,12 @@ def test_page_imports_only_what_is_public(page):
         for match in IMPORT.finditer(block.text)
     ]
     assert not [(where, module) for where, module in imports if module not in PUBLIC_MODULES]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_files_of_the_package_that_a_page_names_exist(page):
+    named = set(FILE.findall(page.read_text("utf-8")))
+    assert not [name for name in named if not (ROOT / name).exists()]
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -1,1 +1,4 @@
-"""The commands of ``multipos``, one module each: ``add_options(parser)`` and ``run(arguments)``."""
+"""The commands of ``multipos``, one module each: ``add_options(parser)`` and ``run(arguments)``.
+
+Open `fit` first, a whole command; `answers` delivers what every command gives.
+"""

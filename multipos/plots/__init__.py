@@ -1,7 +1,8 @@
 """Figures, each a function that draws on a matplotlib axes it is given.
 
 `new_figure` makes a figure that knows nothing of the screen, `render` gives it as SVG, PNG or PDF,
-the same bytes for the same drawing.
+the same bytes for the same drawing. Open `style` first, where both stand. This room alone is public
+as it is: users draw on axes of their own.
 """
 
 from multipos.plots.calibration import (

@@ -140,6 +140,17 @@ def _search_ends(rise: Profile, centre: float, k: float, u: float) -> Interval:
 def profile_interval(calibration: Calibration, output: str, term: str) -> Interval:
     """Return the profile-likelihood interval of a parameter, without what the budget adds.
 
+    Parameters
+    ----------
+    calibration : Calibration
+    output, term : str
+        The parameter, as in ``calibration[output, term]``.
+
+    Returns
+    -------
+    Interval
+        (low, high), in the parameter's unit, at the confidence of the calibration.
+
     Raises
     ------
     MultiposError

@@ -191,6 +191,16 @@ def evaluate_budget(
 def state_budget(calibration: Calibration, budget: "Source | Budget") -> Calibration:
     """Return a calibration whose covariance and degrees of freedom follow from a budget.
 
+    Parameters
+    ----------
+    calibration : Calibration
+    budget : path, tables or Budget
+        What is known beside the readings, in place of what the calibration was made with.
+
+    Returns
+    -------
+    Calibration
+
     Raises
     ------
     MultiposError
