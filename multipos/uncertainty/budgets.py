@@ -136,6 +136,9 @@ def read_budget(source: "Source | Budget") -> Budget:
         name: _quantity(f"{where}, [{name}]", name, table) for name, table in tables.items()
     }
     plain = {name: dict(table) for name, table in tables.items()}
+    for name, quantity in quantities.items():
+        if math.isinf(quantity.dof):  # which is said by leaving it out, as JSON has no infinity
+            plain[name].pop("dof", None)
     return Budget(quantities, plain)
 
 
@@ -248,7 +251,7 @@ def _number(
         raise MultiposError(f"{where}: '{name or key}' must be a number, got {value!r}.")
     if not signed and value < 0.0:
         raise MultiposError(f"{where}: '{name or key}' must be 0 or more, got {value:g}.")
-    if abs(value) > LARGEST and key != "dof":
+    if abs(value) > LARGEST and not math.isinf(value):
         raise MultiposError(
             f"{where}: '{name or key}' must be no more than {LARGEST:g}, got {value:g}."
         )
