@@ -403,8 +403,9 @@ def _add_gravity(
     sensitivity = -model.force_degrees * parameters / gravity.value
     combined = covariance + np.outer(sensitivity, sensitivity) * gravity.u**2
     before, after = np.diag(covariance), np.diag(combined)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         effective = np.where(before > 0.0, dof * (after / before) ** 2, np.inf)
+    effective[effective > LARGEST] = np.inf
     return combined, np.where(np.isnan(before), dof, effective)
 
 

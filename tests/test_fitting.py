@@ -183,6 +183,16 @@ def test_pooling_warns_where_equality_is_rejected():
 # --- gravity
 
 
+@pytest.mark.parametrize("u", [1e-3, 1e38])
+def test_scatter_that_does_not_count_beside_gravity_leaves_no_degrees_of_freedom(u, tmp_path):
+    scatter = 1e-22 * np.random.default_rng(1).standard_normal(14)  # all that is not exact
+    readings = mp.Readings((0.5 * UP14[:, 0] + scatter)[:, None], up=UP14, unit="V")
+    cal = mp.fit(readings, model="x", axes="x", gravity=9.80665, gravity_u=u)
+    assert np.isinf(cal.parameter_dof).all()
+    cal.save(tmp_path / "cal.json")
+    assert np.isinf(mp.load(tmp_path / "cal.json").parameter_dof).all()
+
+
 def test_gravity_scales_and_carries_its_uncertainty():
     values = sensor(np.random.default_rng(10))
     readings = mp.Readings(values, up=UP14, unit="V")
