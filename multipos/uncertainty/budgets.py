@@ -46,6 +46,7 @@ DIVISORS = {
     "triangular": math.sqrt(6.0),
     "arcsine": math.sqrt(2.0),
 }
+_FEWEST = 1e-3  # degrees of freedom: of fewer nothing can be said
 _SPREAD = ("u", "U", "k", "half_width", "distribution", "dof")
 
 
@@ -164,8 +165,8 @@ def _quantity(where: str, name: str, table: Any) -> Quantity:
         spread |= {"half_width": step / 2.0, "distribution": "rectangular"}
     u, distribution = _size(where, spread, suffix)
     dof = _number(where, spread, "dof") if "dof" in spread else math.inf
-    if not dof > 0.0:
-        raise MultiposError(f"{where}: 'dof' must be above 0, got {dof:g}.")
+    if not dof >= _FEWEST:
+        raise MultiposError(f"{where}: 'dof' must be above 0, at least {_FEWEST:g}, got {dof:g}.")
     _check_settings(where, name, settings)
     return Quantity(name, u, kind.unit, distribution, dof, settings)
 
