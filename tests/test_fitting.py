@@ -180,6 +180,15 @@ def test_pooling_warns_where_equality_is_rejected():
     assert any("residual variances differ" in text for text in cal.diagnostics.warnings)
 
 
+def test_a_parameter_that_no_file_could_hold_is_refused():
+    rng = np.random.default_rng(3)
+    readings = mp.Readings(
+        sensor(rng), up=UP14, environment={"temperature": 1e-38 * rng.uniform(1, 9, 14)}
+    )
+    with pytest.raises(MultiposError, match=r"the parameter 'temperature\^3_a[xyz]' is .*no file"):
+        mp.fit(readings, model="1 + x + y + z + temperature^3", orientation_sd=0.1, reading_sd=1e-3)
+
+
 # --- gravity
 
 
