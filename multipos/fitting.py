@@ -39,6 +39,7 @@ from multipos.estimation.model_selection import select_terms, with_selection
 from multipos.estimation.placement import Placement, place
 from multipos.estimation.uncertain import solve_uncertain
 from multipos.files.lists import Names, split_names
+from multipos.files.records import LARGEST as LARGEST_IN_FILES
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, formula_columns, largest_value, linear_term
@@ -249,6 +250,12 @@ def complete(
     model, reference = solution.model, solution.reference
     parameters, covariance = solution.parameters, solution.covariance
     parameter_dof = solution.parameter_dof
+    far = int(np.argmax(np.abs(parameters)))
+    if not abs(parameters[far]) <= LARGEST_IN_FILES:
+        raise MultiposError(
+            f"the parameter '{model.names[far]}' is {parameters[far]:g}, which no file takes; give "
+            "the columns of the model in a smaller unit, or the readings in a larger one."
+        )
     if gravity is not None and gravity.u > 0.0:
         covariance, parameter_dof = _add_gravity(
             model, parameters, covariance, parameter_dof, gravity
@@ -403,8 +410,9 @@ def _add_gravity(
     sensitivity = -model.force_degrees * parameters / gravity.value
     combined = covariance + np.outer(sensitivity, sensitivity) * gravity.u**2
     before, after = np.diag(covariance), np.diag(combined)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         effective = np.where(before > 0.0, dof * (after / before) ** 2, np.inf)
+    effective[effective > LARGEST] = np.inf
     return combined, np.where(np.isnan(before), dof, effective)
 
 

@@ -180,7 +180,26 @@ def test_pooling_warns_where_equality_is_rejected():
     assert any("residual variances differ" in text for text in cal.diagnostics.warnings)
 
 
+def test_a_parameter_that_no_file_could_hold_is_refused():
+    rng = np.random.default_rng(3)
+    readings = mp.Readings(
+        sensor(rng), up=UP14, environment={"temperature": 1e-38 * rng.uniform(1, 9, 14)}
+    )
+    with pytest.raises(MultiposError, match=r"the parameter 'temperature\^3_a[xyz]' is .*no file"):
+        mp.fit(readings, model="1 + x + y + z + temperature^3", orientation_sd=0.1, reading_sd=1e-3)
+
+
 # --- gravity
+
+
+@pytest.mark.parametrize("u", [1e-3, 1e38])
+def test_scatter_that_does_not_count_beside_gravity_leaves_no_degrees_of_freedom(u, tmp_path):
+    scatter = 1e-22 * np.random.default_rng(1).standard_normal(14)  # all that is not exact
+    readings = mp.Readings((0.5 * UP14[:, 0] + scatter)[:, None], up=UP14, unit="V")
+    cal = mp.fit(readings, model="x", axes="x", gravity=9.80665, gravity_u=u)
+    assert np.isinf(cal.parameter_dof).all()
+    cal.save(tmp_path / "cal.json")
+    assert np.isinf(mp.load(tmp_path / "cal.json").parameter_dof).all()
 
 
 def test_gravity_scales_and_carries_its_uncertainty():

@@ -134,6 +134,12 @@ def writes_half_a_file(argv):
     return 0
 
 
+def prints_what_others_refuse(argv):
+    Path("o.json").write_text("{}")
+    print('{"schema": "multipos/calibration/1"}')
+    return 0
+
+
 def does_not_write(argv):
     print("{}")
     return 0
@@ -166,6 +172,7 @@ FORKS = pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # 
         (leaves_a_neighbour, "files: beside the output, a hidden file"),
         (prints_nan, "json: stdout of fit is no JSON: not finite"),
         (prints_a_list, "json: stdout of fit is no object"),
+        (prints_what_others_refuse, "json: stdout of fit is refused: : the key"),
         (writes_half_a_file, "json: the file of fit"),
         (does_not_write, "files: the output was not written"),
     ],

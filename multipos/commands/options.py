@@ -5,7 +5,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -135,7 +135,10 @@ def file_progress(
     path: str | os.PathLike[str], what: str
 ) -> Iterator[Callable[[float], object] | None]:
     """Show how much of a large file is read, a share from 0 to 1; yield who is told, or None."""
-    if not (Path(path).is_file() and Path(path).stat().st_size > _LARGE):
+    large = False
+    with suppress(OSError):  # what cannot be looked at is refused where it is read
+        large = Path(path).stat().st_size > _LARGE
+    if not large:
         yield None
         return
     with progress_bar(what, 1000) as told:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, RankError
+from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import LinearFit, solve
 from multipos.numerics.quantiles import f_quantile, f_tail
@@ -270,6 +271,13 @@ def _fit(
             return _Fit(selection, subsets, None, design[:, :0], response, np.zeros(n), zero, n)
         chosen = design if len(columns) == p else design[:, columns]
         found = solve(chosen, response, names=[names[j] for j in columns], rows="rows")
+        far = int(np.argmax(np.abs(found.coefficients)))
+        largest = float(found.coefficients[far])
+        if not abs(largest) <= LARGEST:
+            raise MultiposError(
+                f"the coefficient of '{names[columns[far]]}' is {largest:g}, which no file takes; "
+                "give the variables in a smaller unit, or the response in a larger one."
+            )
     except RankError as error:
         said = "; ".join(error.combinations) or str(error)
         raise RankError(

@@ -46,6 +46,7 @@ DIVISORS = {
     "triangular": math.sqrt(6.0),
     "arcsine": math.sqrt(2.0),
 }
+_FEWEST = 1e-3  # degrees of freedom: of fewer nothing can be said
 _SPREAD = ("u", "U", "k", "half_width", "distribution", "dof")
 
 
@@ -136,6 +137,9 @@ def read_budget(source: "Source | Budget") -> Budget:
         name: _quantity(f"{where}, [{name}]", name, table) for name, table in tables.items()
     }
     plain = {name: dict(table) for name, table in tables.items()}
+    for name, quantity in quantities.items():
+        if math.isinf(quantity.dof):  # which is said by leaving it out, as JSON has no infinity
+            plain[name].pop("dof", None)
     return Budget(quantities, plain)
 
 
@@ -161,8 +165,8 @@ def _quantity(where: str, name: str, table: Any) -> Quantity:
         spread |= {"half_width": step / 2.0, "distribution": "rectangular"}
     u, distribution = _size(where, spread, suffix)
     dof = _number(where, spread, "dof") if "dof" in spread else math.inf
-    if not dof > 0.0:
-        raise MultiposError(f"{where}: 'dof' must be above 0, got {dof:g}.")
+    if not dof >= _FEWEST:
+        raise MultiposError(f"{where}: 'dof' must be above 0, at least {_FEWEST:g}, got {dof:g}.")
     _check_settings(where, name, settings)
     return Quantity(name, u, kind.unit, distribution, dof, settings)
 
@@ -248,7 +252,7 @@ def _number(
         raise MultiposError(f"{where}: '{name or key}' must be a number, got {value!r}.")
     if not signed and value < 0.0:
         raise MultiposError(f"{where}: '{name or key}' must be 0 or more, got {value:g}.")
-    if abs(value) > LARGEST and key != "dof":
+    if abs(value) > LARGEST and not math.isinf(value):
         raise MultiposError(
             f"{where}: '{name or key}' must be no more than {LARGEST:g}, got {value:g}."
         )

@@ -30,6 +30,7 @@ from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.budgets import Budget, Quantity, Source, read_budget
 from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects
+from multipos.units import LARGEST
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,17 +139,18 @@ def welch_satterthwaite(contributions: ArrayLike, dof: ArrayLike) -> Array:
     Returns
     -------
     () or (q,) array
-        Infinite where nothing of finite degrees of freedom contributes.
+        Infinite where nothing of finite degrees of freedom contributes that would count.
     """
     u = np.asarray(contributions, dtype=np.float64)
     nu = np.broadcast_to(np.asarray(dof, dtype=np.float64), u.shape)
     total = np.sum(u**2, axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         share = np.where(total > 0.0, u**2 / total, 0.0)
         summed = np.sum(
             np.where(share > 0.0, share**2 / nu, np.where(np.isnan(u), np.inf, 0.0)), axis=0
         )
-        return np.asarray(1.0 / summed)
+        effective = 1.0 / summed
+    return np.where(effective > LARGEST, np.inf, effective)
 
 
 def _row_dof(row: Row, gradient: Array) -> Array:

@@ -359,6 +359,13 @@ def test_a_name_that_is_too_long_is_refused_with_a_self_test_as_without(here, ca
         assert "cannot write: File name too long" in error
 
 
+@pytest.mark.parametrize("before", [["fit"], ["average"], ["apply", "cal.json"]])
+def test_an_input_of_too_long_a_name_is_refused_by_name(before, here, capsys):
+    status, out, error = run(capsys, *before, "x" * 256)
+    assert (status, out) == (1, "")
+    assert error.startswith(f"multipos: error: {'x' * 256}: cannot read")
+
+
 def test_links_that_lead_nowhere(here, capsys):
     (here / "loop").symlink_to("loop")
     for arguments in (["six.csv", "-o", "loop"], ["loop"]):

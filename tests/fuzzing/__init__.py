@@ -2,8 +2,8 @@
 
 The promise: exit status 0, 1 or 2; on 1 and 2 nothing on stdout, one last line on stderr that
 begins ``multipos: error: ``, no file made or touched; on 0 with ``--json`` one valid JSON object;
-never a traceback, a Python warning, a changed input or a temporary file left; less than 20 s of
-CPU and 2 GB of memory.
+never JSON that the commands that read it refuse, a traceback, a Python warning, a changed input or
+a temporary file left; less than 20 s of CPU and 2 GB of memory.
 
 From the root of the repository::
 

@@ -3,9 +3,15 @@
 import json
 import os
 import re
+import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path, PurePath
+
+from multipos.errors import MultiposError
+from multipos.regression import result
+from multipos.sensor import calibration
+from multipos.verification import verdicts
 
 from .kinds import Case
 from .running import PACKAGE, Limits, Run
@@ -16,6 +22,12 @@ _WARNING = re.compile(r"^(\S+\.py):(\d+): (\w*Warning): (.*)$", re.MULTILINE)
 _LAST_HANDLER = re.compile(r"error: unexpected|unexpected \w*([Ee]rror|Exception)\b")
 # In a line that is no comment, where a number stands in C or in a file of parameters.
 _NO_NUMBER = re.compile(r"^(?! ?[#*/]).*[\s,={(\[-](inf|nan)f?(?![\w.])", re.MULTILINE)
+# What is written is read again by other commands.
+_READERS = {
+    calibration.SCHEMA: calibration.load,
+    result.SCHEMA: result.load_regression,
+    verdicts.SCHEMA: verdicts.load_check,
+}
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\x80-\x9f]")
 
 
@@ -119,7 +131,22 @@ def _json_fault(data: bytes) -> str | None:
         value = json.loads(data.decode(), parse_constant=refuse)
     except ValueError as error:
         return f"no JSON: {_masked(str(error))[:40]}"
-    return None if isinstance(value, dict) else "no object"
+    if not isinstance(value, dict):
+        return "no object"
+    reader = None if value.get("against") else _READERS.get(value.get("schema"))
+    return None if reader is None else _refusal(reader, data)
+
+
+def _refusal(reader: Callable[[Path], object], data: bytes) -> str | None:
+    """What a command says of the file that another has written."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "written.json"
+        path.write_bytes(data)
+        try:
+            reader(path)
+        except MultiposError as error:
+            return f"refused: {_masked(str(error).removeprefix(str(path)))[:80]}"
+    return None
 
 
 def _folder(case: Case, run: Run) -> Iterator[str]:

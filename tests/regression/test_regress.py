@@ -522,6 +522,12 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
             1,
             "the time column steps by 1e-310, too little to be squared",
         ),
+        (
+            {"t": 1e-38 * GOOD["t"]},
+            ["--response", "y", "--terms", "1 + t^3"],
+            1,
+            "the table: the coefficient of 't^3' is ",
+        ),
         ({"v": GOOD["t"]}, REGRESS, 1, "columns 't' and 'v' say the same"),
         ({"v": 1.8 * GOOD["t"] + 32}, REGRESS, 1, "columns 't' and 'v' say the same"),
         ({}, [*REGRESS, "--segment", "t:-37"], 1, "rows for 3 terms"),

@@ -264,6 +264,16 @@ def test_welch_satterthwaite_at_the_edges():
     assert math.isinf(welch_satterthwaite([1.0, 2.0], [math.inf, math.inf]))
     assert math.isinf(welch_satterthwaite([0.0, 0.0], [1, 2]))
     assert float(welch_satterthwaite([2.0, 0.0], [3, 1])) == pytest.approx(3.0)
+    assert math.isinf(welch_satterthwaite([1e39, 1e-40], [math.inf, 2.0]))  # 2e316 says the same
+
+
+def test_infinite_degrees_of_freedom_of_a_budget_can_be_read_back(tmp_path):
+    said, unsaid = (
+        calibrate(noise=1e-3, budget={"gain": {"u": 2e-3, **dof}})
+        for dof in ({"dof": math.inf}, {})
+    )
+    said.save(tmp_path / "cal.json")
+    assert_allclose(mp.load(tmp_path / "cal.json").covariance, unsaid.covariance, rtol=1e-15)
 
 
 def test_effective_degrees_of_freedom_of_a_parameter():
@@ -389,6 +399,8 @@ def test_a_third_order_term_that_was_fitted_is_not_unseen():
         ("[gravity]\nvalue = 5\nu = 1e300", "'u' must be no more than 1e+40, got 1e+300"),
         ("[gain]\nU = 1\nk = 1e-300", "'k' is 1e-300, too small for a coverage factor"),
         ("[gain]\nu = 1\ndof = 0", "'dof' must be above 0"),
+        ("[gain]\nu = 1\ndof = 1e-9", "'dof' must be above 0, at least 0.001, got 1e-09"),
+        ("[gain]\nu = 1\ndof = 1e300", "'dof' must be no more than 1e+40"),
         ("[gain]\nhalf_width = 1\ndistribution = 'normal'", "has no half-width"),
         ("[gain]\nu = 1\ndistribution = 'flat'", "unknown distribution 'flat'"),
         ("[gain]\nu = 1\neach_output = 3", "'each_output' must be true or false"),
