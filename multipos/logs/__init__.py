@@ -8,7 +8,8 @@ in pieces of some megabytes, so that the length of a log does not matter; a `.np
 is the exception, because its format holds each array in one piece.
 """
 
-from multipos.logs.opening import READERS, open_log, read_log
+from multipos.logs.opening import open_log, read_log
+from multipos.logs.readers import READERS
 from multipos.logs.table import Log, Piece
 
 __all__ = ["READERS", "Log", "Piece", "open_log", "read_log"]
