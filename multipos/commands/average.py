@@ -7,6 +7,7 @@ from multipos.commands.options import file_progress, names
 from multipos.files.tables import format_csv, to_json
 from multipos.logs.averages import averages_text
 from multipos.logs.averaging import average
+from multipos.logs.readers import formats_read
 
 INPUTS = ("log", "sections", "scheme")
 OUTPUT = Output("READINGS.csv", "write the readings to READINGS.csv", "table", ("json", "text"))
@@ -15,7 +16,7 @@ OUTPUT = Output("READINGS.csv", "write the readings to READINGS.csv", "table", (
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
-    add("log", metavar="LOG", help="raw log: CSV, white space, .npy, .npz, .mat")
+    add("log", metavar="LOG", help=f"raw log: CSV, white space, {formats_read()}")
     add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
     add("--columns", type=names, metavar="a,b,c,…", help="names of all columns of the log")
     add("--time-column", metavar="T", help="column with the time [s] (default time)")

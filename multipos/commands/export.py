@@ -4,14 +4,17 @@ import argparse
 from pathlib import Path
 
 from multipos.commands.answers import STDOUT, Answer, Output
-from multipos.compensation.targets import TARGETS, export, self_test
+from multipos.compensation.target import self_test
+from multipos.compensation.targets import TARGETS, export, named_target
 from multipos.files.tables import to_json
 from multipos.sensor.calibration import load
 
 
 def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
-    alone = arguments.to != "c" or Path(arguments.output).suffix.lower() == ".json"
-    return () if alone else self_test(arguments.output)
+    target = named_target(arguments.to)
+    if target is None or not target.is_code or Path(arguments.output).suffix.lower() == ".json":
+        return ()
+    return self_test(arguments.output)
 
 
 INPUTS = ("calibration",)
@@ -29,7 +32,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
     add("calibration", metavar="CAL.json", help="calibration to export")
-    add("--to", required=True, metavar="TARGET", help=f"one of {', '.join(TARGETS)}")
+    targets = ", ".join(target.name for target in TARGETS)
+    add("--to", required=True, metavar="TARGET", help=f"one of {targets}")
     add("--name", default="multipos", help="the C function is NAME_compensate (default multipos)")
     add("--float", action="store_true", help="single precision, in C")
     add(

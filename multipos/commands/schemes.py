@@ -7,6 +7,7 @@ from multipos.commands.options import add_model, add_orientation
 from multipos.designs.assessment import schemes, schemes_text
 from multipos.designs.information import nothing_to_weigh
 from multipos.files.tables import to_json
+from multipos.positions.scheme import SCHEMES
 
 INPUTS = ("schemes",)
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))
@@ -15,6 +16,9 @@ OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("schemes", nargs="*", metavar="SCHEME", help="names or files; all if none")
+    listing = "\n".join(f"  {name:<18}{scheme.told}" for name, scheme in SCHEMES.items())
+    parser.epilog = f"names, which may be joined by +:\n{listing}"
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add_model(parser)
     add_orientation(parser)
     parser.add_argument(

@@ -26,7 +26,8 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, CONSTANT, Factor, Term, linear_term
+from multipos.numerics.factors import FUNCTIONS, Code, Factor
+from multipos.numerics.terms import COMPONENTS, CONSTANT, Term, linear_term
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 
@@ -113,15 +114,7 @@ class _Writer:
         steps, rho = needed_steps(self._calibration, self._slope, single=self._single)
         unknowns = ", ".join(f"{axis} = {self._number(0.0)}" for axis in self._sensed)
         constants, coefficients = self._coefficients()
-        inner = [
-            f"const {self._kind} a{axis} = {axis} < {self._number(0.0)} ? -{axis} : {axis};"
-            for axis in self._sensed
-            if any(
-                f.modulus and f.variable == axis
-                for _, term, _ in coefficients
-                for f in term.factors
-            )
-        ]
+        inner = self._functions(coefficients)
         inner += self._redundant(coefficients) if self._is_redundant else self._square(coefficients)
         lines = [
             "{",
@@ -135,6 +128,19 @@ class _Writer:
             "}",
         ]
         return "\n".join(lines) + "\n", steps_in_words(steps, rho)
+
+    def _functions(self, coefficients: list[_Coefficient]) -> list[str]:
+        """Name the values of the functions of each axis that stand in the terms."""
+        used = [f for _, term, _ in coefficients for f in term.factors if f.function]
+        lines = []
+        for axis in self._sensed:
+            for factor in {f.function: f for f in used if f.variable == axis}.values():
+                value = self._written(_code(factor).value, axis)
+                lines.append(f"const {self._kind} {_code(factor).prefix}{axis} = {value};")
+        return lines
+
+    def _written(self, template: str, variable: str) -> str:
+        return template.format(v=variable, zero=self._number(0.0), one=self._number(1.0))
 
     @property
     def _is_redundant(self) -> bool:
@@ -169,11 +175,10 @@ class _Writer:
                 parts = [(float(self._slope[i, k]), "")]
                 for j, term, (c, name) in coefficients:
                     if j == i:
-                        weight, lower, sign = _derivative(term, axis)
+                        weight, lower, slope = _derivative(term, axis)
                         product = self._product(name, lower)
-                        if sign:
-                            one = self._number(1.0)
-                            turn = f"({axis} < {self._number(0.0)} ? -{one} : {one})"
+                        if slope:
+                            turn = f"({self._written(slope, axis)})"
                             product = f"{product} * {turn}" if product else turn
                         parts.append((c * weight, product))
                 gradient.append(f"({self._sum(parts)}) * r{i}")
@@ -240,16 +245,16 @@ class _Writer:
         """Expand a product of other columns about the middle: numbers times products of t.
 
         The rest of the model is then small where the columns are near the middle, and little is
-        lost in single precision. A modulus has no such expansion: its value there is taken off.
+        lost in single precision. A function has no such expansion: its value there is taken off.
         """
         index = {name: j for j, name in enumerate(self._middle)}
-        if any(factor.modulus for factor in term.factors):
+        if any(factor.function for factor in term.factors):
             factors = []
             for factor in term.factors:
                 e = f"env[{index[factor.variable]}]"
                 factors += [e] * factor.power
-                if factor.modulus:
-                    factors.append(f"({e} < {self._number(0.0)} ? -{e} : {e})")
+                if factor.function:
+                    factors.append(f"({self._written(_code(factor).value, e)})")
             there = value * float(term.evaluate(self._middle))
             product = " * ".join(factors)
             return [(value, product), (-there, "1"), (there, "")]
@@ -270,7 +275,8 @@ class _Writer:
         factors = [name] if name else []
         for factor in term.factors:
             factors += [factor.variable] * factor.power
-            factors += [f"a{factor.variable}"] * factor.modulus
+            if factor.function:
+                factors.append(f"{_code(factor).prefix}{factor.variable}")
         return " * ".join(factors)
 
     def _sum(self, parts: list[tuple[float, str]]) -> str:
@@ -348,14 +354,28 @@ def _collected(parts: list[tuple[float, str]]) -> list[tuple[float, str]]:
     return [(value, product) for product, value in total.items()]
 
 
-def _derivative(term: Term, axis: str) -> tuple[float, Term, bool]:
-    """Return the derivative of a product of force: weight, what remains, and whether times sign."""
+def _derivative(term: Term, axis: str) -> tuple[float, Term, str]:
+    """Return the derivative of a product of force: weight, what remains, a slope in C or ''."""
     mine = next((factor for factor in term.factors if factor.variable == axis), None)
     if mine is None:
-        return 0.0, CONSTANT, False
-    rest = tuple(factor for factor in term.factors if factor is not mine)
-    if not mine.power:  # d|v|/dv
-        return 1.0, Term(rest), True
-    lower = Factor(axis, mine.power - 1, mine.modulus)
-    kept = (*rest, lower) if lower.degree else rest
-    return float(mine.degree), Term(tuple(sorted(kept))), False
+        return 0.0, CONSTANT, ""
+    if not mine.power:
+        rest = tuple(factor for factor in term.factors if factor is not mine)
+        return 1.0, Term(rest), _code(mine).slope
+    return float(mine.degree), term.lowered(mine), ""
+
+
+def _code(factor: Factor) -> Code:
+    """Return how C writes the function of a factor, which has one.
+
+    Raises
+    ------
+    MultiposError
+        It has no form in C.
+    """
+    code = FUNCTIONS[factor.function].code
+    if code is None:
+        raise MultiposError(
+            f"the C file has no form for '{factor}'; use apply, or fit a model without it."
+        )
+    return code

@@ -31,8 +31,13 @@ class Law(NamedTuple):
 
     matrix: Array
     offset: Array
+    formula: str  # the terms it has
     lost: bool  # whether the calibration says more than this law can
     rms: float  # [g]
+
+    def of_raw_in(self, metres: float) -> "Law":
+        """Return the law of raw values in m/s²; `metres` is the m/s² in a unit of the readings."""
+        return self._replace(matrix=self.matrix / metres, offset=self.offset * metres)
 
 
 def reduce_to(calibration: Calibration, formula: str, target: str, *, allow_lossy: bool) -> Law:
@@ -64,7 +69,7 @@ def reduce_to(calibration: Calibration, formula: str, target: str, *, allow_loss
             f"{target} needs the inverse of the sensitivities, and this calibration's have none; "
             "an output does not sense its axis."
         ) from None
-    law = Law(inverse[:, order], linear[order, 0], lost, 0.0)
+    law = Law(inverse[:, order], linear[order, 0], formula, lost, 0.0)
     law = law._replace(rms=rms_left(calibration, law_residuals(calibration, *law[:2])))
     if lost and not allow_lossy:
         raise MultiposError(f"{loss_text(calibration, law, target)}; accept it with --allow-lossy.")
@@ -94,13 +99,7 @@ def specific_force(calibration: Calibration) -> Array:
 
 def loss_text(calibration: Calibration, law: Law, target: str) -> str:
     """Return in words what a law loses."""
-    kept = set(
-        build_model(
-            DIAGONAL if target in ("px4", "ardupilot") else LINEAR,
-            calibration.outputs,
-            calibration.model.axes,
-        ).names
-    )
+    kept = build_model(law.formula, calibration.outputs, calibration.model.axes).names
     gone = [name for name in calibration.names if name not in kept]
     listed = ", ".join(gone[:9]) + (f" and {len(gone) - 9} more" if len(gone) > 9 else "")
     return (

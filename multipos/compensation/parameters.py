@@ -1,97 +1,108 @@
-"""Parameter files: the ROS package imu_calib, PX4 and ArduPilot.
+"""Targets that take parameters: a matrix and an offset, or an offset and a scale an axis.
 
-- ``ros-imu-calib`` [1]_: YAML with ``SM`` (9, by rows) and ``bias`` (3); corrected = SM raw − bias,
-  so that SM = T and bias = T o.
-- ``px4`` [2]_: ``CAL_ACC0_XOFF`` … and ``CAL_ACC0_XSCALE`` …, corrected = (raw − OFF) SCALE axis
-  by axis, so that OFF = o and SCALE = T_ii.
-- ``ardupilot`` [3]_: ``INS_ACCOFFS_X`` … and ``INS_ACCSCAL_X`` …, the same law.
-
-References
-----------
-.. [1] github.com/dpkoch/imu_calib, ``AccelCalib::applyCalib``.
-.. [2] PX4-Autopilot, ``sensor_calibration/Accelerometer.hpp``, ``Correct``.
-.. [3] ArduPilot, ``AP_InertialSensor_Backend::_rotate_and_correct_accel``.
+Their consumers compute corrected = T (raw − o), eq. (1) of `multipos.compensation.laws`, raw in
+m/s² or in the unit of the readings. Writing, reading back and what the files share are here; each
+target has a file of its own.
 """
 
 import re
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from multipos.compensation.laws import DIAGONAL, LINEAR, Law, in_metres, reduce_to
+from multipos.compensation.laws import Law, in_metres, law_residuals, loss_text, reduce_to, rms_left
+from multipos.compensation.target import (
+    Exported,
+    GivenFile,
+    Target,
+    Verification,
+    Wish,
+    refuse_strange,
+)
 from multipos.errors import MultiposError
 from multipos.files.characters import visible
 from multipos.files.tables import to_json
 from multipos.numerics.arrays import Array
-from multipos.sensor.calibration import Calibration
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.calibration import Calibration, labels
 
-_REAL32 = 9  # MAV_PARAM_TYPE
-PX4 = tuple(f"CAL_ACC0_{axis}{kind}" for kind in ("OFF", "SCALE") for axis in "XYZ")
-ARDUPILOT = tuple(f"INS_ACC{kind}_{axis}" for kind in ("OFFS", "SCAL") for axis in "XYZ")
-# What the ground stations accept, offset [m/s²] and scale.
-_ARDUPILOT_LIMITS = (3.5, (0.8, 1.2))
+_SAME = 1e-6  # how far the forces of a file may be from those of its law [g]
 
 
-def write_ros(calibration: Calibration, *, allow_lossy: bool) -> tuple[str, Law, list[str]]:
-    """Return the YAML of imu_calib, its law in the unit of the readings, and notes."""
-    law = reduce_to(calibration, LINEAR, "ros-imu-calib", allow_lossy=allow_lossy)
-    matrix, bias = law.matrix, law.matrix @ law.offset
-    for key, array in (("SM", matrix), ("bias", bias)):
-        for value in array.ravel().tolist():
-            _require_writable(calibration, key, value, np.finfo(np.float64))
-    lines = [
-        *(f"# {line}" for line in _origin(calibration)),
-        f"# corrected = SM raw - bias in m/s^2, raw in {visible(_unit(calibration))}",
-        f"SM: {matrix.ravel().tolist()}",
-        f"bias: {bias.tolist()}",
-    ]
-    return "\n".join(lines) + "\n", law, []
+def parameter_target(
+    name: str,
+    formula: str,
+    *,
+    raw_in_metres: bool,
+    write: Callable[[Calibration, Law], tuple[str, list[str]]],
+    recognises: Callable[[str], bool],
+    read: Callable[[str, str], tuple[Array, Array]],
+) -> Target:
+    """Return a target whose consumer applies a matrix and an offset.
+
+    Parameters
+    ----------
+    name : str
+    formula : str
+        Terms of its law: LINEAR or DIAGONAL of `multipos.compensation.laws`.
+    raw_in_metres : bool
+        Whether the consumer holds raw values in m/s², not in the unit of the readings.
+    write : function
+        Return the text of a file and notes from a calibration and its law in the consumer's unit.
+    recognises : function
+        Tell from its text whether a file is one of this target.
+    read : function
+        Return T (3, 3) and o (3,) in the consumer's unit from the path and the text of a file.
+    """
+
+    def write_file(calibration: Calibration, wish: Wish) -> Exported:
+        metres = in_metres(calibration, name) if raw_in_metres else 1.0
+        law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy)
+        text, notes = write(calibration, law.of_raw_in(metres))
+        if law.lost:
+            notes = [loss_text(calibration, law, name), *notes]
+        if calibration.convention == "gravity":
+            turned = "the force is turned from gravity to specific force"
+            notes.append(f"{turned}, which {name} works in")
+        return Exported(name, text, notes=tuple(notes))
+
+    def read_file(file: GivenFile, calibration: Calibration) -> Verification:
+        matrix, offset = read(file.path, file.text)
+        expected = reduce_to(calibration, formula, name, allow_lossy=True)
+        metres = in_metres(calibration, name) if raw_in_metres else 1.0
+        with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
+            residuals = law_residuals(calibration, matrix * metres, offset / metres)
+            should = law_residuals(calibration, expected.matrix, expected.offset)
+            refuse_strange(file.path, float(np.abs(residuals - should).max()), _SAME)
+        return Verification(
+            target=name,
+            axes=COMPONENTS,
+            positions=labels(calibration.readings),
+            residuals=residuals,
+            rms=rms_left(calibration, residuals),
+            calibration_rms=calibration.rms,
+            difference=None,
+        )
+
+    return Target(name, write_file, recognises, read_file)
 
 
-def write_px4(calibration: Calibration, *, allow_lossy: bool) -> tuple[str, Law, list[str]]:
-    """Return PX4 parameters in the form of QGroundControl, their law, and notes."""
-    law, values = _diagonal(calibration, "px4", allow_lossy=allow_lossy)
-    lines = [
-        *(f"# {line}" for line in _origin(calibration)),
-        "# corrected = (raw - OFF) SCALE, in m/s^2",
-        "#",
-        "# Vehicle-Id Component-Id Name Value Type",
-        *(f"1\t1\t{n}\t{v!r}\t{_REAL32}" for n, v in zip(PX4, values, strict=True)),
-    ]
-    return "\n".join(lines) + "\n", law, []
+def diagonal_values(calibration: Calibration, law: Law, names: tuple[str, ...]) -> list[float]:
+    """Return the offsets and scales of a law, six, that single precision is to hold."""
+    values: list[float] = [*law.offset.tolist(), *np.diag(law.matrix).tolist()]
+    for name, value in zip(names, values, strict=True):
+        require_writable(calibration, name, value, np.finfo(np.float32))
+    return values
 
 
-def write_ardupilot(calibration: Calibration, *, allow_lossy: bool) -> tuple[str, Law, list[str]]:
-    """Return ArduPilot parameters in the form of Mission Planner, their law, and notes."""
-    law, values = _diagonal(calibration, "ardupilot", allow_lossy=allow_lossy)
-    offset, (low, high) = _ARDUPILOT_LIMITS
-    bad = [n for n, v in zip(ARDUPILOT[:3], values[:3], strict=True) if abs(v) > offset]
-    bad += [n for n, v in zip(ARDUPILOT[3:], values[3:], strict=True) if not low <= v <= high]
-    notes = [f"{', '.join(bad)} beyond what ArduPilot accepts"] if bad else []
-    lines = [
-        *(f"# {line}" for line in _origin(calibration)),
-        "# corrected = (raw - OFFS) SCAL, in m/s^2",
-        *(f"{n},{v!r}" for n, v in zip(ARDUPILOT, values, strict=True)),
-    ]
-    return "\n".join(lines) + "\n", law, notes
+def gives(prefix: str, text: str) -> bool:
+    """Tell whether a parameter whose name begins so stands in a text, outside its comments."""
+    return any(prefix in line for line in text.splitlines() if not line.startswith("#"))
 
 
-def read_ros(path: str, text: str) -> tuple[Array, Array]:
-    """Return T and o from the YAML of imu_calib, as its law uses them."""
-    found = {}
-    for key, count in (("SM", 9), ("bias", 3)):
-        block = re.search(rf"^{key}:\s*\[([^\]]*)\]", text, re.MULTILINE)
-        cells = re.findall(r"[^\s,]+", block[1]) if block else []
-        found[key] = _numbers(path, key, cells, count)
-    matrix = found["SM"].reshape(3, 3)
-    try:
-        return matrix, np.asarray(np.linalg.solve(matrix, found["bias"]))
-    except np.linalg.LinAlgError:
-        raise MultiposError(f"{path}: SM has no inverse; export again.") from None
-
-
-def read_parameters(path: str, text: str, names: tuple[str, ...]) -> tuple[Array, Array]:
+def read_diagonal(names: tuple[str, ...], path: str, text: str) -> tuple[Array, Array]:
     """Return T and o from the parameters of an autopilot, in m/s²."""
     values: dict[str, str] = {}
     for line in text.splitlines():
@@ -110,24 +121,11 @@ def read_parameters(path: str, text: str, names: tuple[str, ...]) -> tuple[Array
     missing = [name for name in names if name not in values]
     if missing:
         raise MultiposError(f"{path}: parameter {missing[0]} is missing; export again.")
-    numbers = _numbers(path, names[0], [values[name] for name in names], 6)
+    numbers = read_numbers(path, names[0], [values[name] for name in names], 6)
     return np.diag(numbers[3:]), numbers[:3]
 
 
-def _diagonal(
-    calibration: Calibration, target: str, *, allow_lossy: bool
-) -> tuple[Law, list[float]]:
-    metres = in_metres(calibration, target)
-    law = reduce_to(calibration, DIAGONAL, target, allow_lossy=allow_lossy)
-    names = PX4 if target == "px4" else ARDUPILOT
-    scale = (np.diag(law.matrix) / metres).tolist()
-    values = [*(law.offset * metres).tolist(), *scale]
-    for name, value in zip(names, values, strict=True):
-        _require_writable(calibration, name, value, np.finfo(np.float32))
-    return law, values
-
-
-def _require_writable(
+def require_writable(
     calibration: Calibration, name: str, value: float, precision: np.finfo[Any]
 ) -> None:
     """Refuse, by name, a number that the consumer's precision cannot hold, or a scale it loses."""
@@ -139,12 +137,7 @@ def _require_writable(
         )
 
 
-def _unit(calibration: Calibration) -> str:
-    unit = calibration.model.unit
-    return "the unit of the readings" if unit == "reading" else unit
-
-
-def _origin(calibration: Calibration) -> list[str]:
+def origin(calibration: Calibration) -> list[str]:
     """Return what a file is of, as lines of comments: each stays on its line."""
     source = to_json(calibration.readings.source or "readings").strip()
     lines = [
@@ -156,7 +149,8 @@ def _origin(calibration: Calibration) -> list[str]:
     return [visible(line) for line in lines]
 
 
-def _numbers(path: str, key: str, cells: list[str], count: int) -> Array:
+def read_numbers(path: str, key: str, cells: list[str], count: int) -> Array:
+    """Return the finite numbers that so many cells of a file hold."""
     try:
         values = np.array([float(cell) for cell in cells])
     except ValueError:

@@ -1,73 +1,23 @@
 """Write a calibration in the form that a target takes."""
 
-import os
-from contextlib import suppress
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
-from multipos.compensation.c_source import c_source, c_test
-from multipos.compensation.laws import loss_text
-from multipos.compensation.parameters import write_ardupilot, write_px4, write_ros
+from multipos.compensation.target import Exported, Target, Wish
+from multipos.compensation.target_ardupilot import ARDUPILOT
+from multipos.compensation.target_c import C
+from multipos.compensation.target_px4 import PX4
+from multipos.compensation.target_ros import ROS
 from multipos.errors import UsageError
-from multipos.files.tables import written
-from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 
-Target = Literal["c", "ros-imu-calib", "px4", "ardupilot"]
-TARGETS: tuple[Target, ...] = get_args(Target)
-_PARAMETER_WRITERS = {
-    "ros-imu-calib": write_ros,
-    "px4": write_px4,
-    "ardupilot": write_ardupilot,
-}
-
-
-@dataclass(frozen=True, eq=False)
-class Exported(Result):
-    """A calibration in the form of a target.
-
-    Attributes
-    ----------
-    target : str
-    text : str
-        Content of the file.
-    test : str or None
-        C program that checks the function, for a file beside it.
-    notes : tuple of str
-        What is lost or doubtful, in words.
-    """
-
-    target: str
-    text: str
-    test: str | None = None
-    notes: tuple[str, ...] = field(default=())
-
-    def save(self, path: str | os.PathLike[str]) -> tuple[str, ...]:
-        """Write the file, for C also ``…_test.c`` beside it; return the names written."""
-        files = self.files(path)
-        with written(files):
-            pass
-        return tuple(map(str, files))
-
-    def files(self, path: str | os.PathLike[str]) -> dict[str | os.PathLike[str], str]:
-        """Return the files to write, and what they hold."""
-        beside = () if self.test is None else self_test(path)
-        return {path: self.text, **dict.fromkeys(beside, self.test or "")}
-
-
-def self_test(path: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Return where the self-test of a C file goes; a folder or a device has none beside it."""
-    path = Path(path)
-    with suppress(OSError):  # a name that cannot be there is refused where it is written
-        if not path.name or (path.exists() and not path.is_file()):
-            return ()
-    return (path.with_name(f"{path.stem}_test{path.suffix}"),)
+# In the order of the documentation; the first that recognises a file reads it back.
+TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT)
+Name = Literal["c", "ros-imu-calib", "px4", "ardupilot"]  # for those who check types
 
 
 def export(
     calibration: Calibration,
-    to: Target,
+    to: Name,
     *,
     name: str = "multipos",
     float: bool = False,
@@ -79,11 +29,11 @@ def export(
     ----------
     calibration : Calibration
     to : str
-        'c', 'ros-imu-calib', 'px4' or 'ardupilot'.
+        Name of one of `TARGETS`, as ``multipos export --help`` lists them.
     name : str
-        The C function is called ``NAME_compensate``.
+        The function of a target that is code is called ``NAME_compensate``.
     float : bool
-        Single instead of double precision, in C.
+        Single instead of double precision, of a target that is code.
     allow_lossy : bool
         Let go of terms that the target cannot express; the rest is fitted again.
 
@@ -98,16 +48,21 @@ def export(
     UsageError
         An unknown target, a name that is no C identifier, or an option of another target.
     """
-    if to == "c":
-        text = c_source(calibration, name, single=float)
-        return Exported(to, text, c_test(calibration, name, single=float))
-    if to not in TARGETS:
-        raise UsageError(f"--to takes {', '.join(TARGETS)}, got '{to}'.")
-    if float:
-        raise UsageError(f"--float is for --to c; {to} has a precision of its own.")
-    text, law, notes = _PARAMETER_WRITERS[to](calibration, allow_lossy=allow_lossy)
-    if law.lost:
-        notes = [loss_text(calibration, law, to), *notes]
-    if calibration.convention == "gravity":
-        notes.append(f"the force is turned from gravity to specific force, which {to} works in")
-    return Exported(to, text, notes=tuple(notes))
+    target = named_target(to)
+    if target is None:
+        names = ", ".join(target.name for target in TARGETS)
+        raise UsageError(f"--to takes {names}, got '{to}'.")
+    if float and not target.is_code:
+        codes = ", ".join(target.name for target in TARGETS if target.is_code)
+        raise UsageError(f"--float is for --to {codes}; {to} has a precision of its own.")
+    return target.write(calibration, Wish(name, float, allow_lossy))
+
+
+def named_target(name: str) -> Target | None:
+    """Return the target of a name, None where there is none."""
+    return next((target for target in TARGETS if target.name == name), None)
+
+
+def recognised_target(text: str) -> Target | None:
+    """Return the first target that takes a text for a file of its own, None where none does."""
+    return next((target for target in TARGETS if target.recognises(text)), None)

@@ -339,12 +339,12 @@ def _mean_product(a: Term, b: Term) -> float:
     """Return the mean over the sphere of the product of two terms.
 
     That of |x|^i |y|^j |z|^k is Γ(3/2) Γ((i+1)/2) Γ((j+1)/2) Γ((k+1)/2) / (Γ(1/2)³ Γ((n+3)/2)),
-    n = i + j + k; an odd power without its modulus makes it zero.
+    n = i + j + k the degrees of both; where both together are odd in an axis it is zero.
     """
     value, degree = 0.5 / math.pi, 0
     for axis in COMPONENTS:
         factors = [f for f in (*a.factors, *b.factors) if f.variable == axis]
-        if sum(f.power for f in factors) % 2:
+        if sum(f.is_odd for f in factors) % 2:
             return 0.0
         own = sum(f.degree for f in factors)
         value *= math.gamma((own + 1) / 2)

@@ -260,7 +260,7 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
         return optimum
     odd = np.array(
         [
-            sum(f.power for f in term.factors if f.variable in mirrored) % 2 == 1
+            sum(f.is_odd for f in term.factors if f.variable in mirrored) % 2 == 1
             for _, term in model.keys
         ]
     )

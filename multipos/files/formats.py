@@ -142,6 +142,7 @@ CALIBRATION = Fields(
 )
 
 _PAIR = Listed(ANY_NUMBER, 2, 2)
+_FUNCTION = AnyOf((ANY_TEXT, Flag()))  # which are known is said in `numerics.factors`
 _POWER = Whole(0, 300)  # a power is so many multiplications in every row
 _STEP: dict[str, Kind] = {
     "action": Text(("add", "remove")),
@@ -195,7 +196,7 @@ REGRESSION = Fields(
                             {
                                 "value": ANY_NUMBER,
                                 "u": Maybe(NOT_NEGATIVE),
-                                "factors": Listed(Entries((ANY_TEXT, _POWER, Flag()))),
+                                "factors": Listed(Entries((ANY_TEXT, _POWER, _FUNCTION))),
                             }
                         )
                     ),

@@ -73,7 +73,7 @@ def _flat(found: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
 
 def read_npy(path: os.PathLike[str]) -> Mapping[str, Any]:
     """Return the columns of an array file, which stay on the disk until they are read."""
-    array = _loaded(path, lambda: np.load(Path(path), mmap_mode="r", allow_pickle=False))
+    array = loaded(path, lambda: np.load(Path(path), mmap_mode="r", allow_pickle=False))
     if array.ndim not in (1, 2) or not array.size:
         raise MultiposError(
             f"{path}: an array of shape {array.shape}; a log is one column (n,), or one row a "
@@ -93,7 +93,7 @@ def read_npz(path: os.PathLike[str]) -> Mapping[str, Any]:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             return dict(archive)
 
-    found: dict[str, Any] = _loaded(path, load)
+    found: dict[str, Any] = loaded(path, load)
     return found
 
 
@@ -118,7 +118,8 @@ def refuse_hdf(path: os.PathLike[str]) -> Mapping[str, Any]:
     )
 
 
-def _loaded(path: os.PathLike[str], load: Callable[[], Any]) -> Any:
+def loaded(path: os.PathLike[str], load: Callable[[], Any]) -> Any:
+    """Return what a library's reader gives, and refuse a damaged file by its first line."""
     try:
         return load()
     except Exception as error:  # each format has exceptions of its own for a damaged file

@@ -9,9 +9,8 @@ is the exception, because its format holds each array in one piece.
 """
 
 import os
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -19,18 +18,10 @@ from multipos.errors import MultiposError
 from multipos.files.lists import Names, split_names
 from multipos.files.pipes import rereadable
 from multipos.files.tables import Column, Source, read_table
-from multipos.logs.arrays import log_of_columns, read_mat, read_npy, read_npz, refuse_hdf
+from multipos.logs.arrays import log_of_columns
+from multipos.logs.readers import READERS
 from multipos.logs.table import Log
 from multipos.logs.text import HEAD, open_text, split_rows
-
-
-class Reader(NamedTuple):
-    """How one kind of file is told from others, and opened."""
-
-    kind: str
-    suffixes: tuple[str, ...]
-    magic: bytes
-    columns: Callable[[os.PathLike[str]], Mapping[str, Any]]
 
 
 def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
@@ -104,11 +95,3 @@ def _read_head(path: os.PathLike[str]) -> bytes:
     if not head.strip():
         raise MultiposError(f"{path}: the file is empty; a log needs rows of samples.")
     return head
-
-
-READERS = (
-    Reader("NumPy .npy", (".npy",), b"\x93NUMPY", read_npy),
-    Reader("NumPy .npz", (".npz",), b"PK\x03\x04", read_npz),
-    Reader("MATLAB .mat up to v7", (".mat",), b"MATLAB 5.0 MAT-file", read_mat),
-    Reader("HDF5", (".h5", ".hdf5"), b"\x89HDF", refuse_hdf),
-)

@@ -12,6 +12,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
+from multipos.logs.readers import formats_read
 from multipos.logs.table import Log, Piece, name_columns
 from multipos.numerics.arrays import Array
 
@@ -184,7 +185,7 @@ def _decode(path: os.PathLike[str], block: bytes) -> str:
         ) from None
     if "\0" in text:
         raise MultiposError(
-            f"{path}: neither text nor a format that is read (.npy, .npz, .mat up to v7); "
+            f"{path}: neither text nor a format that is read ({formats_read()}); "
             "convert the log to CSV."
         )
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text

@@ -1,15 +1,15 @@
-"""Terms: products of columns to powers and their moduli, and the formulas that list them.
+"""Terms: products of columns to powers and functions of them, and the formulas that list them.
 
 A term is a product such as ``1``, ``x``, ``x^2``, ``x*y``, ``x*|x|``, ``temperature*x``: of the
 components x, y, z of a reference in models of a sensor, of any columns in a regression. Terms are
 evaluated on components, so the same lines take NumPy arrays and CasADi symbols.
 
 Formulas are parsed, never evaluated: `formula = term ('+' term)*`, `term = factor ('*' factor)*`,
-`factor = '1' | name ['^' power] | '|' name '|' ['^' power]`.
+`factor = '1' | form ['^' power]`, where a form is a name, `'|' name '|'`, or what else
+`multipos.numerics.factors` lists.
 """
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +18,13 @@ import numpy as np
 
 from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
+from multipos.numerics.factors import (
+    FUNCTIONS,
+    Factor,
+    function_forms,
+    read_factor,
+    variables_in,
+)
 from multipos.units import LARGEST
 
 COMPONENTS = ("x", "y", "z")
@@ -32,28 +39,6 @@ NAMED = {
 }
 _LARGEST_POWER = 100.0  # log10 of what a term may reach: its square is a number still
 HIGHEST_POWER = 9  # beyond it a term of specific force within 1 g says nothing new
-
-
-@dataclass(frozen=True, order=True)
-class Factor:
-    """A variable to a power, times its modulus where `modulus` is set: v^power |v|."""
-
-    variable: str
-    power: int
-    modulus: bool = False
-
-    def __str__(self) -> str:
-        parts = []
-        if self.power:
-            parts.append(self.variable if self.power == 1 else f"{self.variable}^{self.power}")
-        if self.modulus:
-            parts.append(f"|{self.variable}|")
-        return "*".join(parts)
-
-    @property
-    def degree(self) -> int:
-        """Power, the modulus counted."""
-        return self.power + self.modulus
 
 
 @dataclass(frozen=True)
@@ -96,25 +81,26 @@ class Term:
             v = variables[factor.variable]
             for _ in range(factor.power):
                 value = value * v
-            if factor.modulus:
-                value = value * abs(v)
+            if factor.function:
+                value = value * FUNCTIONS[factor.function].value(v)
         return value
 
     def derivative(self, variables: Mapping[str, Any], by: str) -> Any:
-        """Return the partial derivative by one variable: d(v^m|v|)/dv = (m+1) v^(m-1) |v|."""
+        """Return the partial derivative by one variable, (m + d) v^(m-1) g(v)."""
         mine = next((factor for factor in self.factors if factor.variable == by), None)
         if mine is None:
             return 0.0
         rest = tuple(factor for factor in self.factors if factor is not mine)
         if not mine.power:
-            return np.sign(variables[by]) * Term(rest).evaluate(variables)
+            slope = FUNCTIONS[mine.function].slope(variables[by])
+            return slope * Term(rest).evaluate(variables)
         return mine.degree * self.lowered(mine).evaluate(variables)
 
     def lowered(self, factor: Factor) -> "Term":
         """Return the term with one power of a factor less, which has a power to lose."""
-        lower = Factor(factor.variable, factor.power - 1, factor.modulus)
+        lower = Factor(factor.variable, factor.power - 1, factor.function)
         others = tuple(lower if other is factor else other for other in self.factors)
-        return Term(tuple(other for other in others if other.degree))
+        return Term(tuple(other for other in others if other.is_variable))
 
 
 CONSTANT = Term()
@@ -131,7 +117,7 @@ def evaluate_terms(terms: Sequence[Term], columns: Mapping[str, Array], n: int) 
 def largest_value(terms: Iterable[Term], variable: str) -> float:
     """Return how large a variable may be for its powers in terms to be squared and summed."""
     factors = (factor for term in terms for factor in term.factors)
-    degree = max((f.degree for f in factors if f.variable == variable), default=1)
+    degree = max((1, *(f.degree for f in factors if f.variable == variable)))
     return min(LARGEST, math.pow(10.0, _LARGEST_POWER / degree))
 
 
@@ -158,8 +144,8 @@ def formula_columns(text: str) -> tuple[str, ...]:
     name = text.strip()
     if name in NAMED:
         return ()
-    words = re.findall(r"[^\W\d]\w*", name)
-    return tuple(dict.fromkeys(w for w in words if w not in (*COMPONENTS, "own")))
+    used = variables_in(name)
+    return tuple(dict.fromkeys(v for v in used if v not in (*COMPONENTS, "own")))
 
 
 def sees_only(term: Term, inputs: tuple[str, ...]) -> bool:
@@ -181,38 +167,48 @@ def split_terms(formula: str, text: str) -> list[str]:
     return parts
 
 
-_FACTOR = re.compile(
-    r"(?:(?P<name>[^\W\d]\w*)|\|\s*(?P<modulus>[^\W\d]\w*)\s*\|)(?:\s*\^\s*(?P<power>\d+))?"
-)
-
-
 def parse_term(part: str, text: str, axis: str, highest: int = HIGHEST_POWER) -> Term:
     """Parse ``x*|own|`` for the output whose own axis is given."""
-    plain: dict[str, int] = {}
-    modulus: dict[str, int] = {}
+    exponents: dict[str, dict[str, int]] = {}  # by variable and function, '' for the bare one
     refused = f"must lie between 1 and {highest}."
     for factor in part.split("*"):
         if factor.strip() == "1":
             continue
-        match = _FACTOR.fullmatch(factor.strip())
-        if match is None:
+        read = read_factor(factor.strip())
+        if read is None:
+            forms = ", ".join(["own", *function_forms("own")])
             raise UsageError(
                 f"model '{text}': cannot read '{factor.strip() or part}'; a term is a product of "
-                "1, x, y, z, own, |own| and column names, each with ^power."
+                f"1, x, y, z, {forms} and column names, each with ^power."
             )
-        digits = match["power"] or "1"
+        name, function, digits = read
+        digits = digits or "1"
         power = int(digits) if len(digits) <= len(str(highest)) else highest + 1
         if not 1 <= power <= highest:
             raise UsageError(f"model '{text}': the power in '{factor.strip()}' {refused}")
-        name = match["name"] or match["modulus"]
-        counts = plain if match["name"] else modulus
         name = axis if name == "own" else name
-        counts[name] = counts.get(name, 0) + power
-        if plain.get(name, 0) + modulus.get(name, 0) // 2 * 2 > highest:  # |v|^2 = v^2
-            raise UsageError(f"model '{text}': the power of {name} in '{part.strip()}' {refused}")
-    factors = []
-    for name in sorted({*plain, *modulus}):
-        # |v|^2 = v^2, so at most one modulus stays.
-        pairs, odd = divmod(modulus.get(name, 0), 2)
-        factors.append(Factor(name, plain.get(name, 0) + 2 * pairs, bool(odd)))
-    return Term(tuple(factors))
+        counts = exponents.setdefault(name, {})
+        counts[function] = counts.get(function, 0) + power
+    factors = [_product(name, counts, text) for name, counts in sorted(exponents.items())]
+    for f in factors:
+        if f.power > highest:
+            raise UsageError(
+                f"model '{text}': the power of {f.variable} in '{part.strip()}' {refused}"
+            )
+    return Term(tuple(factor for factor in factors if factor.is_variable))
+
+
+def _product(name: str, exponents: dict[str, int], text: str) -> Factor:
+    """Multiply the powers of a variable and of functions of it into one factor."""
+    power, left = 0, []
+    for function, count in exponents.items():
+        if not function:
+            power += count
+            continue
+        pairs, odd = divmod(count, 2)  # g^2 = v^(2d), so at most one g stays
+        power += 2 * FUNCTIONS[function].degree * pairs
+        left += [function] * odd
+    if len(left) > 1:
+        both = " and ".join(FUNCTIONS[function].form.format(name) for function in left)
+        raise UsageError(f"model '{text}': {both} stand in one term; keep one of them.")
+    return Factor(name, power, *left)

@@ -1,15 +1,8 @@
 """Schemes: the ordered set of positions of a calibration, named, from a file, or joined.
 
 A scheme gives each position its up vector `u` (unit, in case axes) and, where it is known, the
-whole attitude (see `multipos.positions.attitudes`). The named schemes are
-
-- ``song-qin-6``: table 1 of the six-position paper [1]_, in its order;
-- ``faces-6``, ``corners-8``, ``edges-12``, ``faces-corners-14``, ``faces-edges-18``, ``all-26``:
-  the up vector along the faces, corners and edges of a cube;
-- ``icosahedron-12``, ``dodecahedron-20``: the vertices of those solids;
-- ``fibonacci-N``: N nearly even directions on the golden spiral;
-- ``roll-x-N``, ``roll-y-N``, ``roll-z-N``: N even steps of a turn about a horizontal axis,
-  ``tumble-N`` (= ``roll-z-N``), ``dual-axis-48`` (= ``roll-y-24+roll-x-24``).
+whole attitude (see `multipos.positions.attitudes`). The named schemes, ``song-qin-6`` of [1]_ among
+them, are the entries of `SCHEMES`.
 
 References
 ----------
@@ -22,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +34,7 @@ from multipos.positions.attitudes import (
 from multipos.results import Result
 
 LARGEST = 1_000_000  # positions; a typing slip in fibonacci-N should not fill the memory
+_LONGEST = 40  # digits of an N that are read and shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,36 +97,30 @@ def join(name: str, parts: list[Scheme]) -> Scheme:
 
 def named_schemes() -> tuple[str, ...]:
     """Return the names of the schemes, the open ones with the N that users know."""
-    return (
-        *_FIXED,
-        "fibonacci-24",
-        "roll-x-24",
-        "roll-y-24",
-        "roll-z-24",
-        "tumble-12",
-        "dual-axis-48",
+    return tuple(
+        name if scheme.shown is None else f"{name.removesuffix('N')}{scheme.shown}"
+        for name, scheme in SCHEMES.items()
     )
 
 
 def _named_or_file(text: str) -> Scheme:
     name = text.strip()
-    if name in _FIXED:
-        return _scheme(name, _FIXED[name]())
-    if name == "dual-axis-48":
-        return _scheme(name, _dual_axis())
-    pattern = re.fullmatch(r"(fibonacci|roll-x|roll-y|roll-z|tumble)-(\d+)", name)
-    if pattern:
-        family, count = pattern[1], int(pattern[2])
+    if name in SCHEMES and SCHEMES[name].shown is None:
+        return _scheme(name, SCHEMES[name].positions())
+    family, _, digits = name.rpartition("-")
+    if f"{family}-N" in SCHEMES and re.fullmatch(r"\d+", digits):
+        count = int(digits) if len(digits) <= _LONGEST else LARGEST + 1
         if not 1 <= count <= LARGEST:
-            raise UsageError(f"scheme '{name}': N must lie between 1 and {LARGEST}, got {count}.")
-        return _scheme(name, _FAMILIES[family](count))
+            raise UsageError(
+                f"scheme '{name}': N must lie between 1 and {LARGEST}, got {digits:.{_LONGEST}}."
+            )
+        return _scheme(name, SCHEMES[f"{family}-N"].positions(count))
     if _is_file(name):
         return _from_table(name)
     if Path(name).suffix or os.sep in name:
         raise MultiposError(f"{name}: no such file; check the path of the scheme.")
     raise UsageError(
-        f"unknown scheme '{name}'; give a file or one of {', '.join(_FIXED)}, dual-axis-48, "
-        "fibonacci-N, roll-x-N, roll-y-N, roll-z-N, tumble-N, joined by +."
+        f"unknown scheme '{name}'; give a file or one of {', '.join(SCHEMES)}, joined by +."
     )
 
 
@@ -237,21 +226,32 @@ def _dual_axis() -> Attitudes:
     return _joined(_roll("y")(24), _roll("x")(24))
 
 
-_FIXED: dict[str, Callable[[], Attitudes]] = {
-    "song-qin-6": _song_qin,
-    "faces-6": _faces,
-    "corners-8": _corners,
-    "edges-12": _edges,
-    "icosahedron-12": _icosahedron,
-    "faces-corners-14": lambda: _joined(_faces(), _corners()),
-    "faces-edges-18": lambda: _joined(_faces(), _edges()),
-    "dodecahedron-20": _dodecahedron,
-    "all-26": lambda: _joined(_faces(), _edges(), _corners()),
-}
-_FAMILIES: dict[str, Callable[[int], Attitudes]] = {
-    "fibonacci": _fibonacci,
-    "roll-x": _roll("x"),
-    "roll-y": _roll("y"),
-    "roll-z": _roll("z"),
-    "tumble": _roll("z"),
+def _all() -> Attitudes:
+    return _joined(_faces(), _edges(), _corners())
+
+
+class Named(NamedTuple):
+    """A named scheme, or a family of them whose name ends in N."""
+
+    told: str  # its positions in words
+    positions: Callable[..., Attitudes]  # of nothing, or of the N of a family
+    shown: int | None = None  # the N of a family that the list of schemes shows
+
+
+SCHEMES = {
+    "song-qin-6": Named("table 1 of the six-position paper, in its order", _song_qin),
+    "faces-6": Named("up along the faces of a cube", _faces),
+    "corners-8": Named("up along the corners of a cube", _corners),
+    "edges-12": Named("up along the edges of a cube", _edges),
+    "icosahedron-12": Named("up along the corners of an icosahedron", _icosahedron),
+    "faces-corners-14": Named("faces-6, then corners-8", lambda: _joined(_faces(), _corners())),
+    "faces-edges-18": Named("faces-6, then edges-12", lambda: _joined(_faces(), _edges())),
+    "dodecahedron-20": Named("up along the corners of a dodecahedron", _dodecahedron),
+    "all-26": Named("faces-6, then edges-12, then corners-8", _all),
+    "dual-axis-48": Named("roll-y-24, then roll-x-24", _dual_axis),
+    "fibonacci-N": Named("N nearly even directions on the golden spiral", _fibonacci, 24),
+    "roll-x-N": Named("N even steps of a turn about x, held horizontal", _roll("x"), 24),
+    "roll-y-N": Named("N even steps of a turn about y, held horizontal", _roll("y"), 24),
+    "roll-z-N": Named("N even steps of a turn about z, held horizontal", _roll("z"), 24),
+    "tumble-N": Named("the same as roll-z-N", _roll("z"), 12),
 }

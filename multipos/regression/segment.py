@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 
 from multipos.files.records import require_covariance
 from multipos.numerics.arrays import Array
+from multipos.numerics.factors import factor_from_list, factor_to_list
 from multipos.numerics.quantiles import t_tail
 from multipos.numerics.selection import Step, Tested
 from multipos.numerics.subsets import Subset
-from multipos.numerics.terms import Factor, Term, evaluate_terms
+from multipos.numerics.terms import Term, evaluate_terms
 from multipos.results import Result
 
 # What stands beside 'robust' in a file.
@@ -165,7 +166,7 @@ def segment_to_dict(s: Segment) -> dict[str, Any]:
     terms = []
     for coefficient, term in zip(s.coefficients, s.terms, strict=True):
         row = {k: v for k, v in coefficient._asdict().items() if v is not None}
-        terms.append({**row, "factors": [[f.variable, f.power, f.modulus] for f in term.factors]})
+        terms.append({**row, "factors": [factor_to_list(f) for f in term.factors]})
     content: dict[str, Any] = {
         "range": s.range,
         "branch": s.branch,
@@ -244,10 +245,7 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
     ValueError
         Coefficients, covariances and limits that do not fit each other.
     """
-    terms = tuple(
-        Term(tuple(Factor(name, power, modulus) for name, power, modulus in entry["factors"]))
-        for entry in c["terms"]
-    )
+    terms = tuple(Term(tuple(map(factor_from_list, entry["factors"]))) for entry in c["terms"])
     covariance = _square(c, "covariance")
     require_covariance(covariance, _numbers([entry["u"] for entry in c["terms"]]))
     used = {factor.variable for term in terms for factor in term.factors}

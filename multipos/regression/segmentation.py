@@ -40,8 +40,9 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.numbers import number
 from multipos.numerics.arrays import Array
+from multipos.numerics.factors import Factor
 from multipos.numerics.selection import Triangle, compress, join
-from multipos.numerics.terms import Factor, Term
+from multipos.numerics.terms import Term
 
 Rows = NDArray[np.intp]
 
@@ -83,7 +84,7 @@ def hinges(terms: Sequence[Term], variable: str, edges: Sequence[float]) -> tupl
     carrying = [  # |v| bends at zero and nowhere else, so it stays as it is
         term
         for term in terms
-        if any(f.variable == variable and f.power and not f.modulus for f in term.factors)
+        if any(f.variable == variable and f.power and not f.function for f in term.factors)
     ]
     return tuple(Hinge(term, variable, edge) for edge in edges for term in carrying)
 

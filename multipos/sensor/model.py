@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.errors import UsageError
 from multipos.files.lists import Names, near, split_names
 from multipos.numerics.arrays import Array
+from multipos.numerics.factors import function_forms
 from multipos.numerics.terms import (
     COMPONENTS,
     CONSTANT,
@@ -208,7 +209,7 @@ class Model(Result):
     def slopes(self) -> tuple[tuple[int, int, int, Term | None], ...]:
         """Derivatives of the basis terms by the force: term, component, number times lower term.
 
-        None stands for a modulus alone, whose derivative is no term.
+        None stands for a function alone, whose derivative is no term.
         """
         return tuple(
             (
@@ -391,7 +392,7 @@ def build_model(
             if variable not in columns:
                 raise UsageError(
                     f"unknown term '{variable}' in model '{text}'; a term is made of x, y, z, own, "
-                    + ", ".join(["|own|", *sorted(columns)])
+                    + ", ".join([*function_forms("own"), *sorted(columns)])
                     + "."
                 )
     return model

@@ -1,6 +1,7 @@
 """Names of the parameters: for the command line and files, and in plain words for reports."""
 
-from multipos.numerics.terms import COMPONENTS, Factor, Term
+from multipos.numerics.factors import MODULUS, Factor
+from multipos.numerics.terms import COMPONENTS, Term
 
 
 def parameter_name(output: str, axis: str, term: Term) -> str:
@@ -16,10 +17,11 @@ def parameter_name(output: str, axis: str, term: Term) -> str:
             return f"quad_{output}" if own else f"square_{output}_{factor.variable}"
         if own and factor == Factor(axis, 3):
             return f"cubic_{output}"
-        if own and factor == Factor(axis, 1, modulus=True):
+        if own and factor == Factor(axis, 1, MODULUS):
             return f"odd_{output}"
-    pair = [f.variable for f in term.factors if f.degree == 1 and f.variable in COMPONENTS]
-    if len(pair) == len(term.factors) == 2 and not any(f.modulus for f in term.factors):
+    force = [f for f in term.factors if f.variable in COMPONENTS]
+    pair = [f.variable for f in force if f == Factor(f.variable, 1)]
+    if len(pair) == len(term.factors) == 2:
         return f"product_{output}_{''.join(pair)}"
     return f"{term}_{output}"
 

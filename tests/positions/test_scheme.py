@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from multipos.cli import command_parser
 from multipos.errors import MultiposError, UsageError
-from multipos.positions.scheme import named_schemes, read_scheme
+from multipos.positions.attitudes import from_up
+from multipos.positions.scheme import SCHEMES, Named, named_schemes, read_scheme
 
 
 def angles_deg(up):
@@ -110,6 +112,22 @@ def test_every_named_scheme_reads_and_is_proper():
         assert not scheme.up.flags.writeable
 
 
+def test_a_new_scheme_is_one_entry(monkeypatch):
+    pair = Named("up along z, and down", lambda: from_up([[0, 0, 1], [0, 0, -1]]))
+    fan = Named("N times up", lambda count: from_up([[0, 0, 1]] * count), 5)
+    monkeypatch.setitem(SCHEMES, "pair-2", pair)
+    monkeypatch.setitem(SCHEMES, "fan-N", fan)
+    joined = read_scheme("pair-2+fan-3")
+    assert joined.up[:, 2].tolist() == [1, -1, 1, 1, 1]
+    assert named_schemes()[-2:] == ("pair-2", "fan-5")
+    for name in ("pair", "fan-N", "fan-x", "pair-3"):  # none of them is a name
+        with pytest.raises(UsageError, match="tumble-N, pair-2, fan-N, joined by"):
+            read_scheme(name)
+    listed = command_parser("schemes").format_help()
+    assert "up along z, and down" in listed
+    assert "N times up" in listed
+
+
 def test_files_and_joins(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.csv").write_text("position,direction\na,E-N-U\nb,东天南\n")
@@ -135,6 +153,7 @@ def test_files_and_joins(tmp_path, monkeypatch):
         ("", UsageError, "unknown scheme ''"),
         ("roll-x-0", UsageError, "N must lie between 1 and 1000000, got 0"),
         ("fibonacci-9999999", UsageError, "N must lie between"),
+        (f"fibonacci-{'9' * 5000}", UsageError, "1000000, got 9{40}.$"),
         ("none.csv", MultiposError, "none.csv: no such file; check the path of the scheme"),
         ("x" * 300, UsageError, "unknown scheme"),
     ],
