@@ -35,10 +35,10 @@ from multipos.compensation.parameters import ARDUPILOT, PX4, read_parameters, re
 from multipos.errors import MultiposError
 from multipos.files.characters import visible
 from multipos.files.numbers import table
-from multipos.files.tables import plain, read_bytes
+from multipos.files.tables import read_bytes
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.results import Result
+from multipos.results import Result, plain
 from multipos.sensor.calibration import Calibration, labels
 from multipos.sensor.inverse import sensed_axes
 

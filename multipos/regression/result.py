@@ -18,13 +18,13 @@ from multipos.errors import MultiposError
 from multipos.files.formats import REGRESSION
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.records import require
-from multipos.files.tables import plain, read_json, to_json, write_text
+from multipos.files.tables import read_json, to_json, write_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Tested
 from multipos.regression.hysteresis import BRANCHES, branch_of
 from multipos.regression.segment import Segment, segment_from_dict, segment_to_dict
 from multipos.regression.segmentation import segment_of
-from multipos.results import Result
+from multipos.results import Result, plain
 
 SCHEMA = "multipos/regression/1"
 

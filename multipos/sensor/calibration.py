@@ -21,13 +21,13 @@ from multipos.errors import MultiposError
 from multipos.files.formats import CALIBRATION
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.records import require, require_covariance
-from multipos.files.tables import plain, read_json, to_json, write_text
+from multipos.files.tables import read_json, to_json, write_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings
-from multipos.results import Result
+from multipos.results import Result, plain
 from multipos.sensor import derived, inverse
 from multipos.sensor.diagnostics import Diagnostics, linearity
 from multipos.sensor.expressions import expression_dict, load_expression
