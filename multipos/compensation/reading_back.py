@@ -39,7 +39,7 @@ from multipos.files.tables import read_bytes
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result, plain
-from multipos.sensor.calibration import Calibration, labels
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 
 _COMPILERS = ("cc", "gcc", "clang")
@@ -194,7 +194,7 @@ def verify_export(
     return Verification(
         target=target,
         axes=COMPONENTS,
-        positions=labels(calibration.readings),
+        positions=calibration.readings.labels,
         residuals=residuals,
         rms=rms_left(calibration, residuals),
         calibration_rms=calibration.rms,
@@ -236,7 +236,7 @@ def _verify_c(
     return Verification(
         target="c, single precision" if single else "c",
         axes=tuple(COMPONENTS[i] for i in sensed),
-        positions=labels(readings),
+        positions=readings.labels,
         residuals=residuals,
         rms=rms_left(calibration, all_axes),
         calibration_rms=calibration.rms,

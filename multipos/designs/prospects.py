@@ -214,7 +214,7 @@ def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     if calibration.estimator == "uncertain-orientation" and readings.orientation_sd is not None:
         stated = readings.orientation_sd[np.isfinite(readings.orientation_sd)]
         spread = float(np.sqrt(np.mean(stated**2)))
-    sign = -1.0 if calibration.convention == "gravity" else 1.0
+    sign = calibration.sign
     size = np.linalg.norm(calibration.reference, axis=1)
     setting = Setting(model, spread, sd, calibration.parameters, sign * float(size.mean()))
     up = sign * calibration.reference / size[:, np.newaxis]

@@ -153,6 +153,16 @@ class Calibration(Result):
         return self.model.names
 
     @property
+    def entries(self) -> tuple[Parameter, ...]:
+        """Every parameter with its uncertainty, in the order of `names`."""
+        return tuple(self._parameter(index) for index in range(len(self.parameters)))
+
+    @property
+    def sign(self) -> float:
+        """+1 where the axis that points up reads +1, −1 under 'gravity'."""
+        return -1.0 if self.convention == "gravity" else 1.0
+
+    @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs."""
         return self.model.outputs
@@ -214,12 +224,16 @@ class Calibration(Result):
     @cached_property
     def intrinsic(self) -> dict[str, dict[str, derived.Value]] | None:
         """Sensitivities, offsets [g], angles between input axes and mounting, of a triad."""
-        return derived.intrinsic(self.model, self.parameters, self.covariance, self._mean)
+        return derived.intrinsic(
+            self.model, self.parameters, self.covariance, self.mean_environment
+        )
 
     @cached_property
     def installation_deg(self) -> dict[str, derived.Value]:
         """How far output i leans to axis j, θ_ij = atan2(M_ij, M_ii), in degrees, with u and U."""
-        found = derived.installation_deg(self.model, self.parameters, self.covariance, self._mean)
+        found = derived.installation_deg(
+            self.model, self.parameters, self.covariance, self.mean_environment
+        )
         own = dict(zip(self.model.axes, self.dof.tolist(), strict=True))
         for pair, angle in found.items():
             angle["U"] = coverage_factor(self.confidence, own[pair[0]]) * angle["u"]
@@ -300,8 +314,8 @@ class Calibration(Result):
             "unit": self.model.unit,
             "confidence": self.confidence,
             "status": self.status._asdict(),
-            "positions": labels(readings),
-            "parameters": [self._parameter(i)._asdict() for i in range(len(self.parameters))],
+            "positions": readings.labels,
+            "parameters": [entry._asdict() for entry in self.entries],
             "covariance": self.covariance,
             "residuals": self.residuals,
             "residual_sd": dict(zip(self.outputs, self.residual_sd, strict=True)),
@@ -341,7 +355,8 @@ class Calibration(Result):
         return table(*parameter_rows(self), left=3)
 
     @cached_property
-    def _mean(self) -> dict[str, float]:
+    def mean_environment(self) -> dict[str, float]:
+        """The mean of each column of the model over the readings."""
         return {
             name: float(np.mean(self.readings.environment[name])) for name in self.model.environment
         }
@@ -370,8 +385,7 @@ def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]
     symbols = paper_symbol(calibration.model, 0) is not None
     header = ["parameter", *(["symbol"] if symbols else []), "unit", "value(u)", "U", "k", "dof"]
     rows = []
-    for index in range(len(calibration.parameters)):
-        p = calibration._parameter(index)
+    for p in calibration.entries:
         rows.append(
             [
                 p.name,
@@ -384,13 +398,6 @@ def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]
             ]
         )
     return header, rows
-
-
-def labels(readings: Readings) -> tuple[str, ...]:
-    """Return the position labels, or 1, 2, … where the readings have none."""
-    if readings.positions is not None:
-        return readings.positions
-    return tuple(str(row + 1) for row in range(len(readings)))
 
 
 def load(path: str | os.PathLike[str]) -> Calibration:

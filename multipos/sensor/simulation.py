@@ -159,7 +159,7 @@ def _session(
         raise UsageError(
             f"--orientation-sd must be 0 or more and below 180 degrees, got {orientation_sd:g}."
         )
-    sign = -1.0 if calibration.convention == "gravity" else 1.0
+    sign = calibration.sign
     size = gravity_ratio(None if calibration.gravity is None else calibration.gravity.value)
     tilt = np.radians(orientation_sd) * rng.normal(size=scheme.up.shape)
     up = _turned(scheme.up, -tilt)
