@@ -39,9 +39,9 @@ _PUBLIC = {
     "design": "designs.designing",
     "export": "compensation.targets",
     "fit": "fitting",
-    "load": "sensor.calibration",
-    "load_check": "verification.verdicts",
-    "load_regression": "regression.result",
+    "load": "sensor.calibration_file",
+    "load_check": "verification.check_file",
+    "load_regression": "regression.regression_file",
     "normal_gravity": "units",
     "over_temperature": "sensor.temperature",
     "read_readings": "positions.readings",
@@ -113,18 +113,21 @@ if TYPE_CHECKING:
     from multipos.positions.readings import Readings, read_readings
     from multipos.positions.scheme import Scheme, read_scheme
     from multipos.regressing import regress
-    from multipos.regression.result import Regression, load_regression
-    from multipos.sensor.calibration import Calibration, load
+    from multipos.regression.regression_file import load_regression
+    from multipos.regression.result import Regression
+    from multipos.sensor.calibration import Calibration
+    from multipos.sensor.calibration_file import load
     from multipos.sensor.model import Model
     from multipos.sensor.simulation import simulate, simulate_log
     from multipos.sensor.temperature import over_temperature
     from multipos.song_qin import demo
     from multipos.uncertainty.turntable import state_bench, table_errors
     from multipos.units import normal_gravity
+    from multipos.verification.check_file import load_check
     from multipos.verification.checks import check
     from multipos.verification.comparison import compare
     from multipos.verification.single_axis import Tumble, tumble
-    from multipos.verification.verdicts import Check, load_check
+    from multipos.verification.verdicts import Check
 
 
 def __getattr__(name: str) -> Any:

@@ -6,7 +6,7 @@ from pathlib import Path
 from multipos.commands.answers import STDOUT, Answer, Output
 from multipos.compensation.targets import TARGETS, export, self_test
 from multipos.files.tables import to_json
-from multipos.sensor.calibration import load
+from multipos.sensor.calibration_file import load
 
 
 def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
