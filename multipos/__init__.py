@@ -42,9 +42,9 @@ _PUBLIC = {
     "export": "compensation.targets",
     "fit": "fitting",
     "judge_terms_jointly": "doubts.joint_tests",
-    "load": "sensor.calibration",
-    "load_check": "verification.verdicts",
-    "load_regression": "regression.result",
+    "load": "sensor.calibration_file",
+    "load_check": "verification.check_file",
+    "load_regression": "regression.regression_file",
     "normal_gravity": "units",
     "over_temperature": "sensor.temperature",
     "profile_interval": "uncertainty.profiles",
@@ -90,10 +90,10 @@ if TYPE_CHECKING:
     from multipos.positions.scheme import Scheme as Scheme
     from multipos.positions.scheme import read_scheme as read_scheme
     from multipos.regressing import regress as regress
+    from multipos.regression.regression_file import load_regression as load_regression
     from multipos.regression.result import Regression as Regression
-    from multipos.regression.result import load_regression as load_regression
     from multipos.sensor.calibration import Calibration as Calibration
-    from multipos.sensor.calibration import load as load
+    from multipos.sensor.calibration_file import load as load
     from multipos.sensor.model import Model as Model
     from multipos.sensor.simulation import simulate as simulate
     from multipos.sensor.simulation import simulate_log as simulate_log
@@ -107,12 +107,12 @@ if TYPE_CHECKING:
     from multipos.uncertainty.turntable import table_errors as table_errors
     from multipos.uncertainty.validity import evaluate_sphere as evaluate_sphere
     from multipos.units import normal_gravity as normal_gravity
+    from multipos.verification.check_file import load_check as load_check
     from multipos.verification.checks import check as check
     from multipos.verification.comparison import compare as compare
     from multipos.verification.single_axis import Tumble as Tumble
     from multipos.verification.single_axis import tumble as tumble
     from multipos.verification.verdicts import Check as Check
-    from multipos.verification.verdicts import load_check as load_check
 
 
 def __getattr__(name: str) -> Any:

@@ -7,20 +7,29 @@ the time and the names of files, is a field with ``compare=False``.
 
 Arrays are read-only and mappings `Frozen`, and they are still so after pickling and copying.
 Nothing that a `cached_property` has worked out goes along: it is worked out again.
+
+A result that is one thing with parts is `Keyed`: its fields are the keys of its JSON, and are read
+as attributes or by key. One that is a table is `Columns`.
 """
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, fields
 from typing import Any, ClassVar, NoReturn, TypeVar
 
 import numpy as np
 
+from multipos.errors import MultiposError
+
 K = TypeVar("K")
 V = TypeVar("V")
 
 
-class Record(dict[K, V]):
-    """A dictionary whose values, arrays among them, are compared by value."""
+class Frozen(dict[K, V]):
+    """A dictionary, compared by value, that cannot be changed, nor the arrays in it."""
+
+    def __init__(self, content: Mapping[K, V] | Iterable[tuple[K, V]] = ()) -> None:
+        super().__init__({key: freeze(value) for key, value in dict(content).items()})
 
     def __eq__(self, other: object) -> bool:
         return _same(self, other) if isinstance(other, Mapping) else NotImplemented
@@ -29,13 +38,6 @@ class Record(dict[K, V]):
         return not self == other
 
     __hash__ = None  # as of every dictionary
-
-
-class Frozen(Record[K, V]):
-    """A dictionary that cannot be changed, nor the arrays in it."""
-
-    def __init__(self, content: Mapping[K, V] | Iterable[tuple[K, V]] = ()) -> None:
-        super().__init__({key: freeze(value) for key, value in dict(content).items()})
 
     def __reduce__(self) -> tuple[type, tuple[dict[K, V]]]:
         return type(self), (dict(self),)  # not entry by entry, which it would refuse
@@ -72,12 +74,87 @@ class Result:
             object.__setattr__(self, name, freeze(value))
 
 
+class Keyed(Result, Mapping[str, Any]):
+    """A result whose fields are read by key as well: ``found["positions"]``, ``dict(found)``."""
+
+    def __getitem__(self, key: str) -> Any:
+        if key not in self.__dataclass_fields__:
+            raise KeyError(key)
+        return getattr(self, key)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.__dataclass_fields__)
+
+    def __len__(self) -> int:
+        return len(self.__dataclass_fields__)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as what JSON can carry, the fields as keys in their order."""
+        result: dict[str, Any] = plain(self)
+        return result
+
+
+class Columns(Frozen[str, Any]):
+    """A table: columns by name, each an attribute as well where its name can be one."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self:
+            raise AttributeError(f"no column '{name}'; the columns are {', '.join(self)}.")
+        return self[name]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return ``{"columns": {name: […]}}`` as what JSON can carry."""
+        return {"columns": plain(self)}
+
+    def to_pandas(self) -> Any:
+        """Return the columns as a pandas data frame.
+
+        Raises
+        ------
+        MultiposError
+            pandas is not installed.
+        """
+        return data_frame(self)
+
+
+def data_frame(columns: Mapping[str, Any]) -> Any:
+    """Return columns as a pandas data frame, which can be changed: it has arrays of its own.
+
+    Raises
+    ------
+    MultiposError
+        pandas is not installed.
+    """
+    try:
+        import pandas as pd
+    except ImportError:
+        raise MultiposError(
+            "`to_pandas` needs pandas, which is not installed; install it, or use `to_dict`."
+        ) from None
+    return pd.DataFrame(dict(columns))
+
+
+def plain(value: Any) -> Any:
+    """Return nested mappings, sequences and arrays as what JSON can carry."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
 def freeze(value: Any) -> Any:
     """Return a value of a result as it is kept: its arrays read-only, its mappings frozen."""
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
     elif isinstance(value, Mapping):
-        return value if isinstance(value, Frozen) else Frozen(value)
+        return value if isinstance(value, Frozen | Result) else Frozen(value)
     elif isinstance(value, tuple):
         kept = [freeze(part) for part in value]
         if any(new is not old for new, old in zip(kept, value, strict=True)):
@@ -90,6 +167,8 @@ def _same(one: Any, other: Any) -> bool:
         if type(one) is not type(other):
             return False
         return np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f")
+    if isinstance(one, Result):
+        return bool(one == other)
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
     if isinstance(one, list | tuple) and isinstance(other, list | tuple):

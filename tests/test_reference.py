@@ -12,7 +12,7 @@ from multipos.positions import attitudes
 from multipos.positions.readings import _RESERVED
 from multipos.positions.scheme import SCHEMES
 from multipos.reports.certificate import LAB_FIELDS
-from multipos.sensor.calibration import _EXTRA
+from multipos.sensor.calibration_file import _EXTRA
 from multipos.sensor.model import build_model
 from multipos.uncertainty.budgets import DIVISORS, KINDS
 

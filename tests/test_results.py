@@ -1,7 +1,9 @@
 """Results can be pickled, copied and compared, and stay frozen through all of it."""
 
 import copy
+import json
 import pickle
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
 from functools import cache, partial
@@ -10,12 +12,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import multipos as mp
 from multipos.doubts.criticism import find_influence, judge_terms
 from multipos.doubts.joint_tests import judge_terms_jointly
-from multipos.results import Frozen, Record
+from multipos.files.tables import to_json
+from multipos.results import Columns, Frozen, Keyed
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.uncertainty.propagation import evaluate_budget
@@ -214,8 +218,7 @@ def test_a_pickle_and_a_copy_equal_the_result_and_are_frozen(name):
         assert type(found) is type(result)
         assert found == result
         assert (found != result) is False
-        if not isinstance(result, Record):  # columns are the caller's own, to go on working with
-            assert not any(array.flags.writeable for array in arrays(found))
+        assert not any(array.flags.writeable for array in arrays(found))
 
 
 @every_result
@@ -254,12 +257,88 @@ def test_time_and_file_names_make_no_difference(tmp_path):
 
 
 def test_nan_equals_nan_and_shapes_count():
-    columns = Record(a=np.array([1.0, np.nan]), b=[1.0, float("nan")])
-    assert columns == Record(a=np.array([1.0, np.nan]), b=[1.0, float("nan")])
-    assert columns != Record(a=np.array([[1.0, np.nan]]), b=[1.0, float("nan")])
-    assert columns != Record(a=np.array([1.0, np.nan]))
-    assert Record(a=np.array([1.0])) != Record(a=1.0)
-    assert Record(a=np.array([1.0])) != np.array([1.0]).tolist()
+    columns = Frozen({"a": np.array([1.0, np.nan]), "b": [1.0, float("nan")]})
+    assert columns == Frozen({"a": np.array([1.0, np.nan]), "b": [1.0, float("nan")]})
+    assert columns != Frozen({"a": np.array([[1.0, np.nan]]), "b": [1.0, float("nan")]})
+    assert columns != Frozen({"a": np.array([1.0, np.nan])})
+    assert Frozen({"a": np.array([1.0])}) != Frozen({"a": 1.0})
+    assert Frozen({"a": np.array([1.0])}) != np.array([1.0]).tolist()
+
+
+keyed = pytest.mark.parametrize("name", ["schemes", "design", "worth"])
+tables = pytest.mark.parametrize("name", ["apply", "correct", "simulate", "simulate_log"])
+
+
+@keyed
+def test_a_result_with_parts_is_read_by_attribute_and_by_key(name):
+    found = RESULTS[name]()
+    assert isinstance(found, Keyed)
+    names = [field.name for field in fields(found)]
+    assert list(found) == list(found.keys()) == list(found.to_dict()) == names
+    assert len(found) == len(names)
+    assert dict(found) == {**found}
+    for key in names:
+        assert found[key] is getattr(found, key)
+    assert "nonsense" not in found
+    assert "to_dict" not in found
+    with pytest.raises(KeyError, match="nonsense"):
+        found["nonsense"]
+    assert json.loads(to_json(found)) == found.to_dict()
+    parts = [part for value in found.values() if isinstance(value, tuple) for part in value]
+    assert all(isinstance(part, Keyed) for part in parts)
+
+
+@tables
+def test_a_table_is_read_by_attribute_and_by_key(name):
+    found = RESULTS[name]()
+    assert isinstance(found, Columns)
+    column = found["outside" if "outside" in found else "ax"]
+    assert (found.outside if "outside" in found else found.ax) is column
+    assert not hasattr(found, "nonsense")
+    with pytest.raises(AttributeError, match=r"no column 'f_w'; the columns are "):
+        found.f_w  # noqa: B018
+    assert list(found.to_dict()["columns"]) == list(found)
+    frame = found.to_pandas()
+    pd.testing.assert_frame_equal(frame, pd.DataFrame(found))
+    assert list(frame) == list(found)
+    frame.iloc[0, -1] = 7  # a frame is the caller's own
+    assert found == RESULTS[name]()
+
+
+@pytest.mark.parametrize("name", ["apply", "correct"])
+def test_a_table_leaves_the_arrays_it_was_given_as_they_were(name):
+    function, with_, columns = {
+        "apply": (mp.apply, sensor(), {axis: np.ones(2) for axis in ("ax", "ay", "az")}),
+        "correct": (mp.correct, regressed(), {axis: np.ones(2) for axis in ("t", "V", "y")}),
+    }[name]
+    found = function(with_, columns)
+    for given in columns.values():
+        given[0] = 2.0
+    assert found == function(with_, {axis: np.ones(2) for axis in columns})
+
+
+def test_what_is_a_table_in_a_result_becomes_a_frame():
+    found = mp.schemes("faces-6", "roll-x-8")
+    frame = found.to_pandas()
+    assert frame["name"].tolist() == ["faces-6", "roll-x-8"]
+    assert frame["log_det"][0] == found.schemes[0].log_det
+    assert np.isnan(frame["d_efficiency"][1])
+    best = RESULTS["design"]()
+    frame = best.to_pandas()
+    assert list(frame) == ["position", "up_x", "up_y", "up_z"]
+    np.testing.assert_array_equal(frame[["up_x", "up_y", "up_z"]], best.positions)
+    next_ = RESULTS["worth"]()
+    frame = next_.to_pandas()
+    assert frame["up_z"].tolist() == [candidate.up[2] for candidate in next_.candidates]
+    assert frame["fall"].is_monotonic_decreasing
+    assert frame["u ax:x"][3] == next_.candidates[3].u["ax:x"]
+
+
+def test_without_pandas_a_frame_is_refused_in_words(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    for name in ("schemes", "design", "worth", "simulate"):
+        with pytest.raises(mp.MultiposError, match="needs pandas, which is not installed"):
+            RESULTS[name]().to_pandas()
 
 
 def test_a_frozen_mapping_refuses_every_change():

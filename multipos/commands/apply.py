@@ -18,8 +18,8 @@ from multipos.files.tables import (
     read_table,
 )
 from multipos.logs.opening import open_log
-from multipos.regression.result import SCHEMA, load_regression
-from multipos.sensor.calibration import load
+from multipos.regression.regression_file import SCHEMA, load_regression
+from multipos.sensor.calibration_file import load
 
 INPUTS = ("calibration", "data")
 OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("json", "text"))

@@ -7,7 +7,7 @@ from multipos.commands.answers import STDOUT, Answer, Output
 from multipos.compensation.target import self_test
 from multipos.compensation.targets import TARGETS, export, named_target
 from multipos.files.tables import to_json
-from multipos.sensor.calibration import load
+from multipos.sensor.calibration_file import load
 
 
 def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:

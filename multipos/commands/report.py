@@ -7,9 +7,9 @@ from multipos.commands.options import progress_bar
 from multipos.files.tables import to_json
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report
-from multipos.sensor.calibration import load
+from multipos.sensor.calibration_file import load
 from multipos.uncertainty.monte_carlo import simulate_budget
-from multipos.verification.verdicts import load_check
+from multipos.verification.check_file import load_check
 
 INPUTS = ("calibration", "lab", "check")
 OUTPUT = Output("REPORT.html", "file to write", "html", ("markdown", "text"), required=True)

@@ -6,7 +6,7 @@ from multipos.commands.answers import Answer, Output
 from multipos.commands.options import numbers
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv, to_json
-from multipos.sensor.calibration import load
+from multipos.sensor.calibration_file import load
 from multipos.sensor.simulation import simulate, simulate_log
 
 INPUTS = ("calibration", "scheme")

@@ -17,8 +17,9 @@ be of any length.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from multipos.logs.opening import read_log
 from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, largest_value
-from multipos.results import Record
+from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.parity import FAULT_LEVEL, parity
@@ -44,6 +45,17 @@ _MARGIN = 0.01
 _MARGIN_RMS = 4.0
 
 
+class Applied(Columns):
+    """A table with the compensated force beside its columns.
+
+    Force is in g, NaN where no force explains the reading.
+    """
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return ``{"rows": n, "columns": {name: […]}}`` as what JSON can carry."""
+        return {"rows": len(self["outside"]), **super().to_dict()}
+
+
 def apply(
     calibration: Calibration,
     data: Source,
@@ -51,7 +63,7 @@ def apply(
     tilt: bool = False,
     uncertainty: bool = False,
     outside: Outside = "flag",
-) -> dict[str, Column]:
+) -> Applied:
     """Return the columns of a table with the compensated force beside them.
 
     Parameters
@@ -69,8 +81,7 @@ def apply(
 
     Returns
     -------
-    dict of str to sequence
-        Columns in order; force in g, NaN where no force explains the reading.
+    Applied
 
     Raises
     ------
@@ -91,7 +102,8 @@ def apply(
     if outside == "refuse" and added["outside"].any():
         where = table.where(int(np.argmax(added["outside"])), calibration.outputs[0])
         raise _refusal(where, int(added["outside"].sum()), table.rows)
-    return Record({**table.columns, **added})
+    kept = {name: copy(column) for name, column in table.columns.items()}  # the caller's own stay
+    return Applied({**kept, **added})
 
 
 @dataclass

@@ -135,10 +135,7 @@ def _header(calibration: Calibration, name: str, how: str) -> str:
         for low, high in [environment_range(c, n)]
     ]
     sensed = [COMPONENTS[i] for i in sensed_axes(model)]
-    rows = []
-    for i in range(len(c.parameters)):
-        p = c._parameter(i)
-        rows.append([p.name, p.unit, uncertain(p.value, p.u), number(p.U, 2)])
+    rows = [[p.name, p.unit, uncertain(p.value, p.u), number(p.U, 2)] for p in c.entries]
     what = "specific force" if c.convention == "specific-force" else "gravity"
     lines = [
         f"{name}_compensate: raw accelerometer readings to {what} [g].",

@@ -13,6 +13,8 @@ variables are clamped to the range, or the table is refused.
 """
 
 from collections.abc import Mapping
+from copy import copy
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +26,16 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import largest_value
 from multipos.regression.rates import smoothed_rate
 from multipos.regression.result import Regression
-from multipos.results import Record
+from multipos.results import Columns
 from multipos.units import LARGEST
+
+
+class Corrected(Columns):
+    """A table with `predicted`, `corrected` and `outside` beside its columns."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return ``{"rows": n, "columns": {name: […]}}`` as what JSON can carry."""
+        return {"rows": len(self["outside"]), **super().to_dict()}
 
 
 def correct(
@@ -35,7 +45,7 @@ def correct(
     column: str | None = None,
     outside: Outside = "flag",
     uncertainty: bool = False,
-) -> dict[str, Column]:
+) -> Corrected:
     """Return the columns of a table with `predicted` and `corrected` beside them.
 
     Parameters
@@ -52,7 +62,7 @@ def correct(
 
     Returns
     -------
-    dict of str to sequence
+    Corrected
 
     Raises
     ------
@@ -94,7 +104,8 @@ def correct(
         raise MultiposError(
             f"{table.source}: column '{twice[0]}' is there already; rename it, apply writes it."
         )
-    return Record({**table.columns, **added})
+    kept = {name: copy(column) for name, column in table.columns.items()}  # the caller's own stay
+    return Corrected({**kept, **added})
 
 
 def read_predictors(regression: Regression, table: Table) -> dict[str, Array]:

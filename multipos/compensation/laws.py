@@ -58,7 +58,7 @@ def reduce_to(calibration: Calibration, formula: str, target: str, *, allow_loss
         linear = reduced.linear_map({}) @ solution.parameters
     else:
         linear = model.linear_map({}) @ calibration.parameters
-    sign = -1.0 if calibration.convention == "gravity" else 1.0
+    sign = calibration.sign
     order = [model.axes.index(axis) for axis in COMPONENTS]
     K = sign * linear[:, 1:] / STANDARD_GRAVITY
     # Columns of T belong to the outputs in the order x, y, z in which consumers hold them.
@@ -94,7 +94,7 @@ def rms_left(calibration: Calibration, residuals: Array) -> float:
 
 def specific_force(calibration: Calibration) -> Array:
     """Return the references (n, 3) [g] as specific force, whatever the convention."""
-    return (-1.0 if calibration.convention == "gravity" else 1.0) * calibration.reference
+    return calibration.sign * calibration.reference
 
 
 def loss_text(calibration: Calibration, law: Law, target: str) -> str:

@@ -26,7 +26,7 @@ from multipos.files.characters import visible
 from multipos.files.tables import to_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.sensor.calibration import Calibration, labels
+from multipos.sensor.calibration import Calibration
 
 _SAME = 1e-6  # how far the forces of a file may be from those of its law [g]
 
@@ -79,7 +79,7 @@ def parameter_target(
         return Verification(
             target=name,
             axes=COMPONENTS,
-            positions=labels(calibration.readings),
+            positions=calibration.readings.labels,
             residuals=residuals,
             rms=rms_left(calibration, residuals),
             calibration_rms=calibration.rms,

@@ -22,7 +22,7 @@ from multipos.compensation.target import (
 from multipos.errors import MultiposError
 from multipos.files.characters import visible
 from multipos.numerics.terms import COMPONENTS
-from multipos.sensor.calibration import Calibration, labels
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 
 _SHOWN = 60  # characters of a line in a message
@@ -69,7 +69,7 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     return Verification(
         target=f"{C.name}, single precision" if single else C.name,
         axes=tuple(COMPONENTS[i] for i in sensed),
-        positions=labels(readings),
+        positions=readings.labels,
         residuals=residuals,
         rms=rms_left(calibration, all_axes),
         calibration_rms=calibration.rms,

@@ -25,7 +25,8 @@ Sources: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -48,11 +49,100 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import name_combinations, separability
 from multipos.numerics.terms import COMPONENTS, Term
 from multipos.positions.scheme import Scheme, named_schemes, read_scheme
-from multipos.results import Record
+from multipos.results import Keyed, data_frame
 from multipos.sensor.model import Model, build_model, default_axes
 
 _UNSEEN = 1e-9  # share of a term in the residuals below which they hide it
 _HIGHER = "x^2 + y^2 + z^2 + x*y + x*z + y*z + own^3 + own*|own|"
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment(Keyed):
+    """What one scheme tells about a model; numbers are None where the model is not identifiable.
+
+    Attributes
+    ----------
+    name : str
+    positions : int
+        How many.
+    up : mapping of label to (x, y, z)
+        Unit vectors pointing up.
+    identifiable : bool
+    unidentifiable : tuple of str
+        What the positions cannot separate.
+    rank, parameters : int
+    dof : mapping of output to int
+        Degrees of freedom left for checking the model; 'all' for unknown orientation.
+    log_det, d_efficiency, a_efficiency, g_efficiency, i_efficiency, condition : float or None
+    u : mapping of 'output:term' to float, or None
+        Standard uncertainty of each parameter, eq. (1).
+    aliases : tuple of mappings, or None
+        {output, term, seen, into} of each term that the model lacks, eq. (2).
+    hidden : tuple of str, or None
+        Those that the data hide wholly, in words.
+    """
+
+    name: str | None
+    positions: int
+    up: Mapping[str, tuple[float, ...]]
+    identifiable: bool
+    unidentifiable: tuple[str, ...]
+    rank: int
+    parameters: int
+    dof: Mapping[str, int]
+    log_det: float | None = None
+    d_efficiency: float | None = None
+    a_efficiency: float | None = None
+    g_efficiency: float | None = None
+    i_efficiency: float | None = None
+    condition: float | None = None
+    u: Mapping[str, float] | None = None
+    aliases: tuple[Mapping[str, Any], ...] | None = None
+    hidden: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Schemes(Keyed):
+    """What schemes can tell about a model.
+
+    Attributes
+    ----------
+    model : str
+        As a formula or name.
+    orientation : str
+        'known', 'uncertain' or 'unknown'.
+    schemes : tuple of Assessment
+    """
+
+    model: str
+    orientation: str
+    schemes: tuple[Assessment, ...]
+
+    def to_pandas(self) -> Any:
+        """Return a data frame with a row for each scheme, of what is one number or text each.
+
+        Raises
+        ------
+        MultiposError
+            pandas is not installed.
+        """
+        return data_frame({name: [entry[name] for entry in self.schemes] for name in _SINGLE})
+
+
+# What an assessment has one of.
+_SINGLE = (
+    "name",
+    "positions",
+    "identifiable",
+    "rank",
+    "parameters",
+    "log_det",
+    "d_efficiency",
+    "a_efficiency",
+    "g_efficiency",
+    "i_efficiency",
+    "condition",
+)
 
 
 def schemes(
@@ -63,7 +153,7 @@ def schemes(
     unknown_orientation: bool = False,
     orientation_sd: float | None = None,
     reading_sd: float = 1.0,
-) -> dict[str, Any]:
+) -> Schemes:
     """Return what schemes can tell about a model: all named ones, best first, or those given.
 
     Parameters
@@ -83,10 +173,7 @@ def schemes(
 
     Returns
     -------
-    dict
-        {"model", "orientation", "schemes": [{name, positions, identifiable, unidentifiable,
-        log_det, d_efficiency, a_efficiency, g_efficiency, i_efficiency, condition, u, dof,
-        aliases, hidden, up}]}; numbers are None where the model is not identifiable.
+    Schemes
     """
     setting = read_setting(model, axes, inputs, unknown_orientation, orientation_sd, reading_sd)
     assessor = Assessor(setting, reading_sd)
@@ -94,14 +181,8 @@ def schemes(
     found = [assessor.describe(read_scheme(source)) for source in given or named_schemes()]
     if not given:
         # of equally good ones, to what rounding leaves, the shortest first
-        found.sort(key=lambda e: (-round(e["d_efficiency"] or 0.0, 9), e["positions"]))
-    return Record(
-        {
-            "model": setting.model.text,
-            "orientation": orientation(setting),
-            "schemes": found,
-        }
-    )
+        found.sort(key=lambda e: (-round(e.d_efficiency or 0.0, 9), e.positions))
+    return Schemes(setting.model.text, orientation(setting), tuple(found))
 
 
 def read_setting(
@@ -167,43 +248,40 @@ class Assessor:
             problems += name_combinations(one.null, names)
         return problems, max(one.condition for _, one in found)
 
-    def describe(self, scheme: Scheme) -> dict[str, Any]:
-        """Return the entry of `schemes` for one scheme."""
+    def describe(self, scheme: Scheme) -> Assessment:
+        """Return what one scheme tells."""
         n, model = len(scheme), self.setting.model
         unidentifiable, condition = self.separate(scheme.up)
-        entry: dict[str, Any] = {
-            "name": scheme.name,
-            "positions": n,
-            "up": dict(
-                zip(scheme.labels or map(str, range(1, n + 1)), scheme.up.tolist(), strict=True)
-            ),
-            "identifiable": not unidentifiable,
-            "unidentifiable": unidentifiable,
-            "rank": len(model.keys) - len(unidentifiable),
-            "parameters": len(model.keys),
-            "dof": _dof(self.setting, n),
-        }
+        labels = scheme.labels or map(str, range(1, n + 1))
+        told = Assessment(
+            name=scheme.name,
+            positions=n,
+            up=dict(zip(labels, map(tuple, scheme.up.tolist()), strict=True)),
+            identifiable=not unidentifiable,
+            unidentifiable=tuple(unidentifiable),
+            rank=len(model.keys) - len(unidentifiable),
+            parameters=len(model.keys),
+            dof=_dof(self.setting, n),
+        )
         if unidentifiable:
-            keys = ("log_det", "d_efficiency", "a_efficiency", "g_efficiency", "i_efficiency")
-            return entry | dict.fromkeys((*keys, "condition", "u", "aliases", "hidden"))
+            return told
         information = inform(self.setting.rows(scheme.up))
         inverse = np.concatenate([np.diag(np.linalg.inv(M)) for M in information])
         u = self.reading_sd * np.sqrt(inverse / n)
         found = aliases(self.setting, scheme.up)
-        return entry | {
-            "log_det": log_det(information),
-            "d_efficiency": self._efficiency(information, "D"),
-            "a_efficiency": self._efficiency(information, "A"),
-            "g_efficiency": min(1.0, 1.0 / largest_sensitivity(self.setting, information)),
-            "i_efficiency": self._efficiency(information, "I"),
-            "condition": condition,
-            "u": {
-                f"{output}:{term}": value
-                for (output, term), value in zip(model.keys, u.tolist(), strict=True)
-            },
-            "aliases": found,
-            "hidden": [_hidden(alias) for alias in found if alias["seen"] < _UNSEEN],
-        }
+        names = [f"{output}:{term}" for output, term in model.keys]
+        return replace(
+            told,
+            log_det=log_det(information),
+            d_efficiency=self._efficiency(information, "D"),
+            a_efficiency=self._efficiency(information, "A"),
+            g_efficiency=min(1.0, 1.0 / largest_sensitivity(self.setting, information)),
+            i_efficiency=self._efficiency(information, "I"),
+            condition=condition,
+            u=dict(zip(names, u.tolist(), strict=True)),
+            aliases=tuple(found),
+            hidden=tuple(_hidden(alias) for alias in found if alias["seen"] < _UNSEEN),
+        )
 
     def _efficiency(self, information: Blocks, name: str) -> float:
         value = objective(information, make_criterion(name, self.setting))
@@ -211,21 +289,21 @@ class Assessor:
         return min(1.0, math.exp(value - self.optimum(name).value))
 
 
-def schemes_text(found: dict[str, Any]) -> str:
+def schemes_text(found: Schemes) -> str:
     """Return `schemes` as text: one table, and of a single scheme its u and what it hides."""
     note = (
-        f"orientations {found['orientation']}; D, A, G and I are efficiencies per position, "
+        f"orientations {found.orientation}; D, A, G and I are efficiencies per position, "
         "against the best on the sphere"
     )
-    parts = [f"model {found['model']}", table(*scheme_rows(found["schemes"])), note]
-    if len(found["schemes"]) == 1:
-        (entry,) = found["schemes"]
-        up = [[label, *(f"{value:.6g}" for value in row)] for label, row in entry["up"].items()]
+    parts = [f"model {found.model}", table(*scheme_rows(found.schemes)), note]
+    if len(found.schemes) == 1:
+        (entry,) = found.schemes
+        up = [[label, *(f"{value:.6g}" for value in row)] for label, row in entry.up.items()]
         parts += [table(["position", "up x", "up y", "up z"], up), *scheme_details(entry)]
     return "\n\n".join(parts) + "\n"
 
 
-def scheme_rows(entries: Sequence[dict[str, Any]]) -> tuple[list[str], list[list[str]]]:
+def scheme_rows(entries: Sequence[Assessment]) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of the table of schemes."""
     header = [
         "scheme",
@@ -242,27 +320,32 @@ def scheme_rows(entries: Sequence[dict[str, Any]]) -> tuple[list[str], list[list
     ]
     rows = []
     for entry in entries:
-        shares = [entry[f"{letter}_efficiency"] for letter in "dagi"]
+        shares = [
+            entry.d_efficiency,
+            entry.a_efficiency,
+            entry.g_efficiency,
+            entry.i_efficiency,
+        ]
         rows.append(
             [
-                entry["name"],
-                str(entry["positions"]),
-                "yes" if entry["identifiable"] else "no",
+                entry.name or "",
+                str(entry.positions),
+                "yes" if entry.identifiable else "no",
                 *("-" if share is None else f"{share:.3f}" for share in shares),
-                number(entry["log_det"], 6),
-                number(entry["condition"], 3),
-                number(max(entry["u"].values()) if entry["u"] else None, 3),
-                str(min(entry["dof"].values())),
+                number(entry.log_det, 6),
+                number(entry.condition, 3),
+                number(max(entry.u.values()) if entry.u else None, 3),
+                str(min(entry.dof.values())),
             ]
         )
     return header, rows
 
 
-def scheme_details(entry: dict[str, Any]) -> list[str]:
+def scheme_details(entry: Assessment) -> list[str]:
     """Return the parts of a scheme's text below the tables: u, higher terms, what is hidden."""
-    if not entry["identifiable"]:
-        return ["cannot be separated:", *entry["unidentifiable"]]
-    u = [[*key.split(":", 1), number(value)] for key, value in entry["u"].items()]
+    if entry.u is None or entry.aliases is None:
+        return ["cannot be separated:", *entry.unidentifiable]
+    u = [[*key.split(":", 1), number(value)] for key, value in entry.u.items()]
     seen = [
         [
             alias["output"],
@@ -270,7 +353,7 @@ def scheme_details(entry: dict[str, Any]) -> list[str]:
             "hidden" if alias["seen"] < _UNSEEN else f"{alias['seen']:.2f}",
             _sum(alias["into"], least=1e-3) or "-",
         ]
-        for alias in entry["aliases"]
+        for alias in entry.aliases
     ]
     parts = [table(["output", "term", "u"], u, left=2)]
     if seen:

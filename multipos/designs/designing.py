@@ -7,11 +7,19 @@ on a bench with few positions it also says what the bench costs.
 """
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from multipos.designs.assessment import Assessor, orientation, read_setting, scheme_details
+from multipos.designs.assessment import (
+    Assessment,
+    Assessor,
+    orientation,
+    read_setting,
+    scheme_details,
+)
 from multipos.designs.exchange import choose, polish, polish_largest
 from multipos.designs.information import (
     Criterion,
@@ -37,12 +45,70 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import Scheme, read_scheme
-from multipos.results import Record
+from multipos.results import Keyed, data_frame
 
 _STARTS = 24  # of the exchange
 _POLISHED = 4  # of the best starts
 _MOST = 200  # new positions: the search grows with their square, what it gains not at all
 _MANY = 1500  # candidates that the exchange takes; of more, those that matter
+
+
+@dataclass(frozen=True, eq=False)
+class Design(Keyed):
+    """The best positions for a model on a bench, with the proof.
+
+    Attributes
+    ----------
+    model, orientation, criterion : str
+    positions : (n, 3) array
+        Unit vectors pointing up: included ones first, the others in an order short to travel.
+    included : int
+    log_det, optimum_log_det : float
+        Of these positions, and of the D-optimum on the sphere.
+    efficiency : float
+        Against the best on the whole sphere.
+    certificate : mapping
+        {max_variance, parameters, gap, over: 'sphere' or 'candidates'} of the best that could be.
+    optimum : mapping
+        {positions, weights} of the best that could be.
+    bench_efficiency : float or None
+        Against the best on the candidates; None for criterion G.
+    travel_deg : float
+    time_s : float or None
+    scheme : Assessment
+        What the positions tell.
+    """
+
+    model: str
+    orientation: str
+    criterion: str
+    positions: Array
+    included: int
+    log_det: float | None
+    optimum_log_det: float
+    efficiency: float
+    certificate: Mapping[str, Any]
+    optimum: Mapping[str, Any]
+    bench_efficiency: float | None
+    travel_deg: float
+    time_s: float | None
+    scheme: Assessment
+
+    def columns(self) -> dict[str, Any]:
+        """Return the positions as the columns of a scheme file."""
+        labels = [str(i + 1) for i in range(len(self.positions))]
+        up = {f"up_{axis}": self.positions[:, i] for i, axis in enumerate(COMPONENTS)}
+        return {"position": labels, **up}
+
+    def to_pandas(self) -> Any:
+        """Return the positions as a data frame: position, up_x, up_y, up_z.
+
+        Raises
+        ------
+        MultiposError
+            pandas is not installed.
+        """
+        return data_frame(self.columns())
 
 
 def design(
@@ -60,7 +126,7 @@ def design(
     reading_sd: float = 1.0,
     move_time: tuple[float, float] | None = None,
     seed: int = 0,
-) -> dict[str, Any]:
+) -> Design:
     """Return the best positions for a model, and how far they are from the best possible.
 
     Parameters
@@ -88,12 +154,7 @@ def design(
 
     Returns
     -------
-    dict
-        {"model", "criterion", "positions" (included ones first, the others in an order that is
-        short to travel), "included", "log_det", "optimum_log_det" (of the D-optimum on the
-        sphere), "efficiency", "certificate": {max_variance, parameters, gap, over}, "optimum":
-        {positions, weights}, "bench_efficiency" (against the best on the candidates, None for
-        G), "travel_deg", "time_s", "scheme" (as in `schemes`)}.
+    Design
 
     Raises
     ------
@@ -127,82 +188,71 @@ def design(
     at_best = 0.0 if criterion == "G" else sphere.value
     on_bench = None if criterion == "G" else min(1.0, math.exp(value - best.value))
     turned = travel_deg(up)
-    return Record(
-        {
-            "model": setting.model.text,
-            "orientation": orientation(setting),
-            "criterion": criterion,
-            "positions": up,
-            "included": len(given),
-            "log_det": described["log_det"],
-            "optimum_log_det": assessor.optimum("D").log_det,
-            "efficiency": min(1.0, math.exp(value - at_best)),
-            **_proof(best, p, bench),
-            "bench_efficiency": on_bench,
-            "travel_deg": turned,
-            "time_s": None if move_time is None else move_time[0] * len(up) + move_time[1] * turned,
-            "scheme": described,
-        }
-    )
-
-
-def _proof(best: Optimum, p: int, bench: Array | None) -> dict[str, Any]:
-    return {
-        "certificate": {
+    return Design(
+        model=setting.model.text,
+        orientation=orientation(setting),
+        criterion=criterion,
+        positions=up,
+        included=len(given),
+        log_det=described.log_det,
+        optimum_log_det=assessor.optimum("D").log_det,
+        efficiency=min(1.0, math.exp(value - at_best)),
+        certificate={
             "max_variance": p * (1.0 + best.gap),
             "parameters": p,
             "gap": best.gap,
             "over": "sphere" if bench is None else "candidates",
         },
-        "optimum": {
+        optimum={
             "positions": best.up if bench is None else bench[best.chosen],
             "weights": best.weights,
         },
-    }
+        bench_efficiency=on_bench,
+        travel_deg=turned,
+        time_s=None if move_time is None else move_time[0] * len(up) + move_time[1] * turned,
+        scheme=described,
+    )
 
 
-def design_text(found: dict[str, Any]) -> str:
+def design_text(found: Design) -> str:
     """Return `design` as text: the positions, what they tell, and the certificate."""
-    certificate, name = found["certificate"], found["criterion"]
+    certificate, name = found.certificate, found.criterion
     rows = [
-        [str(i + 1), *(f"{value:.6f}" for value in up), "given" if i < found["included"] else ""]
-        for i, up in enumerate(np.asarray(found["positions"]).tolist())
+        [str(i + 1), *(f"{value:.6f}" for value in up), "given" if i < found.included else ""]
+        for i, up in enumerate(found.positions.tolist())
     ]
-    if not found["included"]:
+    if not found.included:
         rows = [row[:-1] for row in rows]
     header = ["position", "up x", "up y", "up z", ""][: len(rows[0])]
     bench = certificate["over"] == "candidates"
     reach = "these candidates" if bench else "the whole sphere"
-    time = "" if found["time_s"] is None else f"{found['time_s']:.0f} s"
+    time = "" if found.time_s is None else f"{found.time_s:.0f} s"
     proof = (
         f"largest variance {certificate['max_variance']:.8g} of the best on {reach} "
         f"for {certificate['parameters']} parameters, less 1"
     )
     summary = [
-        ["efficiency", f"{found['efficiency']:.6f}", "against the best on the whole sphere"],
-        ["log det", f"{found['log_det']:.6f}", f"at most {found['optimum_log_det']:.6f}"],
+        ["efficiency", f"{found.efficiency:.6f}", "against the best on the whole sphere"],
+        ["log det", f"{found.log_det:.6f}", f"at most {found.optimum_log_det:.6f}"],
         ["certificate", f"{certificate['gap']:.1e}", proof],
-        ["travel", f"{found['travel_deg']:.0f}°", time],
+        ["travel", f"{found.travel_deg:.0f}°", time],
     ]
-    if bench and found["bench_efficiency"] is not None:
-        share = f"{found['bench_efficiency']:.6f}"
+    if bench and found.bench_efficiency is not None:
+        share = f"{found.bench_efficiency:.6f}"
         summary.insert(1, ["", share, "against the best on these candidates"])
     width = max(len(row[1]) for row in summary)
     lines = [f"{a:<11}  {b:>{width}}  {c}".rstrip() for a, b, c in summary]
     heading = (
-        f"model {found['model']}, orientations {found['orientation']}, "
+        f"model {found.model}, orientations {found.orientation}, "
         f"criterion {name}, {len(rows)} positions"
     )
-    parts = [heading, table(header, rows), "\n".join(lines), *scheme_details(found["scheme"])]
+    parts = [heading, table(header, rows), "\n".join(lines), *scheme_details(found.scheme)]
     return "\n\n".join(parts) + "\n"
 
 
-def design_csv(found: dict[str, Any]) -> str:
+def design_csv(found: Design) -> str:
     """Return the positions of a design as a scheme file."""
-    up = np.asarray(found["positions"])
-    labels = [str(i + 1) for i in range(len(up))]
-    columns = {f"up_{axis}": up[:, i] for i, axis in enumerate(COMPONENTS)}
-    return format_csv({"position": labels, **columns})
+    return format_csv(found.columns())
 
 
 def _check_count(setting: Setting, positions: int, included: int) -> None:

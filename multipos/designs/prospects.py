@@ -11,6 +11,8 @@ until u_j is small enough says how many more are needed.
 """
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,13 +22,77 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.numbers import number, table
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import Scheme
-from multipos.results import Record
+from multipos.results import Keyed, data_frame
 from multipos.sensor.calibration import Calibration
 
 _SHOWN = 10  # positions listed as text
 _MOST = 1000  # further positions looked ahead for a target
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate(Keyed):
+    """A position that could be measured next.
+
+    Attributes
+    ----------
+    up : (3,) array
+    fall : float
+        Share by which u of the parameter falls, or u on geometric average.
+    u : mapping of 'output:term' to float
+        What each would be.
+    """
+
+    up: Array
+    fall: float
+    u: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Worth(Keyed):
+    """What one more position would bring to a calibration, and how many a target takes.
+
+    Attributes
+    ----------
+    parameter : str or None
+        'OUTPUT:TERM', or None where all count.
+    target : float or None
+    u : mapping of 'output:term' to float
+        As it is now.
+    candidates : tuple of Candidate
+        Best first.
+    further_positions : int or None
+        Until the target; None without one, or beyond reach.
+    path : (further_positions, 3) array or None
+        Up vectors of these, in the order of their worth.
+    floor : float or None
+        The part of u of the parameter that no position lowers.
+    """
+
+    parameter: str | None
+    target: float | None
+    u: Mapping[str, float]
+    candidates: tuple[Candidate, ...]
+    further_positions: int | None
+    path: Array | None
+    floor: float | None
+
+    def to_pandas(self) -> Any:
+        """Return the candidates as a data frame: up_x, up_y, up_z, fall, u of each parameter.
+
+        Raises
+        ------
+        MultiposError
+            pandas is not installed.
+        """
+        up = np.array([candidate.up for candidate in self.candidates])
+        columns = {f"up_{axis}": up[:, i] for i, axis in enumerate(COMPONENTS)}
+        columns["fall"] = np.array([candidate.fall for candidate in self.candidates])
+        for key in self.u:
+            columns[f"u {key}"] = np.array([candidate.u[key] for candidate in self.candidates])
+        return data_frame(columns)
 
 
 def worth(
@@ -35,7 +101,7 @@ def worth(
     candidates: "Source | Scheme" = "all-26",
     parameter: str | None = None,
     target: float | None = None,
-) -> dict[str, Any]:
+) -> Worth:
     """Return how far each candidate position would lower the uncertainties of a calibration.
 
     Parameters
@@ -50,11 +116,7 @@ def worth(
 
     Returns
     -------
-    dict
-        {"parameter", "target", "u": {"output:term": u now}, "candidates": [{up, fall, u}] best
-        first, fall being that of u of the parameter, or on geometric average, and u what each
-        would be, "further_positions": how many more until the target, None without one or beyond
-        reach, "path": [[ux, uy, uz], …], "floor": u of the parameter that no position lowers}.
+    Worth
 
     Raises
     ------
@@ -81,51 +143,47 @@ def worth(
     path = None
     if target is not None and index is not None:
         path = _ahead(present, pieces, covered[index], fixed[index], index, target)
-    return Record(
-        {
-            "parameter": parameter,
-            "target": target,
-            "u": dict(zip(keys, before.tolist(), strict=True)),
-            "candidates": [
-                {
-                    "up": up[row],
-                    "fall": float(fall[row]),
-                    "u": dict(zip(keys, then[row].tolist(), strict=True)),
-                }
-                for row in order.tolist()
-            ],
-            "further_positions": None if path is None else len(path),
-            "path": None if path is None else up[path],
-            "floor": None if index is None else math.sqrt(fixed[index]),
-        }
+    ranked = [
+        Candidate(up[row], float(fall[row]), dict(zip(keys, then[row].tolist(), strict=True)))
+        for row in order.tolist()
+    ]
+    return Worth(
+        parameter=parameter,
+        target=target,
+        u=dict(zip(keys, before.tolist(), strict=True)),
+        candidates=tuple(ranked),
+        further_positions=None if path is None else len(path),
+        path=None if path is None else up[path],
+        floor=None if index is None else math.sqrt(fixed[index]),
     )
 
 
-def worth_text(found: dict[str, Any]) -> str:
+def worth_text(found: Worth) -> str:
     """Return `worth` as text: the best next positions, and how many the target takes."""
-    what = found["parameter"] or "all parameters"
+    parameter = found.parameter
     rows = [
-        [*(f"{value:.6f}" for value in np.asarray(entry["up"])), f"{100.0 * entry['fall']:.2f}"]
-        + ([] if found["parameter"] is None else [number(entry["u"][found["parameter"]])])
-        for entry in found["candidates"][:_SHOWN]
+        [*(f"{value:.6f}" for value in entry.up), f"{100.0 * entry.fall:.2f}"]
+        + ([] if parameter is None else [number(entry.u[parameter])])
+        for entry in found.candidates[:_SHOWN]
     ]
     header = ["up x", "up y", "up z", "u falls by %"]
-    if found["parameter"] is not None:
+    if parameter is not None:
         header.append("to")
+    what = parameter or "all parameters"
     parts = [f"worth of one more position, for {what}", table(header, rows, left=0)]
-    if found["target"] is not None and found["path"] is None:
+    if found.target is not None and found.path is None:
         parts.append(
-            f"the target of {number(found['target'])} is out of reach: u stays above "
-            f"{number(found['floor'])}, whatever is measured, or falls too slowly"
+            f"the target of {number(found.target)} is out of reach: u stays above "
+            f"{number(found.floor)}, whatever is measured, or falls too slowly"
         )
-    if found["path"] is not None:
+    if found.path is not None:
         parts.append(
-            f"{found['further_positions']} further positions reach the target; the next ones, "
+            f"{found.further_positions} further positions reach the target; the next ones, "
             "in the order of their worth:"
         )
         steps = [
             [str(i + 1), *(f"{value:.6f}" for value in row)]
-            for i, row in enumerate(np.asarray(found["path"])[:_SHOWN].tolist())
+            for i, row in enumerate(found.path[:_SHOWN].tolist())
         ]
         if steps:
             parts.append(table(["next", "up x", "up y", "up z"], steps))
@@ -156,7 +214,7 @@ def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     if calibration.estimator == "uncertain-orientation" and readings.orientation_sd is not None:
         stated = readings.orientation_sd[np.isfinite(readings.orientation_sd)]
         spread = float(np.sqrt(np.mean(stated**2)))
-    sign = -1.0 if calibration.convention == "gravity" else 1.0
+    sign = calibration.sign
     size = np.linalg.norm(calibration.reference, axis=1)
     setting = Setting(model, spread, sd, calibration.parameters, sign * float(size.mean()))
     up = sign * calibration.reference / size[:, np.newaxis]

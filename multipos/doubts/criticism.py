@@ -30,13 +30,13 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError, RankError
-from multipos.estimation.known import FLOOR, reading_noise
+from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import COMPONENTS, Term
 from multipos.results import Result
-from multipos.sensor.calibration import Calibration, labels
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import build_model
 
 _CANDIDATES = "1 + x + y + z + own^2 + own^3 + OWN*OTHER"  # what a reader asks of: K2, K3, Kip
@@ -153,7 +153,7 @@ def find_influence(calibration: Calibration) -> Influence:
     c = calibration
     _require_known(c)
     n, m = c.readings.values.shape
-    noise = reading_noise(c.readings)
+    noise = c.readings.noise
     sd = np.ones((n, m)) if noise is None or noise.ndim == 2 else np.sqrt(noise).reshape(n, m)
     h = c.diagnostics.leverage
     left = np.where(1.0 - h > 1e-9, 1.0 - h, math.nan)
@@ -195,12 +195,12 @@ def fourier_residuals(calibration: Calibration) -> list[dict[str, Any]]:
     """
     c = calibration
     _require_known(c)
-    names = labels(c.readings)
+    names = c.readings.labels
     result = []
     for along, axis in enumerate(COMPONENTS):
         rows = np.flatnonzero(np.abs(c.reference[:, along]) < 1e-9)
         first, second = (i for i in range(3) if i != along)
-        sign = -1.0 if c.convention == "gravity" else 1.0
+        sign = c.sign
         angle = np.arctan2(sign * c.reference[rows, second], sign * c.reference[rows, first])
         if len(np.unique(np.round(angle, 9))) < _FEWEST:
             continue
@@ -241,7 +241,7 @@ def residual_sum(c: Calibration, column: int, terms: tuple[Term, ...]) -> float:
     variables = c.model.variables(c.reference, c.readings.environment)
     n = len(c.readings)
     design = np.column_stack([np.broadcast_to(t.evaluate(variables), (n,)) for t in terms])
-    noise = reading_noise(c.readings)
+    noise = c.readings.noise
     m = len(c.outputs)
     variances = None if noise is None or noise.ndim == 2 else noise.reshape(n, m)[:, column]
     names = [str(term) for term in terms]

@@ -36,7 +36,6 @@ from multipos.doubts.criticism import force_components, residual_sum
 from multipos.errors import MultiposError, RankError
 from multipos.estimation.descent import maximise
 from multipos.estimation.identifiability import condition
-from multipos.estimation.known import reading_noise
 from multipos.estimation.likelihood import linearise
 from multipos.estimation.noise import judge_noise
 from multipos.estimation.problem import Optimum, Problem
@@ -102,7 +101,7 @@ def judge_terms_jointly(calibration: Calibration) -> list[JointTest]:
     test = _by_output
     if c.estimator.endswith("orientation"):
         test = _by_likelihood
-    elif (noise := reading_noise(c.readings)) is not None and noise.ndim == 2:
+    elif (noise := c.readings.noise) is not None and noise.ndim == 2:
         test = _by_covariance
     return list(test(c))
 
@@ -202,7 +201,7 @@ def _by_output(c: Calibration) -> Iterator[JointTest]:
 
 def _by_covariance(c: Calibration) -> Iterator[JointTest]:
     """Test outputs whose readings are correlated, at known orientations, together by eq. (1)."""
-    noise = reading_noise(c.readings)
+    noise = c.readings.noise
     n, m = c.readings.values.shape
     for name, inside, small, large in _nested(c.model):
         chi2 = []

@@ -28,7 +28,7 @@ from multipos.numerics.least_squares import LinearFit, separability, solve
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, stated_sd
-from multipos.sensor.calibration import Status, labels
+from multipos.sensor.calibration import Status
 from multipos.sensor.diagnostics import bartlett, find_outliers
 from multipos.sensor.model import Model, build_model
 
@@ -96,7 +96,7 @@ def solve_known(
         The positions cannot separate the parameters; the message names them and a way out.
     """
     phi = model.basis(reference, readings.environment)
-    noise = reading_noise(readings)
+    noise = readings.noise
     if noise is not None and noise.ndim == 2:
         fits = _solve_jointly(model, phi, readings, noise)
     else:
@@ -142,7 +142,7 @@ def solve_known(
             fits.leverage,
             residual_dof.tolist(),
             model.outputs,
-            labels(readings),
+            readings.labels,
             stated_sd(readings),
         ),
         condition=fits.condition,
@@ -231,19 +231,8 @@ def _solve_jointly(model: Model, phi: Array, readings: Readings, covariance: Arr
     )
 
 
-def reading_noise(readings: Readings) -> Array | None:
-    """Return the stated noise: variances (n M,) where outputs are independent, or (n M, n M)."""
-    if readings.u is not None:
-        return readings.u.ravel() ** 2
-    covariance = readings.covariance
-    if covariance is None:
-        return None
-    variances = np.diag(covariance)
-    return variances.copy() if not np.any(covariance - np.diag(variances)) else covariance
-
-
 def chi_squares(residuals: Array, noise: Array | None) -> Array:
-    """Return r'V⁻¹r of each output by itself (M,), V as `reading_noise` has it; 1 where it is None.
+    """Return r'V⁻¹r of each output by itself (M,), V as `Readings.noise` has it; 1 where None.
 
     Parameters
     ----------
@@ -319,7 +308,7 @@ def solve_closed_form(
     weights = closed_form_gain(model, reference)
     solution = solve_known(model, reference, readings, pool=pool)
     parameters = weights @ readings.values.ravel()
-    noise = reading_noise(readings)
+    noise = readings.noise
     full = np.eye(n * m) if noise is None else np.diag(noise) if noise.ndim == 1 else noise
     scale = np.sqrt(_per_parameter(model, solution.variance))
     return replace(

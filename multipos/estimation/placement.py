@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.estimation.known import reading_noise
 from multipos.estimation.losses import Loss
 from multipos.estimation.problem import Problem
 from multipos.numerics.arrays import Array
 from multipos.positions.readings import Readings
-from multipos.sensor.calibration import labels
 from multipos.sensor.model import Model
 
 _RELATIVE_NOISE = 1e-3  # of the readings' spread: any value serves where only ratios matter
@@ -108,7 +106,7 @@ def place(
     missing = np.isnan(up).any(axis=1) & ~unknown
     if missing.any():
         raise MultiposError(
-            f"position '{labels(readings)[int(np.argmax(missing))]}' has no orientation; give it, "
+            f"position '{readings.labels[int(np.argmax(missing))]}' has no orientation; give it, "
             "or leave its orientation_sd_deg empty for unknown."
         )
     reference = signed * np.where(unknown[:, None], [1.0, 0.0, 0.0], up) + 0.0
@@ -128,7 +126,7 @@ def _attitude(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
     )
     open_heading = np.isnan(rotation).any(axis=(1, 2)) & ~unknown
     if open_heading.any():
-        names = [labels(readings)[row] for row in np.flatnonzero(open_heading)[:6].tolist()]
+        names = [readings.labels[row] for row in np.flatnonzero(open_heading)[:6].tolist()]
         raise MultiposError(
             f"--level-sd needs the heading, and position {', '.join(map(repr, names))} has none; "
             "give direction, roll_deg pitch_deg yaw_deg, a quaternion, or roll_axis angle_deg."
@@ -154,7 +152,7 @@ def state_problem(
             f"the readings of {readings.outputs[int(np.argmax(still))]} never change; turn the "
             "sensor between them, so that every axis points up, down and level."
         )
-    noise = reading_noise(readings)
+    noise = readings.noise
     if noise is None:
         size = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)) or 1.0  # of one position
         precision = np.full((n, m), 1.0 / (_RELATIVE_NOISE * size) ** 2)

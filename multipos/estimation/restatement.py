@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.descent import maximise
-from multipos.estimation.known import reading_noise
 from multipos.estimation.placement import place, state_problem
 from multipos.estimation.problem import Optimum, Problem, start_state
 from multipos.estimation.robustness import set_aside
@@ -24,11 +23,11 @@ from multipos.sensor.calibration import Calibration
 def restate(calibration: Calibration) -> Problem:
     """Return the problem of a calibration; a robust loss only as the positions it set aside."""
     c = calibration
-    sign = -1.0 if c.convention == "gravity" else 1.0
+    sign = c.sign
     size = sign * float(np.linalg.norm(c.reference, axis=1).mean())
     placement = place(c.readings, size, None, float(c.extra.get("level_sd_deg", 0.0)))
     problem = state_problem(c.model, c.readings, placement, None)
-    if reading_noise(c.readings) is None:
+    if c.readings.noise is None:
         sd = np.tile(c.residual_sd, (len(c.readings), 1))
         problem = replace(problem, precision=1.0 / sd**2)
     if "robust_weight" in c.extra:

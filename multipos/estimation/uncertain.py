@@ -29,7 +29,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.estimation.identifiability import condition, formal_only
-from multipos.estimation.known import Solution, reading_noise
+from multipos.estimation.known import Solution
 from multipos.estimation.likelihood import linearise
 from multipos.estimation.losses import Loss
 from multipos.estimation.noise import Worth, judge_noise
@@ -40,7 +40,7 @@ from multipos.estimation.starts import reduced_information, search, too_few
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.readings import Readings, read_readings
-from multipos.sensor.calibration import Status, labels
+from multipos.sensor.calibration import Status
 from multipos.sensor.diagnostics import find_outlying_positions
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
@@ -95,10 +95,10 @@ def solve_uncertain(
     if nu < 0:
         raise too_few(problem)
     optimum = search(problem)
-    stated = reading_noise(readings) is not None
+    stated = readings.noise is not None
     if robust is not None:
         problem, optimum, worth = judge_robustly(
-            problem, optimum, robust, labels(readings), stated=stated
+            problem, optimum, robust, readings.labels, stated=stated
         )
     else:
         problem, optimum, worth = judge_noise(
@@ -109,7 +109,7 @@ def solve_uncertain(
 
 def _correlated(readings: Readings) -> bool:
     """Tell whether outputs are correlated, so that they cannot be fitted one by one."""
-    noise = reading_noise(readings)
+    noise = readings.noise
     return noise is not None and noise.ndim == 2
 
 
@@ -210,7 +210,7 @@ def _solution(
         residual_sd=residual_sd,
         leverage=leverage,
         outliers=find_outlying_positions(
-            misfit, problem.degrees, np.inf if robust else nu, labels(readings)
+            misfit, problem.degrees, np.inf if robust else nu, readings.labels
         ),
         condition=condition(information),
         unidentifiable=formal_only(model, state.theta, u, magnitude),

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.characters import control_characters, visible
 from multipos.files.columns import Cells, read_plain
+from multipos.results import plain
 
 Column = Sequence[Any] | NDArray[Any]
 _LONGEST = 100  # characters of a number, in an array of cells
@@ -530,21 +531,6 @@ def json_table(columns: Mapping[str, Column], rows: int) -> Iterator[str]:
             yield f"{',' if start else ''}\n   {_escaped(text[1:-1])}"
         yield "\n  ]"
     yield "\n }\n}\n"
-
-
-def plain(value: Any) -> Any:
-    """Return nested mappings, sequences and arrays as what JSON can carry."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def read_schema(path: str | os.PathLike[str]) -> str | None:

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from multipos.files.numbers import number, table, uncertain
-from multipos.files.tables import Column, plain, write_table
+from multipos.files.tables import Column, write_table
 from multipos.logs.rest_means import RestMean
 from multipos.logs.rests import Rest
 from multipos.numerics.arrays import Array
 from multipos.positions.readings import Readings
-from multipos.results import Result
+from multipos.results import Result, plain
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, scale_by_powers, write
-from multipos.sensor.calibration import Calibration, labels
+from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.propagation import Evaluation
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
     axes.plot(
         at, c.residuals[:, column], MARKERS[column % 8], color=COLOURS[column % 6], label=output
     )
-    _name_positions(axes, labels(c.readings))
+    _name_positions(axes, c.readings.labels)
     axes.set_ylabel(f"{output} [{c.model.unit}]")
     axes.ticklabel_format(axis="y", scilimits=(-3, 4))
     name_series(axes, 2)
@@ -96,7 +96,7 @@ def draw_leverage(calibration: Calibration, axes: "Axes") -> None:
         )
     axes.set_ylim(0.0, min(1.02, 1.2 * float(c.diagnostics.leverage.max())))
     axes.set_ylabel("leverage")
-    _name_positions(axes, labels(c.readings))
+    _name_positions(axes, c.readings.labels)
     name_series(axes, min(m, 4))
 
 
@@ -113,7 +113,7 @@ def draw_errors(calibration: Calibration, axes: "Axes") -> None:
     axes.plot(at, np.maximum(after, tiny * 1e-3), MARKERS[0], color=COLOURS[0], label="after")
     scale_by_powers(axes, "y")
     axes.set_ylabel("error [g]")
-    _name_positions(axes, labels(c.readings))
+    _name_positions(axes, c.readings.labels)
     name_series(axes, 2)
 
 

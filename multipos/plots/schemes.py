@@ -1,11 +1,12 @@
 """Figures of schemes: where the positions lie and what they tell, and how many are needed."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from multipos.designs.assessment import read_setting
+from multipos.designs.designing import Design
 from multipos.designs.information import Criterion, inform, kernels, sensitivity
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
@@ -93,12 +94,12 @@ def _draw_positions(up: Array, axes: "Axes") -> None:
                 write(axes, *place, str(count), ha="center", va="center_baseline", fontsize=7.0)
 
 
-def draw_efficiency(designs: Mapping[str, Sequence[Mapping[str, Any]]], axes: "Axes") -> None:
+def draw_efficiency(designs: Mapping[str, Sequence[Design]], axes: "Axes") -> None:
     """Draw the efficiency of designs (`multipos.design`) against their number of positions."""
     for k, (name, found) in enumerate(designs.items()):
         axes.plot(
-            [len(design["positions"]) for design in found],
-            [design["efficiency"] for design in found],
+            [len(design.positions) for design in found],
+            [design.efficiency for design in found],
             color=COLOURS[k % len(COLOURS)],
             marker=MARKERS[k % len(MARKERS)],
             label=name,

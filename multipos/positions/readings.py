@@ -124,6 +124,24 @@ class Readings(Result):
     def __len__(self) -> int:
         return len(self.values)
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The position labels, or 1, 2, … where the readings have none."""
+        if self.positions is not None:
+            return self.positions
+        return tuple(str(row + 1) for row in range(len(self)))
+
+    @property
+    def noise(self) -> Array | None:
+        """The stated noise: variances (n M,) where outputs are independent, or (n M, n M)."""
+        if self.u is not None:
+            return np.asarray(self.u.ravel() ** 2)
+        if self.covariance is None:
+            return None
+        variances = np.diag(self.covariance)
+        dependent = np.any(self.covariance - np.diag(variances))
+        return self.covariance if dependent else variances.copy()
+
     def _named(self, m: int) -> tuple[str, ...]:
         if not self.outputs:
             return ("ax", "ay", "az")[:m] if m <= 3 else tuple(f"a{i + 1}" for i in range(m))

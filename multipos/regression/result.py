@@ -1,4 +1,4 @@
-"""Regression: the result of `multipos.regress`, and its file.
+"""Regression: the result of `multipos.regress`.
 
 The rows are cut into segments, ranges of one variable, and where heating and cooling differ, by the
 sign of a rate; each has a model of its own (`multipos.regression.segment`). The result is complete
@@ -8,25 +8,19 @@ when it is made and never changes.
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.errors import MultiposError
-from multipos.files.formats import REGRESSION
 from multipos.files.numbers import number, table, uncertain
-from multipos.files.records import require
-from multipos.files.tables import plain, read_json, to_json, write_text
+from multipos.files.tables import to_json, write_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Tested
-from multipos.regression.hysteresis import BRANCHES, branch_of
-from multipos.regression.segment import Segment, segment_from_dict, segment_to_dict
+from multipos.regression.hysteresis import branch_of
+from multipos.regression.segment import Segment
 from multipos.regression.segmentation import segment_of
 from multipos.results import Result
-
-SCHEMA = "multipos/regression/1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,32 +118,10 @@ class Regression(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry, keys as in the formats reference."""
-        content = {
-            "schema": SCHEMA,
-            "multipos_version": self.version,
-            "created": self.created,
-            "input": {"file": self.source, "sha256": self.sha256},
-            "response": self.response,
-            "variables": self.variables,
-            "candidates": self.candidates,
-            "method": self.method,
-            "thresholds": dict(self.thresholds),
-            "confidence": self.confidence,
-            "n": self.n,
-            "dropped": self.dropped,
-            "segment_variable": self.segment_variable,
-            "edges": self.edges,
-            "continuous": self.continuous,
-            "branch_column": self.branch_column,
-            "time": self.time,
-            "rates": dict(self.rates),
-            "segments": [segment_to_dict(segment) for segment in self.segments],
-            "hysteresis": self.hysteresis,
-            "cross_validation": self.cross_validation,
-            "warnings": self.warnings,
-        }
-        result: dict[str, Any] = plain(content)
-        return result
+        # Imported here, for the file's module makes regressions and so imports this one.
+        from multipos.regression.regression_file import regression_dict
+
+        return regression_dict(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the regression as JSON, whole or not at all."""
@@ -157,67 +129,6 @@ class Regression(Result):
 
     def __str__(self) -> str:
         return "\n".join(_text(self))
-
-
-def load_regression(path: str | os.PathLike[str]) -> Regression:
-    """Read a regression written by `Regression.save`.
-
-    Raises
-    ------
-    MultiposError
-        The file is missing, truncated, of another schema, or holds what no regression does.
-    """
-    content = read_json(path, SCHEMA)
-    require(content, REGRESSION, str(path), "run regress again")
-    try:
-        regression = _from_dict(content)
-        _check_consistency(regression)
-    except ValueError as error:
-        raise MultiposError(f"{path}: not a regression: {error}; run regress again.") from None
-    return regression
-
-
-def _from_dict(c: Mapping[str, Any]) -> Regression:
-    return Regression(
-        response=c["response"],
-        variables=tuple(c["variables"]),
-        candidates=tuple(c["candidates"]),
-        method=c["method"],
-        segments=tuple(segment_from_dict(s) for s in c["segments"]),
-        segment_variable=c["segment_variable"],
-        edges=tuple(c["edges"]),
-        continuous=c["continuous"],
-        branch_column=c["branch_column"],
-        time=c["time"],
-        rates=c["rates"],
-        confidence=c["confidence"],
-        n=c["n"],
-        dropped=c["dropped"],
-        hysteresis=c["hysteresis"],
-        cross_validation=c["cross_validation"],
-        warnings=tuple(c["warnings"]),
-        source=c["input"]["file"],
-        sha256=c["input"]["sha256"],
-        created=c["created"],
-        version=c["multipos_version"],
-        thresholds=c["thresholds"],
-    )
-
-
-def _check_consistency(r: Regression) -> None:
-    """Hold segments, edges, branches and rates of a file to each other."""
-    edges, branches = r.edges, (None,) if r.branch_column is None else BRANCHES
-    if any(low >= high for low, high in pairwise(edges)):
-        raise ValueError("its edges do not ascend")
-    if edges and r.segment_variable is None:
-        raise ValueError("it has edges, but no variable that they are of")
-    expected = [branch for branch in branches for _ in range(len(edges) + 1)]
-    if [segment.branch for segment in r.segments] != expected:
-        raise ValueError("its segments do not fit its edges and branches")
-    if r.segment_variable is None and not r.variables:
-        raise ValueError("it has no variables")
-    if r.rates and (r.time is None or not all(name.endswith("_rate") for name in r.rates)):
-        raise ValueError("it has rates, but no time or column that they are of")
 
 
 def format_span(variable: str, span: tuple[float, float], branch: str | None) -> str:

@@ -19,7 +19,7 @@ from multipos.plots.calibration import (
 )
 from multipos.reports.findings import Figure, Grid, Section, draw_svg
 from multipos.reports.translations import Translator
-from multipos.sensor.calibration import Calibration, labels
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.uncertainty.monte_carlo import MonteCarlo
 
@@ -35,7 +35,7 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
             draw_residuals(c, one, output=output)
 
     shown, suffix = _largest(tr, c.relative_residuals)
-    names = labels(c.readings)
+    names = c.readings.labels
     rows = [
         (names[row], *(f"{value:+.3e}" for value in c.residuals[row].tolist())) for row in shown
     ]
@@ -75,7 +75,7 @@ def errors_section(c: Calibration, tr: Translator) -> Section:
     """Return the errors before and after compensation, and linearity."""
     before, after = nominal_error(c), compensated_error(c)
     shown, suffix = _largest(tr, after)
-    names = labels(c.readings)
+    names = c.readings.labels
     rows = [
         (names[row], number(float(before[row]), 3), number(float(after[row]), 3)) for row in shown
     ]
@@ -126,7 +126,7 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
     """Return where the positions were and what each decides."""
     up = c.reference / np.linalg.norm(c.reference, axis=1)[:, None]
     up = (-up if c.convention == "gravity" else up) + 0.0
-    leverage, names = c.diagnostics.leverage, labels(c.readings)
+    leverage, names = c.diagnostics.leverage, c.readings.labels
     shown, suffix = _largest(tr, leverage.max(axis=1))
     rows = [
         (
@@ -300,7 +300,7 @@ def _criticism(c: Calibration, tr: Translator) -> list[Grid]:
     if terms:
         grids.append(Grid(tr("Tests of single terms"), tuple(map(tr, header)), tuple(terms), 3))
     found = find_influence(c)
-    names = labels(c.readings)
+    names = c.readings.labels
     shown, suffix = _largest(tr, np.abs(found.studentised).max(axis=1))
     influence = [
         (

@@ -110,7 +110,7 @@ def sensor_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
     """Return what the sensor is: sensitivities, offsets, angles, with U."""
     rows = []
     if c.intrinsic is not None:
-        values, gradient = intrinsic_gradient(c.model, c.parameters, c._mean)
+        values, gradient = intrinsic_gradient(c.model, c.parameters, c.mean_environment)
         u, dof, _ = budget.combine(gradient)
         m = len(c.outputs)
         names = [

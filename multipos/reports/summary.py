@@ -10,7 +10,7 @@ import math
 from multipos.files.numbers import largest_rows, number, table
 from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sections import installation_sheets, table_error_sheets
-from multipos.sensor.calibration import Calibration, labels, parameter_rows
+from multipos.sensor.calibration import Calibration, parameter_rows
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.turntable import has_rolls, table_errors
 
@@ -64,7 +64,7 @@ def _summary(calibration: Calibration) -> str:
 def _residuals(calibration: Calibration) -> str:
     c = calibration
     header = ["position", "x", "y", "z", *(f"{output} [{c.model.unit}]" for output in c.outputs)]
-    names, shown = labels(c.readings), largest_rows(c.relative_residuals.tolist())
+    names, shown = c.readings.labels, largest_rows(c.relative_residuals.tolist())
     rows = [
         [
             names[row],

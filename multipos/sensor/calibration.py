@@ -1,4 +1,4 @@
-"""Calibration: the one result that every estimator returns, and its file.
+"""Calibration: the one result that every estimator returns.
 
 A calibration carries the model, the parameters with their covariance and degrees of freedom,
 the readings and the reference they came from, and how they were found, so that everything said
@@ -18,33 +18,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
-from multipos.files.formats import CALIBRATION
 from multipos.files.numbers import number, table, uncertain
-from multipos.files.records import require, require_covariance
-from multipos.files.tables import plain, read_json, to_json, write_text
+from multipos.files.tables import to_json, write_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor import derived, inverse
 from multipos.sensor.diagnostics import Diagnostics, linearity
-from multipos.sensor.expressions import expression_dict, load_expression
-from multipos.sensor.model import Model, build_model, paper_symbol
+from multipos.sensor.model import Model, paper_symbol
 from multipos.sensor.names import parameter_label
-
-SCHEMA = "multipos/calibration/1"
-_EXTRA = (
-    "variance_components",
-    "robust_weight",
-    "orientation_error_deg",
-    "group_rotation_deg",
-    "level_sd_deg",
-    "level_tilt_deg",
-    "selection",
-    "budget",
-)  # what some estimators and budgets add
 
 
 class Parameter(NamedTuple):
@@ -153,6 +137,16 @@ class Calibration(Result):
         return self.model.names
 
     @property
+    def entries(self) -> tuple[Parameter, ...]:
+        """Every parameter with its uncertainty, in the order of `names`."""
+        return tuple(self._parameter(index) for index in range(len(self.parameters)))
+
+    @property
+    def sign(self) -> float:
+        """+1 where the axis that points up reads +1, −1 under 'gravity'."""
+        return -1.0 if self.convention == "gravity" else 1.0
+
+    @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs."""
         return self.model.outputs
@@ -214,12 +208,16 @@ class Calibration(Result):
     @cached_property
     def intrinsic(self) -> dict[str, dict[str, derived.Value]] | None:
         """Sensitivities, offsets [g], angles between input axes and mounting, of a triad."""
-        return derived.intrinsic(self.model, self.parameters, self.covariance, self._mean)
+        return derived.intrinsic(
+            self.model, self.parameters, self.covariance, self.mean_environment
+        )
 
     @cached_property
     def installation_deg(self) -> dict[str, derived.Value]:
         """How far output i leans to axis j, θ_ij = atan2(M_ij, M_ii), in degrees, with u and U."""
-        found = derived.installation_deg(self.model, self.parameters, self.covariance, self._mean)
+        found = derived.installation_deg(
+            self.model, self.parameters, self.covariance, self.mean_environment
+        )
         own = dict(zip(self.model.axes, self.dof.tolist(), strict=True))
         for pair, angle in found.items():
             angle["U"] = coverage_factor(self.confidence, own[pair[0]]) * angle["u"]
@@ -268,70 +266,10 @@ class Calibration(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry, keys as in the formats reference."""
-        found = self.diagnostics
-        readings = self.readings
-        optional = {
-            "reading_u": readings.u,
-            "reading_covariance": readings.covariance,
-            "reading_sd": readings.sd,
-            "samples": readings.samples,
-            "orientation_sd_deg": None
-            if readings.orientation_sd is None
-            else np.degrees(readings.orientation_sd),
-            "group": readings.group,
-            "environment": dict(readings.environment) or None,
-            "attitude": readings.rotation,
-            "up": readings.up,
-        }
-        content = {
-            "schema": SCHEMA,
-            "multipos_version": self.version,
-            "created": self.created,
-            "input": {"file": readings.source, "sha256": readings.sha256},
-            "convention": self.convention,
-            "gravity": None if self.gravity is None else self.gravity._asdict(),
-            "estimator": self.estimator,
-            "criterion": self.criterion,
-            "gauge": self.model.gauge,
-            "model": self.model.text,
-            "outputs": self.outputs,
-            "axes": self.model.axes,
-            "inputs": self.model.inputs,
-            "unit": self.model.unit,
-            "confidence": self.confidence,
-            "status": self.status._asdict(),
-            "positions": labels(readings),
-            "parameters": [self._parameter(i)._asdict() for i in range(len(self.parameters))],
-            "covariance": self.covariance,
-            "residuals": self.residuals,
-            "residual_sd": dict(zip(self.outputs, self.residual_sd, strict=True)),
-            "dof": dict(zip(self.outputs, self.dof, strict=True)),
-            "readings": readings.values,
-            "reference": self.reference,
-            "reference_environment": dict.fromkeys(self.model.environment, 0.0) or None,
-            **{name: value for name, value in optional.items() if value is not None},
-            "rms": self.rms,
-            "linearity": self.linearity,
-            "diagnostics": {
-                "rank": found.rank,
-                "parameters": found.parameters,
-                "condition": found.condition,
-                "lack_of_fit": found.lack_of_fit,
-                "outliers": found.outliers,
-                "unidentifiable": found.unidentifiable,
-                "warnings": found.warnings,
-                "leverage": found.leverage,
-            },
-            "cross_check": None
-            if self.cross_check is None
-            else {"closed_form_max_difference": self.cross_check},
-            "intrinsic": self.intrinsic,
-            "installation_deg": self.installation_deg,
-            **expression_dict(self.model),
-            **self.extra,
-        }
-        result: dict[str, Any] = plain(content)
-        return result
+        # Imported here, for the file's module makes calibrations and so imports this one.
+        from multipos.sensor.calibration_file import calibration_dict
+
+        return calibration_dict(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the calibration as JSON, whole or not at all."""
@@ -341,7 +279,8 @@ class Calibration(Result):
         return table(*parameter_rows(self), left=3)
 
     @cached_property
-    def _mean(self) -> dict[str, float]:
+    def mean_environment(self) -> dict[str, float]:
+        """The mean of each column of the model over the readings."""
         return {
             name: float(np.mean(self.readings.environment[name])) for name in self.model.environment
         }
@@ -370,8 +309,7 @@ def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]
     symbols = paper_symbol(calibration.model, 0) is not None
     header = ["parameter", *(["symbol"] if symbols else []), "unit", "value(u)", "U", "k", "dof"]
     rows = []
-    for index in range(len(calibration.parameters)):
-        p = calibration._parameter(index)
+    for p in calibration.entries:
         rows.append(
             [
                 p.name,
@@ -384,199 +322,3 @@ def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]
             ]
         )
     return header, rows
-
-
-def labels(readings: Readings) -> tuple[str, ...]:
-    """Return the position labels, or 1, 2, … where the readings have none."""
-    if readings.positions is not None:
-        return readings.positions
-    return tuple(str(row + 1) for row in range(len(readings)))
-
-
-def load(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration written by `Calibration.save`.
-
-    Raises
-    ------
-    MultiposError
-        The file is missing, truncated, of another schema, or holds what no calibration does.
-    """
-    return from_dict(read_json(path, SCHEMA), str(path))
-
-
-def from_dict(content: Mapping[str, Any], where: str = "the calibration") -> Calibration:
-    """Return the calibration that `Calibration.to_dict` described.
-
-    Raises
-    ------
-    MultiposError
-        A key is missing or not as `multipos.files.formats` has it, or the parts contradict each
-        other.
-    """
-    require(content, CALIBRATION, where, "fit again")
-    try:
-        _check_shapes(content)
-        calibration = _from_dict(content)
-        _check_consistency(calibration, content["parameters"])
-    except ValueError as error:
-        said = str(error).rstrip(".")
-        raise MultiposError(f"{where}: not a calibration: {said}; fit again.") from None
-    return calibration
-
-
-def _from_dict(content: Mapping[str, Any]) -> Calibration:
-    outputs = tuple(content["outputs"])
-    environment = {
-        name: _numbers(column) for name, column in content.get("environment", {}).items()
-    }
-    model: Model = (
-        load_expression(content)
-        if "expression" in content
-        else build_model(
-            content["model"],
-            outputs,
-            tuple(content["axes"]),
-            tuple(content["inputs"]),
-            str(content["unit"]),
-        )
-    )
-    if content["gauge"] is not None:
-        model = model.with_gauge(content["gauge"])
-    selection = content.get("selection")
-    if selection is not None:
-        terms = [(output, term) for output in outputs for term in selection[output]["terms"]]
-        model = model.keeping(terms)
-    convention = content["convention"]
-    reference = _numbers(content["reference"])
-    size = np.linalg.norm(reference, axis=1)
-    if not (np.isfinite(size) & (size > 0.0)).all():
-        raise ValueError("its reference is zero or not finite")
-    up = reference / size[:, None] * (-1.0 if convention == "gravity" else 1.0) + 0.0
-    sd_deg = content.get("orientation_sd_deg")
-    readings = Readings(
-        values=_numbers(content["readings"]),
-        outputs=outputs,
-        positions=tuple(content["positions"]),
-        up=_numbers(content["up"]) if "up" in content else up,
-        rotation=_numbers(content.get("attitude")),
-        u=_numbers(content.get("reading_u")),
-        covariance=_numbers(content.get("reading_covariance")),
-        sd=_numbers(content.get("reading_sd")),
-        samples=_numbers(content.get("samples")),
-        orientation_sd=None if sd_deg is None else np.radians(_numbers(sd_deg)),
-        group=content.get("group"),
-        environment=environment,
-        unit=model.unit,
-        source=content["input"]["file"],
-        sha256=content["input"]["sha256"],
-    )
-    found, parameters = content["diagnostics"], content["parameters"]
-    keys = [(entry["output"], entry["term"]) for entry in parameters]
-    if keys != [(output, str(term)) for output, term in model.keys]:
-        raise ValueError("its parameters are not those of its model")
-    cross_check, status, gravity = content["cross_check"], content["status"], content["gravity"]
-    return Calibration(
-        model=model,
-        parameters=_numbers([entry["value"] for entry in parameters]),
-        covariance=_numbers(content["covariance"]),
-        parameter_dof=_dof([entry["dof"] for entry in parameters], parameters),
-        dof=_dof([content["dof"][output] for output in outputs]),
-        residuals=_numbers(content["residuals"]),
-        residual_sd=_numbers([content["residual_sd"][output] for output in outputs]),
-        reference=reference,
-        readings=readings,
-        convention=convention,
-        gravity=None if gravity is None else Gravity(gravity["value"], gravity["u"]),
-        estimator=content["estimator"],
-        criterion=content["criterion"],
-        confidence=float(content["confidence"]),
-        diagnostics=Diagnostics(
-            rank=found["rank"],
-            parameters=found["parameters"],
-            condition=float(_numbers([found["condition"]])[0]),
-            leverage=_numbers(found["leverage"]),
-            lack_of_fit={
-                output: {key: test[key] for key in ("F", "dof", "p")}
-                for output, test in found["lack_of_fit"].items()
-            },
-            outliers=tuple(found["outliers"]),
-            unidentifiable=tuple(found["unidentifiable"]),
-            warnings=tuple(found["warnings"]),
-        ),
-        status=Status(
-            status["converged"],
-            status["iterations"],
-            status["message"],
-            status.get("last_step", 0.0),
-            status.get("gradient", 0.0),
-        ),
-        created=content["created"],
-        version=content["multipos_version"],
-        cross_check=None
-        if cross_check is None
-        else float(cross_check["closed_form_max_difference"]),
-        extra={key: content[key] for key in _EXTRA if key in content},
-    )
-
-
-def _check_shapes(c: Mapping[str, Any]) -> None:
-    """Hold the lists of a file to the numbers of its readings, outputs and parameters."""
-    outputs, p, n = c["outputs"], len(c["parameters"]), len(c["readings"])
-    m = len(outputs)
-    known: dict[str, tuple[int, ...]] = {
-        "covariance": (p, p),
-        "readings": (n, m),
-        "residuals": (n, m),
-        "reference": (n, 3),
-        "positions": (n,),
-        "reading_u": (n, m),
-        "reading_covariance": (n * m, n * m),
-        "reading_sd": (n, m),
-        "samples": (n,),
-        "orientation_sd_deg": (n,),
-        "group": (n,),
-        "attitude": (n, 3, 3),
-        "up": (n, 3),
-    }
-    shapes = [(key, c[key], shape) for key, shape in known.items() if key in c]
-    shapes.append(("diagnostics.leverage", c["diagnostics"]["leverage"], (n, m)))
-    for name, column in c.get("environment", {}).items():
-        shapes.append((f"environment.{name}", column, (n,)))
-    if "scatter" in c.get("budget", {}):
-        shapes.append(("budget.scatter", c["budget"]["scatter"], (p, p)))
-    for key in ("robust_weight", "orientation_error_deg"):
-        if key in c:
-            shapes.append((key, c[key], (n, m) if np.ndim(c[key]) > 1 else (n,)))
-    for key, value, shape in shapes:
-        if np.shape(value) != shape:
-            raise ValueError(f"'{key}' has shape {np.shape(value)}, but {shape} fits its others")
-    for key in ("residual_sd", "dof", "selection"):
-        if key in c and set(c[key]) != set(outputs):
-            raise ValueError(f"'{key}' names {', '.join(c[key])}, not its outputs")
-
-
-def _check_consistency(c: Calibration, parameters: list[dict[str, Any]]) -> None:
-    """Hold the numbers of a file to each other: what it says must follow from what it says."""
-    columns = [c.readings.environment.get(name, np.nan) for name in c.model.environment]
-    if not all(np.isfinite(column).all() for column in columns):
-        raise ValueError("its readings lack a column of its model, or a number in it")
-    if c.model.gauge is not None and sorted(c.model.axes) != list(COMPONENTS):
-        raise ValueError(f"its gauge is for outputs on x, y and z, not on {c.model.axes}")
-    # NaN is right where nothing was left to estimate an uncertainty from.
-    require_covariance(c.covariance, _numbers([entry["u"] for entry in parameters]))
-
-
-def _numbers(value: Any) -> Any:
-    """Return nested lists as an array, null as NaN; None stays None."""
-    return None if value is None else np.array(value, dtype=np.float64)
-
-
-def _dof(values: list[float | None], parameters: list[dict[str, Any]] | None = None) -> Array:
-    """Return degrees of freedom; null is infinite where there is a k, else unknown."""
-    dof = [np.inf if value is None else value for value in values]
-    if parameters is not None:
-        dof = [
-            0.0 if entry["k"] is None else value
-            for entry, value in zip(parameters, dof, strict=True)
-        ]
-    return np.array(dof, dtype=np.float64)

@@ -23,15 +23,27 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
-from multipos.files.tables import Column, Source
+from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.positions.scheme import Scheme, read_scheme
-from multipos.results import Record
+from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
 from multipos.units import LARGEST, gravity_ratio
 
 _TREMBLE = 0.03  # [g], standard deviation of each component while a hand turns the case
 _LARGEST = 200_000_000  # samples
+
+
+class Simulation(Columns):
+    """Readings of a simulated session, the columns of a readings file.
+
+    They are position, up_x, up_y, up_z as the scheme has them, the outputs, and the columns that
+    the model uses.
+    """
+
+
+class SimulatedLog(Columns):
+    """The raw log of a simulated session: time [s], the outputs, columns that the model uses."""
 
 
 def simulate(
@@ -42,7 +54,7 @@ def simulate(
     orientation_sd: float = 0.0,
     temperature: Sequence[float] | None = None,
     seed: "int | np.random.Generator | None" = None,
-) -> dict[str, Column]:
+) -> Simulation:
     """Return readings of a calibrated sensor at the positions of a scheme.
 
     Parameters
@@ -61,9 +73,7 @@ def simulate(
 
     Returns
     -------
-    dict of str to sequence
-        Columns of a readings file: position, up_x, up_y, up_z as the scheme has them, the outputs,
-        and the columns that the model uses.
+    Simulation
     """
     rng = np.random.default_rng(seed)
     known = read_scheme(scheme)
@@ -71,7 +81,7 @@ def simulate(
     values = calibration.predict(force, environment)
     values = values + _sd(calibration, reading_sd, "--reading-sd") * rng.normal(size=values.shape)
     labels = known.labels or tuple(str(i + 1) for i in range(len(known)))
-    return Record(
+    return Simulation(
         {
             "position": list(labels),
             **dict(zip(("up_x", "up_y", "up_z"), known.up.T, strict=True)),
@@ -93,7 +103,7 @@ def simulate_log(
     orientation_sd: float = 0.0,
     temperature: Sequence[float] | None = None,
     seed: "int | np.random.Generator | None" = None,
-) -> dict[str, Column]:
+) -> SimulatedLog:
     """Return the raw log of a session: rests at the positions of a scheme, turns between them.
 
     Parameters
@@ -110,8 +120,7 @@ def simulate_log(
 
     Returns
     -------
-    dict of str to sequence
-        Columns time [s], the outputs, and the columns that the model uses.
+    SimulatedLog
     """
     for option, value, lowest in (("--rate", rate, 0.0), ("--rest", rest, 0.0)):
         if not lowest < value < math.inf:
@@ -135,7 +144,7 @@ def simulate_log(
     values = calibration.predict(force, environment)
     values = values + _sd(calibration, sample_sd, "--sample-sd") * noise
     outputs = dict(zip(calibration.outputs, values.T, strict=True))
-    return Record({"time": time, **outputs, **environment})
+    return SimulatedLog({"time": time, **outputs, **environment})
 
 
 def _session(
@@ -150,7 +159,7 @@ def _session(
         raise UsageError(
             f"--orientation-sd must be 0 or more and below 180 degrees, got {orientation_sd:g}."
         )
-    sign = -1.0 if calibration.convention == "gravity" else 1.0
+    sign = calibration.sign
     size = gravity_ratio(None if calibration.gravity is None else calibration.gravity.value)
     tilt = np.radians(orientation_sd) * rng.normal(size=scheme.up.shape)
     up = _turned(scheme.up, -tilt)

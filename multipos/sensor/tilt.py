@@ -71,7 +71,7 @@ def at_rest(
         Tells which way an unseen component points; it points up where not given.
     """
     model, others = calibration.model, list(unseen_axes(calibration.model))
-    sign = np.full(len(raw), sign_of(calibration))
+    sign = np.full(len(raw), calibration.sign)
     if up is not None and len(others) == 1:
         sign *= np.where(up[:, others[0]] < 0.0, -1.0, 1.0)
     return invert_at_rest(
@@ -107,7 +107,7 @@ def tilt_at_rest(
     )
     u = np.sqrt(np.einsum("nkk->nk", covariance))
     k = coverage_factors(calibration.confidence, dof)
-    sign, magnitude, force = sign_of(calibration), magnitude_of(calibration), rest[:, axes]
+    sign, magnitude, force = calibration.sign, magnitude_of(calibration), rest[:, axes]
     if len(axes) == 3:
         angle_u = triad_tilt_u(force, covariance)
         return Tilt(triad_tilt(force, sign), angle_u, k * angle_u)
@@ -194,17 +194,12 @@ def coverage_factors(confidence: float, dof: Array) -> Array:
 
 def _unseen_circle(calibration: Calibration, rest: Array) -> Array:
     """Return the variance (n,) [g²] from cross terms on two components of unknown direction."""
-    linear = calibration.model.linear_map(calibration._mean) @ calibration.parameters
+    linear = calibration.model.linear_map(calibration.mean_environment) @ calibration.parameters
     (own,) = sensed_axes(calibration.model)
     others = list(unseen_axes(calibration.model))
     weight = np.mean((linear[:, [1 + axis for axis in others]] / linear[:, [1 + own]]) ** 2, axis=0)
     level = np.maximum(magnitude_of(calibration) ** 2 - rest[:, own] ** 2, 0.0)
     return np.asarray(weight.sum() / 2.0 * level)
-
-
-def sign_of(calibration: Calibration) -> float:
-    """Return s of eqs. (1) and (2): +1 where the axis that points up reads +1, else −1."""
-    return -1.0 if calibration.convention == "gravity" else 1.0
 
 
 def magnitude_of(calibration: Calibration) -> float:

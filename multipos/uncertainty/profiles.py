@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import ConvergenceError, MultiposError
 from multipos.estimation.descent import maximise
-from multipos.estimation.known import chi_squares, reading_noise
+from multipos.estimation.known import chi_squares
 from multipos.estimation.likelihood import linearise, moved, recentred
 from multipos.estimation.restatement import (
     estimated_variances,
@@ -217,7 +217,7 @@ def _known_problem(c: Calibration) -> tuple[Callable[[Array], Array], Array]:
     The noise is that of the fit: as stated with the readings, or of variance one, times χ²/ν where
     that was not believed or not stated.
     """
-    noise = reading_noise(c.readings)
+    noise = c.readings.noise
     full = noise is not None and noise.ndim == 2
     root = np.ones(c.readings.values.size) if noise is None else noise
     root = np.asarray(np.linalg.cholesky(root) if full else np.sqrt(root))

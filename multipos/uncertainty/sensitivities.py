@@ -28,7 +28,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.estimation.gains import uncertain_gain
-from multipos.estimation.known import closed_form_gain, reading_noise
+from multipos.estimation.known import closed_form_gain
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
@@ -55,7 +55,7 @@ def estimator_gain(calibration: Calibration) -> Array:
     design = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment).reshape(
         n * m, -1
     )
-    noise = reading_noise(c.readings)
+    noise = c.readings.noise
     if noise is not None and noise.ndim == 2:
         whitener = np.linalg.inv(np.linalg.cholesky(noise))
         Q, R = np.linalg.qr(whitener @ design)
@@ -172,7 +172,7 @@ def _index_turns(c: Calibration, quantity: Quantity) -> Array:
             "[index] in the budget: the positions do not turn about one case axis that points "
             "east; name the axis along the shaft with 'axis'."
         )
-    up = c.reference * (-1.0 if c.convention == "gravity" else 1.0)
+    up = c.reference * c.sign
     first = np.where(along == 0, 1, 0)
     second = np.where(along == 2, 1, 2)
     rows = np.arange(n)

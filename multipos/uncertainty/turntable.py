@@ -36,7 +36,7 @@ from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model, build_model
-from multipos.sensor.tilt import magnitude_of, sign_of
+from multipos.sensor.tilt import magnitude_of
 
 QUANTITIES = ("zero_offset", "first_cos", "first_sin", "second_cos", "second_sin")
 _SHIFTED = 1e-3  # chance of a zero shift where there is none
@@ -114,7 +114,7 @@ def table_errors(calibration: Calibration) -> TableErrors:
     """
     model, readings = calibration.model, calibration.readings
     rolls = find_rolls(readings)
-    linear = (model.linear_map(calibration._mean) @ calibration.parameters)[:, 1:]
+    linear = (model.linear_map(calibration.mean_environment) @ calibration.parameters)[:, 1:]
     own = np.array([[float(axis == name) for name in COMPONENTS] for axis in model.axes])
     effect = _effects(calibration, rolls, linear)
     # What can be told is a matter of structure: small cross terms must not seem to tell it.
@@ -198,7 +198,7 @@ def state_bench(
     """
     model, readings = calibration.model, calibration.readings
     rolls = find_rolls(readings)
-    linear = (model.linear_map(calibration._mean) @ calibration.parameters)[:, 1:]
+    linear = (model.linear_map(calibration.mean_environment) @ calibration.parameters)[:, 1:]
     n, m = readings.values.shape
     covariance = np.eye(n * m) * reading_sd**2
     for roll in rolls:
@@ -220,7 +220,7 @@ def _turn(calibration: Calibration, roll: Roll) -> Array:
     first, second = (COMPONENTS.index(name) for name in roll.plane)
     result = np.zeros((len(roll.rows), 3))
     result[:, first], result[:, second] = -np.sin(roll.angle), np.cos(roll.angle)
-    return sign_of(calibration) * magnitude_of(calibration) * result
+    return calibration.sign * magnitude_of(calibration) * result
 
 
 def _effects(calibration: Calibration, rolls: tuple[Roll, ...], linear: Array) -> Array:

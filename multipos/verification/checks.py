@@ -30,7 +30,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings, orient, read_readings, require_range
 from multipos.positions.scheme import Scheme
 from multipos.regression.result import Regression
-from multipos.sensor.calibration import Calibration, labels
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.tilt import (
     at_rest,
@@ -38,7 +38,6 @@ from multipos.sensor.tilt import (
     force_uncertainty,
     magnitude_of,
     reading_noise,
-    sign_of,
     tilt_at_rest,
     triad_tilt,
     true_tilt,
@@ -136,7 +135,7 @@ def check(
         quantity="tilt" if tilt else "force",
         unit="deg" if tilt else "g",
         axes=tuple(COMPONENTS[i] for i in axes),
-        positions=labels(data),
+        positions=data.labels,
         reference=reference,
         before=before,
         after=after,
@@ -204,7 +203,7 @@ def _force_errors(
     calibration: Calibration, data: Readings, up: Array, nominal: Sequence[float], noise: Array
 ) -> _Errors:
     axes = list(sensed_axes(calibration.model))
-    reference = (sign_of(calibration) * magnitude_of(calibration) * up)[:, axes]
+    reference = (calibration.sign * magnitude_of(calibration) * up)[:, axes]
     rest = at_rest(calibration, data.values, data.environment, up)
     covariance, dof = force_uncertainty(calibration, rest, data.environment, noise)
     across = np.sqrt(np.maximum(magnitude_of(calibration) ** 2 - reference**2, 0.0))
@@ -224,11 +223,9 @@ def _tilt_errors(
     placed = _placement(data)
     force = _nominal(calibration, data, nominal)
     if len(axes) == 3:
-        before = triad_tilt(force, sign_of(calibration))
+        before = triad_tilt(force, calibration.sign)
     else:
-        before = np.arcsin(
-            np.clip(sign_of(calibration) * force / magnitude_of(calibration), -1.0, 1.0)
-        )
+        before = np.arcsin(np.clip(calibration.sign * force / magnitude_of(calibration), -1.0, 1.0))
     k = coverage_factors(calibration.confidence, np.full(found.u.shape, np.inf))
     U = np.hypot(found.U, k * placed)
     u = np.hypot(found.u, placed)

@@ -28,7 +28,8 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import t_tail
 from multipos.numerics.terms import CONSTANT
 from multipos.results import Result
-from multipos.sensor.calibration import Calibration, load
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration_file import load
 from multipos.verification.consistency import Judgement, judge
 
 Run = Calibration | str | os.PathLike[str]

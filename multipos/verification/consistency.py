@@ -37,7 +37,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.known import reading_noise
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.sensor.calibration import Calibration
@@ -252,7 +251,7 @@ def _is_apart(c: Calibration, covariance: Array, output_of: NDArray[np.intp]) ->
 def _scatter(c: Calibration, outputs: list[int]) -> float:
     """Variance factor s_r² that the residuals gave: whitened where the noise was stated."""
     n, m = c.readings.values.shape
-    noise = reading_noise(c.readings)
+    noise = c.readings.noise
     columns = (np.arange(n)[:, None] * m + np.array(outputs)).ravel()
     left = c.residuals.ravel()[columns]
     if noise is None:

@@ -1,4 +1,4 @@
-"""Verdicts: the result of `multipos.check`, and its file.
+"""Verdicts: the result of `multipos.check`.
 
 Errors e of K quantities at n rows before and after compensation, with the expanded uncertainty U of
 the latter. Against a limit L, U is the guard band:
@@ -14,15 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.errors import MultiposError
-from multipos.files.formats import CHECK
-from multipos.files.records import require
-from multipos.files.tables import read_json, to_json, write_text
+from multipos.files.tables import to_json, write_text
 from multipos.numerics.arrays import Array
 from multipos.results import Result
 
-SCHEMA = "multipos/check/1"
-_BY_AXIS = ("reference", "before", "after", "u", "U", "counted", "by_axis")
 VERDICTS = ("pass", "undecided", "fail")  # from best to worst
 
 
@@ -111,102 +106,14 @@ class Check(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
-        rows = []
-        for row, label in enumerate(self.positions):
-            entry: dict[str, Any] = {"position": label}
-            for name in ("reference", "before", "after", "u", "U"):
-                entry[name] = dict(zip(self.axes, getattr(self, name)[row].tolist(), strict=True))
-            entry["verdict"] = worst(self.verdicts[row])
-            entry["counted"] = dict(zip(self.axes, self.counted[row].tolist(), strict=True))
-            rows.append(entry)
-        return {
-            "schema": SCHEMA,
-            "input": {"file": self.source, "sha256": self.sha256},
-            "calibration": self.calibration,
-            "quantity": self.quantity,
-            "against": self.against,
-            "unit": self.unit or None,
-            "limit": self.limit,
-            "confidence": self.confidence,
-            "nominal": None if self.bias is None else {"bias": self.bias, "scale": self.scale},
-            "axes": self.axes,
-            "positions": rows,
-            **self.summary(),
-            "by_axis": {axis: self.summary(axis) for axis in self.axes},
-            "by_segment": {
-                name: {"rows": int(rows.sum()), **self.summary(segment=name)}
-                for name, rows in self.segments.items()
-            },
-            "warnings": self.warnings,
-        }
+        # Imported here, for the file's module makes checks and so imports this one.
+        from multipos.verification.check_file import check_dict
+
+        return check_dict(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the check as JSON, whole or not at all."""
         write_text(path, to_json(self.to_dict()))
-
-
-def load_check(path: str | os.PathLike[str]) -> Check:
-    """Read a check of a calibration written by `Check.save`.
-
-    Raises
-    ------
-    MultiposError
-        The file is missing, truncated, of another schema or of a regression, or holds what no
-        check does.
-    """
-    content = read_json(path, SCHEMA)
-    if content.get("against") is not None:
-        raise MultiposError(
-            f"{path}: the check of a regression; a report of a calibration needs a check of it."
-        )
-    require(content, CHECK, str(path), "run check again")
-    axes = set(content["axes"])
-    for row in [*content["positions"], {"by_axis": content["by_axis"]}]:
-        for key, entry in row.items():
-            if key in _BY_AXIS and set(entry) != axes:
-                raise MultiposError(
-                    f"{path}: not a check: '{key}' is of {', '.join(entry)}, not of its axes; run "
-                    "check again."
-                )
-    return _from_dict(content)
-
-
-def _from_dict(c: Mapping[str, Any]) -> Check:
-    axes = tuple(c["axes"])
-
-    def column(name: str) -> Array:
-        rows = [[row[name][axis] for axis in axes] for row in c["positions"]]
-        return np.array(rows, dtype=np.float64).reshape(len(rows), len(axes))
-
-    after, U, counted = column("after"), column("U"), column("counted").astype(bool)
-    linearity = {
-        when: np.array(
-            [c["by_axis"][axis][when]["linearity_percent"] for axis in axes], dtype=np.float64
-        )
-        for when in ("before", "after")
-    }
-    return Check(
-        quantity=c["quantity"],
-        unit=c["unit"],
-        axes=axes,
-        positions=tuple(row["position"] for row in c["positions"]),
-        reference=column("reference"),
-        before=column("before"),
-        after=after,
-        u=column("u"),
-        U=U,
-        limit=c["limit"],
-        verdicts=judge(after, U, c["limit"], counted),
-        counted=counted,
-        linearity_percent=linearity,
-        bias=c["nominal"]["bias"],
-        scale=c["nominal"]["scale"],
-        confidence=c["confidence"],
-        source=c["input"]["file"],
-        sha256=c["input"]["sha256"],
-        warnings=tuple(c["warnings"]),
-        calibration=c["calibration"],
-    )
 
 
 def judge(

@@ -246,3 +246,17 @@ def test_more_than_three_columns_ask_for_outputs():
         fit(columns, scheme="faces-6")
     assert fit(columns, scheme="faces-6", axes="x,y,z,x").outputs == ("c0", "c1", "c2", "c3")
     assert fit(columns, scheme="faces-6", outputs="c1").outputs == ("c1",)
+
+
+def test_labels_are_numbers_where_there_are_none():
+    assert Readings([1.0, 2.0]).labels == ("1", "2")
+    assert Readings([1.0, 2.0], positions=("up", "up")).labels == ("up", "up")
+
+
+def test_stated_noise_is_variances_or_a_covariance_where_outputs_are_dependent():
+    values = [[1.0, 2.0]]
+    assert Readings(values).noise is None
+    assert_array_equal(Readings(values, u=[[0.5, 3.0]]).noise, [0.25, 9.0])
+    apart, together = np.diag([0.25, 9.0]), np.array([[0.25, 0.1], [0.1, 9.0]])
+    assert_array_equal(Readings(values, covariance=apart).noise, [0.25, 9.0])
+    assert_array_equal(Readings(values, covariance=together).noise, together)

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import multipos as mp
 from multipos.errors import MultiposError
 from multipos.reports.summary import text_report
-from multipos.sensor.calibration import from_dict
+from multipos.sensor.calibration_file import from_dict
 from multipos.sensor.diagnostics import linearity
 
 # INTERFACE, "JSON out"
@@ -240,3 +240,13 @@ def test_the_line_names_the_file_and_the_key(tmp_path):
     path.write_text('{"schema": "multipos/regression/1"}')
     with pytest.raises(MultiposError, match="the schema is 'multipos/regression/1'"):
         mp.load(path)
+
+
+def test_entries_sign_and_mean_environment():
+    found = dict(calibrations())
+    cal = found["temperature"]
+    assert [entry.name for entry in cal.entries] == list(cal.names)
+    assert cal.entries[1] == cal[cal.names[1]]
+    mean = float(np.mean(cal.readings.environment["temperature"]))
+    assert cal.mean_environment == {"temperature": mean}
+    assert (found["linear"].sign, found["gravity"].sign) == (1.0, -1.0)

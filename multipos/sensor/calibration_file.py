@@ -1,0 +1,425 @@
+"""Calibrations in files: what a calibration file holds, key by key, its writing and its reading.
+
+What a calibration derives again when it is read (its rms, the labels of its parameters) is not read
+and not described here; what every key means is in `docs/reference/formats`.
+"""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.files.records import (
+    ANY_NUMBER,
+    ANY_TEXT,
+    AXIS,
+    FIGURE,
+    INPUT,
+    LARGEST_SQUARE,
+    NOT_NEGATIVE,
+    P_VALUE,
+    POSITIVE,
+    SHARE,
+    TEXTS,
+    VARIANCES,
+    AnyOf,
+    Fields,
+    Flag,
+    Listed,
+    Maybe,
+    Named,
+    Number,
+    Numbers,
+    Text,
+    Whole,
+    require,
+    require_covariance,
+)
+from multipos.files.tables import read_json
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.positions.readings import Readings
+from multipos.results import plain
+from multipos.sensor.calibration import Calibration, Gravity, Status
+from multipos.sensor.diagnostics import Diagnostics
+from multipos.sensor.expressions import expression_dict, load_expression
+from multipos.sensor.model import Model, build_model
+
+SCHEMA = "multipos/calibration/1"
+_EXTRA = (
+    "variance_components",
+    "robust_weight",
+    "orientation_error_deg",
+    "group_rotation_deg",
+    "level_sd_deg",
+    "level_tilt_deg",
+    "selection",
+    "budget",
+)  # what some estimators and budgets add
+# Null is infinite, 0 none; less than a millionth of one is neither.
+_DOF = Maybe(AnyOf((Number(0.0, 0.0), Number(1e-6))))
+_SETTING = AnyOf((ANY_TEXT, Flag(), Listed(Whole()), ANY_NUMBER))  # of a table in a budget
+
+# One number a position, or one an output as well where the outputs were fitted apart.
+_BY_POSITION = AnyOf((Numbers(2, gaps=True), Numbers(1, gaps=True)))
+_TESTED = Fields({"term": ANY_TEXT, "F": FIGURE, "p": P_VALUE})
+
+CALIBRATION = Fields(
+    {
+        "multipos_version": ANY_TEXT,
+        "created": ANY_TEXT,
+        "input": INPUT,
+        "convention": Text(("specific-force", "gravity")),
+        "gravity": Maybe(Fields({"value": Number(1.0, 100.0), "u": NOT_NEGATIVE})),
+        "estimator": Text(
+            ("closed-form", "linear", "uncertain-orientation", "unknown-orientation")
+        ),
+        "criterion": ANY_TEXT,
+        "gauge": Maybe(Text(("lower", "symmetric"))),
+        "model": ANY_TEXT,
+        "outputs": Listed(ANY_TEXT, 1),
+        "axes": Listed(AXIS, 1),
+        "inputs": Listed(AXIS, 1, len(COMPONENTS)),
+        "unit": ANY_TEXT,
+        "confidence": SHARE,
+        "status": Fields(
+            {"converged": Flag(), "iterations": Whole(), "message": ANY_TEXT},
+            {"last_step": Maybe(ANY_NUMBER), "gradient": Maybe(ANY_NUMBER)},
+        ),
+        "positions": Listed(ANY_TEXT, 1),
+        "parameters": Listed(
+            Fields(
+                {
+                    "output": ANY_TEXT,
+                    "term": ANY_TEXT,
+                    "value": ANY_NUMBER,
+                    "u": Maybe(NOT_NEGATIVE),
+                    "dof": _DOF,
+                    "k": Maybe(NOT_NEGATIVE),
+                }
+            ),
+            1,
+        ),
+        "covariance": VARIANCES,
+        "residuals": Numbers(2),
+        "residual_sd": Named(Maybe(NOT_NEGATIVE)),
+        "dof": Named(_DOF),
+        "readings": Numbers(2),
+        "reference": Numbers(2),
+        "diagnostics": Fields(
+            {
+                "rank": Whole(),
+                "parameters": Whole(),
+                "condition": FIGURE,
+                "leverage": Numbers(2, gaps=True),
+                "lack_of_fit": Named(
+                    Fields({"F": FIGURE, "dof": Maybe(Numbers(1)), "p": P_VALUE}),
+                ),
+                "outliers": TEXTS,
+                "unidentifiable": TEXTS,
+                "warnings": TEXTS,
+            }
+        ),
+        "cross_check": Maybe(Fields({"closed_form_max_difference": ANY_NUMBER})),
+    },
+    {
+        "reading_u": Numbers(2),
+        "reading_covariance": Numbers(2, low=-LARGEST_SQUARE, high=LARGEST_SQUARE),
+        "reading_sd": Numbers(2),
+        "samples": Numbers(1),
+        "orientation_sd_deg": Numbers(1, gaps=True),
+        "group": TEXTS,
+        "environment": Named(Numbers(1, gaps=True)),
+        "attitude": Numbers(3, gaps=True),
+        "up": Numbers(2, gaps=True),
+        "robust_weight": _BY_POSITION,
+        "orientation_error_deg": _BY_POSITION,
+        "group_rotation_deg": Named(Listed(ANY_NUMBER, 3, 3)),
+        "level_sd_deg": NOT_NEGATIVE,
+        "level_tilt_deg": Numbers(1),
+        "variance_components": Named(Fields({"value": POSITIVE, "u": POSITIVE})),
+        "selection": Named(
+            Fields(
+                {
+                    "terms": Listed(ANY_TEXT, 1),
+                    "path": Listed(_TESTED),
+                    "runner_up": Maybe(_TESTED),
+                    "collinear": TEXTS,
+                }
+            )
+        ),
+        "budget": Fields(
+            {
+                "tables": Named(Named(_SETTING)),
+                "rows": Listed(Fields({"quantity": ANY_TEXT, "contribution": Named(FIGURE)})),
+            },
+            {"scatter": VARIANCES},
+        ),
+        "expression": Fields(
+            {
+                "functions": Listed(Listed(Listed(AnyOf((ANY_TEXT, ANY_NUMBER)), 2), 1), 1),
+                "columns": TEXTS,
+                "parameters": Listed(ANY_TEXT, 1),
+            }
+        ),
+    },
+)
+
+
+def calibration_dict(c: Calibration) -> dict[str, Any]:
+    """Return everything that a calibration holds as what JSON can carry."""
+    found = c.diagnostics
+    readings = c.readings
+    optional = {
+        "reading_u": readings.u,
+        "reading_covariance": readings.covariance,
+        "reading_sd": readings.sd,
+        "samples": readings.samples,
+        "orientation_sd_deg": None
+        if readings.orientation_sd is None
+        else np.degrees(readings.orientation_sd),
+        "group": readings.group,
+        "environment": dict(readings.environment) or None,
+        "attitude": readings.rotation,
+        "up": readings.up,
+    }
+    content = {
+        "schema": SCHEMA,
+        "multipos_version": c.version,
+        "created": c.created,
+        "input": {"file": readings.source, "sha256": readings.sha256},
+        "convention": c.convention,
+        "gravity": None if c.gravity is None else c.gravity._asdict(),
+        "estimator": c.estimator,
+        "criterion": c.criterion,
+        "gauge": c.model.gauge,
+        "model": c.model.text,
+        "outputs": c.outputs,
+        "axes": c.model.axes,
+        "inputs": c.model.inputs,
+        "unit": c.model.unit,
+        "confidence": c.confidence,
+        "status": c.status._asdict(),
+        "positions": readings.labels,
+        "parameters": [entry._asdict() for entry in c.entries],
+        "covariance": c.covariance,
+        "residuals": c.residuals,
+        "residual_sd": dict(zip(c.outputs, c.residual_sd, strict=True)),
+        "dof": dict(zip(c.outputs, c.dof, strict=True)),
+        "readings": readings.values,
+        "reference": c.reference,
+        "reference_environment": dict.fromkeys(c.model.environment, 0.0) or None,
+        **{name: value for name, value in optional.items() if value is not None},
+        "rms": c.rms,
+        "linearity": c.linearity,
+        "diagnostics": {
+            "rank": found.rank,
+            "parameters": found.parameters,
+            "condition": found.condition,
+            "lack_of_fit": found.lack_of_fit,
+            "outliers": found.outliers,
+            "unidentifiable": found.unidentifiable,
+            "warnings": found.warnings,
+            "leverage": found.leverage,
+        },
+        "cross_check": None
+        if c.cross_check is None
+        else {"closed_form_max_difference": c.cross_check},
+        "intrinsic": c.intrinsic,
+        "installation_deg": c.installation_deg,
+        **expression_dict(c.model),
+        **c.extra,
+    }
+    result: dict[str, Any] = plain(content)
+    return result
+
+
+def load(path: str | os.PathLike[str]) -> Calibration:
+    """Read a calibration written by `Calibration.save`.
+
+    Raises
+    ------
+    MultiposError
+        The file is missing, truncated, of another schema, or holds what no calibration does.
+    """
+    return from_dict(read_json(path, SCHEMA), str(path))
+
+
+def from_dict(content: Mapping[str, Any], where: str = "the calibration") -> Calibration:
+    """Return the calibration that `Calibration.to_dict` described.
+
+    Raises
+    ------
+    MultiposError
+        A key is missing or not as `CALIBRATION` has it, or the parts contradict each
+        other.
+    """
+    require(content, CALIBRATION, where, "fit again")
+    try:
+        _check_shapes(content)
+        calibration = _from_dict(content)
+        _check_consistency(calibration, content["parameters"])
+    except ValueError as error:
+        said = str(error).rstrip(".")
+        raise MultiposError(f"{where}: not a calibration: {said}; fit again.") from None
+    return calibration
+
+
+def _from_dict(content: Mapping[str, Any]) -> Calibration:
+    outputs = tuple(content["outputs"])
+    environment = {
+        name: _numbers(column) for name, column in content.get("environment", {}).items()
+    }
+    model: Model = (
+        load_expression(content)
+        if "expression" in content
+        else build_model(
+            content["model"],
+            outputs,
+            tuple(content["axes"]),
+            tuple(content["inputs"]),
+            str(content["unit"]),
+        )
+    )
+    if content["gauge"] is not None:
+        model = model.with_gauge(content["gauge"])
+    selection = content.get("selection")
+    if selection is not None:
+        terms = [(output, term) for output in outputs for term in selection[output]["terms"]]
+        model = model.keeping(terms)
+    convention = content["convention"]
+    reference = _numbers(content["reference"])
+    size = np.linalg.norm(reference, axis=1)
+    if not (np.isfinite(size) & (size > 0.0)).all():
+        raise ValueError("its reference is zero or not finite")
+    up = reference / size[:, None] * (-1.0 if convention == "gravity" else 1.0) + 0.0
+    sd_deg = content.get("orientation_sd_deg")
+    readings = Readings(
+        values=_numbers(content["readings"]),
+        outputs=outputs,
+        positions=tuple(content["positions"]),
+        up=_numbers(content["up"]) if "up" in content else up,
+        rotation=_numbers(content.get("attitude")),
+        u=_numbers(content.get("reading_u")),
+        covariance=_numbers(content.get("reading_covariance")),
+        sd=_numbers(content.get("reading_sd")),
+        samples=_numbers(content.get("samples")),
+        orientation_sd=None if sd_deg is None else np.radians(_numbers(sd_deg)),
+        group=content.get("group"),
+        environment=environment,
+        unit=model.unit,
+        source=content["input"]["file"],
+        sha256=content["input"]["sha256"],
+    )
+    found, parameters = content["diagnostics"], content["parameters"]
+    keys = [(entry["output"], entry["term"]) for entry in parameters]
+    if keys != [(output, str(term)) for output, term in model.keys]:
+        raise ValueError("its parameters are not those of its model")
+    cross_check, status, gravity = content["cross_check"], content["status"], content["gravity"]
+    return Calibration(
+        model=model,
+        parameters=_numbers([entry["value"] for entry in parameters]),
+        covariance=_numbers(content["covariance"]),
+        parameter_dof=_dof([entry["dof"] for entry in parameters], parameters),
+        dof=_dof([content["dof"][output] for output in outputs]),
+        residuals=_numbers(content["residuals"]),
+        residual_sd=_numbers([content["residual_sd"][output] for output in outputs]),
+        reference=reference,
+        readings=readings,
+        convention=convention,
+        gravity=None if gravity is None else Gravity(gravity["value"], gravity["u"]),
+        estimator=content["estimator"],
+        criterion=content["criterion"],
+        confidence=float(content["confidence"]),
+        diagnostics=Diagnostics(
+            rank=found["rank"],
+            parameters=found["parameters"],
+            condition=float(_numbers([found["condition"]])[0]),
+            leverage=_numbers(found["leverage"]),
+            lack_of_fit={
+                output: {key: test[key] for key in ("F", "dof", "p")}
+                for output, test in found["lack_of_fit"].items()
+            },
+            outliers=tuple(found["outliers"]),
+            unidentifiable=tuple(found["unidentifiable"]),
+            warnings=tuple(found["warnings"]),
+        ),
+        status=Status(
+            status["converged"],
+            status["iterations"],
+            status["message"],
+            status.get("last_step", 0.0),
+            status.get("gradient", 0.0),
+        ),
+        created=content["created"],
+        version=content["multipos_version"],
+        cross_check=None
+        if cross_check is None
+        else float(cross_check["closed_form_max_difference"]),
+        extra={key: content[key] for key in _EXTRA if key in content},
+    )
+
+
+def _check_shapes(c: Mapping[str, Any]) -> None:
+    """Hold the lists of a file to the numbers of its readings, outputs and parameters."""
+    outputs, p, n = c["outputs"], len(c["parameters"]), len(c["readings"])
+    m = len(outputs)
+    known: dict[str, tuple[int, ...]] = {
+        "covariance": (p, p),
+        "readings": (n, m),
+        "residuals": (n, m),
+        "reference": (n, 3),
+        "positions": (n,),
+        "reading_u": (n, m),
+        "reading_covariance": (n * m, n * m),
+        "reading_sd": (n, m),
+        "samples": (n,),
+        "orientation_sd_deg": (n,),
+        "group": (n,),
+        "attitude": (n, 3, 3),
+        "up": (n, 3),
+    }
+    shapes = [(key, c[key], shape) for key, shape in known.items() if key in c]
+    shapes.append(("diagnostics.leverage", c["diagnostics"]["leverage"], (n, m)))
+    for name, column in c.get("environment", {}).items():
+        shapes.append((f"environment.{name}", column, (n,)))
+    if "scatter" in c.get("budget", {}):
+        shapes.append(("budget.scatter", c["budget"]["scatter"], (p, p)))
+    for key in ("robust_weight", "orientation_error_deg"):
+        if key in c:
+            shapes.append((key, c[key], (n, m) if np.ndim(c[key]) > 1 else (n,)))
+    for key, value, shape in shapes:
+        if np.shape(value) != shape:
+            raise ValueError(f"'{key}' has shape {np.shape(value)}, but {shape} fits its others")
+    for key in ("residual_sd", "dof", "selection"):
+        if key in c and set(c[key]) != set(outputs):
+            raise ValueError(f"'{key}' names {', '.join(c[key])}, not its outputs")
+
+
+def _check_consistency(c: Calibration, parameters: list[dict[str, Any]]) -> None:
+    """Hold the numbers of a file to each other: what it says must follow from what it says."""
+    columns = [c.readings.environment.get(name, np.nan) for name in c.model.environment]
+    if not all(np.isfinite(column).all() for column in columns):
+        raise ValueError("its readings lack a column of its model, or a number in it")
+    if c.model.gauge is not None and sorted(c.model.axes) != list(COMPONENTS):
+        raise ValueError(f"its gauge is for outputs on x, y and z, not on {c.model.axes}")
+    # NaN is right where nothing was left to estimate an uncertainty from.
+    require_covariance(c.covariance, _numbers([entry["u"] for entry in parameters]))
+
+
+def _numbers(value: Any) -> Any:
+    """Return nested lists as an array, null as NaN; None stays None."""
+    return None if value is None else np.array(value, dtype=np.float64)
+
+
+def _dof(values: list[float | None], parameters: list[dict[str, Any]] | None = None) -> Array:
+    """Return degrees of freedom; null is infinite where there is a k, else unknown."""
+    dof = [np.inf if value is None else value for value in values]
+    if parameters is not None:
+        dof = [
+            0.0 if entry["k"] is None else value
+            for entry, value in zip(parameters, dof, strict=True)
+        ]
+    return np.array(dof, dtype=np.float64)

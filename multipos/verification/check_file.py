@@ -1,0 +1,165 @@
+"""Checks in files: what the file of a check holds, key by key, its writing and its reading.
+
+What a check derives again when it is read (its summary and verdicts) is not read and not described
+here; what every key means is in `docs/reference/check-and-tumble`.
+"""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.files.records import (
+    ANY_NUMBER,
+    ANY_TEXT,
+    AXIS,
+    INPUT,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SHARE,
+    TEXTS,
+    Fields,
+    Flag,
+    Listed,
+    Maybe,
+    Named,
+    Text,
+    require,
+)
+from multipos.files.tables import read_json
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.verification.verdicts import Check, judge, worst
+
+SCHEMA = "multipos/check/1"
+_BY_AXIS = ("reference", "before", "after", "u", "U", "counted", "by_axis")
+_ERRORS = Named(ANY_NUMBER)
+_BY_AXIS_OR_NONE = Named(Maybe(ANY_NUMBER))
+_LINEARITY = Fields({"linearity_percent": Maybe(NOT_NEGATIVE)})
+
+CHECK = Fields(
+    {
+        "input": INPUT,
+        "calibration": ANY_TEXT,
+        "quantity": Text(("force", "tilt")),
+        "unit": Text(("g", "deg")),
+        "limit": Maybe(POSITIVE),
+        "confidence": SHARE,
+        "nominal": Fields({"bias": ANY_NUMBER, "scale": ANY_NUMBER}),
+        "axes": Listed(AXIS, 1, len(COMPONENTS)),
+        "positions": Listed(
+            Fields(
+                {
+                    "position": ANY_TEXT,
+                    "reference": _ERRORS,
+                    "before": _BY_AXIS_OR_NONE,
+                    "after": _BY_AXIS_OR_NONE,
+                    "u": _BY_AXIS_OR_NONE,
+                    "U": _BY_AXIS_OR_NONE,
+                    "counted": Named(Flag()),
+                }
+            ),
+            1,
+        ),
+        "by_axis": Named(Fields({"before": _LINEARITY, "after": _LINEARITY})),
+        "warnings": TEXTS,
+    }
+)
+
+
+def check_dict(c: Check) -> dict[str, Any]:
+    """Return everything that a check holds, as JSON carries it."""
+    rows = []
+    for row, label in enumerate(c.positions):
+        entry: dict[str, Any] = {"position": label}
+        for name in ("reference", "before", "after", "u", "U"):
+            entry[name] = dict(zip(c.axes, getattr(c, name)[row].tolist(), strict=True))
+        entry["verdict"] = worst(c.verdicts[row])
+        entry["counted"] = dict(zip(c.axes, c.counted[row].tolist(), strict=True))
+        rows.append(entry)
+    return {
+        "schema": SCHEMA,
+        "input": {"file": c.source, "sha256": c.sha256},
+        "calibration": c.calibration,
+        "quantity": c.quantity,
+        "against": c.against,
+        "unit": c.unit or None,
+        "limit": c.limit,
+        "confidence": c.confidence,
+        "nominal": None if c.bias is None else {"bias": c.bias, "scale": c.scale},
+        "axes": c.axes,
+        "positions": rows,
+        **c.summary(),
+        "by_axis": {axis: c.summary(axis) for axis in c.axes},
+        "by_segment": {
+            name: {"rows": int(rows.sum()), **c.summary(segment=name)}
+            for name, rows in c.segments.items()
+        },
+        "warnings": c.warnings,
+    }
+
+
+def load_check(path: str | os.PathLike[str]) -> Check:
+    """Read a check of a calibration written by `Check.save`.
+
+    Raises
+    ------
+    MultiposError
+        The file is missing, truncated, of another schema or of a regression, or holds what no
+        check does.
+    """
+    content = read_json(path, SCHEMA)
+    if content.get("against") is not None:
+        raise MultiposError(
+            f"{path}: the check of a regression; a report of a calibration needs a check of it."
+        )
+    require(content, CHECK, str(path), "run check again")
+    axes = set(content["axes"])
+    for row in [*content["positions"], {"by_axis": content["by_axis"]}]:
+        for key, entry in row.items():
+            if key in _BY_AXIS and set(entry) != axes:
+                raise MultiposError(
+                    f"{path}: not a check: '{key}' is of {', '.join(entry)}, not of its axes; run "
+                    "check again."
+                )
+    return _from_dict(content)
+
+
+def _from_dict(c: Mapping[str, Any]) -> Check:
+    axes = tuple(c["axes"])
+
+    def column(name: str) -> Array:
+        rows = [[row[name][axis] for axis in axes] for row in c["positions"]]
+        return np.array(rows, dtype=np.float64).reshape(len(rows), len(axes))
+
+    after, U, counted = column("after"), column("U"), column("counted").astype(bool)
+    linearity = {
+        when: np.array(
+            [c["by_axis"][axis][when]["linearity_percent"] for axis in axes], dtype=np.float64
+        )
+        for when in ("before", "after")
+    }
+    return Check(
+        quantity=c["quantity"],
+        unit=c["unit"],
+        axes=axes,
+        positions=tuple(row["position"] for row in c["positions"]),
+        reference=column("reference"),
+        before=column("before"),
+        after=after,
+        u=column("u"),
+        U=U,
+        limit=c["limit"],
+        verdicts=judge(after, U, c["limit"], counted),
+        counted=counted,
+        linearity_percent=linearity,
+        bias=c["nominal"]["bias"],
+        scale=c["nominal"]["scale"],
+        confidence=c["confidence"],
+        source=c["input"]["file"],
+        sha256=c["input"]["sha256"],
+        warnings=tuple(c["warnings"]),
+        calibration=c["calibration"],
+    )
