@@ -136,8 +136,8 @@ def _header(calibration: Calibration, name: str, how: str) -> str:
     ]
     sensed = [COMPONENTS[i] for i in sensed_axes(model)]
     rows = []
-    for i in range(len(c.parameters)):
-        p = c._parameter(i)
+    for output, term in model.keys:
+        p = c[output, str(term)]
         rows.append([p.name, p.unit, uncertain(p.value, p.u), number(p.U, 2)])
     what = "specific force" if c.convention == "specific-force" else "gravity"
     lines = [
