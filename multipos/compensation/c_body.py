@@ -37,7 +37,7 @@ _TOLERANCE = {False: 1e-13, True: 1e-9}  # [g], by single precision
 _GRID = 9
 
 # Output, product of force components, and its coefficient: a number times a named constant.
-_Coefficient = tuple[int, Term, tuple[float, str]]
+_RestTerm = tuple[int, Term, tuple[float, str]]
 
 
 def function_body(calibration: Calibration, *, single: bool) -> tuple[str, str]:
@@ -129,7 +129,7 @@ class _Writer:
         ]
         return "\n".join(lines) + "\n", steps_in_words(steps, rho)
 
-    def _functions(self, coefficients: list[_Coefficient]) -> list[str]:
+    def _functions(self, coefficients: list[_RestTerm]) -> list[str]:
         """Name the values of the functions of each axis that stand in the terms."""
         used = [f for _, term, _ in coefficients for f in term.factors if f.function]
         lines = []
@@ -146,7 +146,7 @@ class _Writer:
     def _is_redundant(self) -> bool:
         return len(self._slope) > len(self._sensed)
 
-    def _square(self, coefficients: list[_Coefficient]) -> list[str]:
+    def _square(self, coefficients: list[_RestTerm]) -> list[str]:
         lines = []
         for i in range(len(self._bias)):
             rest = self._sum(
@@ -159,7 +159,7 @@ class _Writer:
             lines.append(f"{axis} = {total};")
         return lines
 
-    def _redundant(self, coefficients: list[_Coefficient]) -> list[str]:
+    def _redundant(self, coefficients: list[_RestTerm]) -> list[str]:
         """Write a step along J', for more outputs than axes."""
         lines = []
         count = len(self._bias)
@@ -213,10 +213,10 @@ class _Writer:
                 lines.append(f"t{j} = env[{j}] {shift}")
         return lines
 
-    def _coefficients(self) -> tuple[list[str], list[_Coefficient]]:
+    def _coefficients(self) -> tuple[list[str], list[_RestTerm]]:
         """Return n of eq. (1): per output and product of force, a number or a named constant."""
         constants: list[str] = []
-        coefficients: list[_Coefficient] = []
+        coefficients: list[_RestTerm] = []
         bare = {CONSTANT, *(linear_term(axis) for axis in self._sensed)}
         for i, row in enumerate(self._theta):
             grouped: dict[Term, list[tuple[float, Term]]] = {}

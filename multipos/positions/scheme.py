@@ -230,7 +230,7 @@ def _all() -> Attitudes:
     return _joined(_faces(), _edges(), _corners())
 
 
-class Named(NamedTuple):
+class NamedScheme(NamedTuple):
     """A named scheme, or a family of them whose name ends in N."""
 
     told: str  # its positions in words
@@ -239,19 +239,21 @@ class Named(NamedTuple):
 
 
 SCHEMES = {
-    "song-qin-6": Named("table 1 of the six-position paper, in its order", _song_qin),
-    "faces-6": Named("up along the faces of a cube", _faces),
-    "corners-8": Named("up along the corners of a cube", _corners),
-    "edges-12": Named("up along the edges of a cube", _edges),
-    "icosahedron-12": Named("up along the corners of an icosahedron", _icosahedron),
-    "faces-corners-14": Named("faces-6, then corners-8", lambda: _joined(_faces(), _corners())),
-    "faces-edges-18": Named("faces-6, then edges-12", lambda: _joined(_faces(), _edges())),
-    "dodecahedron-20": Named("up along the corners of a dodecahedron", _dodecahedron),
-    "all-26": Named("faces-6, then edges-12, then corners-8", _all),
-    "dual-axis-48": Named("roll-y-24, then roll-x-24", _dual_axis),
-    "fibonacci-N": Named("N nearly even directions on the golden spiral", _fibonacci, 24),
-    "roll-x-N": Named("N even steps of a turn about x, held horizontal", _roll("x"), 24),
-    "roll-y-N": Named("N even steps of a turn about y, held horizontal", _roll("y"), 24),
-    "roll-z-N": Named("N even steps of a turn about z, held horizontal", _roll("z"), 24),
-    "tumble-N": Named("the same as roll-z-N", _roll("z"), 12),
+    "song-qin-6": NamedScheme("table 1 of the six-position paper, in its order", _song_qin),
+    "faces-6": NamedScheme("up along the faces of a cube", _faces),
+    "corners-8": NamedScheme("up along the corners of a cube", _corners),
+    "edges-12": NamedScheme("up along the edges of a cube", _edges),
+    "icosahedron-12": NamedScheme("up along the corners of an icosahedron", _icosahedron),
+    "faces-corners-14": NamedScheme(
+        "faces-6, then corners-8", lambda: _joined(_faces(), _corners())
+    ),
+    "faces-edges-18": NamedScheme("faces-6, then edges-12", lambda: _joined(_faces(), _edges())),
+    "dodecahedron-20": NamedScheme("up along the corners of a dodecahedron", _dodecahedron),
+    "all-26": NamedScheme("faces-6, then edges-12, then corners-8", _all),
+    "dual-axis-48": NamedScheme("roll-y-24, then roll-x-24", _dual_axis),
+    "fibonacci-N": NamedScheme("N nearly even directions on the golden spiral", _fibonacci, 24),
+    "roll-x-N": NamedScheme("N even steps of a turn about x, held horizontal", _roll("x"), 24),
+    "roll-y-N": NamedScheme("N even steps of a turn about y, held horizontal", _roll("y"), 24),
+    "roll-z-N": NamedScheme("N even steps of a turn about z, held horizontal", _roll("z"), 24),
+    "tumble-N": NamedScheme("the same as roll-z-N", _roll("z"), 12),
 }

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from multipos.cli import command_parser
 from multipos.errors import MultiposError, UsageError
 from multipos.positions.attitudes import from_up
-from multipos.positions.scheme import SCHEMES, Named, named_schemes, read_scheme
+from multipos.positions.scheme import SCHEMES, NamedScheme, named_schemes, read_scheme
 
 
 def angles_deg(up):
@@ -113,8 +113,8 @@ def test_every_named_scheme_reads_and_is_proper():
 
 
 def test_a_new_scheme_is_one_entry(monkeypatch):
-    pair = Named("up along z, and down", lambda: from_up([[0, 0, 1], [0, 0, -1]]))
-    fan = Named("N times up", lambda count: from_up([[0, 0, 1]] * count), 5)
+    pair = NamedScheme("up along z, and down", lambda: from_up([[0, 0, 1], [0, 0, -1]]))
+    fan = NamedScheme("N times up", lambda count: from_up([[0, 0, 1]] * count), 5)
     monkeypatch.setitem(SCHEMES, "pair-2", pair)
     monkeypatch.setitem(SCHEMES, "fan-N", fan)
     joined = read_scheme("pair-2+fan-3")
