@@ -80,6 +80,7 @@ class Started:
     process: int
     root: Path
     before: Snapshot
+    resident: int
 
 
 def prepare() -> None:
@@ -102,7 +103,7 @@ def start(case: Case, root: Path, main: Main, limits: Limits) -> Started:
         _be(case, root, main, limits, feeding)
     if feeding is not None:
         os.close(feeding)
-    return Started(process, root, before)
+    return Started(process, root, before, _resident())
 
 
 def finish(started: Started, wait_status: int, usage: resource.struct_rusage) -> Run:
@@ -111,6 +112,7 @@ def finish(started: Started, wait_status: int, usage: resource.struct_rusage) ->
         os.killpg(started.process, signal.SIGKILL)  # what it started and left running
     root = started.root
     died = os.WIFSIGNALED(wait_status)
+    peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
     after = _snapshot(root / "place")
     after |= {f"TMPDIR/{name}": state for name, state in _snapshot(root / "tmp").items()}
     return Run(
@@ -120,7 +122,7 @@ def finish(started: Started, wait_status: int, usage: resource.struct_rusage) ->
         stderr=_content(root / "stderr"),
         fault=_content(root / "fault"),
         cpu=usage.ru_utime + usage.ru_stime,
-        memory=usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+        memory=peak - started.resident,
         before=started.before,
         after=after,
         folder=root / "place" / "work",
@@ -215,10 +217,19 @@ def _limit(limits: Limits, fault) -> None:
 
 def _address_space() -> int:
     """What this process has mapped already [bytes]: the libraries, mostly."""
+    return _pages(0, 1 << 30)
+
+
+def _resident() -> int:
+    """What this process holds in memory [bytes], which a case is born with."""
+    return _pages(1, 0)
+
+
+def _pages(field: int, unknown: int) -> int:
     statm = Path("/proc/self/statm")
     if not statm.exists():
-        return 1 << 30
-    return int(statm.read_text().split()[0]) * resource.getpagesize()
+        return unknown
+    return int(statm.read_text().split()[field]) * resource.getpagesize()
 
 
 def _redirect(case: Case, root: Path, stdin: int | None) -> None:
