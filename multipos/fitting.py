@@ -41,7 +41,7 @@ from multipos.estimation.uncertain import solve_uncertain
 from multipos.files.lists import Names, split_names
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
 from multipos.files.tables import Source
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.numerics.terms import COMPONENTS, formula_columns, largest_value, linear_term
 from multipos.positions.attitudes import CONVENTIONS, Convention, check_convention
 from multipos.positions.readings import Readings, orient, read_readings, require_range, stated_sd
@@ -54,7 +54,7 @@ from multipos.uncertainty.budgets import Budget, read_budget
 from multipos.uncertainty.budgets import Source as BudgetSource
 from multipos.uncertainty.propagation import state_budget
 from multipos.uncertainty.turntable import roll_warnings
-from multipos.units import LARGEST, SMALLEST, gravity_ratio, normal_gravity
+from multipos.units import gravity_ratio, normal_gravity
 
 _CONTRADICT = {
     "--closed-form": (

@@ -19,8 +19,6 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
-LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
 STANDARD_GRAVITY = 9.80665  # g_n [m/s²], exact by definition
 
 # WGS 84: equatorial gravity [m/s²], Somigliana's k, e², semi-major axis [m], flattening, m.

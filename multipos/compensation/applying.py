@@ -28,7 +28,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Column, Source, Table, format_csv, read_table
 from multipos.logs.opening import read_log
 from multipos.logs.table import Log, Piece
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS, largest_value
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
@@ -36,7 +36,6 @@ from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.parity import FAULT_LEVEL, parity
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest
 from multipos.uncertainty.validity import force_covariance
-from multipos.units import LARGEST
 
 Outside = Literal["flag", "clamp", "refuse"]
 OUTSIDE: tuple[Outside, ...] = get_args(Outside)

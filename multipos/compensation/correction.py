@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 from multipos.compensation.applying import Outside, check_outside
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Source, Table, read_table
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import largest_value
 from multipos.regression.rates import smoothed_rate
 from multipos.regression.result import Regression
 from multipos.results import Columns
-from multipos.units import LARGEST
 
 
 class Corrected(Columns):

@@ -34,11 +34,10 @@ from functools import cached_property
 import numpy as np
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.numerics.terms import COMPONENTS, Term
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
-from multipos.units import LARGEST, SMALLEST
 
 Blocks = tuple[Array, ...]
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.factors import (
     FUNCTIONS,
     Factor,
@@ -25,7 +25,6 @@ from multipos.numerics.factors import (
     read_factor,
     variables_in,
 )
-from multipos.units import LARGEST
 
 COMPONENTS = ("x", "y", "z")
 NAMED = {

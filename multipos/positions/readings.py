@@ -17,11 +17,10 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import control_characters, visible
 from multipos.files.lists import Names, split_names
 from multipos.files.tables import Source, Table, read_table
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Frozen, Result
-from multipos.units import LARGEST, SMALLEST
 
 _RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group"}
 

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, Array
 from multipos.regression.correlation import TimeOrder, time_order
 from multipos.regression.rates import default_window, smoothed_rate
-from multipos.units import LARGEST
 
 Rows = NDArray[np.intp]
 

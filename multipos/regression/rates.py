@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
-from multipos.numerics.arrays import Array
-from multipos.units import SMALLEST
+from multipos.numerics.arrays import SMALLEST, Array
 
 _WINDOW_ROWS = 20  # of the default window: quiet enough to be of use, short beside a soak
 

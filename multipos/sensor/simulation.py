@@ -24,11 +24,11 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
 from multipos.files.tables import Source
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
-from multipos.units import LARGEST, gravity_ratio
+from multipos.units import gravity_ratio
 
 _TREMBLE = 0.03  # [g], standard deviation of each component while a hand turns the case
 _LARGEST = 200_000_000  # samples

@@ -36,8 +36,9 @@ from typing import Any
 
 from multipos.errors import MultiposError
 from multipos.files.tables import read_toml
+from multipos.numerics.arrays import LARGEST
 from multipos.results import Result
-from multipos.units import LARGEST, normal_gravity
+from multipos.units import normal_gravity
 
 Source = str | os.PathLike[str] | Mapping[str, Any]
 

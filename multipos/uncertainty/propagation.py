@@ -25,12 +25,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, Array
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.budgets import Budget, Quantity, Source, read_budget
 from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects
-from multipos.units import LARGEST
 
 
 @dataclass(frozen=True, eq=False)

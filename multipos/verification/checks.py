@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Source
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings, orient, read_readings, require_range
 from multipos.positions.scheme import Scheme
@@ -42,7 +42,6 @@ from multipos.sensor.tilt import (
     triad_tilt,
     true_tilt,
 )
-from multipos.units import LARGEST, SMALLEST
 from multipos.verification.regression_checks import check_regression
 from multipos.verification.verdicts import Check, judge
 
