@@ -119,16 +119,22 @@ def _call(command: list[str], folder: Path, path: str) -> None:
                 process.kill()
                 process.wait()
     except subprocess.TimeoutExpired:
-        raise MultiposError(
-            f"{path}: compiled or ran for more than {_SECONDS} s and was stopped; export again."
-        ) from None
+        raise _too_slow(path) from None
     except OSError as error:
         raise MultiposError(f"{path}: cannot compile or run it: {error}.") from None
+    if posix and status == -signal.SIGXCPU:  # the bound on its own time came first
+        raise _too_slow(path)
     if status:
         with said.open("rb") as errors:
             first = errors.read(4096).decode(errors="replace").strip().splitlines()
         reason = visible(first[0])[:200] if first else "no message"
         raise MultiposError(f"{path}: does not compile or run ({reason}); export again.")
+
+
+def _too_slow(path: str) -> MultiposError:
+    return MultiposError(
+        f"{path}: compiled or ran for more than {_SECONDS} s and was stopped; export again."
+    )
 
 
 def _bound() -> None:

@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from orientation_bench import Sensor, readings_of
 
 import multipos as mp
@@ -109,6 +110,9 @@ def test_the_file_of_a_calibration_comes_back_whole(here, capsys):
     loaded = mp.load("cal.json")
     again = loaded.to_dict()
     written = json.loads((here / "cal.json").read_text())
+    # Degrees become radians and degrees again, each time rounded.
+    degrees = again.pop("orientation_sd_deg"), written.pop("orientation_sd_deg")
+    assert_allclose(*degrees, rtol=4 * np.finfo(float).eps)
     assert json.loads(json.dumps(again)) == written
 
 
