@@ -149,5 +149,7 @@ def _bound() -> None:
     ):
         hard = resource.getrlimit(what)[1]
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        # A second later than the signal that says why, the one that says nothing.
+        last = most if what != resource.RLIMIT_CPU or most == hard else most + 1
         with contextlib.suppress(OSError, ValueError):  # not every system bounds all of these
-            resource.setrlimit(what, (most, most))
+            resource.setrlimit(what, (most, last))
