@@ -126,7 +126,7 @@ def read_diagonal(names: tuple[str, ...], path: str, text: str) -> tuple[Array, 
 
 
 def require_writable(
-    calibration: Calibration, name: str, value: float, precision: np.finfo[Any]
+    calibration: Calibration, name: str, value: float, precision: "np.finfo[Any]"
 ) -> None:
     """Refuse, by name, a number that the consumer's precision cannot hold, or a scale it loses."""
     least = float(precision.tiny) if "SCAL" in name else 0.0

@@ -42,6 +42,8 @@ from multipos.numerics.arrays import Array
 
 Choice = NDArray[np.intp]
 
+_TINY = float(np.finfo(float).tiny)
+_SINGULAR = -30.0  # ln of what rounding may leave of a determinant that is 0, over its diagonal
 _ALL = 20_000  # choices that are tried one and all
 _BETTER = 1e-10  # gain below which an exchange is rounding
 _SWEEPS = 100
@@ -253,7 +255,8 @@ def _roughly(matrices: list[Array], criterion: Criterion) -> Array:
     value = np.zeros(len(matrices[0]))
     for b, M in enumerate(matrices):
         sign, size = np.linalg.slogdet(M)
-        sound = (sign > 0.0) & (size > -60.0 * M.shape[1])
+        diagonal = np.maximum(np.einsum("nii->ni", M), _TINY)
+        sound = (sign > 0.0) & (size > _SINGULAR + np.log(diagonal).sum(axis=1))
         if criterion.weight is None:
             value += np.where(sound, size, -np.inf)
         else:

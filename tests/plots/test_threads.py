@@ -88,7 +88,7 @@ SETTINGS = {
         "svg.hashsalt": "another",
     },
 }
-ENDINGS = (".svg", ".png", ".pdf")
+ENDINGS = (".svg", ".png")
 STYLES = ("dark_background", "fivethirtyeight", "seaborn-v0_8", "fast")
 SETTINGS |= {name: matplotlib.style.library[name] for name in STYLES}
 
