@@ -187,7 +187,7 @@ def _together(outcome: list[tuple[float, float, float]]) -> tuple[float, Any, fl
         return q / d, [d, nu], tails[0], "F of the repeats against their pooled scatter"
     if any(math.isnan(p) for p in tails):
         return math.nan, math.nan, math.nan, "none: a calibration has no degrees of freedom"
-    statistic = -2.0 * sum(math.log(max(p, np.finfo(float).tiny)) for p in tails)
+    statistic = 0.0 - 2.0 * sum(math.log(max(p, np.finfo(float).tiny)) for p in tails)
     dof = 2.0 * len(tails)
     return (
         statistic,

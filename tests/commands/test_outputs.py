@@ -409,6 +409,8 @@ def test_a_signal_leaves_no_file(name, here):
         env=environment,
         stderr=subprocess.PIPE,
         text=True,
+        # under nohup it would be born deaf to one of them
+        preexec_fn=lambda: signal.signal(getattr(signal, name), signal.SIG_DFL),
     ) as child:
         with (here / "pipe").open("w") as pipe:
             pipe.write(SIX)
