@@ -110,7 +110,8 @@ def test_a_tilt_that_explains_all_residuals_leaves_finite_uncertainties():
     one = mp.Readings(TABLE_2[:, :1], outputs=("ax",))
     cal = mp.fit(one, model="own-quadratic", scheme="song-qin-6", level_sd=0.5)
     assert np.isfinite(cal.u).all()
-    assert any("hardly determined" in said for said in cal.diagnostics.warnings)
+    # What is left is rounding, and how well its size is determined hangs on the kernel.
+    assert any("restricted maximum likelihood" in said for said in cal.diagnostics.warnings)
 
 
 @pytest.mark.parametrize("loss", ["huber", "soft-l1", "cauchy"])
