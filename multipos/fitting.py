@@ -41,10 +41,17 @@ from multipos.estimation.uncertain import solve_uncertain
 from multipos.files.lists import Names, split_names
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
 from multipos.files.tables import Source
-from multipos.numerics.arrays import LARGEST, SMALLEST, Array
+from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS, formula_columns, largest_value, linear_term
 from multipos.positions.attitudes import CONVENTIONS, Convention, check_convention
-from multipos.positions.readings import Readings, orient, read_readings, require_range, stated_sd
+from multipos.positions.readings import (
+    Readings,
+    orient,
+    read_readings,
+    require_range,
+    spread_reading_sd,
+    stated_sd,
+)
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration, Gravity
 from multipos.sensor.diagnostics import Diagnostics, lack_of_fit
@@ -491,19 +498,10 @@ def _without_orientation(readings: Readings, scheme: object) -> Readings:
 
 
 def _with_reading_sd(readings: Readings, reading_sd: ArrayLike) -> Readings:
-    sd = np.asarray(reading_sd, dtype=np.float64).ravel()
-    m = len(readings.outputs)
-    if len(sd) not in (1, m):
-        raise UsageError(f"--reading-sd takes 1 or {m} values, got {len(sd)}.")
-    if not ((sd >= SMALLEST) & (sd <= LARGEST)).all():
-        raise UsageError(
-            f"--reading-sd must be above 0, from {SMALLEST:g} to {LARGEST:g}, got "
-            f"{', '.join(f'{each:g}' for each in sd.tolist())}."
-        )
+    u = spread_reading_sd(reading_sd, readings.values.shape)
     notes = readings.notes
     if readings.u is not None or readings.covariance is not None:
         notes += ("the readings' own uncertainties are ignored, --reading-sd is used",)
-    u = np.broadcast_to(sd, readings.values.shape)
     return replace(readings, u=u, covariance=None, notes=notes)
 
 

@@ -25,9 +25,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Source
-from multipos.numerics.arrays import LARGEST, SMALLEST, Array
+from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.readings import Readings, orient, read_readings, require_range
+from multipos.positions.readings import (
+    Readings,
+    orient,
+    read_readings,
+    require_range,
+    spread_reading_sd,
+)
 from multipos.positions.scheme import Scheme
 from multipos.regression.result import Regression
 from multipos.sensor.calibration import Calibration
@@ -181,15 +187,7 @@ def _noise(calibration: Calibration, data: Readings, reading_sd: ArrayLike | Non
     """Return the standard uncertainty of the run's readings (n, M)."""
     shape = data.values.shape
     if reading_sd is not None:
-        sd = np.asarray(reading_sd, dtype=np.float64).ravel()
-        if len(sd) not in (1, shape[1]):
-            raise UsageError(f"--reading-sd takes 1 or {shape[1]} values, got {len(sd)}.")
-        if not ((sd >= SMALLEST) & (sd <= LARGEST)).all():
-            raise UsageError(
-                f"--reading-sd must be above 0, from {SMALLEST:g} to {LARGEST:g}, got "
-                f"{', '.join(f'{each:g}' for each in sd.tolist())}."
-            )
-        return np.broadcast_to(sd, shape)
+        return spread_reading_sd(reading_sd, shape)
     if data.u is not None:
         return data.u
     return np.broadcast_to(reading_noise(calibration), shape)
