@@ -18,6 +18,7 @@ from multipos.estimation.known import solve_known
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
 from multipos.units import STANDARD_GRAVITY
 
@@ -85,7 +86,7 @@ def law_residuals(calibration: Calibration, matrix: Array, offset: Array) -> Arr
 
 def rms_left(calibration: Calibration, residuals: Array) -> float:
     """Return the rms of what is left [g], of the same kind as the calibration's own."""
-    if calibration.estimator == "unknown-orientation":
+    if calibration.estimator is Estimator.UNKNOWN:
         reference = specific_force(calibration)
         size = np.linalg.norm(reference + residuals, axis=1)
         return float(np.sqrt(np.mean((size - np.linalg.norm(reference, axis=1)) ** 2)))

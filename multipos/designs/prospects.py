@@ -27,6 +27,7 @@ from multipos.positions.benches import read_bench
 from multipos.positions.scheme import Scheme
 from multipos.results import Keyed, data_frame
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
 
 _SHOWN = 10  # positions listed as text
 _MOST = 1000  # further positions looked ahead for a target
@@ -201,7 +202,7 @@ def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
             f"the model has column '{model.environment[0]}', which a position does not set; "
             "the worth of positions is known for models of specific force only."
         )
-    unknown = calibration.estimator == "unknown-orientation"
+    unknown = calibration.estimator is Estimator.UNKNOWN
     sd = np.ones(len(model.outputs)) if unknown else calibration.residual_sd
     if readings.u is not None:
         sd = np.sqrt(np.mean(readings.u**2, axis=0))
@@ -211,7 +212,7 @@ def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
             "fit again with --reading-sd."
         )
     spread = math.inf if unknown else 0.0
-    if calibration.estimator == "uncertain-orientation" and readings.orientation_sd is not None:
+    if calibration.estimator is Estimator.UNCERTAIN and readings.orientation_sd is not None:
         stated = readings.orientation_sd[np.isfinite(readings.orientation_sd)]
         spread = float(np.sqrt(np.mean(stated**2)))
     sign = calibration.sign

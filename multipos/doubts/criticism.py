@@ -230,7 +230,7 @@ def fourier_residuals(calibration: Calibration) -> list[dict[str, Any]]:
 
 
 def _require_known(c: Calibration) -> None:
-    if c.estimator not in ("linear", "closed-form"):
+    if not c.estimator.exact:
         raise MultiposError(
             f"criticism of the terms needs known orientations, not the estimator '{c.estimator}'."
         )

@@ -94,12 +94,12 @@ def judge_terms_jointly(calibration: Calibration) -> list[JointTest]:
         A robust loss, or a model that is an expression: neither has nested tests of terms.
     """
     c = calibration
-    if "robust_weight" in c.extra or isinstance(c.model, ExpressionModel):
+    if c.robust_weight is not None or isinstance(c.model, ExpressionModel):
         raise MultiposError(
             "joint tests of terms need a formula fitted without --robust; fit again without it."
         )
     test = _by_output
-    if c.estimator.endswith("orientation"):
+    if not c.estimator.exact:
         test = _by_likelihood
     elif (noise := c.readings.noise) is not None and noise.ndim == 2:
         test = _by_covariance
@@ -137,7 +137,7 @@ def _by_likelihood(c: Calibration) -> Iterator[JointTest]:
         scale, dof = found.point.objective / nu, nu
         if free.any():
             wide, found, worth = judge_noise(
-                wide, found, nu, stated=not free[0], estimate_spread=bool(free[1])
+                wide, found, nu, stated=not free[0], estimate_sd=bool(free[1])
             )
             assert worth.parameter_dof is not None
             tested = [key not in small.keys for key in large.keys]

@@ -1,4 +1,4 @@
-"""Known orientations: linear least squares of every output, and the six-position inversion.
+"""Known orientations: linear least squares of every output.
 
 With the reference known, eq. (1) of `multipos.sensor.model` is linear in the coefficients of each
 output, y = X p + e, and is solved by `multipos.numerics.least_squares`. The covariance is
@@ -11,78 +11,27 @@ point, (2) is multiplied by χ²/(n − p) and takes the residuals' degrees of f
 
 References
 ----------
-JCGM 100:2008, clauses 4.2 and 6.2; Song and Qin 2009 for the six positions.
+JCGM 100:2008, clauses 4.2 and 6.2.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from multipos.errors import MultiposError, RankError, UsageError
-from multipos.estimation.closed_form import closed_form_weights, six_positions
+from multipos.errors import RankError
 from multipos.estimation.identifiability import formal_only
+from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import LinearFit, separability, solve
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, stated_sd
-from multipos.sensor.calibration import Status
 from multipos.sensor.diagnostics import bartlett, find_outliers
-from multipos.sensor.model import Model, build_model
+from multipos.sensor.model import Model
 
 FLOOR = 1e-9  # [g], absolute norm below which a column of the design is zero
 DENIED = 0.999  # χ² point beyond which a stated noise is not believed
-DIRECT = Status(True, 0, "solved directly")
 _UNEQUAL = 0.05  # level at which pooling warns that the variances differ
-
-
-@dataclass(frozen=True)
-class Solution:
-    """What an estimator finds, before it is completed to a `Calibration`.
-
-    Attributes
-    ----------
-    model : Model
-        As fitted, with its gauge.
-    reference : (n, 3) array [g]
-        As used; estimated where it was uncertain.
-    parameters, covariance, parameter_dof : (p,), (p, p), (p,) arrays
-        Without the common-mode terms of the uncertainty.
-    variance : (M,) array
-        Factor of each output on the stated covariance of the readings, or on unit variances.
-    dof : (M,) array
-        Degrees of freedom of `variance`; inf where the stated noise is believed.
-    residuals, leverage : (n, M) arrays
-    residual_sd : (M,) array
-        Standard deviation of a reading as the residuals show it; NaN where none is left.
-    outliers, warnings, unidentifiable : tuples of str
-    condition : float
-    status : Status
-    extra : mapping
-        What else the estimator has to say, for the calibration's file.
-    orientation_sd : (n,) array [rad] or None
-        Where it was estimated; inf for unknown.
-    """
-
-    model: Model
-    reference: Array
-    parameters: Array
-    covariance: Array
-    parameter_dof: Array
-    variance: Array
-    dof: Array
-    residuals: Array
-    residual_sd: Array
-    leverage: Array
-    outliers: tuple[str, ...]
-    condition: float
-    warnings: tuple[str, ...]
-    unidentifiable: tuple[str, ...] = ()
-    status: Status = DIRECT
-    extra: Mapping[str, Any] = field(default_factory=dict)
-    orientation_sd: Array | None = None
 
 
 def solve_known(
@@ -122,7 +71,7 @@ def solve_known(
     else:
         variance, dof, said = believe(chi2, dof, model.outputs, pool)
         warnings += said
-    scale = np.sqrt(_per_parameter(model, variance))
+    scale = np.sqrt(per_parameter(model, variance))
     square = np.einsum("nm,nm->m", fits.residuals, fits.residuals)
     sd = np.where(residual_dof > 0, np.sqrt(square / np.maximum(residual_dof, 1.0)), np.nan)
     covariance = fits.cofactor * np.outer(scale, scale)
@@ -131,7 +80,7 @@ def solve_known(
         reference=reference,
         parameters=fits.parameters,
         covariance=covariance,
-        parameter_dof=_per_parameter(model, dof),
+        parameter_dof=per_parameter(model, dof),
         variance=variance,
         dof=dof,
         residuals=fits.residuals,
@@ -286,88 +235,8 @@ def believe(
     return factor, left, said
 
 
-def solve_closed_form(
-    model: Model, reference: Array, readings: Readings, *, pool: bool = False
-) -> Solution:
-    """Fit every output by the six-position inversion (`multipos.estimation.closed_form`).
-
-    The noise is judged as in `solve_known`; unequal stated noise leaves the inversion unbiased
-    but not best, so its covariance is its own: W V W', with W its weights.
-    """
-    if model.text not in ("own-quadratic", "linear") or set(model.inputs) != set(COMPONENTS):
-        raise UsageError(
-            f"--closed-form solves the models own-quadratic and linear, got '{model.text}'; "
-            "leave out --closed-form."
-        )
-    if six_positions(reference) is None:
-        raise MultiposError(
-            "--closed-form needs six readings, each axis once up and once down; "
-            "leave it out and least squares takes any positions."
-        )
-    n, m = readings.values.shape
-    weights = closed_form_gain(model, reference)
-    solution = solve_known(model, reference, readings, pool=pool)
-    parameters = weights @ readings.values.ravel()
-    noise = readings.noise
-    full = np.eye(n * m) if noise is None else np.diag(noise) if noise.ndim == 1 else noise
-    scale = np.sqrt(_per_parameter(model, solution.variance))
-    return replace(
-        solution,
-        parameters=parameters,
-        covariance=weights @ full @ weights.T * np.outer(scale, scale),
-        residuals=readings.values - model.predict(parameters, reference, readings.environment),
-    )
-
-
-def closed_form_gain(model: Model, reference: Array) -> Array:
-    """Return how the six-position inversion makes the parameters of the readings.
-
-    Parameters
-    ----------
-    model : Model
-        Own-quadratic or linear.
-    reference : (6, 3) array [g]
-        The six positions in any order.
-
-    Returns
-    -------
-    (p, 6 M) array
-        Parameters = this matrix times the readings, output running fastest.
-    """
-    rows = six_positions(reference)
-    assert rows is not None
-    m = len(model.outputs)
-    weights = np.zeros((len(model.keys), len(reference) * m))
-    for output, (axis, part) in enumerate(zip(model.axes, model.slices, strict=True)):
-        weights[part, output::m] = closed_form_weights(
-            reference, rows, COMPONENTS.index(axis), quadratic=model.text == "own-quadratic"
-        )
-    return weights
-
-
-def closed_form_difference(model: Model, reference: Array, readings: Readings) -> float | None:
-    """Return how far the closed form is from own-quadratic least squares, at six positions.
-
-    The fifteen coefficients of the six-position paper, whatever the model; the largest
-    difference, as a reading, relative to the largest reading. None at other positions.
-    """
-    rows = six_positions(reference)
-    largest = float(np.abs(readings.values).max())
-    if rows is None or largest == 0.0:
-        return None
-    g = float(np.abs(reference).max())
-    full = build_model("own-quadratic", readings.outputs, model.axes)
-    phi = full.basis(reference, {})
-    difference = 0.0
-    for output, axis in enumerate(model.axes):
-        values = readings.values[:, output]
-        fitted = solve(phi[:, full.columns[output]], values, floor=FLOOR).coefficients
-        direct = closed_form_weights(reference, rows, COMPONENTS.index(axis)) @ values
-        difference = max(difference, *np.abs((direct - fitted) * [1.0, g, g, g, g * g]))
-    return difference / largest
-
-
-def _per_parameter(model: Model, values: Array) -> Array:
+def per_parameter(model: Model, values: Array) -> Array:
+    """Return one value an output (M,) as one a parameter (p,)."""
     return np.repeat(values, [len(terms) for terms in model.terms])
 
 

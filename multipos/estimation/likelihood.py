@@ -69,8 +69,8 @@ def evaluate(problem: Problem, state: State) -> Point:
         q += problem.prior * np.einsum("ni,ni->n", state.step, state.step)
     total = q if problem.robust is None else loss(problem.robust, q, problem.degrees)
     objective = float(np.sum(total))
-    if problem.level_spread > 0.0:
-        objective += float(state.tilt @ state.tilt) / problem.level_spread**2
+    if problem.level_sd > 0.0:
+        objective += float(state.tilt @ state.tilt) / problem.level_sd**2
     return Point(force, blocks, residuals, q, objective)
 
 
@@ -96,9 +96,9 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
         push = weight[:, None] * push
     shared = _by_shared(problem, state, point, by_force)
     information, right = assemble(len(state.theta), point.blocks, marginal, push, shared)
-    if problem.level_spread > 0.0:
-        information[-2:, -2:] += np.eye(2) / problem.level_spread**2
-        right[-2:] -= state.tilt / problem.level_spread**2
+    if problem.level_sd > 0.0:
+        information[-2:, -2:] += np.eye(2) / problem.level_sd**2
+        right[-2:] -= state.tilt / problem.level_sd**2
     return Normal(information, right, shared, jacobian, weighted, inverse, ease, pull, marginal)
 
 
@@ -143,7 +143,7 @@ def moved(
                 for g, turn in enumerate(state.turns)
             ]
         ).reshape(-1, 3, 3)
-        if problem.level_spread > 0.0:
+        if problem.level_sd > 0.0:
             tilt = state.tilt + step[-2:]
     back = normal.pull - np.einsum("nmi,nm->ni", normal.weighted, outputs)
     own = np.einsum("nij,nj->ni", normal.inverse, back)

@@ -10,7 +10,6 @@ terms kept are those of a model fixed beforehand, and too good.
 """
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from multipos.numerics.selection import Selection, Thresholds, compress, select_
 from multipos.numerics.terms import CONSTANT, linear_term
 from multipos.positions.readings import Readings, read_readings
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Chosen
 from multipos.sensor.model import Model
 
 OPTIMISTIC = (
@@ -30,7 +30,7 @@ OPTIMISTIC = (
 
 def select_terms(
     model: Model, reference: Array, readings: Readings, limits: Thresholds | None = None
-) -> tuple[Model, dict[str, Any]]:
+) -> tuple[Model, dict[str, Chosen]]:
     """Return the model with the terms that the readings support, and how they were chosen.
 
     Parameters
@@ -46,7 +46,7 @@ def select_terms(
     Returns
     -------
     Model
-    dict of output to {terms, path, runner_up, collinear}
+    dict of output to Chosen
 
     Raises
     ------
@@ -57,7 +57,7 @@ def select_terms(
     phi = model.basis(reference, readings.environment)
     weight = _weights(readings)
     keys: list[tuple[str, str]] = []
-    record: dict[str, Any] = {}
+    record: dict[str, Chosen] = {}
     for i, (output, axis, terms) in enumerate(
         zip(model.outputs, model.axes, model.terms, strict=True)
     ):
@@ -71,16 +71,16 @@ def select_terms(
         triangle = compress(phi[:, model.columns[i]] * w[:, None], readings.values[:, i] * w)
         found = select_stepwise(triangle, names, limits, forced=forced)
         keys += [(output, names[j]) for j in found.columns]
-        record[output] = _record(found, names)
+        record[output] = _chosen(found, names)
     return model.keeping(keys), record
 
 
-def with_selection(calibration: Calibration, record: dict[str, Any]) -> Calibration:
+def with_selection(calibration: Calibration, record: dict[str, Chosen]) -> Calibration:
     """Return a calibration that carries how its terms were chosen, and says what that means."""
     diagnostics = calibration.diagnostics
     return replace(
         calibration,
-        extra={**calibration.extra, "selection": record},
+        selection=record,
         diagnostics=replace(diagnostics, warnings=(*diagnostics.warnings, OPTIMISTIC)),
     )
 
@@ -93,14 +93,14 @@ def _weights(readings: Readings) -> Array:
     return np.ones_like(readings.values)
 
 
-def _record(found: Selection, names: list[str]) -> dict[str, Any]:
-    path = [
-        {"step": s.step, "action": s.action, "term": s.term, "F": s.F, "p": s.p} for s in found.path
-    ]
+def _chosen(found: Selection, names: list[str]) -> Chosen:
     best = found.runner_up
-    return {
-        "terms": [names[j] for j in found.columns],
-        "path": path,
-        "runner_up": None if best is None else {"term": best.term, "F": best.F, "p": best.p},
-        "collinear": found.collinear,
-    }
+    return Chosen(
+        terms=tuple(names[j] for j in found.columns),
+        path=tuple(
+            {"step": s.step, "action": s.action, "term": s.term, "F": s.F, "p": s.p}
+            for s in found.path
+        ),
+        runner_up=None if best is None else {"term": best.term, "F": best.F, "p": best.p},
+        collinear=tuple(found.collinear),
+    )

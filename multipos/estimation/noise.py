@@ -12,7 +12,6 @@ at a position, less two where nothing is known of its orientation.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from multipos.estimation.known import believe
 from multipos.estimation.problem import Optimum, Problem
 from multipos.estimation.variances import Components, components, linearised, maximise_restricted
 from multipos.numerics.arrays import Array
+from multipos.sensor.found import Component, VarianceComponents
 
 _ROUNDS = 30  # of noise and solution in turn
 _SETTLED = 1e-5  # change of ln variance at which they agree
@@ -35,13 +35,14 @@ class Worth:
     factor: float
     dof: float  # inf where the stated noise is believed
     parameter_dof: Array | None = None
-    spread: Array | None = None  # (n,) [rad], where the orientation sd was estimated
+    orientation_sd: Array | None = None  # (n,) [rad], where the orientation sd was estimated
     warnings: tuple[str, ...] = ()
-    extra: tuple[tuple[str, Any], ...] = ()
+    components: VarianceComponents | None = None
+    weight: Array | None = None  # (n,) of each position under a robust loss
 
 
 def judge_noise(
-    problem: Problem, optimum: Optimum, nu: float, *, stated: bool, estimate_spread: bool
+    problem: Problem, optimum: Optimum, nu: float, *, stated: bool, estimate_sd: bool
 ) -> tuple[Problem, Optimum, Worth]:
     """Return problem and optimum with the noise that was found, and what they are worth.
 
@@ -53,18 +54,18 @@ def judge_noise(
         Degrees of freedom.
     stated : bool
         Whether the readings state their noise.
-    estimate_spread : bool
+    estimate_sd : bool
         Whether the size of the orientation sd is to be estimated.
     """
-    if nu <= 0 and (estimate_spread or not stated):
+    if nu <= 0 and (estimate_sd or not stated):
         words = (
             "orientation sd from; state it, or give more positions"
             if stated
             else "uncertainty from; give --reading-sd or more positions"
         )
         return problem, optimum, Worth(np.nan, 0.0, warnings=(_NOTHING_LEFT + words,))
-    if estimate_spread or (problem.has_prior and not stated):
-        return _estimate(problem, optimum, stated, estimate_spread)
+    if estimate_sd or (problem.has_prior and not stated):
+        return _estimate(problem, optimum, stated, estimate_sd)
     if not stated:
         return problem, optimum, Worth(optimum.point.objective / nu, nu)
     chi2 = np.array([optimum.point.objective])
@@ -87,7 +88,7 @@ def _estimate(
         problem = replace(
             first,
             precision=first.precision * np.exp(-v[0]),
-            spread=first.spread * np.exp(v[1] / 2.0),
+            orientation_sd=first.orientation_sd * np.exp(v[1] / 2.0),
         )
         optimum = resume(problem, optimum)
         if change < _SETTLED:
@@ -95,7 +96,7 @@ def _estimate(
     told = components(linearised(first, optimum), v, free)
     words, said = _in_words(problem, told, free)
     warnings = [f"estimated by restricted maximum likelihood: {' and '.join(words)}"]
-    if max(entry["u"] / entry["value"] for entry in said.values()) > 1.0:
+    if max(part.u / part.value for part in said.values() if part is not None) > 1.0:
         warnings.append(
             "one of the estimated variances is hardly determined; state it, or add positions "
             "(18 or more serve)"
@@ -104,25 +105,26 @@ def _estimate(
         1.0,
         np.inf if stated else max(2.0 / float(told.log_covariance[0, 0]), 1.0),
         told.dof,
-        problem.spread if orientation else None,
+        problem.orientation_sd if orientation else None,
         tuple(warnings),
-        (("variance_components", said),),
+        said,
     )
     return problem, optimum, worth
 
 
 def _in_words(
     problem: Problem, told: Components, free: NDArray[np.bool_]
-) -> tuple[list[str], dict[str, dict[str, float]]]:
+) -> tuple[list[str], VarianceComponents]:
     """Return the standard deviations that were estimated, with u, as words and as numbers."""
     relative = np.sqrt(np.diag(told.log_covariance)) / 2.0  # of a standard deviation
-    said, words = {}, []
+    words, reading, orientation = [], None, None
     if free[0]:
         value = float(problem.precision.mean() ** -0.5)
-        said["reading_sd"] = {"value": value, "u": value * float(relative[0])}
+        reading = Component(value, value * float(relative[0]))
         words.append(f"reading noise {value:.3g} (to {100.0 * relative[0]:.0f} %)")
     if free[1]:
-        value = float(np.degrees(problem.spread[np.isfinite(problem.spread)].max()))
-        said["orientation_sd_deg"] = {"value": value, "u": value * float(relative[-1])}
+        tied = problem.orientation_sd[np.isfinite(problem.orientation_sd)]
+        value = float(np.degrees(tied.max()))
+        orientation = Component(value, value * float(relative[-1]))
         words.append(f"orientation error {value:.3g} degrees (to {100.0 * relative[-1]:.0f} %)")
-    return words, said
+    return words, VarianceComponents(reading, orientation)

@@ -12,10 +12,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.errors import MultiposError
 from multipos.estimation.losses import Loss
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import tangent_basis
+from multipos.positions.placement import Placement
+from multipos.positions.readings import Readings
 from multipos.sensor.model import Block, Model
+
+_RELATIVE_NOISE = 1e-3  # of the readings' spread: any value serves where only ratios matter
 
 
 @dataclass(frozen=True)
@@ -30,8 +35,8 @@ class Problem:
     precision : (n, M) or (n, M, M) array
         Inverse variances, or inverse covariances, of each reading.
     reference : (n, 3) array [g]
-        Listed reference ±g u, of any direction where `spread` is infinite.
-    spread : (n,) array [rad]
+        Listed reference ±g u, of any direction where `orientation_sd` is infinite.
+    orientation_sd : (n,) array [rad]
         s_k.
     group : (n,) array of int
         Number of the group, −1 for none.
@@ -40,7 +45,7 @@ class Problem:
     groups : int
     attitude : (n, 3, 3) array or None
         Level to case, where a tilt of the table is estimated.
-    level_spread : float [rad]
+    level_sd : float [rad]
         s_level; 0 for a level table.
     robust : str or None
         Name of the loss; the thresholds of q count in `degrees` of freedom a position.
@@ -53,12 +58,12 @@ class Problem:
     environment: Mapping[str, Array]
     precision: Array
     reference: Array
-    spread: Array
+    orientation_sd: Array
     group: NDArray[np.intp]
     weight: Array
     groups: int = 0
     attitude: Array | None = None
-    level_spread: float = 0.0
+    level_sd: float = 0.0
     robust: Loss | None = None
     held: tuple[int, ...] = ()
 
@@ -76,17 +81,17 @@ class Problem:
     def prior(self) -> Array:
         """1/s² (n,); exact positions get 0 here, their steps are held at zero instead."""
         with np.errstate(divide="ignore"):
-            return np.where(self.spread > 0.0, 1.0 / self.spread**2, 0.0)
+            return np.where(self.orientation_sd > 0.0, 1.0 / self.orientation_sd**2, 0.0)
 
     @cached_property
     def exact(self) -> NDArray[np.bool_]:
         """Positions known exactly, (n,)."""
-        return np.asarray(self.spread == 0.0)
+        return np.asarray(self.orientation_sd == 0.0)
 
     @cached_property
     def unknown(self) -> NDArray[np.bool_]:
         """Positions of which nothing is known, (n,)."""
-        return np.isinf(self.spread)
+        return np.isinf(self.orientation_sd)
 
     @cached_property
     def degrees(self) -> Array:
@@ -96,7 +101,7 @@ class Problem:
     @property
     def listed(self) -> NDArray[np.bool_]:
         """Rows whose direction is listed in the world's axes."""
-        return np.isfinite(self.spread) & (self.group < 0)
+        return np.isfinite(self.orientation_sd) & (self.group < 0)
 
     @property
     def adrift(self) -> bool:
@@ -106,7 +111,7 @@ class Problem:
     @property
     def shared(self) -> int:
         """Number of unknowns that positions share beside the parameters."""
-        return 3 * self.groups + (2 if self.level_spread > 0.0 else 0)
+        return 3 * self.groups + (2 if self.level_sd > 0.0 else 0)
 
     @property
     def unknowns(self) -> int:
@@ -116,7 +121,7 @@ class Problem:
     @property
     def has_prior(self) -> bool:
         """Whether orientations are tied to where they should be by a standard deviation."""
-        return bool(self.prior.any()) or self.level_spread > 0.0
+        return bool(self.prior.any()) or self.level_sd > 0.0
 
 
 @dataclass(frozen=True)
@@ -167,6 +172,61 @@ class Optimum:
     iterations: int
     last_step: float
     gradient: float
+
+
+def state_problem(
+    model: Model, readings: Readings, placement: Placement, robust: Loss | None
+) -> Problem:
+    """Return the problem of the likelihood; without stated noise, with one of arbitrary size.
+
+    Raises
+    ------
+    MultiposError
+        An output never changes, or positions are correlated with each other.
+    """
+    values = readings.values
+    n, m = values.shape
+    still = np.ptp(values, axis=0) == 0.0
+    if still.any() and n > 1:
+        raise MultiposError(
+            f"the readings of {readings.outputs[int(np.argmax(still))]} never change; turn the "
+            "sensor between them, so that every axis points up, down and level."
+        )
+    noise = readings.noise
+    if noise is None:
+        size = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)) or 1.0  # of one position
+        precision = np.full((n, m), 1.0 / (_RELATIVE_NOISE * size) ** 2)
+    elif noise.ndim == 1:
+        precision = 1.0 / noise.reshape(n, m)
+    else:
+        precision = _block_precision(noise, n, m)
+    return Problem(
+        model=model,
+        values=values,
+        environment=readings.environment,
+        precision=precision,
+        reference=placement.reference,
+        orientation_sd=placement.orientation_sd,
+        group=placement.group,
+        weight=np.ones(n),
+        groups=placement.groups,
+        attitude=placement.attitude,
+        level_sd=placement.level_sd,
+        robust=robust,
+    )
+
+
+def _block_precision(covariance: Array, n: int, m: int) -> Array:
+    blocks = covariance.reshape(n, m, n, m)
+    own = blocks[np.arange(n), :, np.arange(n), :]
+    rest = covariance.copy().reshape(n, m, n, m)
+    rest[np.arange(n), :, np.arange(n), :] = 0.0
+    if rest.any():
+        raise MultiposError(
+            "readings correlated between positions cannot be combined with uncertain or unknown "
+            "orientations; give a covariance within each position only."
+        )
+    return np.asarray(np.linalg.inv(own))
 
 
 def start_state(

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.descent import maximise
-from multipos.estimation.placement import place, state_problem
-from multipos.estimation.problem import Optimum, Problem, start_state
+from multipos.estimation.problem import Optimum, Problem, start_state, state_problem
 from multipos.estimation.robustness import set_aside
 from multipos.numerics.rotations import rotation_matrix
+from multipos.positions.placement import place
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import VarianceComponents
 
 
 def restate(calibration: Calibration) -> Problem:
@@ -25,13 +26,14 @@ def restate(calibration: Calibration) -> Problem:
     c = calibration
     sign = c.sign
     size = sign * float(np.linalg.norm(c.reference, axis=1).mean())
-    placement = place(c.readings, size, None, float(c.extra.get("level_sd_deg", 0.0)))
+    level_sd_deg = (c.orientations and c.orientations.level_sd_deg) or 0.0
+    placement = place(c.readings, size, level_sd=float(np.radians(level_sd_deg)))
     problem = state_problem(c.model, c.readings, placement, None)
     if c.readings.noise is None:
         sd = np.tile(c.residual_sd, (len(c.readings), 1))
         problem = replace(problem, precision=1.0 / sd**2)
-    if "robust_weight" in c.extra:
-        problem = set_aside(problem, np.asarray(c.extra["robust_weight"]) == 0.0)
+    if c.robust_weight is not None:
+        problem = set_aside(problem, c.robust_weight == 0.0)
     return problem
 
 
@@ -39,7 +41,7 @@ def return_to_optimum(calibration: Calibration, problem: Problem) -> Optimum:
     """Return the optimum of a restated problem, searched from where the calibration ended."""
     c = calibration
     direction = c.reference / np.linalg.norm(c.reference, axis=1)[:, None]
-    found = dict(c.extra.get("group_rotation_deg", {}))
+    found = (c.orientations and c.orientations.group_rotation_deg) or {}
     turns = [rotation_matrix(np.radians(vector)) for vector in found.values()]
     state = start_state(problem, c.parameters.copy(), direction, np.array(turns).reshape(-1, 3, 3))
     return maximise(problem, state)
@@ -47,7 +49,7 @@ def return_to_optimum(calibration: Calibration, problem: Problem) -> Optimum:
 
 def noise_factor(calibration: Calibration, problem: Problem, optimum: Optimum) -> float:
     """Return what F is to be divided by: F/nu where a stated noise was denied, else one."""
-    if np.isinf(calibration.dof[0]) or "variance_components" in calibration.extra:
+    if np.isinf(calibration.dof[0]) or calibration.variance_components:
         return 1.0
     nu = float(problem.degrees.sum()) - problem.unknowns
     return optimum.point.objective / nu
@@ -55,5 +57,5 @@ def noise_factor(calibration: Calibration, problem: Problem, optimum: Optimum) -
 
 def estimated_variances(calibration: Calibration) -> NDArray[np.bool_]:
     """Tell whether reading noise and orientation sd were estimated by restricted likelihood."""
-    found = calibration.extra.get("variance_components", {})
-    return np.array(["reading_sd" in found, "orientation_sd_deg" in found])
+    found = calibration.variance_components or VarianceComponents()
+    return np.array([part is not None for part in found.values()])

@@ -81,16 +81,16 @@ def judge_robustly(
         optimum = resume(problem, optimum)
     q, kept = optimum.point.q, problem.weight == 1.0
     weight = np.where(kept, loss_weight(problem.robust, q, problem.degrees), 0.0)
-    extra = (("robust_weight", weight),)
     if stated:
         left = np.array([float(np.sum(q * weight**2))])
         _, dof, denied = believe(left, np.array([nu]), ("all outputs",))
         if np.isinf(dof[0]):
-            return problem, optimum, Worth(1.0 / EFFICIENCY, np.inf, None, None, tuple(said), extra)
+            worth = Worth(1.0 / EFFICIENCY, np.inf, warnings=tuple(said), weight=weight)
+            return problem, optimum, worth
         said += denied
     counted = max(float(np.sum(weight * problem.degrees)) - problem.unknowns, 1.0)
     factor = _huber_factor(problem, optimum, counted)
-    return problem, optimum, Worth(factor, counted, None, None, tuple(said), extra)
+    return problem, optimum, Worth(factor, counted, warnings=tuple(said), weight=weight)
 
 
 def set_aside(problem: Problem, rows: NDArray[np.bool_]) -> Problem:
@@ -106,8 +106,8 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
     degrees = problem.degrees[kept]
     median = {m: chi2_quantile(0.5, m) for m in set(degrees.tolist())}
     typical = np.array([median[m] for m in degrees.tolist()])
-    tied = np.isfinite(problem.spread)
-    widest = float(problem.spread[tied].max()) if tied.any() else 0.0
+    tied = np.isfinite(problem.orientation_sd)
+    widest = float(problem.orientation_sd[tied].max()) if tied.any() else 0.0
     finest = (_FINEST + FINEST_OF_PLACEMENT * widest) * float(np.abs(problem.values).max())
     for _ in range(_ROUNDS):
         ratio = float(np.median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu

@@ -43,7 +43,7 @@ def search(problem: Problem) -> Optimum:
     """Return the best optimum over the starts; the second is tried where the first may be poor."""
     best: tuple[State, Optimum] | None = None
     fault: MultiposError | None = None
-    wide = bool((problem.spread[problem.listed] > _WIDE).any())
+    wide = bool((problem.orientation_sd[problem.listed] > _WIDE).any())
     for start in (_listed_start, _ellipsoid_start):
         try:
             state = start(problem)
@@ -70,7 +70,7 @@ def search(problem: Problem) -> Optimum:
         raise fault or _why_not(problem, *best)
     _require_sphere(problem, best[1])
     _require_information(problem, best[1])
-    if np.isinf(problem.spread).all():  # where lever arms come from the readings themselves
+    if np.isinf(problem.orientation_sd).all():  # where lever arms come from the readings themselves
         _require_told(problem, *best)
     return best[1]
 
@@ -127,7 +127,7 @@ def _require_told(problem: Problem, start: State, optimum: Optimum) -> None:
 
 def _require_sphere(problem: Problem, optimum: Optimum) -> None:
     """Refuse readings that scatter about their ellipsoid by a good part of its size."""
-    if not np.isinf(problem.spread).all():
+    if not np.isinf(problem.orientation_sd).all():
         return
     scale = float(np.abs(optimum.state.theta[list(problem.model.own_scales)]).mean())
     # by the median, so that a few bad positions of a robust fit do not condemn the others
@@ -306,7 +306,7 @@ def _candidate_gains(problem: Problem, theta: Array) -> Array:
     """Return what each candidate position, placed as badly as the others, would tell (c, p, p)."""
     count = len(CANDIDATES)
     size = float(np.linalg.norm(problem.reference, axis=1).mean())
-    spread = problem.spread[problem.group < 0]
+    spread = problem.orientation_sd[problem.group < 0]
     environment = {
         name: np.full(count, float(np.mean(column)))
         for name, column in problem.environment.items()
@@ -319,12 +319,12 @@ def _candidate_gains(problem: Problem, theta: Array) -> Array:
         environment=environment,
         precision=np.broadcast_to(mean, (count, *mean.shape)),
         reference=size * CANDIDATES,
-        spread=np.full(count, spread.max() if len(spread) else 0.0),
+        orientation_sd=np.full(count, spread.max() if len(spread) else 0.0),
         group=np.full(count, -1),
         weight=np.ones(count),
         groups=0,
         attitude=None,
-        level_spread=0.0,
+        level_sd=0.0,
         robust=None,
     )
     state = start_state(candidates, theta, CANDIDATES)
@@ -339,7 +339,7 @@ def too_few(problem: Problem) -> RankError:
     n, p = len(problem.values), len(model.keys)
     equations = int(problem.degrees.sum()) - (problem.unknowns - p)
     said = f"{n} positions give {max(equations, 0)} equations for {p} parameters"
-    if not np.isinf(problem.spread).all() or sorted(model.axes) != ["x", "y", "z"]:
+    if not np.isinf(problem.orientation_sd).all() or sorted(model.axes) != ["x", "y", "z"]:
         return RankError(
             f"{said}; add positions or choose a model with fewer terms.",
             rank=min(equations, p),

@@ -21,28 +21,27 @@ References
 JCGM 102; docs/theory/orientations.md.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.estimation.identifiability import condition, formal_only
-from multipos.estimation.known import Solution
 from multipos.estimation.likelihood import linearise
 from multipos.estimation.losses import Loss
 from multipos.estimation.noise import Worth, judge_noise
-from multipos.estimation.placement import Placement, state_problem
-from multipos.estimation.problem import Optimum, Problem
+from multipos.estimation.problem import Optimum, Problem, state_problem
 from multipos.estimation.robustness import judge_robustly
+from multipos.estimation.solution import Solution
 from multipos.estimation.starts import reduced_information, search, too_few
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import rotation_vector
+from multipos.positions.placement import Placement
 from multipos.positions.readings import Readings, read_readings
 from multipos.sensor.calibration import Status
 from multipos.sensor.diagnostics import find_outlying_positions
 from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.found import FoundOrientations
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Gauge, Model
 
@@ -88,7 +87,7 @@ def solve_uncertain(
     if not placement.listed.any():
         _require_triad(model)
         model = model.with_gauge(gauge)
-    elif np.isinf(placement.spread).any():
+    elif np.isinf(placement.orientation_sd).any():
         _require_triad(model)
     problem = state_problem(model, readings, placement, None if robust is None else "huber")
     nu = float(problem.degrees.sum()) - problem.unknowns
@@ -102,7 +101,7 @@ def solve_uncertain(
         )
     else:
         problem, optimum, worth = judge_noise(
-            problem, optimum, nu, stated=stated, estimate_spread=placement.estimate_spread
+            problem, optimum, nu, stated=stated, estimate_sd=placement.estimated
         )
     return _solution(problem, optimum, readings, nu, worth)
 
@@ -131,6 +130,7 @@ def _solve_separately(
         pairs = zip(model.outputs, parts, strict=True)
         return tuple(f"{output}: {text}" for output, part in pairs for text in getattr(part, name))
 
+    weights = [part.robust_weight for part in parts if part.robust_weight is not None]
     return replace(
         parts[0],
         model=model,
@@ -147,13 +147,8 @@ def _solve_separately(
         warnings=said("warnings"),
         unidentifiable=said("unidentifiable"),
         status=max((part.status for part in parts), key=lambda status: status.iterations),
-        extra=_joined([part.extra for part in parts]),
+        robust_weight=None if robust is None else np.column_stack(weights),
     )
-
-
-def _joined(extras: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return what parts of a solution have to say, side by side: arrays (n,) as (n, M)."""
-    return {name: np.column_stack([extra[name] for extra in extras]) for name in extras[0]}
 
 
 def _require_triad(model: Model) -> None:
@@ -216,8 +211,10 @@ def _solution(
         unidentifiable=formal_only(model, state.theta, u, magnitude),
         warnings=(*worth.warnings, *_scale_bias(problem, state.theta, u, residual_sd, magnitude)),
         status=_status(optimum),
-        extra={**dict(worth.extra), **_found_orientations(problem, optimum, readings)},
-        orientation_sd=worth.spread,
+        orientation_sd=worth.orientation_sd,
+        variance_components=worth.components,
+        orientations=_found_orientations(problem, optimum, readings),
+        robust_weight=worth.weight,
     )
 
 
@@ -227,12 +224,12 @@ def _scale_bias(
     """State the second-order bias of the scale factors, eq. (1), where it matters."""
     model = problem.model
     own = list(model.own_scales)
-    if not problem.spread.any() or len(own) != 3 or len(model.outputs) != 3:
+    if not problem.orientation_sd.any() or len(own) != 3 or len(model.outputs) != 3:
         return ()
     relative = (sd / (np.abs(theta[own]) * magnitude)) ** 2  # (3,), variances in g² per g²
     across = (relative.sum() - relative) / 2.0
     # s²/(s² + sigma²), 1 where s is infinite
-    share = 1.0 - relative.mean() / (problem.spread**2 + relative.mean())
+    share = 1.0 - relative.mean() / (problem.orientation_sd**2 + relative.mean())
     bias = across * float(share.mean()) * np.abs(theta[own])
     return tuple(
         f"`{model.names[i]}` is larger by about {size:.2g} than it should be, because noise moves "
@@ -242,25 +239,24 @@ def _scale_bias(
     )
 
 
-def _found_orientations(problem: Problem, optimum: Optimum, readings: Readings) -> dict[str, Any]:
-    """Return what was found of orientations: how far off positions are, groups, tilt [degrees]."""
-    if (problem.spread == 0.0).all() and not problem.shared:
-        return {}
+def _found_orientations(
+    problem: Problem, optimum: Optimum, readings: Readings
+) -> FoundOrientations | None:
+    """Return what was found of orientations; None where all were exact."""
+    if (problem.orientation_sd == 0.0).all() and not problem.shared:
+        return None
     state = optimum.state
     off = np.degrees(np.hypot(state.step[:, 0], state.step[:, 1]))
-    found: dict[str, Any] = {
-        "orientation_error_deg": np.where(np.isfinite(problem.spread), off, np.nan)
-    }
-    if problem.groups:
-        names = dict.fromkeys(label for label in readings.group or () if label)
-        found["group_rotation_deg"] = {
-            name: np.degrees(rotation_vector(turn))
-            for name, turn in zip(names, state.turns, strict=True)
-        }
-    if problem.level_spread > 0.0:
-        found["level_sd_deg"] = np.degrees(problem.level_spread)
-        found["level_tilt_deg"] = np.degrees(state.tilt)
-    return found
+    names = dict.fromkeys(label for label in readings.group or () if label)
+    turns = zip(names, state.turns, strict=True) if problem.groups else ()
+    tilted = problem.level_sd > 0.0
+    return FoundOrientations(
+        orientation_error_deg=np.where(np.isfinite(problem.orientation_sd), off, np.nan),
+        group_rotation_deg={name: np.degrees(rotation_vector(turn)) for name, turn in turns}
+        or None,
+        level_sd_deg=float(np.degrees(problem.level_sd)) if tilted else None,
+        level_tilt_deg=np.degrees(state.tilt) if tilted else None,
+    )
 
 
 def _status(optimum: Optimum) -> Status:

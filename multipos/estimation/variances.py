@@ -50,7 +50,7 @@ class Linearised:
     design: Array  # (n, M, p + q), A: parameters and shared unknowns
     jacobian: Array  # (n, M, 2)
     precision: Array  # (n, M, M), Sigma^-1
-    spread: Array  # (n,) [rad]
+    orientation_sd: Array  # (n,) [rad]
     prior: Array  # (p + q,) information of the unknowns themselves
     p: int
 
@@ -80,15 +80,15 @@ def linearised(problem: Problem, optimum: Optimum) -> Linearised:
         problem.model, state.theta, optimum.point.force, problem.environment
     )
     prior = np.zeros(p + problem.shared)
-    if problem.level_spread > 0.0:
-        prior[-2:] = 1.0 / problem.level_spread**2
+    if problem.level_sd > 0.0:
+        prior[-2:] = 1.0 / problem.level_sd**2
     precision = problem.precision
     return Linearised(
         error=optimum.point.residuals + np.einsum("nmi,ni->nm", normal.jacobian, state.step),
         design=np.concatenate([slopes, normal.shared], axis=2),
         jacobian=normal.jacobian,
         precision=precision if precision.ndim == 3 else precision[:, :, None] * np.eye(m),
-        spread=problem.spread,
+        orientation_sd=problem.orientation_sd,
         prior=prior,
         p=p,
     )
@@ -145,15 +145,15 @@ def components(linear: Linearised, v: Array, free: NDArray[np.bool_]) -> Compone
 def _bounds(linear: Linearised) -> Array:
     """Return the range (2, 2) of ln a and ln b beyond which nothing changes any more."""
     error, J, P = linear.error, linear.jacobian, linear.precision
-    tied = np.isfinite(linear.spread) & (linear.spread > 0.0)
+    tied = np.isfinite(linear.orientation_sd) & (linear.orientation_sd > 0.0)
     whole = float(np.einsum("ni,nij,nj->", error, P, error))
     gram = np.einsum("nia,nij,nja->n", J, P, J)[tied]
-    turned = float(np.sum(linear.spread[tied] ** 2 * gram))
+    turned = float(np.sum(linear.orientation_sd[tied] ** 2 * gram))
     largest = whole / np.array([error.size, turned if turned > 0.0 else 1.0])
     # Where nothing is left over, as when a tilt explains it all, a variance would go to nothing,
     # and with it the digits of the information.
     signal = float(np.einsum("nia,nij,nja->", J, P, J)) / error.size or 1.0
-    widest = float(linear.spread[tied].max()) if tied.any() else 1.0
+    widest = float(linear.orientation_sd[tied].max()) if tied.any() else 1.0
     quietest = max(_FINEST, FINEST_OF_PLACEMENT * widest) if tied.any() else _FINEST
     finest = np.array([quietest**2 * signal, (_FINEST / widest) ** 2])
     lowest = np.maximum(_LEAST * largest, finest)
@@ -172,9 +172,9 @@ def _restricted(linear: Linearised, v: Array) -> tuple[float, Array, tuple[Array
     n, m = linear.error.shape
     a, b = np.exp(v)
     P, J = linear.precision / a, linear.jacobian
-    exact, unknown = linear.spread == 0.0, np.isinf(linear.spread)
+    exact, unknown = linear.orientation_sd == 0.0, np.isinf(linear.orientation_sd)
     tied = ~(exact | unknown)
-    spread2 = np.where(tied, b * np.where(tied, linear.spread, 1.0) ** 2, 0.0)
+    spread2 = np.where(tied, b * np.where(tied, linear.orientation_sd, 1.0) ** 2, 0.0)
     weighted = P @ J
     prior = np.where(tied, 1.0 / np.where(tied, spread2, 1.0), 0.0)
     own = eliminate(P, J, weighted, prior, exact)

@@ -49,7 +49,8 @@ class Readings(Result):
     samples : (n,) array or None
         Number of samples averaged; reported, never turned into `u`.
     orientation_sd : (n,) array or None [rad]
-        How far each position may be from where it should be, per axis; NaN = unknown.
+        How far each position may be from where it should be, per axis; inf = unknown, and NaN,
+        as an empty cell is read, is taken as that.
     group : tuple of n str or None
         Rows of one group share one unknown rotation of the case; '' is no group.
     environment : mapping of str to (n,) array
@@ -104,6 +105,9 @@ class Readings(Result):
             given = getattr(self, name)
             if given is not None:
                 _set(self, name, _array(name, given, shape))
+        if self.orientation_sd is not None:
+            unknown = np.isnan(self.orientation_sd)
+            _set(self, "orientation_sd", _readonly(np.where(unknown, np.inf, self.orientation_sd)))
         for name in ("positions", "group"):
             given = getattr(self, name)
             if given is not None:
@@ -214,11 +218,13 @@ class Readings(Result):
                 f"{where}: column '{self.outputs[i]}' is {size[i]:g} at most, too small a number "
                 "to be squared; give the readings in a smaller unit."
             )
-        if self.orientation_sd is not None and (self.orientation_sd >= np.pi).any():
-            row = int(np.argmax(self.orientation_sd >= np.pi))
+        sd = np.zeros(0) if self.orientation_sd is None else self.orientation_sd
+        far = np.isfinite(sd) & (sd >= np.pi)
+        if far.any():
+            row = int(np.argmax(far))
             raise MultiposError(
                 f"{where}: row {row + 1}: an orientation sd of "
-                f"{np.degrees(self.orientation_sd[row]):g} degrees; it must be below 180, or empty "
+                f"{np.degrees(sd[row]):g} degrees; it must be below 180, or empty "
                 "for unknown."
             )
 

@@ -213,7 +213,7 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
     grids = [Grid(tr("Checks of the fit"), (tr("Check"), tr("Result")), tuple(rows))]
     paragraphs: list[str] = []
     tests = _joint_tests(c, tr)
-    if c.estimator in ("linear", "closed-form"):
+    if c.estimator.exact:
         tests += _criticism(c, tr)
     if tests:
         grids += tests
@@ -238,7 +238,7 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
 
 def _joint_tests(c: Calibration, tr: Translator) -> list[Grid]:
     """Return tests of terms over all outputs; none of a robust fit or an expression."""
-    if "robust_weight" in c.extra or isinstance(c.model, ExpressionModel):
+    if c.robust_weight is not None or isinstance(c.model, ExpressionModel):
         return []
     rows = [
         (

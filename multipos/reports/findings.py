@@ -167,7 +167,7 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
                 tr("in the scatter") if row.contained.all() else tr("added"),
             )
         )
-    stated = c.extra.get("budget", {}).get("tables", {})
+    stated = c.budget_tables
     absent = [
         tr(kind.text) for name, kind in KINDS.items() if name not in seen and name not in stated
     ]
@@ -245,7 +245,7 @@ def _contribution(budget: Evaluation, quantity: str, parameter: int) -> str:
 def sphere_section(c: Calibration, tr: Translator) -> Section:
     """Return how well force and tilt are known, and where."""
     rows = []
-    allowed = "third_order" in c.extra.get("budget", {}).get("tables", {})
+    allowed = "third_order" in c.budget_tables
     for size in (1.0, 2.0, 5.0) if allowed else (1.0,):
         for what, axes in evaluate_sphere(c, size=size).items():
             if what == "tilt_deg" and size > 1.0:

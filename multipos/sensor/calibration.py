@@ -27,6 +27,14 @@ from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor import derived, inverse
 from multipos.sensor.diagnostics import Diagnostics, linearity
+from multipos.sensor.found import (
+    Chosen,
+    Estimator,
+    FoundOrientations,
+    StatedBudget,
+    VarianceComponents,
+)
+from multipos.sensor.gravity import Gravity
 from multipos.sensor.model import Model, paper_symbol
 from multipos.sensor.names import parameter_label
 
@@ -45,13 +53,6 @@ class Parameter(NamedTuple):
     unit: str
     label: str
     symbol: str | None
-
-
-class Gravity(NamedTuple):
-    """Local gravity and its standard uncertainty [m/s²]."""
-
-    value: float
-    u: float
 
 
 class Status(NamedTuple):
@@ -89,7 +90,8 @@ class Calibration(Result):
         'specific-force' (the axis that points up reads +1) or 'gravity' (the one that points down).
     gravity : Gravity or None
         None: one g is the local gravity.
-    estimator, criterion : str
+    estimator : Estimator
+    criterion : str
     confidence : float
     diagnostics : Diagnostics
     cross_check : float or None
@@ -97,6 +99,15 @@ class Calibration(Result):
     status : Status
     created, version : str
         Time (ISO 8601, UTC) and the version of multipos.
+    variance_components, orientations : VarianceComponents, FoundOrientations, or None
+        What was found of the noise and of the positions, where either was to be found.
+    robust_weight : (n,) or (n, M) array, or None
+        How much each position counts under a robust loss, 0 where it was set aside; of each output
+        where these were fitted alone.
+    selection : mapping of output to Chosen, or None
+        How terms were chosen stepwise.
+    budget : StatedBudget or None
+        What the covariance follows from beside the readings.
     """
 
     model: Model
@@ -110,7 +121,7 @@ class Calibration(Result):
     readings: Readings
     convention: Convention
     gravity: Gravity | None
-    estimator: str
+    estimator: Estimator
     criterion: str
     confidence: float
     diagnostics: Diagnostics
@@ -118,7 +129,11 @@ class Calibration(Result):
     created: str = field(compare=False)
     version: str
     cross_check: float | None = None
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    variance_components: VarianceComponents | None = None
+    orientations: FoundOrientations | None = None
+    robust_weight: Array | None = None
+    selection: Mapping[str, Chosen] | None = None
+    budget: StatedBudget | None = None
 
     def __getitem__(self, key: str | tuple[str, str]) -> Parameter:
         """Return a parameter by (output, term) or by name: ``cal["ax", "x"]``, ``cal["scale_ax"]``.
@@ -150,6 +165,11 @@ class Calibration(Result):
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs."""
         return self.model.outputs
+
+    @property
+    def budget_tables(self) -> Mapping[str, Mapping[str, Any]]:
+        """The tables of the budget that it was made with, empty without one."""
+        return {} if self.budget is None else self.budget.tables
 
     @cached_property
     def u(self) -> Array:
@@ -194,7 +214,7 @@ class Calibration(Result):
             self.readings.environment,
             unseen=self.reference,
         )
-        if self.estimator == "unknown-orientation":
+        if self.estimator is Estimator.UNKNOWN:
             size = np.linalg.norm(self.reference, axis=1)
             return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
         left = force - self.reference[:, list(inverse.sensed_axes(self.model))]

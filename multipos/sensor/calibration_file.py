@@ -5,7 +5,8 @@ and not described here; what every key means is in `docs/reference/formats`.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -42,28 +43,39 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.results import plain
-from multipos.sensor.calibration import Calibration, Gravity, Status
+from multipos.sensor.calibration import Calibration, Status
 from multipos.sensor.diagnostics import Diagnostics
 from multipos.sensor.expressions import expression_dict, load_expression
+from multipos.sensor.found import (
+    Chosen,
+    Component,
+    Estimator,
+    FoundOrientations,
+    StatedBudget,
+    VarianceComponents,
+)
+from multipos.sensor.gravity import Gravity
 from multipos.sensor.model import Model, build_model
 
 SCHEMA = "multipos/calibration/1"
-_EXTRA = (
-    "variance_components",
-    "robust_weight",
-    "orientation_error_deg",
-    "group_rotation_deg",
-    "level_sd_deg",
-    "level_tilt_deg",
-    "selection",
-    "budget",
-)  # what some estimators and budgets add
+_DIAGNOSTICS = (
+    "rank",
+    "parameters",
+    "condition",
+    "lack_of_fit",
+    "outliers",
+    "unidentifiable",
+    "warnings",
+    "leverage",
+)
 # Null is infinite, 0 none; less than a millionth of one is neither.
 _DOF = Maybe(AnyOf((Number(0.0, 0.0), Number(1e-6))))
 _SETTING = AnyOf((ANY_TEXT, Flag(), Listed(Whole()), ANY_NUMBER))  # of a table in a budget
 
 # One number a position, or one an output as well where the outputs were fitted apart.
 _BY_POSITION = AnyOf((Numbers(2, gaps=True), Numbers(1, gaps=True)))
+_COMPONENTS = ("reading_sd", "orientation_sd_deg")
+_COMPONENT = Fields({"value": POSITIVE, "u": POSITIVE})
 _TESTED = Fields({"term": ANY_TEXT, "F": FIGURE, "p": P_VALUE})
 
 CALIBRATION = Fields(
@@ -73,9 +85,7 @@ CALIBRATION = Fields(
         "input": INPUT,
         "convention": Text(("specific-force", "gravity")),
         "gravity": Maybe(Fields({"value": Number(1.0, 100.0), "u": NOT_NEGATIVE})),
-        "estimator": Text(
-            ("closed-form", "linear", "uncertain-orientation", "unknown-orientation")
-        ),
+        "estimator": Text(tuple(Estimator)),
         "criterion": ANY_TEXT,
         "gauge": Maybe(Text(("lower", "symmetric"))),
         "model": ANY_TEXT,
@@ -139,7 +149,7 @@ CALIBRATION = Fields(
         "group_rotation_deg": Named(Listed(ANY_NUMBER, 3, 3)),
         "level_sd_deg": NOT_NEGATIVE,
         "level_tilt_deg": Numbers(1),
-        "variance_components": Named(Fields({"value": POSITIVE, "u": POSITIVE})),
+        "variance_components": Fields({}, dict.fromkeys(_COMPONENTS, _COMPONENT)),
         "selection": Named(
             Fields(
                 {
@@ -170,21 +180,7 @@ CALIBRATION = Fields(
 
 def calibration_dict(c: Calibration) -> dict[str, Any]:
     """Return everything that a calibration holds as what JSON can carry."""
-    found = c.diagnostics
     readings = c.readings
-    optional = {
-        "reading_u": readings.u,
-        "reading_covariance": readings.covariance,
-        "reading_sd": readings.sd,
-        "samples": readings.samples,
-        "orientation_sd_deg": None
-        if readings.orientation_sd is None
-        else np.degrees(readings.orientation_sd),
-        "group": readings.group,
-        "environment": dict(readings.environment) or None,
-        "attitude": readings.rotation,
-        "up": readings.up,
-    }
     content = {
         "schema": SCHEMA,
         "multipos_version": c.version,
@@ -211,29 +207,55 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         "readings": readings.values,
         "reference": c.reference,
         "reference_environment": dict.fromkeys(c.model.environment, 0.0) or None,
-        **{name: value for name, value in optional.items() if value is not None},
+        **_known_of(readings),
         "rms": c.rms,
         "linearity": c.linearity,
-        "diagnostics": {
-            "rank": found.rank,
-            "parameters": found.parameters,
-            "condition": found.condition,
-            "lack_of_fit": found.lack_of_fit,
-            "outliers": found.outliers,
-            "unidentifiable": found.unidentifiable,
-            "warnings": found.warnings,
-            "leverage": found.leverage,
-        },
+        "diagnostics": {key: getattr(c.diagnostics, key) for key in _DIAGNOSTICS},
         "cross_check": None
         if c.cross_check is None
         else {"closed_form_max_difference": c.cross_check},
         "intrinsic": c.intrinsic,
         "installation_deg": c.installation_deg,
         **expression_dict(c.model),
-        **c.extra,
+        **_found_dict(c),
     }
     result: dict[str, Any] = plain(content)
     return result
+
+
+def _known_of(readings: Readings) -> dict[str, Any]:
+    """Return what is known of readings beside their values, as far as it is."""
+    known = {
+        "reading_u": readings.u,
+        "reading_covariance": readings.covariance,
+        "reading_sd": readings.sd,
+        "samples": readings.samples,
+        "orientation_sd_deg": None
+        if readings.orientation_sd is None
+        else np.degrees(readings.orientation_sd),
+        "group": readings.group,
+        "environment": dict(readings.environment) or None,
+        "attitude": readings.rotation,
+        "up": readings.up,
+    }
+    return _told(known)
+
+
+def _found_dict(c: Calibration) -> dict[str, Any]:
+    """Return what only some estimators and budgets add."""
+    found: dict[str, Any] = {
+        "robust_weight": c.robust_weight,
+        "selection": c.selection,
+        **(c.orientations or {}),
+    }
+    for name, parts in (("variance_components", c.variance_components), ("budget", c.budget)):
+        if parts is not None:
+            found[name] = _told(parts)
+    return _told(found)
+
+
+def _told(parts: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in parts.items() if value is not None}
 
 
 def load(path: str | os.PathLike[str]) -> Calibration:
@@ -269,36 +291,68 @@ def from_dict(content: Mapping[str, Any], where: str = "the calibration") -> Cal
 
 def _from_dict(content: Mapping[str, Any]) -> Calibration:
     outputs = tuple(content["outputs"])
-    environment = {
-        name: _numbers(column) for name, column in content.get("environment", {}).items()
-    }
-    model: Model = (
-        load_expression(content)
-        if "expression" in content
-        else build_model(
+    model = _model(content)
+    parameters = content["parameters"]
+    keys = [(entry["output"], entry["term"]) for entry in parameters]
+    if keys != [(output, str(term)) for output, term in model.keys]:
+        raise ValueError("its parameters are not those of its model")
+    cross_check, gravity = content["cross_check"], content["gravity"]
+    return Calibration(
+        model=model,
+        parameters=_numbers([entry["value"] for entry in parameters]),
+        covariance=_numbers(content["covariance"]),
+        parameter_dof=_dof([entry["dof"] for entry in parameters], parameters),
+        dof=_dof([content["dof"][output] for output in outputs]),
+        residuals=_numbers(content["residuals"]),
+        residual_sd=_numbers([content["residual_sd"][output] for output in outputs]),
+        reference=_numbers(content["reference"]),
+        readings=_readings(content, model),
+        convention=content["convention"],
+        gravity=None if gravity is None else Gravity(gravity["value"], gravity["u"]),
+        estimator=Estimator(content["estimator"]),
+        criterion=content["criterion"],
+        confidence=float(content["confidence"]),
+        diagnostics=_diagnostics(content["diagnostics"]),
+        status=Status(**_known_keys(content["status"], Status._fields)),
+        created=content["created"],
+        version=content["multipos_version"],
+        cross_check=None
+        if cross_check is None
+        else float(cross_check["closed_form_max_difference"]),
+        **_found(content),
+    )
+
+
+def _model(content: Mapping[str, Any]) -> Model:
+    if "expression" in content:
+        model: Model = load_expression(content)
+    else:
+        model = build_model(
             content["model"],
-            outputs,
+            tuple(content["outputs"]),
             tuple(content["axes"]),
             tuple(content["inputs"]),
             str(content["unit"]),
         )
-    )
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
-    selection = content.get("selection")
-    if selection is not None:
-        terms = [(output, term) for output in outputs for term in selection[output]["terms"]]
-        model = model.keeping(terms)
-    convention = content["convention"]
+    chosen = content.get("selection")
+    if chosen is None:
+        return model
+    return model.keeping([(o, term) for o in content["outputs"] for term in chosen[o]["terms"]])
+
+
+def _readings(content: Mapping[str, Any], model: Model) -> Readings:
     reference = _numbers(content["reference"])
     size = np.linalg.norm(reference, axis=1)
     if not (np.isfinite(size) & (size > 0.0)).all():
         raise ValueError("its reference is zero or not finite")
-    up = reference / size[:, None] * (-1.0 if convention == "gravity" else 1.0) + 0.0
+    sign = -1.0 if content["convention"] == "gravity" else 1.0
+    up = reference / size[:, None] * sign + 0.0
     sd_deg = content.get("orientation_sd_deg")
-    readings = Readings(
+    return Readings(
         values=_numbers(content["readings"]),
-        outputs=outputs,
+        outputs=model.outputs,
         positions=tuple(content["positions"]),
         up=_numbers(content["up"]) if "up" in content else up,
         rotation=_numbers(content.get("attitude")),
@@ -308,57 +362,65 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
         samples=_numbers(content.get("samples")),
         orientation_sd=None if sd_deg is None else np.radians(_numbers(sd_deg)),
         group=content.get("group"),
-        environment=environment,
+        environment={
+            name: _numbers(column) for name, column in content.get("environment", {}).items()
+        },
         unit=model.unit,
         source=content["input"]["file"],
         sha256=content["input"]["sha256"],
     )
-    found, parameters = content["diagnostics"], content["parameters"]
-    keys = [(entry["output"], entry["term"]) for entry in parameters]
-    if keys != [(output, str(term)) for output, term in model.keys]:
-        raise ValueError("its parameters are not those of its model")
-    cross_check, status, gravity = content["cross_check"], content["status"], content["gravity"]
-    return Calibration(
-        model=model,
-        parameters=_numbers([entry["value"] for entry in parameters]),
-        covariance=_numbers(content["covariance"]),
-        parameter_dof=_dof([entry["dof"] for entry in parameters], parameters),
-        dof=_dof([content["dof"][output] for output in outputs]),
-        residuals=_numbers(content["residuals"]),
-        residual_sd=_numbers([content["residual_sd"][output] for output in outputs]),
-        reference=reference,
-        readings=readings,
-        convention=convention,
-        gravity=None if gravity is None else Gravity(gravity["value"], gravity["u"]),
-        estimator=content["estimator"],
-        criterion=content["criterion"],
-        confidence=float(content["confidence"]),
-        diagnostics=Diagnostics(
-            rank=found["rank"],
-            parameters=found["parameters"],
-            condition=float(_numbers([found["condition"]])[0]),
-            leverage=_numbers(found["leverage"]),
-            lack_of_fit={
-                output: {key: test[key] for key in ("F", "dof", "p")}
-                for output, test in found["lack_of_fit"].items()
-            },
-            outliers=tuple(found["outliers"]),
-            unidentifiable=tuple(found["unidentifiable"]),
-            warnings=tuple(found["warnings"]),
-        ),
-        status=Status(
-            status["converged"],
-            status["iterations"],
-            status["message"],
-            status.get("last_step", 0.0),
-            status.get("gradient", 0.0),
-        ),
-        created=content["created"],
-        version=content["multipos_version"],
-        cross_check=None
-        if cross_check is None
-        else float(cross_check["closed_form_max_difference"]),
-        extra={key: content[key] for key in _EXTRA if key in content},
+
+
+def _diagnostics(found: Mapping[str, Any]) -> Diagnostics:
+    return Diagnostics(
+        rank=found["rank"],
+        parameters=found["parameters"],
+        condition=float(_numbers([found["condition"]])[0]),
+        leverage=_numbers(found["leverage"]),
+        lack_of_fit={
+            output: {key: test[key] for key in ("F", "dof", "p")}
+            for output, test in found["lack_of_fit"].items()
+        },
+        outliers=tuple(found["outliers"]),
+        unidentifiable=tuple(found["unidentifiable"]),
+        warnings=tuple(found["warnings"]),
+    )
+
+
+def _found(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a calibration that only some estimators and budgets add."""
+    found: dict[str, Any] = {"robust_weight": _numbers(content.get("robust_weight"))}
+    components, chosen = content.get("variance_components"), content.get("selection")
+    if components is not None:
+        parts = _known_keys(components, _COMPONENTS)
+        found["variance_components"] = VarianceComponents(
+            **{key: Component(part["value"], part["u"]) for key, part in parts.items()}
+        )
+    orientations = _known_keys(content, [field.name for field in fields(FoundOrientations)])
+    if orientations:
+        for key in ("orientation_error_deg", "level_tilt_deg"):
+            orientations[key] = _numbers(orientations.get(key))
+        groups = orientations.get("group_rotation_deg")
+        if groups is not None:
+            orientations["group_rotation_deg"] = {k: _numbers(v) for k, v in groups.items()}
+        found["orientations"] = FoundOrientations(**orientations)
+    if chosen is not None:
+        found["selection"] = {output: _chosen(said) for output, said in chosen.items()}
+    if "budget" in content:
+        said = content["budget"]
+        scatter = _numbers(said.get("scatter"))
+        found["budget"] = StatedBudget(said["tables"], tuple(said["rows"]), scatter)
+    return found
+
+
+def _known_keys(said: Mapping[str, Any], keys: Iterable[str]) -> dict[str, Any]:
+    """Return what is said under keys that are known; a later version may have more."""
+    return {key: said[key] for key in keys if key in said}
+
+
+def _chosen(said: Mapping[str, Any]) -> Chosen:
+    return Chosen(
+        tuple(said["terms"]), tuple(said["path"]), said["runner_up"], tuple(said["collinear"])
     )
 
 

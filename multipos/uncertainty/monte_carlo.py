@@ -35,11 +35,12 @@ from multipos.estimation.restatement import noise_factor, restate, return_to_opt
 from multipos.numerics.arrays import Array
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator, VarianceComponents
 from multipos.uncertainty.budgets import Quantity, read_budget
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.sensitivities import estimator_gain, reading_moves, turn_axes
 
-Estimator = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (trials, p)
+Solve = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (trials, p)
 
 _BLOCK = 10_000  # trials of a block (JCGM 101, 7.9.4)
 _FEW = 100  # of an estimator that runs once a trial, so that progress shows
@@ -112,7 +113,7 @@ def simulate_budget(
     trials: int | None = None,
     digits: int = 1,
     rng: "int | np.random.Generator" = 0,
-    estimator: Estimator | None = None,
+    estimator: Solve | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> MonteCarlo:
     """Propagate the budget of a calibration by Monte Carlo.
@@ -154,7 +155,7 @@ def simulate_budget(
     delta = numerical_tolerance(c.u, digits)
     exists = np.where(np.repeat(c.dof, [len(t) for t in c.model.terms]) > 2.0, 1.0, math.nan)
     least = max(_BLOCK, math.ceil(100.0 / (1.0 - c.confidence)))
-    one_by_one = estimator is None and c.estimator not in ("linear", "closed-form")
+    one_by_one = estimator is None and not c.estimator.exact
     size = _FEW if one_by_one and trials is not None else _BLOCK
     done: list[Array] = []
     summaries: list[Array] = []
@@ -207,10 +208,9 @@ class _Draws:
         self.c, self.rng = calibration, rng
         c = calibration
         self.n, self.m = c.readings.values.shape
-        tables = c.extra.get("budget", {}).get("tables", {})
-        stated = read_budget(tables).quantities
+        stated = read_budget(c.budget_tables).quantities
         contained = {r.quantity for r in evaluate_budget(c).rows if r.contained.all()}
-        if c.estimator == "unknown-orientation":
+        if c.estimator is Estimator.UNKNOWN:
             contained |= {"level", "index"}  # orientations that were not used cannot be wrong
         self.quantities = [
             quantity
@@ -225,7 +225,7 @@ class _Draws:
         scatter = [row for row in evaluate_budget(c).rows if row.quantity == "readings"]
         self.joint = len(scatter) == 1 and self.m > 1
         self.spread, self.level, self.spread_dof = np.zeros(self.n), 0.0, math.inf
-        if c.estimator.endswith("orientation"):
+        if not c.estimator.exact:
             self._take_from_likelihood()
         else:
             self.noise = _noise_root(c, sum(row.covariance for row in scatter))
@@ -241,11 +241,14 @@ class _Draws:
             whole = np.zeros((self.n, self.m, self.n, self.m))
             whole[np.arange(self.n), :, np.arange(self.n), :] = root * blocks
             self.noise = whole.reshape(self.n * self.m, -1)
-        self.spread = np.where(np.isfinite(problem.spread), root * problem.spread, 0.0)
-        self.level, self.attitude = root * problem.level_spread, problem.attitude
-        estimated = c.extra.get("variance_components", {}).get("orientation_sd_deg")
+        self.spread = np.where(
+            np.isfinite(problem.orientation_sd), root * problem.orientation_sd, 0.0
+        )
+        self.level, self.attitude = root * problem.level_sd, problem.attitude
+        components = c.variance_components or VarianceComponents()
+        estimated = components.orientation_sd_deg
         if estimated is not None:  # u of ln s² is 2 u(s)/s, and of ln chi²_nu it is sqrt(2/nu)
-            self.spread_dof = 0.5 * (estimated["value"] / estimated["u"]) ** 2
+            self.spread_dof = 0.5 * (estimated.value / estimated.u) ** 2
 
     def __call__(self, trials: int) -> Array:
         """Return readings (trials, n, M) about the fitted model."""
@@ -360,12 +363,12 @@ def _rotate(force: Array, vectors: Array) -> Array:
     return np.asarray(force + sinc * cross + half * np.cross(vectors, cross))
 
 
-def _own_estimator(c: Calibration) -> Estimator:
+def _own_estimator(c: Calibration) -> Solve:
     """The calibration's own estimator, run in full."""
-    if c.estimator in ("linear", "closed-form"):
+    if c.estimator.exact:
         gain = estimator_gain(c)
         return lambda readings: np.asarray(readings.reshape(len(readings), -1) @ gain.T)
-    if "robust_weight" in c.extra:
+    if c.robust_weight is not None:
         raise UsageError("give `estimator`, a function of the readings, for a robust calibration.")
     # About the solution itself: its reference is the listed one, already turned and stepped.
     problem = replace(restate(c), reference=c.reference)

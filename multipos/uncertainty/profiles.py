@@ -42,6 +42,7 @@ from multipos.estimation.variances import components, linearised
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
 
 Profile = Callable[[float], float]  # how much a parameter's value costs, S_j(t) - S_min
 
@@ -159,12 +160,12 @@ def profile_interval(calibration: Calibration, output: str, term: str) -> Interv
         As in `search_interval`.
     """
     c = calibration
-    if "robust_weight" in c.extra:
+    if c.robust_weight is not None:
         raise MultiposError(
             "a robust loss is no likelihood and has no profile; fit again without --robust."
         )
     index = c.model.index(output, term)
-    if c.estimator.endswith("orientation"):
+    if not c.estimator.exact:
         return _likelihood_interval(c, index)
     dof = float(c.dof[c.outputs.index(output)])
     if not dof > 0.0:
@@ -231,7 +232,7 @@ def _known_problem(c: Calibration) -> tuple[Callable[[Array], Array], Array]:
         return np.asarray(np.linalg.solve(root, flat) if full else flat / root)
 
     best = c.parameters
-    if c.estimator == "closed-form":
+    if c.estimator is Estimator.CLOSED_FORM:
         best = fit_residuals(lambda p: whitened(left(p)), best)
     sd = np.sqrt(_variance_factor(c, chi_squares(left(best), noise)))
 

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import StatedBudget
 from multipos.uncertainty.budgets import Budget, Quantity, Source, read_budget
 from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects
 
@@ -179,7 +180,7 @@ def evaluate_budget(
     MultiposError
         A quantity needs what the calibration does not know, such as the heading of its positions.
     """
-    own = read_budget(calibration.extra.get("budget", {}).get("tables", {}))
+    own = read_budget(calibration.budget_tables)
     stated = own if budget is None else read_budget(budget)
     gain = estimator_gain(calibration)
     before = [_row(calibration, gain, quantity) for quantity in _quantities(calibration, own)]
@@ -210,9 +211,12 @@ def state_budget(calibration: Calibration, budget: "Source | Budget") -> Calibra
     stated = read_budget(budget)
     found = evaluate_budget(calibration, stated)
     scatter = sum(row.covariance for row in found.rows if row.evaluation == "A")
-    kept = {"tables": stated.tables, "rows": budget_rows(found), "scatter": scatter}
-    extra = {**calibration.extra, "budget": kept}
-    return replace(calibration, covariance=found.covariance, parameter_dof=found.dof, extra=extra)
+    return replace(
+        calibration,
+        covariance=found.covariance,
+        parameter_dof=found.dof,
+        budget=StatedBudget(stated.tables, tuple(budget_rows(found)), np.asarray(scatter)),
+    )
 
 
 def budget_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
@@ -251,9 +255,9 @@ def _quantities(calibration: Calibration, budget: Budget) -> list[Quantity]:
 def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
     """Return the rows of the readings themselves: what is left of the covariance without others."""
     c = calibration
-    kept = c.extra.get("budget", {}).get("scatter")
+    kept = None if c.budget is None else c.budget.scatter
     added = sum(row.added for row in others)
-    rest = c.covariance - added if kept is None else np.array(kept, dtype=np.float64)
+    rest = c.covariance - added if kept is None else kept
     count = [len(terms) for terms in c.model.terms]
     output_of = np.repeat(np.arange(len(count)), count)
     dof = c.dof[output_of]
@@ -285,7 +289,7 @@ def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
     effects = parameter_effects(c, gain, quantity)
     estimated = np.isfinite(c.dof)
     contained = np.repeat(estimated, [len(terms) for terms in c.model.terms])
-    if quantity.name == "orientation" and c.estimator.endswith("orientation"):
+    if quantity.name == "orientation" and not c.estimator.exact:
         contained[:] = True  # it is part of that likelihood
     return Row(
         quantity=quantity.name,

@@ -28,10 +28,11 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.estimation.gains import uncertain_gain
-from multipos.estimation.known import closed_form_gain
+from multipos.estimation.six_positions import closed_form_gain
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.budgets import Quantity
 
@@ -47,9 +48,9 @@ def estimator_gain(calibration: Calibration) -> Array:
         Output running fastest.
     """
     c = calibration
-    if c.estimator == "closed-form":
+    if c.estimator is Estimator.CLOSED_FORM:
         return closed_form_gain(c.model, c.reference)
-    if c.estimator != "linear":
+    if not c.estimator.exact:
         return uncertain_gain(c)
     n, m = c.readings.values.shape
     design = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment).reshape(
@@ -90,7 +91,7 @@ def parameter_effects(c: Calibration, gain: Array, quantity: Quantity) -> Array:
         # A coefficient of degree d in force goes with g^-d, whatever the residuals.
         degree = np.array([term.force_degree for _, term in c.model.keys])
         return np.asarray((degree * c.parameters / c.gravity.value)[:, None])
-    if c.estimator == "unknown-orientation" and quantity.name in ("level", "index"):
+    if c.estimator is Estimator.UNKNOWN and quantity.name in ("level", "index"):
         return np.zeros((len(gain), 1))  # orientations that were not used cannot be wrong
     if quantity.name == "orientation":
         moved = _turned(c, np.broadcast_to(np.eye(3), (n, 3, 3)))  # (n, M, 3 axes)

@@ -35,6 +35,7 @@ from multipos.positions.harmonics import Roll, find_rolls
 from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
 from multipos.sensor.model import Model, build_model
 from multipos.sensor.tilt import magnitude_of
 
@@ -94,7 +95,7 @@ def has_rolls(calibration: Calibration) -> bool:
     A sensor of three axes may have a few positions in a plane by chance; eight are a roll.
     """
     c = calibration
-    if c.estimator != "linear" or c.readings.up is None:
+    if c.estimator is not Estimator.LINEAR or c.readings.up is None:
         return False
     fewest = 8 if len(set(c.model.axes)) == len(COMPONENTS) else 3
     rolls = find_rolls(c.readings)

@@ -132,7 +132,7 @@ def third_order_covariance(
     c = calibration
     sensed = list(sensed_axes(c.model))
     total = np.zeros((len(force), len(sensed), len(sensed)))
-    tables = c.extra.get("budget", {}).get("tables", {})
+    tables = c.budget_tables
     if "third_order" not in tables:
         return total
     u = read_budget({"third_order": tables["third_order"]}).quantities["third_order"].u

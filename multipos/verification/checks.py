@@ -243,7 +243,8 @@ def _placement(data: Readings) -> Array:
     """Return how well each position of the run is known (n, 1) [rad]; exact where not stated."""
     if data.orientation_sd is None:
         return np.zeros((len(data), 1))
-    return np.nan_to_num(data.orientation_sd)[:, None]
+    sd = data.orientation_sd
+    return np.where(np.isfinite(sd), sd, 0.0)[:, None]
 
 
 def _expanded(calibration: Calibration, own: Array, u: Array, dof: Array) -> Array:

@@ -122,12 +122,12 @@ def a_problem(kind, *, robust=None, full=False):
         environment={},
         precision=precision,
         reference=-0.998 * up,
-        spread=spread,
+        orientation_sd=spread,
         group=group,
         weight=np.ones(n),
         groups=int(group.max()) + 1,
         attitude=attitude,
-        level_spread=level,
+        level_sd=level,
         robust=robust,
     )
     theta = np.zeros(len(model.keys))
@@ -154,7 +154,7 @@ def moved(problem, state, x):
         state,
         theta=state.theta + x[:p],
         turns=np.array(turns).reshape(-1, 3, 3),
-        tilt=state.tilt + (x[p + q - 2 : p + q] if problem.level_spread else 0.0),
+        tilt=state.tilt + (x[p + q - 2 : p + q] if problem.level_sd else 0.0),
         step=state.step + x[p + q :].reshape(-1, 2),
     )
 
@@ -167,21 +167,21 @@ def every_unknown(problem, state):
     if precision.ndim == 2:
         precision = precision[:, :, None] * np.eye(3)
     root = np.linalg.cholesky(precision).transpose(0, 2, 1)
-    tied = np.isfinite(problem.spread) & (problem.spread > 0.0)
+    tied = np.isfinite(problem.orientation_sd) & (problem.orientation_sd > 0.0)
 
     def whitened(x):
         at = moved(problem, state, x)
         force = evaluate(problem, at).force
         residuals = problem.values - problem.model.predict(at.theta, force, {})
         parts = [np.einsum("nij,nj->ni", root, residuals).ravel()]
-        parts.append((at.step[tied] / problem.spread[tied][:, None]).ravel())
-        if problem.level_spread:
-            parts.append(at.tilt / problem.level_spread)
+        parts.append((at.step[tied] / problem.orientation_sd[tied][:, None]).ravel())
+        if problem.level_sd:
+            parts.append(at.tilt / problem.level_sd)
         return np.concatenate(parts)
 
     h = 1e-6
     columns = [(whitened(h * e) - whitened(-h * e)) / (2.0 * h) for e in np.eye(size)]
-    held = np.repeat(problem.spread == 0.0, 2)
+    held = np.repeat(problem.orientation_sd == 0.0, 2)
     free = np.concatenate([np.ones(p + q, bool), ~held])
     return np.array(columns).T[:, free], whitened(np.zeros(size))
 
@@ -197,7 +197,7 @@ def test_elimination_keeps_its_digits_where_placement_is_all():
         environment={},
         precision=np.full((26, 1), sd**-2.0),
         reference=up,
-        spread=np.full(26, spread),
+        orientation_sd=np.full(26, spread),
         group=np.full(26, -1),
         weight=np.ones(26),
     )
@@ -234,9 +234,9 @@ def test_elimination_is_the_dense_normal_equations(kind, full):
 def test_reduced_weight_inverts_the_marginal_covariance(kind):
     problem, state = a_problem(kind)
     normal = linearise(problem, state, evaluate(problem, state))
-    J, finite = normal.jacobian, np.isfinite(problem.spread)
+    J, finite = normal.jacobian, np.isfinite(problem.orientation_sd)
     covariance = np.eye(3) / problem.precision[:, :, None]
-    spread = np.where(finite, problem.spread, 0.0)
+    spread = np.where(finite, problem.orientation_sd, 0.0)
     covariance = covariance + spread[:, None, None] ** 2 * (J @ J.transpose(0, 2, 1))
     product = normal.marginal @ covariance
     assert_allclose(product[finite], np.tile(np.eye(3), (finite.sum(), 1, 1)), atol=1e-11)
@@ -281,7 +281,7 @@ def test_the_search_ends_where_nothing_is_left_to_gain(kind, robust):
     least = found.point.objective
     size = len(state.theta) + problem.shared + 2 * len(truth)
     free = np.concatenate(
-        [np.ones(len(state.theta) + problem.shared), np.repeat(problem.spread > 0.0, 2)]
+        [np.ones(len(state.theta) + problem.shared), np.repeat(problem.orientation_sd > 0.0, 2)]
     )
     for _ in range(50):
         nudged = moved(problem, found.state, 1e-4 * free * rng.standard_normal(size))
@@ -319,7 +319,7 @@ def test_the_surface_normal_is_the_whole_of_an_unknown_position(text, gauge, rob
         environment={},
         precision=rng.uniform(0.5, 2.0, (n, 3)) * 1e6,
         reference=-0.998 * np.ones((n, 3)) / np.sqrt(3.0),
-        spread=np.full(n, np.inf),
+        orientation_sd=np.full(n, np.inf),
         group=np.full(n, -1),
         weight=np.ones(n),
         robust=robust,

@@ -299,7 +299,7 @@ def test_nothing_left_is_said():
 def test_both_standard_deviations_are_estimated_and_how_well():
     readings = readings_of(SENSOR, UP, rng(), sd=2e-5, off_deg=0.02)
     cal = mp.fit(readings, orientation_sd="auto")
-    found = cal.extra["variance_components"]
+    found = cal.variance_components
     for name, truth in (("reading_sd", 2e-5), ("orientation_sd_deg", 0.02)):
         assert abs(found[name]["value"] - truth) < 3.0 * found[name]["u"]
         assert 0.05 < found[name]["u"] / found[name]["value"] < 0.35
@@ -326,7 +326,8 @@ def test_both_standard_deviations_are_estimated_and_how_well():
 def test_stated_noise_leaves_only_the_orientation_to_estimate():
     readings = readings_of(SENSOR, UP, rng(), sd=2e-5, off_deg=0.02)
     cal = mp.fit(readings, orientation_sd="auto", reading_sd=2e-5)
-    assert list(cal.extra["variance_components"]) == ["orientation_sd_deg"]
+    assert cal.variance_components.reading_sd is None
+    assert list(cal.to_dict()["variance_components"]) == ["orientation_sd_deg"]
 
 
 def test_noise_beside_a_tilt_of_the_table_has_the_right_size():
@@ -338,7 +339,7 @@ def test_noise_beside_a_tilt_of_the_table_has_the_right_size():
     cal = mp.fit(mp.Readings(values), scheme=scheme, level_sd=0.3)
     assert_allclose(cal.residual_sd, 1e-5, rtol=0.2)
     assert close(cal, SENSOR.truth(cal.model))
-    assert_allclose(cal.extra["level_tilt_deg"], np.degrees(tilt), atol=1e-3)
+    assert_allclose(cal.orientations.level_tilt_deg, np.degrees(tilt), atol=1e-3)
     tied = mp.fit(mp.Readings(values), scheme=scheme)
     assert tied.residual_sd.max() > 1e-3
 
@@ -367,11 +368,11 @@ def test_bias_of_second_order_by_hand():
         (np.inf, ["0.00017", "0.00034", "0.00014"]),
         (np.sqrt(mean), ["8.7e-05", "0.00017", "6.9e-05"]),
     ):
-        problem = SimpleNamespace(model=model, spread=np.full(5, spread))
+        problem = SimpleNamespace(model=model, orientation_sd=np.full(5, spread))
         said = _scale_bias(problem, theta, u, sd, 2.0)
         assert [text.split("about ")[1].split(" ")[0] for text in said] == stated
     # stated above a tenth of u
-    unknown = SimpleNamespace(model=model, spread=np.full(5, np.inf))
+    unknown = SimpleNamespace(model=model, orientation_sd=np.full(5, np.inf))
     u[list(model.own_scales)] = [1.7e-3, 3.4e-3, 1.3e-3]
     assert [text.split("`")[1] for text in _scale_bias(unknown, theta, u, sd, 2.0)] == [
         "scale_ax",
@@ -417,7 +418,7 @@ def test_known_uncertain_and_unknown_positions_together():
     assert_allclose(cal.reference[:4], UP[:4], atol=1e-15)
     # the unknown ones were found: as well as their two angles can be read
     assert_allclose(cal.reference[4:9], force[4:9], atol=6e-5)
-    off = np.asarray(cal.extra["orientation_error_deg"])
+    off = np.asarray(cal.orientations.orientation_error_deg)
     assert np.isnan(off[4:9]).all()
     assert (off[9:] > 0.0).all()
     # unknown positions tell less than uncertain ones, but something
@@ -462,7 +463,7 @@ def test_a_group_shares_one_unknown_rotation():
     assert close(cal, sensor.truth(cal.model))
     # gauge: M T = L Q, so the rotation found is Q T
     turned = np.linalg.solve(lower(MATRIX), MATRIX) @ TURN
-    found = rotation_matrix(np.radians(cal.extra["group_rotation_deg"]["cube"]))
+    found = rotation_matrix(np.radians(cal.orientations.group_rotation_deg["cube"]))
     assert_allclose(found, turned, atol=1e-4)
     alone = mp.fit(mp.Readings(values), unknown_orientation=True, reading_sd=1e-5)
     assert (cal.u < alone.u).all()
@@ -478,7 +479,7 @@ def test_two_groups_and_listed_positions():
     cal = mp.fit(readings, reading_sd=1e-5)
     assert close(cal, SENSOR.truth(cal.model))
     for name, turn in (("a", TURN), ("b", other)):
-        found = rotation_matrix(np.radians(cal.extra["group_rotation_deg"][name]))
+        found = rotation_matrix(np.radians(cal.orientations.group_rotation_deg[name]))
         assert_allclose(found, turn, atol=1e-4)
     assert list(cal.to_dict()["group_rotation_deg"]) == ["a", "b"]
 
@@ -512,7 +513,7 @@ def test_level_sd_is_inside_every_u():
     level = mp.fit(readings, scheme=scheme, reading_sd=1e-6, level_sd=0.05)
     assert (level.u >= plain.u * (1.0 - 1e-9)).all()
     assert level.u.max() > 1.4 * plain.u.max()
-    assert level.extra["level_sd_deg"] == pytest.approx(0.05)
+    assert level.orientations.level_sd_deg == pytest.approx(0.05)
 
 
 # --- robust losses
@@ -546,7 +547,7 @@ def test_one_bad_reading_of_24_moves_nothing_and_is_named(loss, mode, stated, of
     named = [w for w in found.diagnostics.warnings if "is set aside" in w]
     assert any(f"position {worst + 1} is set aside" in w for w in named)
     assert any(f"position {worst + 1}" in w for w in found.diagnostics.outliers)
-    weight = np.asarray(found.extra["robust_weight"])
+    weight = np.asarray(found.robust_weight)
     assert (weight.reshape(24, -1)[worst].min()) == 0.0
     assert loss in found.criterion
 
@@ -825,7 +826,7 @@ def test_scatter_about_the_ellipsoid_by_hand(size, refused):
     """Twelve misfits of one size r on 12 − 9: r/0.6745 √(12/3), at k = 5 and g = 2 to 20 %."""
     far = size * 0.2 * 10.0 * 0.6745 / 2.0
     problem = SimpleNamespace(
-        spread=np.full(12, np.inf),
+        orientation_sd=np.full(12, np.inf),
         degrees=np.ones(12),
         unknowns=9,
         values=np.zeros((12, 3)),
@@ -848,14 +849,14 @@ def test_estimated_standard_deviations_in_words_by_hand():
 
     Of ln a the variance is 0.16 and of ln b 0.04: 20 % and 10 %.
     """
-    problem = SimpleNamespace(precision=np.full((4, 3), 2e-3**-2), spread=np.full(4, 0.01))
+    problem = SimpleNamespace(precision=np.full((4, 3), 2e-3**-2), orientation_sd=np.full(4, 0.01))
     told = SimpleNamespace(log_covariance=np.diag([0.16, 0.04]))
     words, said = _in_words(problem, told, np.array([True, True]))
     assert words == ["reading noise 0.002 (to 20 %)", "orientation error 0.573 degrees (to 10 %)"]
     assert said["reading_sd"] == pytest.approx({"value": 2e-3, "u": 4e-4})
     assert said["orientation_sd_deg"]["u"] == pytest.approx(0.0573, rel=1e-3)
     cal = mp.fit(readings_of(SENSOR, UP, rng(), sd=1e-4, off_deg=0.01), orientation_sd=0.01)
-    found = cal.extra["variance_components"]["reading_sd"]
+    found = cal.variance_components["reading_sd"]
     assert_allclose(cal.dof, (found["value"] / found["u"]) ** 2 / 2)
 
 
@@ -914,7 +915,7 @@ def test_gain_by_finite_differences(mode, tmp_path):
     fixed = how
     cal = solve(values)
     if mode == "auto":  # variances are held where they are
-        found = cal.extra["variance_components"]
+        found = cal.variance_components
         fixed = {
             "orientation_sd": found["orientation_sd_deg"]["value"],
             "reading_sd": found["reading_sd"]["value"],

@@ -148,7 +148,7 @@ def simulated(mode, scheme, runs):
         cal, sensor = mode(scheme, rng)
         errors.append(cal.parameters - sensor.truth(cal.model))
         U.append(cal.U)
-        components.append(cal.extra.get("variance_components"))
+        components.append(cal.variance_components)
     return np.array(errors), np.array(U), components
 
 

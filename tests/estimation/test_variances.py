@@ -28,7 +28,7 @@ def a_linear(kind="uncertain"):
     normal = linearise(problem, state, evaluate(problem, state))
     rng = np.random.default_rng(8)
     n = len(problem.values)
-    spread = np.where(np.isfinite(problem.spread), problem.spread, 0.5)
+    spread = np.where(np.isfinite(problem.orientation_sd), problem.orientation_sd, 0.5)
     off = np.einsum("nmi,ni->nm", normal.jacobian, spread[:, None] * rng.standard_normal((n, 2)))
     noise = rng.standard_normal((n, 3)) / np.sqrt(problem.precision)
     p = len(state.theta)
@@ -36,14 +36,14 @@ def a_linear(kind="uncertain"):
     for i, (places, slopes) in enumerate(evaluate(problem, state).blocks):
         design[:, i, places] = slopes
     prior = np.zeros(p + problem.shared)
-    if problem.level_spread:
-        prior[-2:] = problem.level_spread**-2
+    if problem.level_sd:
+        prior[-2:] = problem.level_sd**-2
     return Linearised(
         error=2.0 * noise + 3.0 * off,
         design=np.concatenate([design, normal.shared], axis=2),
         jacobian=normal.jacobian,
         precision=problem.precision[:, :, None] * np.eye(3),
-        spread=problem.spread,
+        orientation_sd=problem.orientation_sd,
         prior=prior,
         p=p,
     )
@@ -55,7 +55,7 @@ def by_definition(linear, v):
     V = np.zeros((n * m, n * m))
     constant = -float(np.sum(np.linalg.slogdet(linear.precision)[1]))  # of the stated noise
     for k in range(n):
-        s2 = np.exp(v[1]) * linear.spread[k] ** 2
+        s2 = np.exp(v[1]) * linear.orientation_sd[k] ** 2
         if np.isinf(s2):
             s2 = 1e4
             constant += 2.0 * np.log(s2)
@@ -80,7 +80,7 @@ def test_likelihood_is_its_definition(kind, v):
     linear = a_linear(kind)
     found = _restricted(linear, np.array(v))[0]
     # s = 100 rad in the place of an unknown direction leaves 1e-4 of its curvature
-    tolerance = 1e-9 if np.isfinite(linear.spread).all() else 3e-4
+    tolerance = 1e-9 if np.isfinite(linear.orientation_sd).all() else 3e-4
     assert found == pytest.approx(by_definition(linear, np.array(v)), rel=tolerance)
 
 
@@ -107,7 +107,7 @@ def test_derivative_of_the_covariance_by_finite_differences():
 def test_exact_positions_give_the_residual_variance_and_its_degrees_of_freedom():
     """The textbook: sigma² = rss/nu, var ln sigma² = 2/nu, nu degrees for every parameter."""
     linear = a_linear()
-    linear = replace(linear, spread=np.zeros(len(linear.spread)))
+    linear = replace(linear, orientation_sd=np.zeros(len(linear.orientation_sd)))
     n, m = linear.error.shape
     A = linear.design.reshape(n * m, -1)
     W = linear.precision.reshape(n, m, m)
@@ -136,7 +136,9 @@ def test_a_variance_of_which_nothing_is_left_is_known_to_be_hardly_known():
     linear = a_linear()
     rng = np.random.default_rng(5)
     noise = rng.standard_normal(linear.error.shape)
-    linear = replace(linear, error=1e-2 * noise, spread=np.full(len(linear.spread), 1e-9))
+    linear = replace(
+        linear, error=1e-2 * noise, orientation_sd=np.full(len(linear.orientation_sd), 1e-9)
+    )
     v = maximise_restricted(linear, np.zeros(2), BOTH)
     told = components(linear, v, BOTH)
     # as flat as the likelihood is at its boundary, the variance is known to a factor of e^5
@@ -145,10 +147,10 @@ def test_a_variance_of_which_nothing_is_left_is_known_to_be_hardly_known():
 
 def test_a_tilt_of_the_table_has_the_information_that_is_stated():
     problem, state = a_problem("everything")
-    assert problem.level_spread > 0.0
+    assert problem.level_sd > 0.0
     optimum = SimpleNamespace(state=state, point=evaluate(problem, state))
     prior = linearised(problem, optimum).prior
-    assert_allclose(prior[-2:], 1.0 / problem.level_spread**2, rtol=1e-15)
+    assert_allclose(prior[-2:], 1.0 / problem.level_sd**2, rtol=1e-15)
     assert not prior[:-2].any()
     assert len(prior) == len(state.theta) + problem.shared
 

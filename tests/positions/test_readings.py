@@ -39,7 +39,7 @@ def test_every_column_has_its_meaning():
     assert_array_equal(found.u, [[0.1, 0.3], [0.1, 0.3], [0.2, 0.3]])
     assert_array_equal(found.sd, [[1, 1], [0, 1], [1, 1]])
     assert_array_equal(found.samples, [100, 100, 200])
-    assert_allclose(found.orientation_sd, np.radians([0, 0.5, np.nan]))
+    assert_allclose(found.orientation_sd, np.radians([0, 0.5, np.inf]))
     assert found.group == ("g", "g", "")
     assert set(found.environment) == {"temperature", "time", "ambient_pressure", "yaw_rate"}
     assert_array_equal(found.up, [[0, 0, 1], [0, 1, 0], [1, 0, 0]])

@@ -13,6 +13,7 @@ import multipos as mp
 from multipos.doubts.criticism import aicc, find_influence, fourier_residuals, judge_terms
 from multipos.errors import ConvergenceError, MultiposError, UsageError
 from multipos.positions.scheme import read_scheme
+from multipos.sensor.found import Component, VarianceComponents
 from multipos.uncertainty import monte_carlo
 from multipos.uncertainty.budgets import Quantity
 from multipos.uncertainty.monte_carlo import _Draws, numerical_tolerance, simulate_budget
@@ -179,8 +180,8 @@ def test_laws_of_the_monte_carlo_have_their_half_width(law, ratio):
 def test_spread_of_positions_is_drawn_with_its_degrees_of_freedom():
     """An sd known to a quarter: of ln s² the u is 1/2, whose square is 2/ν, so ν = 8."""
     c = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd="auto")
-    told = {"variance_components": {"orientation_sd_deg": {"value": 0.4, "u": 0.1}}}
-    draws = _Draws(replace(c, extra={**c.extra, **told}), np.random.default_rng(1))
+    told = VarianceComponents(orientation_sd_deg=Component(0.4, 0.1))
+    draws = _Draws(replace(c, variance_components=told), np.random.default_rng(1))
     assert draws.spread_dof == pytest.approx(8.0, rel=1e-12)
 
 

@@ -1,0 +1,151 @@
+"""From a solution to a complete `Calibration`: gravity's uncertainty and the diagnostics."""
+
+import os
+from datetime import UTC, datetime
+
+import numpy as np
+
+from multipos import __version__
+from multipos.errors import MultiposError
+from multipos.estimation.six_positions import closed_form_difference
+from multipos.estimation.solution import Solution
+from multipos.files.records import LARGEST as LARGEST_IN_FILES
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import linear_term
+from multipos.positions.attitudes import CONVENTIONS, Convention
+from multipos.positions.readings import Readings, stated_sd
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.diagnostics import Diagnostics, lack_of_fit
+from multipos.sensor.found import Estimator
+from multipos.sensor.gravity import Gravity, add_gravity
+from multipos.sensor.model import Model
+
+_ILL_CONDITIONED = 1e4  # scaled condition at which four of the sixteen digits are gone
+
+
+def complete(
+    solution: Solution,
+    readings: Readings,
+    *,
+    listed: Array,
+    convention: Convention,
+    gravity: Gravity | None,
+    estimator: Estimator,
+    criterion: str,
+    confidence: float,
+) -> Calibration:
+    """Return the calibration of a solution, with gravity's uncertainty and the diagnostics.
+
+    Parameters
+    ----------
+    solution : Solution
+    readings : Readings
+        As used.
+    listed : (n, 3) array [g]
+        Reference that was listed, NaN where none was.
+    convention, gravity, estimator, criterion, confidence
+        As in `Calibration`.
+
+    Raises
+    ------
+    MultiposError
+        A parameter is too large a number for any file.
+    """
+    model, reference = solution.model, solution.reference
+    parameters, covariance = solution.parameters, solution.covariance
+    parameter_dof = solution.parameter_dof
+    far = int(np.argmax(np.abs(parameters)))
+    if not abs(parameters[far]) <= LARGEST_IN_FILES:
+        raise MultiposError(
+            f"the parameter '{model.names[far]}' is {parameters[far]:g}, which no file takes; give "
+            "the columns of the model in a smaller unit, or the readings in a larger one."
+        )
+    if gravity is not None and gravity.u > 0.0:
+        covariance, parameter_dof = add_gravity(
+            model, parameters, covariance, parameter_dof, gravity
+        )
+    warnings = [*readings.notes, *solution.warnings, *_warn_convention(model, solution, convention)]
+    if solution.condition > _ILL_CONDITIONED:
+        warnings.append(
+            f"the positions separate the parameters badly (condition {solution.condition:.1e}); "
+            "add positions that differ more"
+        )
+    diagnostics = Diagnostics(
+        rank=len(parameters),
+        parameters=len(parameters),
+        condition=solution.condition,
+        leverage=solution.leverage,
+        lack_of_fit=_lack_of_fit(model, reference, readings, solution.residuals)
+        if estimator.exact
+        else {},
+        outliers=solution.outliers,
+        unidentifiable=solution.unidentifiable,
+        warnings=tuple(warnings),
+    )
+    return Calibration(
+        model=model,
+        parameters=parameters,
+        covariance=covariance,
+        parameter_dof=parameter_dof,
+        dof=solution.dof,
+        residuals=solution.residuals,
+        residual_sd=solution.residual_sd,
+        reference=reference,
+        readings=readings,
+        convention=convention,
+        gravity=gravity,
+        estimator=estimator,
+        criterion=criterion,
+        confidence=confidence,
+        diagnostics=diagnostics,
+        status=solution.status,
+        created=_now(),
+        version=__version__,
+        cross_check=closed_form_difference(model, listed, readings),
+        variance_components=solution.variance_components,
+        orientations=solution.orientations,
+        robust_weight=solution.robust_weight,
+    )
+
+
+def _warn_convention(model: Model, solution: Solution, convention: str) -> list[str]:
+    own = [
+        solution.parameters[model.keys.index((output, linear_term(axis)))]
+        for output, axis in zip(model.outputs, model.axes, strict=True)
+        if (output, linear_term(axis)) in model.keys
+    ]
+    if not own or max(own) >= 0.0:
+        return []
+    other = next(name for name in CONVENTIONS if name != convention)
+    return [
+        (
+            f"every own-axis scale factor is negative under --convention {convention}; "
+            f"the readings look like --convention {other}"
+        )
+    ]
+
+
+def _lack_of_fit(
+    model: Model, reference: Array, readings: Readings, residuals: Array
+) -> dict[str, dict[str, object]]:
+    # A repeat is a row with the same reference and surroundings, whatever its label.
+    rows = np.column_stack([reference, *(readings.environment[n] for n in model.environment)])
+    groups = [row.tobytes() for row in rows + 0.0]
+    if len(set(groups)) == len(groups):
+        return {}
+    result: dict[str, dict[str, object]] = {}
+    stated = stated_sd(readings)
+    sd = np.ones_like(residuals) if stated is None else stated
+    for i, (output, terms) in enumerate(zip(model.outputs, model.terms, strict=True)):
+        tested = lack_of_fit(residuals[:, i], groups, len(terms), sd=sd[:, i])
+        if tested is not None:
+            f, lack, pure, p = tested
+            result[output] = {"F": f, "dof": [lack, pure], "p": p}
+    return result
+
+
+def _now() -> str:
+    """Return the time in UTC; SOURCE_DATE_EPOCH, where set, makes results reproducible."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    moment = datetime.now(UTC) if epoch is None else datetime.fromtimestamp(int(epoch), UTC)
+    return moment.isoformat(timespec="seconds")

@@ -1,0 +1,167 @@
+"""How to fit: what the options say, checked once."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from multipos.errors import MultiposError, UsageError
+from multipos.estimation.losses import LOSSES, Loss
+from multipos.positions.attitudes import Convention, check_convention
+from multipos.positions.placement import Placement
+from multipos.positions.readings import Readings
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.found import Estimator
+from multipos.sensor.model import GAUGES, Gauge, Model
+
+_CONTRADICT = {
+    "--closed-form": (
+        "--unknown-orientation",
+        "--orientation-sd",
+        "--level-sd",
+        "--robust",
+        "--stepwise",
+    ),
+    "--unknown-orientation": ("--orientation-sd", "--level-sd"),
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """What was asked for.
+
+    Attributes
+    ----------
+    convention, gauge, robust, confidence : as in `multipos.fit`
+    closed_form, unknown_orientation, pool, stepwise : bool
+    orientation_sd : float [rad] or None
+        Instead of the readings' own.
+    estimate_orientation_sd : bool
+    level_sd : float [rad]
+    """
+
+    convention: Convention
+    gauge: Gauge
+    robust: Loss | None
+    confidence: float
+    closed_form: bool
+    unknown_orientation: bool
+    pool: bool
+    stepwise: bool
+    orientation_sd: float | None
+    estimate_orientation_sd: bool
+    level_sd: float
+
+
+def check_options(
+    *,
+    convention: Convention,
+    gauge: Gauge,
+    robust: Loss | None,
+    confidence: float,
+    closed_form: bool,
+    unknown_orientation: bool,
+    pool: bool,
+    stepwise: bool,
+    orientation_sd: float | Literal["auto"] | None,
+    level_sd: float,
+) -> Options:
+    """Return the options of a fit, the angles in radians.
+
+    Parameters
+    ----------
+    orientation_sd, level_sd : float [degrees]
+    others
+        As in `multipos.fit`.
+
+    Raises
+    ------
+    UsageError
+        One is no such option, or two contradict each other.
+    """
+    check_convention(convention)
+    if gauge not in GAUGES:
+        raise UsageError(f"unknown gauge '{gauge}'; give lower or symmetric.")
+    if robust is not None and robust not in LOSSES:
+        raise UsageError(f"unknown loss '{robust}'; --robust takes {', '.join(LOSSES)}.")
+    if not 0.0 < confidence < 1.0:
+        raise UsageError(f"--confidence must lie between 0 and 1, got {confidence}.")
+    if not 0.0 <= level_sd < 90.0:
+        raise UsageError(f"--level-sd must lie between 0 and 90 degrees, got {level_sd}.")
+    estimate = orientation_sd == "auto"
+    if estimate and robust is not None:
+        raise UsageError("--orientation-sd auto and --robust cannot judge the same residuals.")
+    given = {
+        "--closed-form": closed_form,
+        "--unknown-orientation": unknown_orientation,
+        "--orientation-sd": orientation_sd is not None,
+        "--level-sd": level_sd > 0.0,
+        "--robust": robust is not None,
+        "--stepwise": stepwise,
+    }
+    for first, others in _CONTRADICT.items():
+        clash = [other for other in others if given[other]]
+        if given[first] and clash:
+            raise UsageError(f"{first} and {clash[0]} contradict each other; give one.")
+    return Options(
+        convention=convention,
+        gauge=gauge,
+        robust=robust,
+        confidence=confidence,
+        closed_form=closed_form,
+        unknown_orientation=unknown_orientation,
+        pool=pool,
+        stepwise=stepwise,
+        orientation_sd=None if estimate else _radians(orientation_sd),
+        estimate_orientation_sd=estimate,
+        level_sd=float(np.radians(level_sd)),
+    )
+
+
+def _radians(orientation_sd: float | str | None) -> float | None:
+    if orientation_sd is None:
+        return None
+    if isinstance(orientation_sd, str):
+        raise UsageError(f"--orientation-sd takes degrees or 'auto', got '{orientation_sd}'.")
+    if not 0.0 <= orientation_sd < 180.0:
+        raise UsageError(
+            f"--orientation-sd must lie between 0 and 180 degrees, got {orientation_sd}."
+        )
+    return float(np.radians(orientation_sd))
+
+
+def choose_estimator(options: Options, placement: Placement) -> Estimator:
+    """Return the estimator that the options and what is known of the positions call for.
+
+    Raises
+    ------
+    MultiposError
+        The closed form, which takes exact orientations, is asked for where they are not.
+    """
+    if options.closed_form:
+        if not placement.exact:
+            raise MultiposError(
+                "--closed-form takes exact orientations, but the readings have groups or "
+                "orientation_sd_deg above 0; leave --closed-form out."
+            )
+        return Estimator.CLOSED_FORM
+    if placement.unknown:
+        return Estimator.UNKNOWN
+    return Estimator.LINEAR if placement.exact else Estimator.UNCERTAIN
+
+
+def criterion_in_words(
+    estimator: Estimator, options: Options, model: Model, readings: Readings
+) -> str:
+    """Return what the estimator makes least or most, for the result."""
+    if estimator is Estimator.CLOSED_FORM:
+        return "exact solution of the six-position equations"
+    stated = readings.noise is not None
+    loss = "" if options.robust is None else f", {options.robust} loss"
+    if estimator is Estimator.LINEAR:
+        kind = "nonlinear " if isinstance(model, ExpressionModel) else ""
+        return f"{'weighted ' if stated else ''}{kind}least squares of the readings{loss}"
+    noise = "stated reading noise" if stated else "equal reading noise"
+    if estimator is Estimator.UNKNOWN:
+        return f"maximum likelihood of the readings, {noise}{loss}"
+    return f"maximum a posteriori of readings and orientations, {noise}{loss}"

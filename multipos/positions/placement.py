@@ -1,0 +1,202 @@
+"""Where the sensor stood, resolved: listed, uncertain, unknown, in groups, on a tilted table.
+
+Readings, a scheme and options together say, position by position, where the reference should be and
+how far it may be from there. `resolve` gathers that once; what follows reads a `Placement` and asks
+no more. A standard deviation of zero is a position known exactly, an infinite one a position of
+which nothing is known, in every type.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.files.tables import Source
+from multipos.numerics.arrays import Array
+from multipos.positions.readings import Readings, orient
+from multipos.positions.scheme import Scheme
+
+_FIRST_SD = np.radians(0.1)  # where the estimate of an orientation sd starts
+_EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no position is known
+
+
+@dataclass(frozen=True)
+class Placement:
+    """What is known of the positions.
+
+    Attributes
+    ----------
+    reference : (n, 3) array [g]
+        Listed ±g u; anything where `orientation_sd` is infinite.
+    orientation_sd : (n,) array [rad]
+        Standard deviation per axis; 0 exact, inf unknown.
+    group : (n,) array of int
+        Number of the group that shares an unknown rotation, −1 for none.
+    attitude : (n, 3, 3) array or None
+        Level to case, where `level_sd` is above 0.
+    level_sd : float [rad]
+        Standard deviation of a tilt that all positions share.
+    estimated : bool
+        `orientation_sd` is relative; its size is to be estimated.
+    """
+
+    reference: Array
+    orientation_sd: Array
+    group: NDArray[np.intp]
+    attitude: Array | None = None
+    level_sd: float = 0.0
+    estimated: bool = False
+
+    @property
+    def exact(self) -> bool:
+        """Whether every position is known exactly, so that the fit is linear."""
+        return not self.orientation_sd.any() and not self.groups and not self.level_sd
+
+    @property
+    def unknown(self) -> bool:
+        """Whether nothing is known of any position."""
+        return bool(np.isinf(self.orientation_sd).all())
+
+    @property
+    def groups(self) -> int:
+        """Number of groups."""
+        return int(self.group.max()) + 1
+
+    @property
+    def listed(self) -> NDArray[np.bool_]:
+        """Positions whose direction is listed in the world's axes, (n,)."""
+        return np.isfinite(self.orientation_sd) & (self.group < 0)
+
+
+def resolve(
+    readings: Readings,
+    scheme: "Source | Scheme | None",
+    size: float,
+    *,
+    unknown: bool = False,
+    orientation_sd: float | None = None,
+    estimate: bool = False,
+    level_sd: float = 0.0,
+) -> tuple[Readings, Placement]:
+    """Return readings with the orientations that are used, and what is known of them.
+
+    Parameters
+    ----------
+    readings : Readings
+    scheme : Scheme, name, path, mapping of columns, or data frame, optional
+        Otherwise the readings' own columns say where the sensor stood.
+    size : float [g]
+        Magnitude of the reference, negative under the gravity convention.
+    unknown : bool
+        Use no orientation at all.
+    orientation_sd, estimate, level_sd
+        As in `place`.
+    """
+    oriented = _without_orientation(readings, scheme) if unknown else orient(readings, scheme)
+    return oriented, place(
+        oriented, size, orientation_sd=orientation_sd, estimate=estimate, level_sd=level_sd
+    )
+
+
+def place(
+    readings: Readings,
+    size: float,
+    *,
+    orientation_sd: float | None = None,
+    estimate: bool = False,
+    level_sd: float = 0.0,
+) -> Placement:
+    """Return what oriented readings and options say of the positions.
+
+    Parameters
+    ----------
+    readings : Readings
+        With up vectors; NaN where nothing is known of a position.
+    size : float [g]
+        Magnitude of the reference, negative under the gravity convention.
+    orientation_sd : float [rad], optional
+        Instead of the readings' own. Below the rounding of a unit vector it counts as exact.
+    estimate : bool
+        The size of the orientation sd is to be estimated.
+    level_sd : float [rad]
+
+    Raises
+    ------
+    MultiposError
+        A position has no orientation and none is said to be unknown, or lacks a heading.
+    """
+    n = len(readings)
+    labelled = dict.fromkeys(label for label in readings.group or () if label)
+    number = {label: i for i, label in enumerate(labelled)}
+    group = np.array([number.get(label, -1) for label in readings.group or [""] * n])
+    sd = _sd_of(readings, group, orientation_sd)
+    level = 0.0 if level_sd < _EXACT else level_sd
+    unknown = np.isinf(sd)
+    if estimate and not sd[~unknown].any():
+        sd = np.where(unknown, sd, _FIRST_SD)
+    up = np.full((n, 3), np.nan) if readings.up is None else readings.up
+    missing = np.isnan(up).any(axis=1) & ~unknown
+    if missing.any():
+        raise MultiposError(
+            f"position '{readings.labels[int(np.argmax(missing))]}' has no orientation; give it, "
+            "or leave its orientation_sd_deg empty for unknown."
+        )
+    return Placement(
+        reference=size * np.where(unknown[:, None], [1.0, 0.0, 0.0], up) + 0.0,
+        orientation_sd=sd,
+        group=group,
+        attitude=_attitude(readings, unknown) if level else None,
+        level_sd=level,
+        estimated=estimate,
+    )
+
+
+def _sd_of(readings: Readings, group: NDArray[np.intp], stated: float | None) -> Array:
+    """Return the standard deviation of every position [rad], what rounds to nothing as exact."""
+    if stated is not None:
+        sd = np.full(len(readings), stated)
+    elif readings.orientation_sd is None:
+        sd = np.zeros(len(readings))
+    else:  # within a group only the group's rotation is unknown
+        own = readings.orientation_sd
+        sd = np.where(np.isinf(own) & (group >= 0), 0.0, own)
+    return np.where(sd < _EXACT, 0.0, sd)
+
+
+def as_used(readings: Readings, orientation_sd: Array) -> Readings:
+    """Return readings that say of their positions what was used of them (n,) [rad]."""
+    if readings.orientation_sd is None and not orientation_sd.any():
+        return readings
+    return replace(readings, orientation_sd=orientation_sd)
+
+
+def _without_orientation(readings: Readings, scheme: object) -> Readings:
+    """Return readings of which no orientation is used, saying what is ignored."""
+    notes = readings.notes
+    given = (readings.up, readings.rotation, readings.orientation_sd, readings.group)
+    if any(columns is not None for columns in given):
+        notes += ("the orientation columns are ignored, the orientation is taken as unknown",)
+    if scheme is not None:
+        notes += ("--scheme is ignored, the orientation is taken as unknown",)
+    return replace(
+        readings,
+        up=None,
+        rotation=None,
+        orientation_sd=np.full(len(readings), np.inf),
+        group=None,
+        notes=notes,
+    )
+
+
+def _attitude(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
+    n = len(readings)
+    rotation = np.full((n, 3, 3), np.nan) if readings.rotation is None else readings.rotation
+    open_heading = np.isnan(rotation).any(axis=(1, 2)) & ~unknown
+    if open_heading.any():
+        names = [readings.labels[row] for row in np.flatnonzero(open_heading)[:6].tolist()]
+        raise MultiposError(
+            f"--level-sd needs the heading, and position {', '.join(map(repr, names))} has none; "
+            "give direction, roll_deg pitch_deg yaw_deg, a quaternion, or roll_axis angle_deg."
+        )
+    return np.where(unknown[:, None, None], np.eye(3), rotation)
