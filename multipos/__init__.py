@@ -48,7 +48,7 @@ _PUBLIC = {
     "normal_gravity": "units",
     "over_temperature": "sensor.temperature",
     "profile_interval": "uncertainty.profiles",
-    "read_readings": "positions.readings",
+    "read_readings": "positions.reading_tables",
     "read_scheme": "positions.scheme",
     "read_table": "files.tables",
     "regress": "regressing",
@@ -85,8 +85,8 @@ if TYPE_CHECKING:
     from multipos.fitting import fit as fit
     from multipos.logs.averages import Averages as Averages
     from multipos.logs.averaging import average as average
+    from multipos.positions.reading_tables import read_readings as read_readings
     from multipos.positions.readings import Readings as Readings
-    from multipos.positions.readings import read_readings as read_readings
     from multipos.positions.scheme import Scheme as Scheme
     from multipos.positions.scheme import read_scheme as read_scheme
     from multipos.regressing import regress as regress

@@ -9,7 +9,7 @@ import pytest
 import multipos as mp
 from multipos.numerics.terms import NAMED
 from multipos.positions import attitudes
-from multipos.positions.readings import _RESERVED
+from multipos.positions.reading_tables import _RESERVED
 from multipos.positions.scheme import SCHEMES
 from multipos.reports.certificate import LAB_FIELDS
 from multipos.sensor.calibration_file import _EXTRA

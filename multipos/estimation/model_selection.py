@@ -17,7 +17,7 @@ from multipos.estimation.known import solve_known
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Selection, Thresholds, compress, select_stepwise
 from multipos.numerics.terms import CONSTANT, linear_term
-from multipos.positions.readings import Readings, read_readings
+from multipos.positions.readings import Readings, select_outputs
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Chosen
 from multipos.sensor.model import Model
@@ -66,7 +66,7 @@ def select_terms(
         forced = [j for j, term in enumerate(terms) if term in always]
         if forced:  # what stays whatever the readings say, they must be able to tell
             smallest = model.only(output).keeping([(output, names[j]) for j in forced])
-            solve_known(smallest, reference, read_readings(readings, outputs=[output]))
+            solve_known(smallest, reference, select_outputs(readings, (output,)))
         w = weight[:, i]
         triangle = compress(phi[:, model.columns[i]] * w[:, None], readings.values[:, i] * w)
         found = select_stepwise(triangle, names, limits, forced=forced)

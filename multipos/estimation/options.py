@@ -80,14 +80,7 @@ def check_options(
         One is no such option, or two contradict each other.
     """
     check_convention(convention)
-    if gauge not in GAUGES:
-        raise UsageError(f"unknown gauge '{gauge}'; give lower or symmetric.")
-    if robust is not None and robust not in LOSSES:
-        raise UsageError(f"unknown loss '{robust}'; --robust takes {', '.join(LOSSES)}.")
-    if not 0.0 < confidence < 1.0:
-        raise UsageError(f"--confidence must lie between 0 and 1, got {confidence}.")
-    if not 0.0 <= level_sd < 90.0:
-        raise UsageError(f"--level-sd must lie between 0 and 90 degrees, got {level_sd}.")
+    _check_each(gauge, robust, confidence, level_sd)
     estimate = orientation_sd == "auto"
     if estimate and robust is not None:
         raise UsageError("--orientation-sd auto and --robust cannot judge the same residuals.")
@@ -99,10 +92,7 @@ def check_options(
         "--robust": robust is not None,
         "--stepwise": stepwise,
     }
-    for first, others in _CONTRADICT.items():
-        clash = [other for other in others if given[other]]
-        if given[first] and clash:
-            raise UsageError(f"{first} and {clash[0]} contradict each other; give one.")
+    _check_together([name for name, present in given.items() if present])
     return Options(
         convention=convention,
         gauge=gauge,
@@ -116,6 +106,25 @@ def check_options(
         estimate_orientation_sd=estimate,
         level_sd=float(np.radians(level_sd)),
     )
+
+
+def _check_each(gauge: str, robust: str | None, confidence: float, level_sd: float) -> None:
+    if gauge not in GAUGES:
+        raise UsageError(f"unknown gauge '{gauge}'; give lower or symmetric.")
+    if robust is not None and robust not in LOSSES:
+        raise UsageError(f"unknown loss '{robust}'; --robust takes {', '.join(LOSSES)}.")
+    if not 0.0 < confidence < 1.0:
+        raise UsageError(f"--confidence must lie between 0 and 1, got {confidence}.")
+    if not 0.0 <= level_sd < 90.0:
+        raise UsageError(f"--level-sd must lie between 0 and 90 degrees, got {level_sd}.")
+
+
+def _check_together(given: list[str]) -> None:
+    """Refuse options that contradict each other."""
+    for first in given:
+        for other in _CONTRADICT.get(first, ()):
+            if other in given:
+                raise UsageError(f"{first} and {other} contradict each other; give one.")
 
 
 def _radians(orientation_sd: float | str | None) -> float | None:

@@ -37,7 +37,7 @@ from multipos.estimation.starts import reduced_information, search, too_few
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.placement import Placement
-from multipos.positions.readings import Readings, read_readings
+from multipos.positions.readings import Readings, select_outputs
 from multipos.sensor.calibration import Status
 from multipos.sensor.diagnostics import find_outlying_positions
 from multipos.sensor.expressions import ExpressionModel
@@ -118,7 +118,7 @@ def _solve_separately(
     """Fit each output alone where orientations are exact: nothing ties them together."""
     parts = [
         solve_uncertain(
-            model.only(output), read_readings(readings, outputs=[output]), placement, robust=robust
+            model.only(output), select_outputs(readings, (output,)), placement, robust=robust
         )
         for output in model.outputs
     ]

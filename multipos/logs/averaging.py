@@ -24,7 +24,7 @@ from multipos.logs.samples import Progress, Samples, small_pieces
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention, check_convention
-from multipos.positions.readings import is_environment
+from multipos.positions.reading_tables import is_environment
 from multipos.positions.scheme import Scheme, read_scheme
 
 _GAP = 3.0  # usual steps of the time: a longer one is a gap

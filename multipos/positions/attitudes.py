@@ -65,13 +65,29 @@ def read_attitudes(table: Table, unknown: NDArray[np.bool_] | None = None) -> At
     MultiposError
         Two forms at once, a form with a column missing, or an impossible orientation.
     """
+    form = _form(table)
+    if form is None:
+        return None
+    if unknown is None:
+        return _READERS[form](table)
+    texts = [table.text(name) for name in FORMS[form]]
+    skipped = unknown & np.array([not any(cells) for cells in zip(*texts, strict=True)])
+    result = Attitudes(np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan))
+    if not skipped.all():
+        given = _READERS[form](table.select(np.flatnonzero(~skipped).tolist()))
+        result.up[~skipped], result.rotation[~skipped] = given
+    return result
+
+
+def _form(table: Table) -> str | None:
+    """Return in which form a table says its orientations, or None."""
     found = [form for form, names in FORMS.items() if any(name in table for name in names)]
     if not found:
-        if "yaw_deg" in table:
-            raise MultiposError(
-                f"{table.source}: 'yaw_deg' needs 'roll_deg' and 'pitch_deg' beside it."
-            )
-        return None
+        if "yaw_deg" not in table:
+            return None
+        raise MultiposError(
+            f"{table.source}: 'yaw_deg' needs 'roll_deg' and 'pitch_deg' beside it."
+        )
     if len(found) > 1:
         raise MultiposError(
             f"{table.source}: the orientation is given as {' and as '.join(found)}; keep one."
@@ -83,17 +99,7 @@ def read_attitudes(table: Table, unknown: NDArray[np.bool_] | None = None) -> At
             f"{table.source}: column {_quoted(missing)} is missing; an orientation given as "
             f"{found[0]} needs {_quoted(names)}."
         )
-    if unknown is None:
-        return _READERS[found[0]](table)
-    empty = np.array(
-        [not any(table.text(name)[row] for name in names) for row in range(table.rows)]
-    )
-    skipped = unknown & empty
-    result = Attitudes(np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan))
-    if not skipped.all():
-        given = _READERS[found[0]](table.select(np.flatnonzero(~skipped).tolist()))
-        result.up[~skipped], result.rotation[~skipped] = given
-    return result
+    return found[0]
 
 
 def from_up(up: ArrayLike, where: str = "`up`") -> Attitudes:
@@ -134,28 +140,31 @@ def parse_direction(text: str) -> Array:
     MultiposError
         Not three of E N W S U D, not perpendicular, or left-handed.
     """
-    letters = [_CHINESE.get(mark, mark.upper()) for mark in text if mark not in "-–— ,/\t"]
-    unknown = [mark for mark in letters if mark not in _LETTERS]
-    if len(letters) != 3 or unknown:
-        raise MultiposError(
-            f"direction '{text}' is not a triple; name where x, y and z point with three of "
-            "E N W S U D or 东北西南天地, as in E-N-U."
-        )
+    letters = _three_letters(text)
     x, y, z = (_LETTERS[mark] for mark in letters)
     handed = np.cross(x, y)
+    if (handed == z).all():
+        return np.array([x, y, z]) + 0.0
     if not handed.any():
         raise MultiposError(
             f"direction '{text}' is impossible: x and y must be perpendicular, "
             f"but point {letters[0]} and {letters[1]}."
         )
-    if (handed != z).any():
-        right = next(mark for mark, vector in _LETTERS.items() if (vector == handed).all())
-        fault = "left-handed" if (handed == -z).all() else "impossible"
+    right = next(mark for mark, vector in _LETTERS.items() if (vector == handed).all())
+    fault = "left-handed" if (handed == -z).all() else "impossible"
+    raise MultiposError(
+        f"direction '{text}' is {fault}: with x {letters[0]} and y {letters[1]}, z points {right}."
+    )
+
+
+def _three_letters(text: str) -> list[str]:
+    letters = [_CHINESE.get(mark, mark.upper()) for mark in text if mark not in "-–— ,/\t"]
+    if len(letters) != 3 or not _LETTERS.keys() >= set(letters):
         raise MultiposError(
-            f"direction '{text}' is {fault}: with x {letters[0]} and y {letters[1]}, "
-            f"z points {right}."
+            f"direction '{text}' is not a triple; name where x, y and z point with three of "
+            "E N W S U D or 东北西南天地, as in E-N-U."
         )
-    return np.array([x, y, z]) + 0.0
+    return letters
 
 
 def roll(axis: str, angle_deg: ArrayLike) -> Attitudes:

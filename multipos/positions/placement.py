@@ -6,6 +6,7 @@ no more. A standard deviation of zero is a position known exactly, an infinite o
 which nothing is known, in every type.
 """
 
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
-from multipos.positions.readings import Readings, orient
-from multipos.positions.scheme import Scheme
+from multipos.positions.readings import Readings, quoted
+from multipos.positions.scheme import Scheme, read_scheme
 
 _FIRST_SD = np.radians(0.1)  # where the estimate of an orientation sd starts
 _EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no position is known
@@ -126,30 +127,39 @@ def place(
     MultiposError
         A position has no orientation and none is said to be unknown, or lacks a heading.
     """
-    n = len(readings)
-    labelled = dict.fromkeys(label for label in readings.group or () if label)
-    number = {label: i for i, label in enumerate(labelled)}
-    group = np.array([number.get(label, -1) for label in readings.group or [""] * n])
+    group = _group_numbers(readings)
     sd = _sd_of(readings, group, orientation_sd)
     level = 0.0 if level_sd < _EXACT else level_sd
     unknown = np.isinf(sd)
     if estimate and not sd[~unknown].any():
         sd = np.where(unknown, sd, _FIRST_SD)
-    up = np.full((n, 3), np.nan) if readings.up is None else readings.up
-    missing = np.isnan(up).any(axis=1) & ~unknown
-    if missing.any():
-        raise MultiposError(
-            f"position '{readings.labels[int(np.argmax(missing))]}' has no orientation; give it, "
-            "or leave its orientation_sd_deg empty for unknown."
-        )
     return Placement(
-        reference=size * np.where(unknown[:, None], [1.0, 0.0, 0.0], up) + 0.0,
+        reference=size * _directions(readings, unknown) + 0.0,
         orientation_sd=sd,
         group=group,
         attitude=_attitude(readings, unknown) if level else None,
         level_sd=level,
         estimated=estimate,
     )
+
+
+def _group_numbers(readings: Readings) -> NDArray[np.intp]:
+    """Return the number of each position's group (n,), −1 for none."""
+    labels = readings.group or ("",) * len(readings)
+    number = {label: i for i, label in enumerate(dict.fromkeys(filter(None, labels)))}
+    return np.array([number.get(label, -1) for label in labels])
+
+
+def _directions(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
+    """Return up vectors (n, 3), any where a direction is unknown."""
+    up = np.full((len(readings), 3), np.nan) if readings.up is None else readings.up
+    missing = np.isnan(up).any(axis=1) & ~unknown
+    if missing.any():
+        raise MultiposError(
+            f"position '{readings.labels[int(np.argmax(missing))]}' has no orientation; give it, "
+            "or leave its orientation_sd_deg empty for unknown."
+        )
+    return np.where(unknown[:, None], [1.0, 0.0, 0.0], up)
 
 
 def _sd_of(readings: Readings, group: NDArray[np.intp], stated: float | None) -> Array:
@@ -162,6 +172,34 @@ def _sd_of(readings: Readings, group: NDArray[np.intp], stated: float | None) ->
         own = readings.orientation_sd
         sd = np.where(np.isinf(own) & (group >= 0), 0.0, own)
     return np.where(sd < _EXACT, 0.0, sd)
+
+
+def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
+    """Return readings with the orientation of a scheme, matched by label or row by row.
+
+    Raises
+    ------
+    MultiposError
+        Neither the readings nor a scheme say the orientation, or labels and counts do not match.
+    """
+    if scheme is None:
+        if readings.up is not None or readings.rotation is not None:
+            return _with_up(readings)
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: no orientation; give --scheme (a name or a "
+            "file) or orientation columns such as direction or up_x, up_y, up_z."
+        )
+    given = read_scheme(scheme)
+    rows = _match(readings, given)
+    notes = readings.notes
+    if readings.up is not None or readings.rotation is not None:
+        notes += (f"the orientation columns are ignored, scheme '{given.name}' is used",)
+    positions = readings.positions
+    if positions is None and given.labels is not None:
+        positions = tuple(given.labels[row] for row in rows)
+    return replace(
+        readings, up=given.up[rows], rotation=given.rotation[rows], positions=positions, notes=notes
+    )
 
 
 def as_used(readings: Readings, orientation_sd: Array) -> Readings:
@@ -200,3 +238,40 @@ def _attitude(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
             "give direction, roll_deg pitch_deg yaw_deg, a quaternion, or roll_axis angle_deg."
         )
     return np.where(unknown[:, None, None], np.eye(3), rotation)
+
+
+def _with_up(readings: Readings) -> Readings:
+    if readings.up is not None:
+        return readings
+    assert readings.rotation is not None
+    return replace(readings, up=readings.rotation[:, :, 2])
+
+
+def _match(readings: Readings, scheme: Scheme) -> list[int]:
+    """Return the row of the scheme of every reading: by label, or row by row."""
+    labels, known = readings.positions, scheme.labels
+    if labels is not None and known is not None:
+        return _match_labels(readings, labels, scheme, known)
+    if len(readings) == len(scheme):
+        return list(range(len(scheme)))
+    unlabelled = "neither" if labels is None and known is None else "only one"
+    count = Counter(labels or known or ())
+    seen = f"; the labels are {quoted(count)}" if count else ""
+    raise MultiposError(
+        f"{readings.source or 'the readings'}: {len(readings)} readings but scheme "
+        f"'{scheme.name}' has {len(scheme)} positions and {unlabelled} has labels{seen}; "
+        "add a 'position' column to both."
+    )
+
+
+def _match_labels(
+    readings: Readings, labels: tuple[str, ...], scheme: Scheme, known: tuple[str, ...]
+) -> list[int]:
+    index = {label: row for row, label in enumerate(known)}
+    strange = sorted({label for label in labels if label not in index}, key=labels.index)
+    if strange:
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: position {quoted(strange)} is not in "
+            f"scheme '{scheme.name}', whose labels are {quoted(known)}; use its labels."
+        )
+    return [index[label] for label in labels]

@@ -27,13 +27,9 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.readings import (
-    Readings,
-    orient,
-    read_readings,
-    require_range,
-    spread_reading_sd,
-)
+from multipos.positions.placement import orient
+from multipos.positions.reading_tables import read_readings
+from multipos.positions.readings import Readings, require_range, spread_reading_sd
 from multipos.positions.scheme import Scheme
 from multipos.regression.result import Regression
 from multipos.sensor.calibration import Calibration

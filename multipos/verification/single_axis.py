@@ -47,7 +47,9 @@ from multipos.positions.harmonics import (
     strange_harmonics,
     transform,
 )
-from multipos.positions.readings import Readings, orient, read_readings
+from multipos.positions.placement import orient
+from multipos.positions.reading_tables import read_readings
+from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.positions.harmonics import find_rolls
-from multipos.positions.readings import Readings, orient
+from multipos.positions.placement import orient
+from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.reports.sections import installation_sheets, table_error_sheets
 from multipos.uncertainty.turntable import QUANTITIES
