@@ -1,6 +1,7 @@
 """The page of formats and options says what the code does."""
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from multipos.positions import attitudes
 from multipos.positions.reading_tables import _RESERVED
 from multipos.positions.scheme import SCHEMES
 from multipos.reports.certificate import LAB_FIELDS
-from multipos.sensor.calibration_file import _EXTRA
+from multipos.sensor.found import FoundOrientations
 from multipos.sensor.model import build_model
 from multipos.uncertainty.budgets import DIVISORS, KINDS
 
@@ -87,7 +88,8 @@ def test_every_key_of_a_calibration_is_described(calibration):
 
 def test_every_key_that_is_described_is_there(calibration):
     known = set(calibration.to_dict()) | {"reading_covariance"}  # instead of reading_u
-    known |= set(_EXTRA) | set(calibration.to_dict()["parameters"][0])
+    known |= {"variance_components", "robust_weight", "selection", "budget"}
+    known |= {field.name for field in fields(FoundOrientations)} | set(calibration.to_dict()["parameters"][0])
     described = {key for row in rows("Calibration (JSON)") for key in row[0].split("`, `")}
     assert described == known
 
