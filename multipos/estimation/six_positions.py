@@ -8,6 +8,7 @@ Song and Qin 2009.
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.closed_form import closed_form_weights, six_positions
@@ -32,11 +33,6 @@ def solve_closed_form(
         raise UsageError(
             f"--closed-form solves the models own-quadratic and linear, got '{model.text}'; "
             "leave out --closed-form."
-        )
-    if six_positions(reference) is None:
-        raise MultiposError(
-            "--closed-form needs six readings, each axis once up and once down; "
-            "leave it out and least squares takes any positions."
         )
     n, m = readings.values.shape
     weights = closed_form_gain(model, reference)
@@ -68,8 +64,7 @@ def closed_form_gain(model: Model, reference: Array) -> Array:
     (p, 6 M) array
         Parameters = this matrix times the readings, output running fastest.
     """
-    rows = six_positions(reference)
-    assert rows is not None
+    rows = _require_six(reference)
     m = len(model.outputs)
     weights = np.zeros((len(model.keys), len(reference) * m))
     for output, (axis, part) in enumerate(zip(model.axes, model.slices, strict=True)):
@@ -77,6 +72,16 @@ def closed_form_gain(model: Model, reference: Array) -> Array:
             reference, rows, COMPONENTS.index(axis), quadratic=model.text == "own-quadratic"
         )
     return weights
+
+
+def _require_six(reference: Array) -> NDArray[np.intp]:
+    rows = six_positions(reference)
+    if rows is None:
+        raise MultiposError(
+            "--closed-form needs six readings, each axis once up and once down; "
+            "leave it out and least squares takes any positions."
+        )
+    return rows
 
 
 def closed_form_difference(model: Model, reference: Array, readings: Readings) -> float | None:

@@ -145,12 +145,12 @@ def _environment(
     columns = {}
     for name in table.columns:
         if name in used:
-            columns[name] = table.number(name)
+            columns[name] = table.number(name, largest=LARGEST)
             continue
         if not is_environment(name) or name in outputs:
             continue
         try:
-            columns[name] = table.number(name, empty=True)
+            columns[name] = table.number(name, empty=True, largest=LARGEST)
         except MultiposError as error:  # a date in `time`, say: an error only if it is used
             notes.append(f"column '{name}' is not used: {error}")
     return columns

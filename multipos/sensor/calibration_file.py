@@ -333,6 +333,7 @@ def _model(content: Mapping[str, Any]) -> Model:
             tuple(content["axes"]),
             tuple(content["inputs"]),
             str(content["unit"]),
+            tuple(content.get("environment", ())),
         )
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])

@@ -37,6 +37,7 @@ SCHEMA = "multipos/check/1"
 _BY_AXIS = ("reference", "before", "after", "u", "U", "counted", "by_axis")
 _ERRORS = Named(ANY_NUMBER)
 _BY_AXIS_OR_NONE = Named(Maybe(ANY_NUMBER))
+_UNCERTAINTIES = Named(Maybe(NOT_NEGATIVE))
 _LINEARITY = Fields({"linearity_percent": Maybe(NOT_NEGATIVE)})
 
 CHECK = Fields(
@@ -56,8 +57,8 @@ CHECK = Fields(
                     "reference": _ERRORS,
                     "before": _BY_AXIS_OR_NONE,
                     "after": _BY_AXIS_OR_NONE,
-                    "u": _BY_AXIS_OR_NONE,
-                    "U": _BY_AXIS_OR_NONE,
+                    "u": _UNCERTAINTIES,
+                    "U": _UNCERTAINTIES,
                     "counted": Named(Flag()),
                 }
             ),

@@ -45,7 +45,7 @@ from multipos.sensor.tilt import (
     true_tilt,
 )
 from multipos.verification.regression_checks import check_regression
-from multipos.verification.verdicts import Check, judge
+from multipos.verification.verdicts import Check, judge, require_limit
 
 
 def check(
@@ -173,8 +173,8 @@ def _check_options(
         ("--limit-g", limit_g),
         ("--within-deg", within_deg),
     ):
-        if value is not None and not 0.0 < value < np.inf:
-            raise UsageError(f"{name} must be above 0, got {value}.")
+        if value is not None:
+            require_limit(name, value)
     if len(nominal) != 2 or not np.isfinite(nominal).all() or nominal[1] == 0.0:
         raise UsageError("--nominal takes BIAS,SCALE in reading units, with a scale that is not 0.")
 

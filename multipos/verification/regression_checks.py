@@ -13,12 +13,12 @@ nothing there.
 import numpy as np
 
 from multipos.compensation.correction import correct, range_column, read_predictors
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import MultiposError
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.regression.result import Regression, format_span
-from multipos.verification.verdicts import Check, judge
+from multipos.verification.verdicts import Check, judge, require_limit
 
 
 def check_regression(
@@ -41,8 +41,8 @@ def check_regression(
     UsageError
         The limit is not above 0.
     """
-    if limit_g is not None and not 0.0 < limit_g < np.inf:
-        raise UsageError(f"--limit-g must be above 0, got {limit_g}.")
+    if limit_g is not None:
+        require_limit("--limit-g", limit_g)
     r = regression
     table = read_table(data, what="run")
     if r.response not in table:

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.errors import UsageError
 from multipos.files.tables import to_json, write_text
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, Array
 from multipos.results import Result
 
 VERDICTS = ("pass", "undecided", "fail")  # from best to worst
@@ -135,3 +136,9 @@ def worst(verdicts: NDArray[np.str_]) -> str | None:
     """Return the worst of some verdicts, None where there is none."""
     given = [VERDICTS.index(name) for name in set(verdicts.ravel().tolist()) if name]
     return VERDICTS[max(given)] if given else None
+
+
+def require_limit(name: str, value: float) -> None:
+    """Refuse a limit that is no size of an error."""
+    if not 0.0 < value <= LARGEST:
+        raise UsageError(f"{name} must be above 0 and at most {LARGEST:g}, got {value}.")

@@ -1,6 +1,7 @@
 """The six-position inversion against the paper's figures, its equations, and least squares."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from multipos import fit
+from multipos import evaluate_budget, fit, load
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.closed_form import closed_form_weights, six_positions
 from multipos.positions.readings import Readings
@@ -151,6 +152,14 @@ def test_other_positions_are_not_six_positions():
 def test_the_closed_form_refuses_what_it_cannot(options, error, message):
     with pytest.raises(error, match=message):
         fit(TABLE_2_READINGS, closed_form=True, **options)
+
+
+def test_a_closed_form_at_other_positions_has_no_budget(tmp_path):
+    content = fit(TABLE_2_READINGS, closed_form=True, **PAPER).to_dict()
+    content["reference"][0] = [0.6, 0.8, 0.0]
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    with pytest.raises(MultiposError, match="needs six readings, each axis once up"):
+        evaluate_budget(load(tmp_path / "c.json"))
 
 
 def test_the_cross_check_is_there_for_six_positions_whatever_the_model():

@@ -207,6 +207,7 @@ REMOVED = object()
         ("check", ["limit"], "0.01", "limit is '0.01'; a number is needed there"),
         ("check", ["nominal", "scale"], None, "nominal.scale is null; a number is needed there"),
         ("check", ["positions", 1, "after"], {"x": 0.0}, "'after' is of x, not of its axes"),
+        ("check", ["positions", 1, "U", "x"], -1.0, "positions[1].U.x is -1.0; a number of at"),
         ("check", ["by_axis"], {}, "'by_axis' is of , not of its axes"),
         ("check", ["positions", 1, "counted", "x"], 1, "positions[1].counted.x is 1; true or"),
     ],

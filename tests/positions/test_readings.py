@@ -103,6 +103,8 @@ def test_a_bad_cell_hurts_only_where_it_is_used():
     found = read_readings(columns)
     assert list(found.environment) == ["temperature"]
     assert found.notes[0].startswith("column 'time' is not used: ")
+    broken = {"ax": [1.0, 2.0], "ambient_pressure": [1e200, 1.0]}
+    assert "1e+200 is no number that is measured" in read_readings(broken).notes[0]
     with pytest.raises(MultiposError, match="row 1, column 'time': '9:00' is not a number"):
         read_readings(columns, environment=["time"])
     with pytest.raises(MultiposError, match="row 1, column 'temperature': the cell is empty"):

@@ -250,3 +250,13 @@ def test_entries_sign_and_mean_environment():
     mean = float(np.mean(cal.readings.environment["temperature"]))
     assert cal.mean_environment == {"temperature": mean}
     assert (found["linear"].sign, found["gravity"].sign) == (1.0, -1.0)
+
+
+def test_a_formula_of_a_single_column_is_read_back(tmp_path):
+    """A word alone passes for the name of a model, unless it is known to be a column."""
+    rng = np.random.default_rng(1)
+    columns = {"position": range(8), "ax": rng.normal(size=8), "heat": np.arange(1.0, 9.0)}
+    up = dict(zip(("up_x", "up_y", "up_z"), mp.read_scheme("corners-8").up.T, strict=True))
+    found = mp.fit({**columns, **up}, model="heat", outputs="ax")
+    found.save(tmp_path / "cal.json")
+    assert mp.load(tmp_path / "cal.json").names == found.names

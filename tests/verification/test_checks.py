@@ -213,6 +213,7 @@ def test_bad_input(tmp_path, capsys, calibration):
     fails(capsys, [*start, "--tilt", "--limit-g", "1"], 2, "--limit-deg")
     fails(capsys, [*start, "--limit-deg", "1", "--limit-g", "1"], 2, "not allowed with")
     fails(capsys, [*start, "--limit-deg", "0"], 2, "--limit-deg must be above 0")
+    fails(capsys, [*start, "--limit-deg", "1e155"], 2, "above 0 and at most 1e+40")
     fails(capsys, [*start, "--nominal", "1"], 2, "--nominal takes BIAS,SCALE")
     fails(capsys, [*start, "--nominal", "1,0"], 2, "scale that is not 0")
     fails(capsys, [*start, "--reading-sd", "1,2"], 2, "--reading-sd takes 1 or 3 values")
