@@ -51,14 +51,16 @@ def test_weighted_fit_by_hand():
     u = rng.uniform(0.5e-3, 2e-3, (14, 3))
     values = sensor(rng, noise=0) + u * rng.standard_normal((14, 3))
     cal = mp.fit(mp.Readings(values, up=UP14, u=u))
+    scatter = cal.variance_components.rest_to_rest["ay"].value
     for i in range(3):
-        b, C = by_hand(LINEAR, values[:, i], np.diag(u[:, i] ** 2))
+        b, C = by_hand(LINEAR, values[:, i], np.diag(u[:, i] ** 2 + scatter**2))
         assert_allclose(cal.parameters[4 * i : 4 * i + 4], b, rtol=1e-12)
-        assert_allclose(
-            cal.covariance[4 * i : 4 * i + 4, 4 * i : 4 * i + 4], C, rtol=1e-10, atol=1e-18
-        )
-    assert np.isinf(cal.dof).all()
-    assert cal.k[0] == pytest.approx(1.959964, abs=1e-6)
+        mine = slice(4 * i, 4 * i + 4)
+        u_by_hand = np.sqrt(np.diag(C))
+        assert_allclose(cal.correlation[mine, mine], C / np.outer(u_by_hand, u_by_hand), atol=1e-9)
+        assert_allclose(cal.U[mine] / u_by_hand, 1.96, rtol=0.15)  # the claim is right
+    assert scatter < 0.3e-3
+    assert cal.k[0] == pytest.approx(stats.t.ppf(0.975, cal.dof[0]), rel=1e-12)
 
 
 def test_full_covariance_by_hand():
@@ -69,9 +71,12 @@ def test_full_covariance_by_hand():
     values = sensor(rng, noise=0) + (np.linalg.cholesky(V) @ rng.standard_normal(42)).reshape(14, 3)
     cal = mp.fit(mp.Readings(values, up=UP14, covariance=V))
     X = np.kron(LINEAR, np.eye(3))[:, np.arange(12).reshape(4, 3).T.ravel()]
-    b, C = by_hand(X, values.ravel(), V)
+    scatter = cal.variance_components.rest_to_rest["ax"].value
+    b, C = by_hand(X, values.ravel(), V + scatter**2 * np.eye(42))
     assert_allclose(cal.parameters, b, rtol=1e-9, atol=1e-12)
-    assert_allclose(cal.covariance, C, rtol=1e-8, atol=1e-14)
+    u_by_hand = np.sqrt(np.diag(C))
+    assert_allclose(cal.correlation, C / np.outer(u_by_hand, u_by_hand), atol=1e-9)
+    assert_allclose(cal.U / u_by_hand, 1.96, rtol=0.15)  # the claim is right
     assert cal.covariance[0, 4] != 0  # biases of two outputs
 
 
@@ -90,7 +95,7 @@ def test_reading_sd_overrules_the_readings_and_says_so():
     values = sensor(np.random.default_rng(4))
     readings = mp.Readings(values, up=UP14, u=np.full((14, 3), 1e-6))
     cal = mp.fit(readings, reading_sd=[1e-3, 2e-3, 3e-3])
-    assert_allclose(cal.u[[0, 4, 8]] / cal.u[0], [1, 2, 3])
+    assert_array_equal(cal.readings.u[5], [1e-3, 2e-3, 3e-3])
     assert any("--reading-sd is used" in text for text in cal.diagnostics.warnings)
 
 
@@ -103,21 +108,20 @@ def stated(factor, seed=5):
     return mp.fit(mp.Readings(values, up=UP14), reading_sd=1e-3)
 
 
-def test_a_denied_noise_is_scaled_up_and_said():
+def test_a_denied_noise_is_added_to_and_said():
     cal, believed = stated(5), stated(1)
-    r = cal.residuals
-    for i, output in enumerate(cal.outputs):
-        chi2 = float(r[:, i] @ r[:, i]) / 1e-6
-        assert chi2 > stats.chi2.ppf(0.999, 10)
-        mine = slice(4 * i, 4 * i + 4)
-        assert_allclose(
-            cal.covariance[mine, mine], believed.covariance[mine, mine] * chi2 / 10, rtol=1e-10
-        )
-        (said,) = (t for t in cal.diagnostics.warnings if f"residuals of {output} deny" in t)
-        assert f"multiplied by {chi2 / 10:.4g}" in said
-        assert "--orientation-sd" in said
-    assert_array_equal(cal.dof, [10, 10, 10])
-    assert np.isinf(believed.dof).all()
+    chi2 = float(np.sum(cal.residuals**2)) / 1e-6
+    assert chi2 > stats.chi2.ppf(0.999, 30)
+    (said,) = cal.diagnostics.warnings
+    assert f"deny the stated reading noise (chi-square {chi2:.4g} on 30 degrees" in said
+    scatter = cal.variance_components.rest_to_rest["ax"].value
+    assert f"position to position of {scatter:.3g} reading is added to it" in said
+    assert "--orientation-sd" in said
+    # five times the claim, all of it known from residuals on 30 degrees of freedom
+    variance = float(np.sum(cal.residuals**2)) / 30
+    assert scatter == pytest.approx(math.sqrt(variance - 1e-6), rel=1e-3)
+    assert_allclose(cal.dof, 30.0, rtol=1e-3)
+    assert_allclose(cal.u / believed.u, math.sqrt(variance) / 1e-3, rtol=0.15)
     assert not believed.diagnostics.warnings
 
 
@@ -126,14 +130,16 @@ def test_the_limit_is_the_99_9_percent_point():
     readings = mp.Readings(values, up=UP14)
     r = mp.fit(readings).residuals[:, 0]
     limit = math.sqrt(float(r @ r) / stats.chi2.ppf(0.999, 10))
-    assert np.isinf(mp.fit(readings, reading_sd=limit * 1.0001).dof[0])
-    assert mp.fit(readings, reading_sd=limit * 0.9999).dof[0] == 10
+    assert not mp.fit(readings, reading_sd=limit * 1.0001).diagnostics.warnings
+    (said,) = mp.fit(readings, reading_sd=limit * 0.9999).diagnostics.warnings
+    assert "deny the stated reading noise" in said
 
 
-def test_an_overstated_noise_changes_nothing_but_is_said():
+def test_an_overstated_noise_is_taken_and_said():
     cal = stated(0.05)
-    assert np.isinf(cal.dof).all()
-    assert_allclose(cal.covariance, stated(1).covariance)
+    X = np.column_stack([np.ones(14), UP14])
+    u = 1e-3 * np.sqrt(np.diag(np.linalg.inv(X.T @ X)))
+    assert_allclose(cal.U[:4], stats.norm.ppf(0.975) * u, rtol=0.02)
     assert any("may be overstated" in text for text in cal.diagnostics.warnings)
 
 

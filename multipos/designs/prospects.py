@@ -24,6 +24,7 @@ from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import read_bench
+from multipos.positions.readings import diagonal
 from multipos.positions.scheme import Scheme
 from multipos.results import Keyed, data_frame
 from multipos.sensor.calibration import Calibration
@@ -204,8 +205,9 @@ def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
         )
     unknown = calibration.estimator is Estimator.UNKNOWN
     sd = np.ones(len(model.outputs)) if unknown else calibration.residual_sd
-    if readings.u is not None:
-        sd = np.sqrt(np.mean(readings.u**2, axis=0))
+    if calibration.noise is not None:
+        variances = diagonal(calibration.noise).reshape(readings.values.shape)
+        sd = np.sqrt(np.mean(variances, axis=0))
     if not np.all(np.isfinite(calibration.u)) or not np.all(np.isfinite(sd) & (sd > 0.0)):
         raise MultiposError(
             "the calibration has no reading noise to predict from: as many terms as readings; "

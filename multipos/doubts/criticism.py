@@ -153,7 +153,7 @@ def find_influence(calibration: Calibration) -> Influence:
     c = calibration
     _require_known(c)
     n, m = c.readings.values.shape
-    noise = c.readings.noise
+    noise = c.noise
     sd = np.ones((n, m)) if noise is None or noise.ndim == 2 else np.sqrt(noise).reshape(n, m)
     h = c.diagnostics.leverage
     left = np.where(1.0 - h > 1e-9, 1.0 - h, math.nan)
@@ -241,7 +241,7 @@ def residual_sum(c: Calibration, column: int, terms: tuple[Term, ...]) -> float:
     variables = c.model.variables(c.reference, c.readings.environment)
     n = len(c.readings)
     design = np.column_stack([np.broadcast_to(t.evaluate(variables), (n,)) for t in terms])
-    noise = c.readings.noise
+    noise = c.noise
     m = len(c.outputs)
     variances = None if noise is None or noise.ndim == 2 else noise.reshape(n, m)[:, column]
     names = [str(term) for term in terms]

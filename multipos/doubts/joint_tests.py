@@ -101,7 +101,7 @@ def judge_terms_jointly(calibration: Calibration) -> list[JointTest]:
     test = _by_output
     if not c.estimator.exact:
         test = _by_likelihood
-    elif (noise := c.readings.noise) is not None and noise.ndim == 2:
+    elif (noise := c.noise) is not None and noise.ndim == 2:
         test = _by_covariance
     return list(test(c))
 
@@ -201,7 +201,7 @@ def _by_output(c: Calibration) -> Iterator[JointTest]:
 
 def _by_covariance(c: Calibration) -> Iterator[JointTest]:
     """Test outputs whose readings are correlated, at known orientations, together by eq. (1)."""
-    noise = c.readings.noise
+    noise = c.noise
     n, m = c.readings.values.shape
     for name, inside, small, large in _nested(c.model):
         chi2 = []

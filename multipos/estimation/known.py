@@ -20,18 +20,28 @@ import numpy as np
 
 from multipos.errors import RankError
 from multipos.estimation.identifiability import formal_only
+from multipos.estimation.scatter import find_scatter
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import LinearFit, separability, solve
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS, linear_term
-from multipos.positions.readings import Readings, stated_sd
-from multipos.sensor.diagnostics import bartlett, find_outliers
+from multipos.positions.readings import Readings, add_variances, diagonal, stated_sd
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.diagnostics import UNEQUAL, bartlett, find_outliers
+from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
 
 FLOOR = 1e-9  # [g], absolute norm below which a column of the design is zero
+_UNSUPPORTED = (
+    "the outputs' residual variances differ (Bartlett's test at 5 %), so pooling them is not "
+    "supported by the data"
+)
+_NOTHING_LEFT = (
+    "as many terms as readings: nothing is left to estimate the uncertainty from; give "
+    "--reading-sd or more positions"
+)
 DENIED = 0.999  # χ² point beyond which a stated noise is not believed
-_UNEQUAL = 0.05  # level at which pooling warns that the variances differ
 
 
 def solve_known(
@@ -46,62 +56,44 @@ def solve_known(
     """
     phi = model.basis(reference, readings.environment)
     noise = readings.noise
-    if noise is not None and noise.ndim == 2:
-        fits = _solve_jointly(model, phi, readings, noise)
-    else:
-        fits = _solve_each(model, phi, readings, noise)
-    n, m = readings.values.shape
-    residual_dof = np.array([n - len(terms) for terms in model.terms], dtype=np.float64)
-    dof, chi2 = residual_dof, fits.chi2
-    warnings: list[str] = []
+    fits = _solve(model, phi, readings, noise)
+    n = len(readings)
+    dof = np.array([n - len(terms) for terms in model.terms], dtype=np.float64)
     if noise is None:
-        variance = np.where(dof > 0, chi2 / np.maximum(dof, 1.0), np.nan)
-        if pool and dof.min() > 0:
-            if m > 1 and bartlett(chi2, dof) < _UNEQUAL:
-                warnings.append(
-                    "the outputs' residual variances differ (Bartlett's test at 5 %), so pooling "
-                    "them is not supported by the data"
-                )
-            variance, dof = np.full(m, chi2.sum() / dof.sum()), np.full(m, dof.sum())
-        if dof.min() == 0:
-            warnings.append(
-                "as many terms as readings: nothing is left to estimate the uncertainty from; "
-                "give --reading-sd or more positions"
-            )
+        found = _from_residuals(model, fits, dof, pool)
     else:
-        variance, dof, said = believe(chi2, dof, model.outputs, pool)
-        warnings += said
-    scale = np.sqrt(per_parameter(model, variance))
+        found = _beside_stated(model, phi, readings, fits, pool)
+    fits = found.fits
+    covariance = fits.cofactor * np.outer(found.inflation, found.inflation)
     square = np.einsum("nm,nm->m", fits.residuals, fits.residuals)
-    sd = np.where(residual_dof > 0, np.sqrt(square / np.maximum(residual_dof, 1.0)), np.nan)
-    covariance = fits.cofactor * np.outer(scale, scale)
     return Solution(
         model=model,
         reference=reference,
         parameters=fits.parameters,
         covariance=covariance,
-        parameter_dof=per_parameter(model, dof),
-        variance=variance,
-        dof=dof,
+        parameter_dof=per_parameter(model, found.dof),
+        inflation=found.inflation,
+        dof=found.dof,
         residuals=fits.residuals,
-        residual_sd=sd,
+        residual_sd=np.where(dof > 0, np.sqrt(square / np.maximum(dof, 1.0)), np.nan),
         leverage=fits.leverage,
         outliers=find_outliers(
             fits.residuals,
             fits.leverage,
-            residual_dof.tolist(),
+            dof.tolist(),
             model.outputs,
             readings.labels,
-            stated_sd(readings),
+            found.sd,
         ),
         condition=fits.condition,
-        warnings=tuple(warnings),
+        warnings=found.warnings,
         unidentifiable=formal_only(
             model,
             fits.parameters,
             np.sqrt(np.diag(covariance)),
             float(np.linalg.norm(reference, axis=1).mean()),
         ),
+        variance_components=found.components,
     )
 
 
@@ -115,6 +107,74 @@ class _Fits:
     chi2: Array
     leverage: Array
     condition: float
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """Fits with the noise that was found; u is `inflation` times the cofactor's root."""
+
+    fits: _Fits
+    inflation: Array  # (p,)
+    dof: Array  # (M,)
+    sd: Array | None  # (n, M), that the readings were weighed by
+    warnings: tuple[str, ...] = ()
+    components: VarianceComponents | None = None
+
+
+def _from_residuals(model: Model, fits: _Fits, dof: Array, pool: bool) -> _Weighed:
+    """Take all noise from the residuals, eq. (1)."""
+    variance = np.where(dof > 0, fits.chi2 / np.maximum(dof, 1.0), np.nan)
+    said: tuple[str, ...] = ()
+    if pool and dof.min() > 0:
+        if len(dof) > 1 and bartlett(fits.chi2, dof) < UNEQUAL:
+            said = (_UNSUPPORTED,)
+        variance = np.full(len(dof), fits.chi2.sum() / dof.sum())
+        dof = np.full(len(dof), dof.sum())
+    if dof.min() == 0:
+        said = (_NOTHING_LEFT,)
+    return _Weighed(fits, np.sqrt(per_parameter(model, variance)), dof, None, said)
+
+
+def _beside_stated(
+    model: Model, phi: Array, readings: Readings, fits: _Fits, pool: bool
+) -> _Weighed:
+    """Add to the stated noise what readings scatter from rest to rest (`scatter`)."""
+    n, m = readings.values.shape
+    noise = readings.noise
+    assert noise is not None
+    left = n * m - len(model.keys)
+    if left == 0:
+        return _Weighed(fits, np.ones(len(model.keys)), np.full(m, np.inf), stated_sd(readings))
+    designs = [phi[:, columns] for columns in model.columns]
+    found = find_scatter(designs, fits.residuals, noise, pool=pool)
+    weighed = _solve(model, phi, readings, add_variances(noise, np.tile(found.variance, n)))
+    moves = weighed.parameters - fits.parameters
+    u = found.standard_uncertainty(moves, per_parameter(model, found.dof))
+    components = VarianceComponents(
+        rest_to_rest={
+            output: RestToRest(
+                float(np.sqrt(found.variance[i])), float(found.u[i]), float(found.dof[i])
+            )
+            for i, output in enumerate(model.outputs)
+        }
+    )
+    sd = np.sqrt(diagonal(noise).reshape(n, m) + found.variance)
+    said = judge_claim(float(fits.chi2.sum()), float(left), found.variance, readings)
+    return _Weighed(
+        weighed, u / np.sqrt(np.diag(weighed.cofactor)), found.dof, sd, said, components
+    )
+
+
+def scattered_again(c: Calibration) -> Solution:
+    """Return what a calibration at known orientations found, without what a budget added to it."""
+    shared = len(c.outputs) > 1 and np.ptp(c.dof) == 0.0
+    return solve_known(c.model, c.reference, c.readings, pool=bool(shared))
+
+
+def _solve(model: Model, phi: Array, readings: Readings, noise: Array | None) -> _Fits:
+    if noise is not None and noise.ndim == 2:
+        return _solve_jointly(model, phi, readings, noise)
+    return _solve_each(model, phi, readings, noise)
 
 
 def _solve_each(model: Model, phi: Array, readings: Readings, variances: Array | None) -> _Fits:
@@ -196,6 +256,32 @@ def chi_squares(residuals: Array, noise: Array | None) -> Array:
     return np.array(
         [residuals[:, i] @ np.linalg.solve(blocks[:, i, :, i], residuals[:, i]) for i in range(m)]
     )
+
+
+def judge_claim(chi2: float, dof: float, scatter: Array, readings: Readings) -> tuple[str, ...]:
+    """Say where the residuals of all outputs deny the stated noise, or are far below it.
+
+    Parameters
+    ----------
+    chi2, dof : float
+        Of the residuals under the stated noise.
+    scatter : (M,) array
+        Variance that was found beside it.
+    """
+    seen = f"(chi-square {chi2:.4g} on {dof:g} degrees of freedom)"
+    if chi2 > chi2_quantile(DENIED, dof):
+        sizes = ", ".join(dict.fromkeys(f"{size:.3g}" for size in np.sqrt(scatter).tolist()))
+        found = (
+            f"the residuals deny the stated reading noise {seen}: a scatter from position to "
+            f"position of {sizes} {readings.unit} is added to it; placement error is the usual "
+            "cause, see --orientation-sd"
+        )
+        return (found,)
+    if chi2 < chi2_quantile(1.0 - DENIED, dof):
+        return (
+            f"the residuals are far smaller than the stated noise {seen}: it may be overstated",
+        )
+    return ()
 
 
 def believe(

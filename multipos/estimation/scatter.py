@@ -14,11 +14,11 @@ claim is right, τ = 0, which weighs as much as `_BELIEF` of such a logarithm. W
 the posterior of V is that of r'r/χ²_ν, and parameters follow Student's t; with one it is cut off at
 the floor. Parameters then are a mixture of normal laws, and
 
-- the weights of the fit are the posterior mean of V⁻¹;
+- the fit is weighted by u² + τ² at the τ² for which 1/V, of a typical u, is its posterior mean;
 - U is half the interval about the estimate that holds the mixture with the confidence of 95 %;
-- the degrees of freedom are those of the posterior of a parameter's precision 1/c,
+- the degrees of freedom are those of the posterior of V,
 
-      ν = 2 (E 1/c)² / var(1/c),                                                            (3)
+      ν = 2 (E 1/V)² / var(1/V),                                                            (3)
 
   and u = U/k, with k of Student's t at ν.
 
@@ -32,14 +32,16 @@ D. A. Harville 1977, J. Am. Stat. Assoc. 72, eq. (2); H. Jeffreys, *Theory of Pr
 section 3.10.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
+from multipos.sensor.diagnostics import UNEQUAL, bartlett
 
 _BELIEF = 1.4  # what "the claim is right" weighs, in units of ln V, from six degrees of freedom on
 _FEW = 6.0  # degrees of freedom below which the claim must weigh more, or U is too long
@@ -49,6 +51,7 @@ _NODES = 48
 _NEGLIGIBLE = 30.0  # of -2 ln: one part in three million of the posterior
 _ROWS = 20_000  # readings worked on at once
 _MOST_DOF = 1e9
+_RIDGE = 1e-13  # of rounding, so that floors of any size leave a matrix that can be inverted
 
 
 class Part(NamedTuple):
@@ -74,7 +77,7 @@ class Part(NamedTuple):
     @property
     def parameters(self) -> int:
         """Number of parameters of each output."""
-        return self.basis.shape[1]
+        return int(self.basis.shape[1])
 
 
 @dataclass(frozen=True)
@@ -88,42 +91,140 @@ class Posterior:
     moves, variances : (G, p) arrays
         By how much the parameters of all parts move with τ², and their variances c; those of one
         output after those of another.
+    size : float
+        Of the floors, their geometric mean.
     """
 
     nodes: Array
     weights: Array
     moves: Array
     variances: Array
-
-    def precision(self, floor: Array) -> Array:
-        """Return the posterior mean of V⁻¹ at given floors (n,)."""
-        result = np.zeros_like(floor)
-        for tau2, weight in zip(self.nodes.tolist(), self.weights.tolist(), strict=True):
-            result += weight / (floor + tau2)
-        return result
+    size: float
 
     @property
-    def scatter(self) -> tuple[float, float]:
-        """The square root of τ²'s posterior median, and half of its central 68 %."""
-        cumulated = np.cumsum(self.weights)
-        low, middle, high = (
-            float(np.sqrt(self.nodes[min(int(np.searchsorted(cumulated, p)), len(self.nodes) - 1)]))
-            for p in (0.16, 0.5, 0.84)
-        )
-        return middle, (high - low) / 2.0
-
-    @property
-    def dof(self) -> Array:
-        """Degrees of freedom of each parameter (p,), eq. (3)."""
-        precision = 1.0 / self.variances
-        mean = self.weights @ precision
-        spread = self.weights @ (precision - mean) ** 2
-        with np.errstate(divide="ignore"):
-            return np.minimum(2.0 * mean**2 / spread, _MOST_DOF)
+    def summary(self) -> tuple[float, float, float]:
+        """τ² whose V is the posterior mean of 1/V, u of τ, and the degrees of freedom of V."""
+        precision = 1.0 / (self.size + self.nodes)
+        mean = float(self.weights @ precision)
+        spread = float(self.weights @ (precision - mean) ** 2)
+        dof = 2.0 * mean**2 / spread if spread > 0.0 else np.inf
+        sd = np.sqrt(self.nodes)
+        u = float(np.sqrt(self.weights @ (sd - self.weights @ sd) ** 2))
+        return max(1.0 / mean - self.size, 0.0), u, min(dof, _MOST_DOF)
 
     def expanded(self, moves: Array) -> Array:
         """Return U (p,) about estimates that moved by `moves` (p,), at 95 %."""
         return _half_interval(self.moves - moves, np.sqrt(self.variances), self.weights)
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """What readings of M outputs scatter beyond what they state, and how well that is known.
+
+    Attributes
+    ----------
+    variance, u, dof : (M,) arrays
+        τ² as the fit takes it, the standard uncertainty of τ, and the degrees of freedom of the
+        variance of a reading, u² + τ².
+    posteriors : tuple of (members, Posterior)
+        Which parameters a posterior is of, in its order.
+    """
+
+    variance: Array
+    u: Array
+    dof: Array
+    posteriors: tuple[tuple[NDArray[np.intp], Posterior], ...]
+
+    def standard_uncertainty(self, moves: Array, dof: Array) -> Array:
+        """Return u (p,) of estimates that moved by (p,) from the solution at τ = 0."""
+        expanded = np.empty(len(moves))
+        for members, posterior in self.posteriors:
+            expanded[members] = posterior.expanded(moves[members])
+        factors = {nu: coverage_factor(_COVERAGE, nu) for nu in set(dof.tolist())}
+        return np.asarray(expanded / np.array([factors[nu] for nu in dof.tolist()]))
+
+
+def find_scatter(
+    designs: Sequence[Array], residuals: Array, noise: Array, *, pool: bool = False
+) -> Scatter:
+    """Return the scatter of readings beyond the noise that they state.
+
+    All outputs share one where their equality is not rejected, or where they are correlated.
+
+    Parameters
+    ----------
+    designs : sequence of M (n, p_i) arrays
+    residuals : (n, M) array
+        Of the fit weighted by the stated noise.
+    noise : (n M,) or (n M, n M) array
+        Stated, as `Readings.noise` has it.
+    pool : bool
+        One scatter whatever the outputs say.
+    """
+    n, m = residuals.shape
+    dof = np.array([n - design.shape[1] for design in designs], dtype=np.float64)
+    if noise.ndim == 2:
+        return _gather([(np.arange(m), [_rotated(designs, residuals, noise)])], designs)
+    floor = noise.reshape(n, m)
+    found = _gather([(np.arange(m), _parts(designs, residuals, floor, range(m)))], designs)
+    if pool or m == 1 or dof.min() <= 0.0:
+        return found
+    chi2 = np.sum(residuals**2 / (floor + found.variance), axis=0)
+    if not bartlett(chi2, dof) < UNEQUAL:
+        return found
+    apart = [(np.array([i]), _parts(designs, residuals, floor, [i])) for i in range(m)]
+    return _gather(apart, designs)
+
+
+def _gather(
+    groups: Sequence[tuple[NDArray[np.intp], list[tuple[list[int], Part]]]],
+    designs: Sequence[Array],
+) -> Scatter:
+    """Return the scatter of groups of outputs, each of which has its own."""
+    m = len(designs)
+    variance, u, dof = np.empty(m), np.empty(m), np.empty(m)
+    ends = np.cumsum([0, *(design.shape[1] for design in designs)])
+    posteriors = []
+    for outputs, parts in groups:
+        posterior = integrate([part for _, part in parts])
+        order = [np.arange(ends[i], ends[i + 1]) for members, _ in parts for i in members]
+        posteriors.append((np.concatenate(order), posterior))
+        variance[outputs], u[outputs], dof[outputs] = posterior.summary
+    return Scatter(variance, u, dof, tuple(posteriors))
+
+
+def _parts(
+    designs: Sequence[Array], residuals: Array, floor: Array, outputs: Iterable[int]
+) -> list[tuple[list[int], Part]]:
+    """Return outputs by the part they belong to: those of equal design and floors share one."""
+    alike: dict[tuple[bytes, bytes], list[int]] = {}
+    for i in outputs:
+        alike.setdefault((designs[i].tobytes(), floor[:, i].tobytes()), []).append(i)
+    return [
+        (members, _part(designs[members[0]], residuals[:, members], floor[:, members[0]]))
+        for members in alike.values()
+    ]
+
+
+def _rotated(
+    designs: Sequence[Array], residuals: Array, covariance: Array
+) -> tuple[list[int], Part]:
+    """Return correlated readings in the axes in which they are not, where τ² adds to each."""
+    n, m = residuals.shape
+    variances, axes = np.linalg.eigh(covariance)
+    ends = np.cumsum([0, *(design.shape[1] for design in designs)])
+    whole = np.zeros((n, m, ends[-1]))
+    for i, design in enumerate(designs):
+        whole[:, i, ends[i] : ends[i + 1]] = design
+    turned = axes.T @ np.column_stack([whole.reshape(n * m, -1), residuals.ravel()])
+    least = np.finfo(float).eps * variances[-1]
+    return list(range(m)), _part(turned[:, :-1], turned[:, -1:], np.maximum(variances, least))
+
+
+def _part(design: Array, residuals: Array, floor: Array) -> Part:
+    length = np.linalg.norm(design, axis=0)
+    Q, R = np.linalg.qr(design / length)
+    return Part(Q, np.linalg.inv(R) / length[:, None], residuals, floor)
 
 
 def integrate(parts: Sequence[Part]) -> Posterior:
@@ -134,7 +235,7 @@ def integrate(parts: Sequence[Part]) -> Posterior:
     parts : sequence of Part
         With more readings than parameters, all together.
     """
-    dof = float(sum(part.residuals.size - part.parameters for part in parts))
+    dof = float(sum(p.residuals.size - p.parameters * p.residuals.shape[1] for p in parts))
     size = float(np.exp(np.mean(np.concatenate([np.log(part.floor) for part in parts]))))
     low, high = _range(parts, dof, size)
     coarse = np.linspace(low, high, _NODES // 2)
@@ -149,7 +250,7 @@ def integrate(parts: Sequence[Part]) -> Posterior:
     weights[[0, -1]] /= 2.0
     belief = _BELIEF * max(_FEW / dof, 1.0) ** _RISE
     weights = np.append(belief * np.exp(found.log[0] - log.max()), weights)
-    return Posterior(nodes, weights / weights.sum(), found.moves, found.variances)
+    return Posterior(nodes, weights / weights.sum(), found.moves, found.variances, size)
 
 
 def _range(parts: Sequence[Part], dof: float, size: float) -> tuple[float, float]:
@@ -176,12 +277,14 @@ def _evaluate(parts: Sequence[Part], nodes: Array, size: float) -> _Found:
     information = np.zeros(len(nodes))  # of τ², twice
     moves, variances = [], []
     for part in parts:
+        p, m = part.parameters, part.residuals.shape[1]
         sums = _sums(part, nodes)
-        inverse = np.linalg.inv(sums.square)
+        scale = 1.0 / np.sqrt(np.einsum("gpp->gp", sums.square))
+        scaled = sums.square * scale[:, :, None] * scale[:, None, :] + _RIDGE * np.eye(p)
+        inverse = np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :]
         step = inverse @ sums.right  # (G, p, m)
-        m = part.residuals.shape[1]
         log += 0.5 * (
-            m * (sums.log_weight - np.linalg.slogdet(sums.square)[1])
+            m * (sums.log_weight - np.linalg.slogdet(scaled)[1] + 2.0 * np.log(scale).sum(axis=1))
             - sums.misfit
             + np.einsum("gpm,gpm->g", sums.right, step)
         )
@@ -255,9 +358,3 @@ def _half_interval(means: Array, sds: Array, weights: Array) -> Array:
 
 def _normal(z: Array) -> Array:
     return np.asarray(np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi))
-
-
-def standard_uncertainty(expanded: Array, dof: Array) -> Array:
-    """Return u = U/k (p,) of U at 95 % with degrees of freedom (p,)."""
-    factors = {nu: coverage_factor(_COVERAGE, nu) for nu in set(dof.tolist())}
-    return expanded / np.array([factors[nu] for nu in dof.tolist()])

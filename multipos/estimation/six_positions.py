@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.closed_form import closed_form_weights, six_positions
-from multipos.estimation.known import FLOOR, per_parameter, solve_known
+from multipos.estimation.known import FLOOR, solve_known
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
+from multipos.sensor.found import add_scatter
 from multipos.sensor.model import Model, build_model
 
 
@@ -38,13 +39,13 @@ def solve_closed_form(
     weights = closed_form_gain(model, reference)
     solution = solve_known(model, reference, readings, pool=pool)
     parameters = weights @ readings.values.ravel()
-    noise = readings.noise
-    full = np.eye(n * m) if noise is None else np.diag(noise) if noise.ndim == 1 else noise
-    scale = np.sqrt(per_parameter(model, solution.variance))
+    noise = add_scatter(readings.noise, solution.variance_components, model.outputs)
+    noise = np.ones(n * m) if noise is None else noise
+    full = np.diag(noise) if noise.ndim == 1 else noise
     return replace(
         solution,
         parameters=parameters,
-        covariance=weights @ full @ weights.T * np.outer(scale, scale),
+        covariance=weights @ full @ weights.T * np.outer(solution.inflation, solution.inflation),
         residuals=readings.values - model.predict(parameters, reference, readings.environment),
     )
 

@@ -22,10 +22,10 @@ class Solution:
         As used; estimated where it was uncertain.
     parameters, covariance, parameter_dof : (p,), (p, p), (p,) arrays
         Without the common-mode terms of the uncertainty.
-    variance : (M,) array
-        Factor of each output on the stated covariance of the readings, or on unit variances.
+    inflation : (p,) array
+        Root of what multiplies the variance that the weights of the readings alone give.
     dof : (M,) array
-        Degrees of freedom of `variance`; inf where the stated noise is believed.
+        Degrees of freedom of each output's noise; inf where it is known beforehand.
     residuals, leverage : (n, M) arrays
     residual_sd : (M,) array
         Standard deviation of a reading as the residuals show it; NaN where none is left.
@@ -43,7 +43,7 @@ class Solution:
     parameters: Array
     covariance: Array
     parameter_dof: Array
-    variance: Array
+    inflation: Array
     dof: Array
     residuals: Array
     residual_sd: Array

@@ -26,7 +26,7 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
     c = calibration
     column = c.outputs.index(output)
     left = np.maximum(1.0 - c.diagnostics.leverage[:, column], 0.0)
-    band = 2.0 * _noise(c)[:, column] * np.sqrt(left)
+    band = 2.0 * c.sd_of_readings[:, column] * np.sqrt(left)
     at = np.arange(len(c.readings))
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     if np.isfinite(band).all():
@@ -213,13 +213,6 @@ def draw_correlation(calibration: Calibration, axes: "Axes") -> None:
     axes.set_yticks(np.arange(p) + 0.5, list(c.names), fontsize=7)
     axes.invert_yaxis()
     axes.set_aspect("equal")
-
-
-def _noise(c: Calibration) -> Array:
-    """Standard deviation (n, M) of a reading: as stated and believed, or as the residuals show."""
-    if c.readings.u is not None and np.isinf(c.dof).all():
-        return c.readings.u
-    return np.broadcast_to(c.residual_sd, c.residuals.shape)
 
 
 def _name_positions(axes: "Axes", names: tuple[str, ...]) -> None:

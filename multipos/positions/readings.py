@@ -270,6 +270,16 @@ def stated_sd(readings: Readings) -> Array | None:
     return readings.u
 
 
+def diagonal(noise: Array) -> Array:
+    """Return the variances (n M,) of noise as `Readings.noise` has it."""
+    return noise if noise.ndim == 1 else np.diag(noise)
+
+
+def add_variances(noise: Array, variances: Array) -> Array:
+    """Return noise, as `Readings.noise` has it, with independent variances (n M,) added."""
+    return noise + (variances if noise.ndim == 1 else np.diag(variances))
+
+
 def spread_reading_sd(reading_sd: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return --reading-sd, one number or one an output, as that of every reading (n, M).
 

@@ -23,7 +23,7 @@ from multipos.files.tables import to_json, write_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.positions.attitudes import Convention
-from multipos.positions.readings import Readings
+from multipos.positions.readings import Readings, diagonal
 from multipos.results import Result
 from multipos.sensor import derived, inverse
 from multipos.sensor.diagnostics import Diagnostics, linearity
@@ -33,6 +33,7 @@ from multipos.sensor.found import (
     FoundOrientations,
     StatedBudget,
     VarianceComponents,
+    add_scatter,
 )
 from multipos.sensor.gravity import Gravity
 from multipos.sensor.model import Model, paper_symbol
@@ -165,6 +166,30 @@ class Calibration(Result):
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs."""
         return self.model.outputs
+
+    @cached_property
+    def noise(self) -> Array | None:
+        """What the readings were weighed by, where they state their uncertainty, else None.
+
+        Variances (n M,), output running fastest, or the covariance (n M, n M) of readings that are
+        not independent: what is stated, and the scatter from rest to rest beside it.
+        """
+        return add_scatter(self.readings.noise, self.variance_components, self.outputs)
+
+    @property
+    def weighed(self) -> bool:
+        """Whether `noise` is all the scatter there is, so that residuals need not scale it."""
+        found = self.variance_components
+        scatter = found is not None and found.rest_to_rest is not None
+        return self.noise is not None and (scatter or bool(np.isinf(self.dof).all()))
+
+    @cached_property
+    def sd_of_readings(self) -> Array:
+        """Standard deviation of every reading (n, M): by `noise`, else as the residuals show it."""
+        noise = self.noise
+        if noise is None or not self.weighed:
+            return np.broadcast_to(self.residual_sd, self.residuals.shape)
+        return np.asarray(np.sqrt(diagonal(noise)).reshape(self.residuals.shape))
 
     @property
     def budget_tables(self) -> Mapping[str, Mapping[str, Any]]:

@@ -51,6 +51,7 @@ from multipos.sensor.found import (
     Component,
     Estimator,
     FoundOrientations,
+    RestToRest,
     StatedBudget,
     VarianceComponents,
 )
@@ -76,6 +77,7 @@ _SETTING = AnyOf((ANY_TEXT, Flag(), Listed(Whole()), ANY_NUMBER))  # of a table 
 _BY_POSITION = AnyOf((Numbers(2, gaps=True), Numbers(1, gaps=True)))
 _COMPONENTS = ("reading_sd", "orientation_sd_deg")
 _COMPONENT = Fields({"value": POSITIVE, "u": POSITIVE})
+_REST_TO_REST = Named(Fields({"value": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": _DOF}))
 _TESTED = Fields({"term": ANY_TEXT, "F": FIGURE, "p": P_VALUE})
 
 CALIBRATION = Fields(
@@ -149,7 +151,9 @@ CALIBRATION = Fields(
         "group_rotation_deg": Named(Listed(ANY_NUMBER, 3, 3)),
         "level_sd_deg": NOT_NEGATIVE,
         "level_tilt_deg": Numbers(1),
-        "variance_components": Fields({}, dict.fromkeys(_COMPONENTS, _COMPONENT)),
+        "variance_components": Fields(
+            {}, {"rest_to_rest": _REST_TO_REST, **dict.fromkeys(_COMPONENTS, _COMPONENT)}
+        ),
         "selection": Named(
             Fields(
                 {
@@ -393,10 +397,7 @@ def _found(content: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {"robust_weight": _numbers(content.get("robust_weight"))}
     components, chosen = content.get("variance_components"), content.get("selection")
     if components is not None:
-        parts = _known_keys(components, _COMPONENTS)
-        found["variance_components"] = VarianceComponents(
-            **{key: Component(part["value"], part["u"]) for key, part in parts.items()}
-        )
+        found["variance_components"] = _components(components)
     orientations = _known_keys(content, [field.name for field in fields(FoundOrientations)])
     if orientations:
         for key in ("orientation_error_deg", "level_tilt_deg"):
@@ -412,6 +413,20 @@ def _found(content: Mapping[str, Any]) -> dict[str, Any]:
         scatter = _numbers(said.get("scatter"))
         found["budget"] = StatedBudget(said["tables"], tuple(said["rows"]), scatter)
     return found
+
+
+def _components(said: Mapping[str, Any]) -> VarianceComponents:
+    parts = _known_keys(said, _COMPONENTS)
+    scatter = said.get("rest_to_rest")
+    if scatter is not None:
+        dof = _dof([part["dof"] for part in scatter.values()]).tolist()
+        scatter = {
+            output: RestToRest(part["value"], part["u"], nu)
+            for (output, part), nu in zip(scatter.items(), dof, strict=True)
+        }
+    return VarianceComponents(
+        scatter, **{key: Component(part["value"], part["u"]) for key, part in parts.items()}
+    )
 
 
 def _known_keys(said: Mapping[str, Any], keys: Iterable[str]) -> dict[str, Any]:
@@ -456,9 +471,13 @@ def _check_shapes(c: Mapping[str, Any]) -> None:
     for key, value, shape in shapes:
         if np.shape(value) != shape:
             raise ValueError(f"'{key}' has shape {np.shape(value)}, but {shape} fits its others")
-    for key in ("residual_sd", "dof", "selection"):
-        if key in c and set(c[key]) != set(outputs):
-            raise ValueError(f"'{key}' names {', '.join(c[key])}, not its outputs")
+    components = c.get("variance_components", {})
+    by_output = {key: c[key] for key in ("residual_sd", "dof", "selection") if key in c}
+    if "rest_to_rest" in components:
+        by_output["variance_components.rest_to_rest"] = components["rest_to_rest"]
+    for key, value in by_output.items():
+        if set(value) != set(outputs):
+            raise ValueError(f"'{key}' names {', '.join(value)}, not its outputs")
 
 
 def _check_consistency(c: Calibration, parameters: list[dict[str, Any]]) -> None:

@@ -28,6 +28,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result
 from multipos.sensor.model import Model
 
+UNEQUAL = 0.05  # level at which outputs are called unequally noisy
 OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named
 
 

@@ -4,12 +4,15 @@ The parts of a `Calibration` that only some estimators and options have; the fie
 there is nothing to say. Their fields are the keys of the calibration file.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+import numpy as np
+
 from multipos.numerics.arrays import Array
+from multipos.positions.readings import add_variances
 from multipos.results import Keyed
 
 
@@ -36,18 +39,48 @@ class Component(Keyed):
 
 
 @dataclass(frozen=True, eq=False)
-class VarianceComponents(Keyed):
-    """What restricted maximum likelihood says of the noise; None where it was stated.
+class RestToRest(Keyed):
+    """Scatter of one output from rest to rest, beyond what its readings state.
 
     Attributes
     ----------
+    value, u : float
+        Standard deviation added to the stated uncertainty, and how well it is known.
+    dof : float
+        Degrees of freedom of the variance of a reading, both parts together.
+    """
+
+    value: float
+    u: float
+    dof: float
+
+
+@dataclass(frozen=True, eq=False)
+class VarianceComponents(Keyed):
+    """What restricted maximum likelihood says of the noise; None where it was not asked.
+
+    Attributes
+    ----------
+    rest_to_rest : mapping of output to RestToRest, or None
+        Where readings state their uncertainty.
     reading_sd : Component or None
         In reading units.
     orientation_sd_deg : Component or None
     """
 
+    rest_to_rest: Mapping[str, RestToRest] | None = None
     reading_sd: Component | None = None
     orientation_sd_deg: Component | None = None
+
+
+def add_scatter(
+    noise: Array | None, components: VarianceComponents | None, outputs: Sequence[str]
+) -> Array | None:
+    """Return noise, as `Readings.noise` has it, with the scatter from rest to rest beside it."""
+    if noise is None or components is None or components.rest_to_rest is None:
+        return noise
+    scatter = [components.rest_to_rest[output].value ** 2 for output in outputs]
+    return add_variances(noise, np.tile(scatter, len(noise) // len(scatter)))
 
 
 @dataclass(frozen=True, eq=False)

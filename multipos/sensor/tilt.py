@@ -119,19 +119,11 @@ def tilt_at_rest(
 
 
 def reading_noise(calibration: Calibration) -> Array:
-    """Return the standard uncertainty (M,) of one reading: as stated and believed, else residual.
+    """Return the standard uncertainty (M,) of one reading, a mean over positions.
 
     NaN where nothing is left to estimate it from.
     """
-    readings, noise = calibration.readings, calibration.residual_sd
-    if readings.u is not None:
-        stated = np.sqrt(np.mean(readings.u**2, axis=0))
-    elif readings.covariance is not None:
-        variances = np.diag(readings.covariance).reshape(readings.values.shape)
-        stated = np.sqrt(variances.mean(axis=0))
-    else:
-        return noise
-    return np.where(np.isinf(calibration.dof), stated, noise)
+    return np.asarray(np.sqrt(np.mean(calibration.sd_of_readings**2, axis=0)))
 
 
 def force_uncertainty(

@@ -340,12 +340,12 @@ def _noise_root(c: Calibration, covariance: Any) -> Array:
     """
     n, m = c.readings.values.shape
     gain = estimator_gain(c)
-    if c.readings.covariance is not None:
-        root = np.linalg.cholesky(c.readings.covariance)
+    noise = np.ones(n * m) if c.noise is None else c.noise
+    if noise.ndim == 2:
+        root = np.linalg.cholesky(noise)
         unscaled = gain @ root
     else:
-        sd = np.ones((n, m)) if c.readings.u is None else c.readings.u
-        root = sd.ravel()
+        root = np.sqrt(noise)
         unscaled = gain * root
     claimed = np.sqrt(np.diag(covariance))
     plain = np.linalg.norm(unscaled, axis=1)

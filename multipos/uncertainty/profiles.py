@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import ConvergenceError, MultiposError
 from multipos.estimation.descent import maximise
-from multipos.estimation.known import chi_squares
+from multipos.estimation.known import chi_squares, scattered_again
 from multipos.estimation.likelihood import linearise, moved, recentred
 from multipos.estimation.restatement import (
     estimated_variances,
@@ -173,7 +173,12 @@ def profile_interval(calibration: Calibration, output: str, term: str) -> Interv
             f"as many terms of {output} as readings: nothing is left to tell how far they may "
             "move; give --reading-sd or more positions."
         )
-    residuals, best = _known_problem(c)
+    if c.weighed and np.isfinite(dof):
+        found = scattered_again(c)
+        dof, factor = float(found.parameter_dof[index]), float(found.inflation[index])
+        residuals, best = _known_problem(c, np.full(len(c.outputs), factor))
+    else:
+        residuals, best = _known_problem(c)
     return search_interval(
         residuals, best, index, u=float(c.u[index]), dof=dof, confidence=c.confidence
     )
@@ -212,13 +217,15 @@ def _likelihood_interval(c: Calibration, index: int) -> Interval:
     return _search_ends(rise, float(best.state.theta[index]), k, float(c.u[index]))
 
 
-def _known_problem(c: Calibration) -> tuple[Callable[[Array], Array], Array]:
+def _known_problem(
+    c: Calibration, sd: Array | None = None
+) -> tuple[Callable[[Array], Array], Array]:
     """Return the whitened residuals (n M,) of parameters (p,) at known orientations, and the best.
 
-    The noise is that of the fit: as stated with the readings, or of variance one, times χ²/ν where
-    that was not believed or not stated.
+    The noise is that by which the fit weighed readings, or of variance one, times `sd`² of each
+    output (M,), or what the fit multiplied it by.
     """
-    noise = c.readings.noise
+    noise = c.noise
     full = noise is not None and noise.ndim == 2
     root = np.ones(c.readings.values.size) if noise is None else noise
     root = np.asarray(np.linalg.cholesky(root) if full else np.sqrt(root))
@@ -234,7 +241,8 @@ def _known_problem(c: Calibration) -> tuple[Callable[[Array], Array], Array]:
     best = c.parameters
     if c.estimator is Estimator.CLOSED_FORM:
         best = fit_residuals(lambda p: whitened(left(p)), best)
-    sd = np.sqrt(_variance_factor(c, chi_squares(left(best), noise)))
+    if sd is None:
+        sd = np.sqrt(_variance_factor(c, chi_squares(left(best), noise)))
 
     def residuals(p: Array) -> Array:
         return whitened(left(p) / sd)

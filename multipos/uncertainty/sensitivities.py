@@ -56,7 +56,7 @@ def estimator_gain(calibration: Calibration) -> Array:
     design = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment).reshape(
         n * m, -1
     )
-    noise = c.readings.noise
+    noise = c.noise
     if noise is not None and noise.ndim == 2:
         whitener = np.linalg.inv(np.linalg.cholesky(noise))
         Q, R = np.linalg.qr(whitener @ design)

@@ -244,16 +244,21 @@ def _is_apart(c: Calibration, covariance: Array, output_of: NDArray[np.intp]) ->
     across = output_of[:, None] != output_of
     correlated = bool((np.abs(covariance) > 1e-9 * np.outer(scale, scale))[across].any())
     own = len(c.readings) - np.array([len(terms) for terms in c.model.terms])
-    pooled = bool((np.isfinite(c.dof) & (c.dof > own)).any())
+    if c.weighed:  # a scatter from rest to rest that all share
+        pooled = len(own) > 1 and bool(np.isfinite(c.dof).any()) and np.ptp(c.dof) == 0.0
+    else:
+        pooled = bool((np.isfinite(c.dof) & (c.dof > own)).any())
     return not correlated and not pooled
 
 
 def _scatter(c: Calibration, outputs: list[int]) -> float:
     """Variance factor s_r² that the residuals gave: whitened where the noise was stated."""
     n, m = c.readings.values.shape
-    noise = c.readings.noise
+    noise = c.noise
     columns = (np.arange(n)[:, None] * m + np.array(outputs)).ravel()
     left = c.residuals.ravel()[columns]
+    if c.weighed:  # absolute, so that repeats of unlike scatter are pooled as variances are
+        return float(np.mean(c.sd_of_readings[:, outputs] ** 2))
     if noise is None:
         square = float(left @ left)
     elif noise.ndim == 1:

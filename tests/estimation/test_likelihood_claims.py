@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_noise import with_known_noise
 from log_bench import shared
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
@@ -241,8 +242,8 @@ def test_joint_test_of_correlated_readings():
     data = readings(sd=0.0)
     values = data.values + 1e-3 * (root @ rng.standard_normal(72)).reshape(24, 3)
     data = replace(data, values=values, covariance=1e-6 * root @ root.T)
-    found = judge_terms_jointly(mp.fit(data))[0]
-    c = mp.fit(data, model="own-quadratic")
+    found = judge_terms_jointly(with_known_noise(mp.fit(data)))[0]
+    c = with_known_noise(mp.fit(data, model="own-quadratic"))
     # the difference of chi² is Wald's quadratic form of the three terms
     tested = [c.names.index(f"quad_a{axis}") for axis in "xyz"]
     wald = c.parameters[tested] @ np.linalg.solve(

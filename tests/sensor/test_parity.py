@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
 import multipos as mp
@@ -57,6 +58,7 @@ def test_tail_of_a_parity_by_hand():
     names = ("a", "b", "c", "d", "e")
     exact = dict(zip(names, up[:, axes].T, strict=True))
     cal = mp.fit(exact, scheme="fibonacci-24", axes="x,y,z,x,y", reading_sd=1e-9)
+    cal = with_known_noise(cal)
     raw = up[:1, axes] + SD * np.array([[2.0, 0.0, 0.0, -2.0, 0.0]])
     found = parity(cal, raw, cal.compensate(raw), {}, np.full(5, SD))
     assert_allclose(found.size, 2 * math.sqrt(2) * SD, rtol=1e-9)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
 import multipos as mp
@@ -92,7 +93,8 @@ def test_monte_carlo_validates_a_linear_budget():
         "resolution": {"step": 1e-3},
         "offset": {"u": 1e-4, "each_output": True},
     }
-    c = mp.fit(readings(), scheme="icosahedron-12", reading_sd=1e-3, budget=budget)
+    c = mp.fit(readings(), scheme="icosahedron-12", reading_sd=1e-3, gravity=9.81, gravity_u=3e-4)
+    c = mp.state_budget(with_known_noise(c), budget)
     found = simulate_budget(c, rng=3)
     assert found.stable
     assert found.valid.all()

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
 import multipos as mp
@@ -103,7 +104,7 @@ def test_gain_of_weighted_fits(kind):
         noise = {"covariance": root @ root.T + n * np.eye(n)}
     y = sense(given.up)
     fits = [
-        mp.fit(mp.Readings(y + step, unit="g", **noise), scheme="icosahedron-12")
+        with_known_noise(mp.fit(mp.Readings(y + step, unit="g", **noise), scheme="icosahedron-12"))
         for step in (0.0, rng.standard_normal(y.shape))
     ]
     difference = (fits[1].readings.values - fits[0].readings.values).ravel()
@@ -188,7 +189,9 @@ def test_each_contribution_by_hand():
     assert_allclose(rows["temperature"].contribution[linear], 1e-4 * np.abs(c.parameters[linear]))
     total = sum(row.contribution**2 for row in evaluate_budget(c).rows)
     assert_allclose(c.u**2, total)
-    assert np.isinf(c.parameter_dof).all()
+    # of Welch and Satterthwaite, all but the noise known on infinitely many
+    noise = rows["readings"].contribution
+    assert_allclose(c.parameter_dof, c.dof[0] * (c.u / noise) ** 4)
 
 
 @pytest.mark.parametrize(
@@ -229,12 +232,16 @@ def test_what_the_residuals_show_is_not_added_again():
     estimated = calibrate(noise=1e-3, budget=tables)
     plain = calibrate(noise=1e-3)
     assert_allclose(estimated.covariance, plain.covariance, rtol=1e-12)
-    stated = calibrate(noise=1e-3, reading_sd=1e-3, budget=tables)
+    # so does the scatter beside a stated noise, but not a noise that is known beforehand
+    claimed = calibrate(noise=1e-3, reading_sd=1e-3)
+    assert_allclose(mp.state_budget(claimed, tables).covariance, claimed.covariance, rtol=1e-12)
+    known = with_known_noise(claimed)
+    stated = mp.state_budget(known, tables)
     rows = {row.quantity: row for row in evaluate_budget(stated).rows}
     assert not rows["resolution"].contained.any()
     gain = estimator_gain(stated)
     assert_allclose(rows["resolution"].covariance, gain @ gain.T * 1e-8 / 12, atol=1e-22)
-    assert (stated.u > calibrate(noise=1e-3, reading_sd=1e-3).u).all()
+    assert (stated.u > known.u).all()
 
 
 def test_index_error_has_the_stated_size_at_a_random_angle():
@@ -334,7 +341,7 @@ def test_coverage_of_budgeted_intervals():
 
 def test_sphere_of_a_linear_fit_by_hand():
     up = read_scheme("faces-6").up
-    c = mp.fit(mp.Readings(up, unit="g"), scheme="faces-6", reading_sd=1e-3)
+    c = with_known_noise(mp.fit(mp.Readings(up, unit="g"), scheme="faces-6", reading_sd=1e-3))
     # u² of force = u_bias² + f² u_scale², 1/6 + 1/2 at |f| = 1 in any direction
     found = evaluate_sphere(c)
     expected = 1e-3 * math.sqrt(1 / 6 + 1 / 2)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
 import multipos as mp
@@ -127,7 +128,7 @@ def test_f_by_hand_for_unequal_degrees_of_freedom():
 
 
 def test_chi_square_where_the_noise_is_known():
-    found = repeats(np.random.default_rng(5), 3, reading_sd=SD)
+    found = [with_known_noise(c) for c in repeats(np.random.default_rng(5), 3, reading_sd=SD)]
     c = mp.compare(*found)
     left = c.values - c.values.mean(axis=0)
     inverse = np.linalg.inv(found[0].covariance)
@@ -248,7 +249,7 @@ def test_what_moved_by_holm_s_method_by_hand(bias, scale, moved):
         )
         for values in (side, bias + (1.0 + scale) * side)
     ]
-    c = mp.compare(*found)
+    c = mp.compare(*map(with_known_noise, found))
     assert_allclose(c.chi2, [bias**2, scale**2], rtol=1e-9)
     assert c.moved == moved
 

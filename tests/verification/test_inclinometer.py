@@ -13,6 +13,7 @@ from inclinometer_bench import (
     check_run,
     make_bench,
 )
+from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
 import multipos as mp
@@ -121,7 +122,7 @@ def test_unseen_component_by_hand(rest, variance):
     """Eq. (4) of a pair whose x feels a tenth of z, c = (0.1, 0), with noise of 1e-3 alone."""
     up = read_scheme("all-26").up
     matrix = np.array([[1.0, 0.0, 0.1], [0.0, 1.0, 0.0]])
-    cal = mp.fit(mp.Readings(up @ matrix.T, up=up), reading_sd=1e-9)
+    cal = with_known_noise(mp.fit(mp.Readings(up @ matrix.T, up=up), reading_sd=1e-9))
     covariance, dof = force_uncertainty(cal, np.array([rest]), {}, np.full(2, 1e-3))
     assert_allclose(covariance[0, 0, 0], 1e-6 * variance, rtol=1e-6)
     assert_allclose(covariance[0, 1, 1], 1e-6, rtol=1e-6)

@@ -1,0 +1,229 @@
+"""Scatter beside a stated noise: a second route by quadrature, limits, price and coverage."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import integrate, optimize, stats
+
+import multipos as mp
+from multipos.positions.scheme import read_scheme
+
+SCALE = np.eye(3)
+SD = 1e-3
+
+
+def sphere(n):
+    """Readings' up vectors: six faces, or n points of a spiral."""
+    if n == 6:
+        return np.vstack([np.eye(3), -np.eye(3)])
+    z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
+    turn = math.pi * (3.0 - math.sqrt(5.0)) * np.arange(n)
+    radius = np.sqrt(1.0 - z**2)
+    return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), z])
+
+
+def dense(values, up, floor, belief):
+    """Mean, interval and scatter by adaptive quadrature over ln V, all matrices written out."""
+    n, m = values.shape
+    X = np.kron(np.column_stack([np.ones(n), up]), np.eye(m))  # outputs run fastest
+    y, u2 = values.ravel(), floor.ravel() ** 2
+    size = math.exp(np.mean(np.log(u2)))
+
+    def solved(tau2):
+        V = u2 + tau2
+        information = X.T @ (X / V[:, None])
+        C = np.linalg.inv(information)
+        p = C @ X.T @ (y / V)
+        r = y - X @ p
+        log = -0.5 * (np.sum(np.log(V)) + np.linalg.slogdet(information)[1] + np.sum(r**2 / V))
+        return log, p, np.diag(C), 0.5 * math.log(np.sum(V**-2.0)) + math.log(size + tau2)
+
+    top = max(sum(solved(size * (math.exp(x) - 1.0))[::3]) for x in np.linspace(0, 12, 400))
+
+    def density(x):
+        log, _, _, prior = solved(size * (math.exp(x) - 1.0))
+        return math.exp(log + prior - top)
+
+    at_zero = belief * density(0.0)
+    ends = (
+        0.0,
+        optimize.brentq(lambda x: density(x) - 1e-12, 40.0, 6.0) if density(6.0) > (1e-12) else 6.0,
+    )
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    x = (nodes + 1.0) / 2.0 * (ends[1] - ends[0])
+    w = np.array([density(each) for each in x]) * weights / 2.0 * (ends[1] - ends[0])
+    whole = integrate.quad(density, *ends, limit=200)[0]
+    assert_allclose(w.sum(), whole, rtol=1e-6)
+    w = np.append(at_zero, w)
+    w /= w.sum()
+    found = [solved(size * (math.exp(each) - 1.0)) for each in (0.0, *x)]
+    V = size * np.exp(np.array([0.0, *x]))
+    mean = float(w @ (1.0 / V))
+    tau2 = 1.0 / mean - size
+    dof = 2.0 * mean**2 / float(w @ (1.0 / V - mean) ** 2)
+    best = solved(tau2)[1]
+    U = []
+    for j, value in enumerate(best):
+        means = np.array([p[j] for _, p, _, _ in found])
+        sds = np.sqrt([c[j] for _, _, c, _ in found])
+
+        def outside(half, value=value, means=means, sds=sds):
+            inside = stats.norm.cdf((value + half - means) / sds) - stats.norm.cdf(
+                (value - half - means) / sds
+            )
+            return float(w @ inside) - 0.95
+
+        U.append(optimize.brentq(outside, 0.0, 1.0))
+    order = np.arange(X.shape[1]).reshape(-1, m).T.ravel()  # parameters output by output
+    return best[order], np.array(U)[order], tau2, dof
+
+
+@pytest.mark.parametrize("claim", [1.0, 0.5, 0.2])
+@pytest.mark.parametrize("equal", [True, False])
+def test_posterior_by_quadrature(claim, equal):
+    """All three outputs share a scatter; 48 nodes of the trapezoidal rule leave 1e-3 of U."""
+    rng = np.random.default_rng(4)
+    up = sphere(12)
+    u = np.full((12, 3), SD) if equal else SD * rng.uniform(0.5, 2.0, (12, 3))
+    values = up + u * rng.standard_normal((12, 3))
+    cal = mp.fit(mp.Readings(values, up=up, u=claim * u), pool=True)
+    best, U, tau2, dof = dense(values, up, claim * u, belief=1.4)
+    assert_allclose(cal.parameters, best, atol=2e-3 * U.min())
+    assert_allclose(cal.U, U, rtol=2e-3)
+    assert cal.variance_components.rest_to_rest["ax"].value == pytest.approx(
+        math.sqrt(tau2), rel=0.02
+    )
+    assert cal.dof[0] == pytest.approx(dof, rel=0.02)
+    covariance = mp.fit(mp.Readings(values, up=up, covariance=np.diag((claim * u).ravel() ** 2)))
+    assert_allclose(covariance.U, mp.fit(mp.Readings(values, up=up, u=claim * u)).U, rtol=1e-9)
+
+
+def test_correlated_readings_are_turned_to_where_they_are_not():
+    """The same readings in other axes: a rotation of all outputs at a position changes nothing."""
+    rng = np.random.default_rng(6)
+    up = sphere(24)
+    shared = 1e-6 * (0.5 * np.ones((3, 3)) + 0.5 * np.eye(3))
+    values = up + rng.multivariate_normal(np.zeros(3), 4.0 * shared, 24)
+    cal = mp.fit(mp.Readings(values, up=up, covariance=np.kron(np.eye(24), shared)))
+    variances, axes = np.linalg.eigh(shared)
+    turned = mp.fit(
+        mp.Readings(values @ axes, up=up, u=np.tile(np.sqrt(variances), (24, 1))), pool=True
+    )
+    parts = cal.parameters.reshape(3, 4).T @ axes
+    assert_allclose(parts.T.ravel(), turned.parameters, rtol=0, atol=1e-9)
+    assert_allclose(cal.dof, turned.dof, rtol=1e-6)
+    assert_allclose(cal.noise - np.kron(np.eye(24), shared), np.eye(72) * (cal.noise[0, 0] - 1e-6))
+
+
+def test_without_a_floor_it_is_student_s_t():
+    rng = np.random.default_rng(1)
+    for n in (6, 12, 24):
+        values = sphere(n) + SD * rng.standard_normal((n, 3))
+        readings = mp.Readings(values, up=sphere(n))
+        plain = mp.fit(readings, pool=True)
+        floored = mp.fit(readings, pool=True, reading_sd=1e-6 * SD)
+        assert_allclose(floored.parameters, plain.parameters, atol=1e-12)
+        # the trapezoidal rule over a range whose tail of 1e-6 is cut off
+        assert_allclose(floored.U, plain.U, rtol=1e-3)
+        assert_allclose(floored.dof, plain.dof, rtol=1e-3)
+
+
+def test_a_claim_far_above_the_residuals_is_the_noise():
+    values = sphere(24) + 1e-3 * SD * np.random.default_rng(2).standard_normal((24, 3))
+    cal = mp.fit(mp.Readings(values, up=sphere(24)), reading_sd=SD)
+    X = np.column_stack([np.ones(24), sphere(24)])
+    u = SD * np.sqrt(np.diag(np.linalg.inv(X.T @ X)))
+    assert_allclose(cal.U[:4] / stats.norm.ppf(0.975), u, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("n", "pool", "price", "mean", "worst"),
+    [
+        (6, True, 1.30, 0.93, 0.925),
+        (12, True, 1.15, 0.93, 0.925),
+        (24, True, 1.12, 0.93, 0.925),
+        (6, False, 1.35, 0.87, 0.84),
+    ],
+)
+def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst):
+    """Readings of their own generator; an estimate is normal and independent of its residuals.
+
+    So the coverage is that of the normal law at U, averaged over residuals: 300 of them know it
+    to half a percent. One output alone has two degrees of freedom at six positions.
+    """
+    rng = np.random.default_rng(n)
+    up = sphere(n)
+    outputs = 3 if pool else 1
+    X = np.column_stack([np.ones(n), up])
+    u = SD * np.sqrt(np.diag(np.linalg.inv(X.T @ X)))
+    covered = {}
+    for claim in (1.0, 0.7, 0.5, 0.3, 0.1):
+        share, length = [], []
+        for _ in range(300):
+            values = up[:, :outputs] + SD * rng.standard_normal((n, outputs))
+            cal = mp.fit(mp.Readings(values, up=up), reading_sd=claim * SD, pool=pool)
+            share.append(2.0 * stats.norm.cdf(cal.U[:4] / u) - 1.0)
+            length.append(cal.U[:4] / u / stats.norm.ppf(0.975))
+        covered[claim] = float(np.mean(share))
+        if claim == 1.0:
+            assert np.mean(length) <= price
+            assert covered[claim] <= 0.985
+    assert np.mean(list(covered.values())) >= mean
+    assert min(covered.values()) >= worst
+
+
+def test_one_output_that_is_noisier_has_a_scatter_of_its_own():
+    rng = np.random.default_rng(8)
+    values = sphere(24) + [SD, SD, 20 * SD] * rng.standard_normal((24, 3))
+    cal = mp.fit(mp.Readings(values, up=sphere(24)), reading_sd=SD)
+    found = cal.variance_components.rest_to_rest
+    assert found["az"].value == pytest.approx(20 * SD, rel=0.5)
+    assert found["ax"].value < SD
+    assert cal.u[8] > 10 * cal.u[0]
+
+
+def test_positions_that_scatter_count_alike_whatever_they_claim():
+    """Rests repeat ten times worse than within: u of a rest is no weight."""
+    rng = np.random.default_rng(9)
+    up = np.tile(sphere(6), (4, 1))
+    u = SD * 10.0 ** rng.uniform(-1.0, 0.0, up.shape)
+    values = up + 10 * SD * rng.standard_normal(up.shape)
+    cal = mp.fit(mp.Readings(values, up=up, u=u))
+    plain = mp.fit(mp.Readings(values, up=up))
+    # with weights 1/u² alone estimates would differ by a good part of u
+    assert_allclose(cal.parameters, plain.parameters, atol=0.02 * plain.u.max())
+
+
+def test_scatter_is_kept_in_the_file(tmp_path):
+    values = sphere(12) + SD * np.random.default_rng(3).standard_normal((12, 3))
+    cal = mp.fit(mp.Readings(values, up=sphere(12)), reading_sd=0.5 * SD)
+    cal.save(tmp_path / "cal.json")
+    again = mp.load(tmp_path / "cal.json")
+    assert again.variance_components == cal.variance_components
+    assert_allclose(again.noise, cal.noise)
+    content = cal.to_dict()["variance_components"]["rest_to_rest"]
+    assert set(content) == {"ax", "ay", "az"}
+    assert set(content["ax"]) == {"value", "u", "dof"}
+
+
+@pytest.mark.parametrize("span", [1e-6, 1e30])
+def test_floors_of_any_size_are_weighed(span):
+    """One reading that claims to be known exactly, or not at all, beside others."""
+    values = sphere(12) + SD * np.random.default_rng(5).standard_normal((12, 3))
+    u = np.full((12, 3), SD)
+    u[0] *= span
+    cal = mp.fit(mp.Readings(values, up=sphere(12), u=u))
+    assert np.isfinite(cal.covariance).all()
+    assert (cal.u > 0.0).all()
+
+
+def test_the_price_in_a_closed_form():
+    """Weights of the inversion do not know of noise, but its covariance does."""
+    rng = np.random.default_rng(1)
+    values = read_scheme("song-qin-6").up + SD * rng.standard_normal((6, 3))
+    options = {"scheme": "song-qin-6", "model": "own-quadratic", "reading_sd": SD}
+    closed = mp.fit(mp.Readings(values), closed_form=True, **options)
+    plain = mp.fit(mp.Readings(values), **options)
+    assert_allclose(closed.covariance, plain.covariance, rtol=1e-9, atol=1e-9 * SD**2)
