@@ -27,7 +27,6 @@ from multipos.numerics.least_squares import LinearFit, separability, solve
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, add_variances, diagonal, stated_sd
-from multipos.sensor.calibration import Calibration
 from multipos.sensor.diagnostics import UNEQUAL, bartlett, find_outliers
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
@@ -159,16 +158,10 @@ def _beside_stated(
         }
     )
     sd = np.sqrt(diagonal(noise).reshape(n, m) + found.variance)
-    said = judge_claim(float(fits.chi2.sum()), float(left), found.variance, readings)
+    said = judge_claim(float(fits.chi2.sum()), float(left), found.variance, readings.unit)
     return _Weighed(
         weighed, u / np.sqrt(np.diag(weighed.cofactor)), found.dof, sd, said, components
     )
-
-
-def scattered_again(c: Calibration) -> Solution:
-    """Return what a calibration at known orientations found, without what a budget added to it."""
-    shared = len(c.outputs) > 1 and np.ptp(c.dof) == 0.0
-    return solve_known(c.model, c.reference, c.readings, pool=bool(shared))
 
 
 def _solve(model: Model, phi: Array, readings: Readings, noise: Array | None) -> _Fits:
@@ -258,7 +251,7 @@ def chi_squares(residuals: Array, noise: Array | None) -> Array:
     )
 
 
-def judge_claim(chi2: float, dof: float, scatter: Array, readings: Readings) -> tuple[str, ...]:
+def judge_claim(chi2: float, dof: float, scatter: Array, unit: str) -> tuple[str, ...]:
     """Say where the residuals of all outputs deny the stated noise, or are far below it.
 
     Parameters
@@ -267,13 +260,14 @@ def judge_claim(chi2: float, dof: float, scatter: Array, readings: Readings) -> 
         Of the residuals under the stated noise.
     scatter : (M,) array
         Variance that was found beside it.
+    unit : str
     """
     seen = f"(chi-square {chi2:.4g} on {dof:g} degrees of freedom)"
     if chi2 > chi2_quantile(DENIED, dof):
         sizes = ", ".join(dict.fromkeys(f"{size:.3g}" for size in np.sqrt(scatter).tolist()))
         found = (
             f"the residuals deny the stated reading noise {seen}: a scatter from position to "
-            f"position of {sizes} {readings.unit} is added to it; placement error is the usual "
+            f"position of {sizes} {unit} is added to it; placement error is the usual "
             "cause, see --orientation-sd"
         )
         return (found,)

@@ -1,8 +1,7 @@
 """How noisy the readings are, and what a solution of the likelihood is therefore worth.
 
-- **Stated** noise is believed unless the residuals deny it: F of `multipos.estimation.likelihood`
-  is then χ² with nu degrees of freedom, and beyond its 99.9 % point the covariance is multiplied by
-  F/nu.
+- **Stated** noise is a floor, beside which readings scatter from rest to rest
+  (`multipos.estimation.placed_scatter`).
 - **Unstated** noise, equal in all readings, is F/nu where every position is exact or unknown.
 - Where orientation errors share the blame for the residuals, noise is estimated by restricted
   maximum likelihood (`multipos.estimation.variances`), alone or together with the orientation sd.
@@ -17,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.descent import resume
-from multipos.estimation.known import believe
+from multipos.estimation.known import judge_claim
+from multipos.estimation.placed_scatter import integrate_placed
 from multipos.estimation.problem import Optimum, Problem
+from multipos.estimation.scatter import standard_uncertainty
 from multipos.estimation.variances import Components, components, linearised, maximise_restricted
 from multipos.numerics.arrays import Array
-from multipos.sensor.found import Component, VarianceComponents
+from multipos.sensor.found import Component, RestToRest, VarianceComponents
 
 _ROUNDS = 30  # of noise and solution in turn
 _SETTLED = 1e-5  # change of ln variance at which they agree
@@ -38,6 +39,7 @@ class Worth:
     orientation_sd: Array | None = None  # (n,) [rad], where the orientation sd was estimated
     warnings: tuple[str, ...] = ()
     components: VarianceComponents | None = None
+    u: Array | None = None  # (p,), where it is not the root of the covariance times the factor
     weight: Array | None = None  # (n,) of each position under a robust loss
 
 
@@ -68,9 +70,27 @@ def judge_noise(
         return _estimate(problem, optimum, stated, estimate_sd)
     if not stated:
         return problem, optimum, Worth(optimum.point.objective / nu, nu)
-    chi2 = np.array([optimum.point.objective])
-    factor, dof, said = believe(chi2, np.array([nu]), ("all outputs",))
-    return problem, optimum, Worth(float(factor[0]), float(dof[0]), warnings=tuple(said))
+    if nu <= 0:
+        return problem, optimum, Worth(1.0, np.inf)
+    return _beside_stated(problem, optimum, nu)
+
+
+def _beside_stated(first: Problem, optimum: Optimum, nu: float) -> tuple[Problem, Optimum, Worth]:
+    """Add to the stated noise what readings scatter from rest to rest (`placed_scatter`)."""
+    chi2 = optimum.point.objective
+    problem, optimum, posterior = integrate_placed(first, optimum, nu)
+    tau2, u_tau, dof = posterior.summary
+    tau = float(np.sqrt(tau2))
+    p, outputs = len(problem.model.keys), problem.model.outputs
+    unit = problem.model.unit
+    worth = Worth(
+        1.0,
+        dof,
+        warnings=judge_claim(chi2, nu, np.array([tau2]), unit),
+        components=VarianceComponents(dict.fromkeys(outputs, RestToRest(tau, u_tau, dof))),
+        u=standard_uncertainty(posterior.expanded(np.zeros(p)), np.full(p, dof)),
+    )
+    return problem, optimum, worth
 
 
 def _estimate(
@@ -96,7 +116,8 @@ def _estimate(
     told = components(linearised(first, optimum), v, free)
     words, said = _in_words(problem, told, free)
     warnings = [f"estimated by restricted maximum likelihood: {' and '.join(words)}"]
-    if max(part.u / part.value for part in said.values() if part is not None) > 1.0:
+    estimated = (said.reading_sd, said.orientation_sd_deg)
+    if max(part.u / part.value for part in estimated if part is not None) > 1.0:
         warnings.append(
             "one of the estimated variances is hardly determined; state it, or add positions "
             "(18 or more serve)"
@@ -127,4 +148,4 @@ def _in_words(
         value = float(np.degrees(tied.max()))
         orientation = Component(value, value * float(relative[-1]))
         words.append(f"orientation error {value:.3g} degrees (to {100.0 * relative[-1]:.0f} %)")
-    return words, VarianceComponents(reading, orientation)
+    return words, VarianceComponents(reading_sd=reading, orientation_sd_deg=orientation)

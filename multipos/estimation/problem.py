@@ -196,10 +196,8 @@ def state_problem(
     if noise is None:
         size = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)) or 1.0  # of one position
         precision = np.full((n, m), 1.0 / (_RELATIVE_NOISE * size) ** 2)
-    elif noise.ndim == 1:
-        precision = 1.0 / noise.reshape(n, m)
     else:
-        precision = _block_precision(noise, n, m)
+        precision = precision_of(noise, n, m)
     return Problem(
         model=model,
         values=values,
@@ -216,10 +214,19 @@ def state_problem(
     )
 
 
-def _block_precision(covariance: Array, n: int, m: int) -> Array:
-    blocks = covariance.reshape(n, m, n, m)
+def precision_of(noise: Array, n: int, m: int) -> Array:
+    """Return the inverse of noise, as `Readings.noise` has it, (n, M) or (n, M, M).
+
+    Raises
+    ------
+    MultiposError
+        Positions are correlated with each other.
+    """
+    if noise.ndim == 1:
+        return 1.0 / noise.reshape(n, m)
+    blocks = noise.reshape(n, m, n, m)
     own = blocks[np.arange(n), :, np.arange(n), :]
-    rest = covariance.copy().reshape(n, m, n, m)
+    rest = noise.copy().reshape(n, m, n, m)
     rest[np.arange(n), :, np.arange(n), :] = 0.0
     if rest.any():
         raise MultiposError(

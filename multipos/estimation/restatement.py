@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.descent import maximise
-from multipos.estimation.problem import Optimum, Problem, start_state, state_problem
+from multipos.estimation.problem import Optimum, Problem, precision_of, start_state, state_problem
 from multipos.estimation.robustness import set_aside
 from multipos.numerics.rotations import rotation_matrix
 from multipos.positions.placement import place
@@ -29,9 +29,11 @@ def restate(calibration: Calibration) -> Problem:
     level_sd_deg = (c.orientations and c.orientations.level_sd_deg) or 0.0
     placement = place(c.readings, size, level_sd=float(np.radians(level_sd_deg)))
     problem = state_problem(c.model, c.readings, placement, None)
-    if c.readings.noise is None:
+    if c.noise is None:
         sd = np.tile(c.residual_sd, (len(c.readings), 1))
         problem = replace(problem, precision=1.0 / sd**2)
+    else:
+        problem = replace(problem, precision=precision_of(c.noise, *c.readings.values.shape))
     if c.robust_weight is not None:
         problem = set_aside(problem, c.robust_weight == 0.0)
     return problem

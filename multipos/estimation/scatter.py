@@ -32,7 +32,7 @@ D. A. Harville 1977, J. Am. Stat. Assoc. 72, eq. (2); H. Jeffreys, *Theory of Pr
 section 3.10.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -48,6 +48,7 @@ _FEW = 6.0  # degrees of freedom below which the claim must weigh more, or U is 
 _RISE = 2.0  # power of 1/ν by which it does
 _COVERAGE = 0.95  # at which U and Student's t are made to agree
 _NODES = 48
+_NARROWED = 2  # times that the range is cut to where something is probable
 _NEGLIGIBLE = 30.0  # of -2 ln: one part in three million of the posterior
 _ROWS = 20_000  # readings worked on at once
 _MOST_DOF = 1e9
@@ -78,6 +79,14 @@ class Part(NamedTuple):
     def parameters(self) -> int:
         """Number of parameters of each output."""
         return int(self.basis.shape[1])
+
+
+class Found(NamedTuple):
+    """The posterior density of ln(τ² + size) at nodes (G,), moves and variances (G, p)."""
+
+    log: Array
+    moves: Array
+    variances: Array
 
 
 @dataclass(frozen=True)
@@ -140,8 +149,7 @@ class Scatter:
         expanded = np.empty(len(moves))
         for members, posterior in self.posteriors:
             expanded[members] = posterior.expanded(moves[members])
-        factors = {nu: coverage_factor(_COVERAGE, nu) for nu in set(dof.tolist())}
-        return np.asarray(expanded / np.array([factors[nu] for nu in dof.tolist()]))
+        return standard_uncertainty(expanded, dof)
 
 
 def find_scatter(
@@ -186,7 +194,7 @@ def _gather(
     ends = np.cumsum([0, *(design.shape[1] for design in designs)])
     posteriors = []
     for outputs, parts in groups:
-        posterior = integrate([part for _, part in parts])
+        posterior = integrate_parts([part for _, part in parts])
         order = [np.arange(ends[i], ends[i + 1]) for members, _ in parts for i in members]
         posteriors.append((np.concatenate(order), posterior))
         variance[outputs], u[outputs], dof[outputs] = posterior.summary
@@ -227,8 +235,8 @@ def _part(design: Array, residuals: Array, floor: Array) -> Part:
     return Part(Q, np.linalg.inv(R) / length[:, None], residuals, floor)
 
 
-def integrate(parts: Sequence[Part]) -> Posterior:
-    """Return the posterior of a scatter that all parts share, and of their parameters.
+def integrate_parts(parts: Sequence[Part]) -> Posterior:
+    """Return the posterior of a scatter that parts share, and of their parameters.
 
     Parameters
     ----------
@@ -237,14 +245,41 @@ def integrate(parts: Sequence[Part]) -> Posterior:
     """
     dof = float(sum(p.residuals.size - p.parameters * p.residuals.shape[1] for p in parts))
     size = float(np.exp(np.mean(np.concatenate([np.log(part.floor) for part in parts]))))
-    low, high = _range(parts, dof, size)
-    coarse = np.linspace(low, high, _NODES // 2)
-    log = _evaluate(parts, np.exp(coarse) - size, size).log
-    told = np.flatnonzero(log > log.max() - _NEGLIGIBLE / 2.0)
-    ends = coarse[max(told[0] - 1, 0)], coarse[min(told[-1] + 1, len(coarse) - 1)]
+    weighted = sum(float(np.sum(p.residuals**2 / p.floor[:, None])) for p in parts) * size
+    plain = sum(float(np.sum(p.residuals**2)) for p in parts)
+    return integrate(lambda nodes: _evaluate(parts, nodes, size), dof, size, (weighted, plain))
+
+
+def integrate(
+    evaluate: Callable[[Array], Found], dof: float, size: float, squares: tuple[float, float]
+) -> Posterior:
+    """Return the posterior of a scatter, and of parameters.
+
+    Parameters
+    ----------
+    evaluate : callable
+        Takes values of τ² (G,).
+    dof : float
+        Degrees of freedom, above 0.
+    size : float
+        Of the floors.
+    squares : tuple of two float
+        Sums of squared residuals that bracket how noisy readings can be.
+    """
+    least = min(squares) / (dof + 10.0 * np.sqrt(dof) + 30.0)
+    # Large V are unlikely as V^(−ν/2); a tail of 1e-6 is cut off.
+    ends = (
+        float(np.log(max(size, least))),
+        float(np.log(max(*squares, size)) + 28.0 / dof + min(0.5, 10.0 / np.sqrt(dof))),
+    )
+    for _ in range(_NARROWED):
+        x = np.linspace(*ends, _NODES // 2)
+        log = evaluate(np.maximum(np.exp(x) - size, 0.0)).log
+        told = np.flatnonzero(log > log.max() - _NEGLIGIBLE / 2.0)
+        ends = float(x[max(told[0] - 1, 0)]), float(x[min(told[-1] + 1, len(x) - 1)])
     x = np.linspace(*ends, _NODES)
     nodes = np.append(0.0, np.maximum(np.exp(x) - size, 0.0))
-    found = _evaluate(parts, nodes, size)
+    found = evaluate(nodes)
     log = found.log[1:]
     weights = np.exp(log - log.max()) * (x[1] - x[0])
     weights[[0, -1]] /= 2.0
@@ -253,26 +288,7 @@ def integrate(parts: Sequence[Part]) -> Posterior:
     return Posterior(nodes, weights / weights.sum(), found.moves, found.variances, size)
 
 
-def _range(parts: Sequence[Part], dof: float, size: float) -> tuple[float, float]:
-    """Return the range of ln(τ² + size) beyond which nothing is probable."""
-    weighted = sum(float(np.sum(p.residuals**2 / p.floor[:, None])) for p in parts) * size
-    plain = sum(float(np.sum(p.residuals**2)) for p in parts)
-    least = min(weighted, plain) / (dof + 10.0 * np.sqrt(dof) + 30.0)
-    most = max(weighted, plain, size)
-    low = np.log(max(size, least))
-    # Large V are unlikely as V^(−ν/2); a tail of 1e-6 is cut off.
-    return float(low), float(np.log(most) + 28.0 / dof + 0.5)
-
-
-class _Found(NamedTuple):
-    """The posterior density of ln(τ² + size) at nodes (G,), moves and variances (G, p)."""
-
-    log: Array
-    moves: Array
-    variances: Array
-
-
-def _evaluate(parts: Sequence[Part], nodes: Array, size: float) -> _Found:
+def _evaluate(parts: Sequence[Part], nodes: Array, size: float) -> Found:
     log = np.log(nodes + size)
     information = np.zeros(len(nodes))  # of τ², twice
     moves, variances = [], []
@@ -293,7 +309,7 @@ def _evaluate(parts: Sequence[Part], nodes: Array, size: float) -> _Found:
         own = np.einsum("ip,gpq,iq->gi", part.inverse, inverse, part.inverse)
         variances.append(np.tile(own, (1, m)))
     log += 0.5 * np.log(information)
-    return _Found(log, np.concatenate(moves, axis=1), np.concatenate(variances, axis=1))
+    return Found(log, np.concatenate(moves, axis=1), np.concatenate(variances, axis=1))
 
 
 class _Sums(NamedTuple):
@@ -358,3 +374,9 @@ def _half_interval(means: Array, sds: Array, weights: Array) -> Array:
 
 def _normal(z: Array) -> Array:
     return np.asarray(np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi))
+
+
+def standard_uncertainty(expanded: Array, dof: Array) -> Array:
+    """Return u = U/k (p,) of U at 95 % with degrees of freedom (p,)."""
+    factors = {nu: coverage_factor(_COVERAGE, nu) for nu in set(dof.tolist())}
+    return np.asarray(expanded / np.array([factors[nu] for nu in dof.tolist()]))

@@ -173,7 +173,10 @@ def _solution(
     information = reduced_information(plain, p)
     covariance = np.linalg.inv(information)
     covariance = (covariance + covariance.T) / 2.0 * worth.factor
-    u = np.sqrt(np.diag(covariance))
+    u, inflation = np.sqrt(np.diag(covariance)), np.full(p, np.sqrt(worth.factor))
+    if worth.u is not None:
+        u, inflation = worth.u, worth.u / u
+        covariance = covariance * np.outer(inflation, inflation)
     jacobian = parameter_jacobian(model, state.theta, point.force, problem.environment)
     leverage = np.einsum(
         "nij,njp,nip->ni", plain.marginal, jacobian @ np.linalg.inv(information), jacobian
@@ -199,7 +202,7 @@ def _solution(
         parameters=state.theta,
         covariance=covariance,
         parameter_dof=np.full(p, worth.dof) if worth.parameter_dof is None else worth.parameter_dof,
-        inflation=np.full(p, np.sqrt(worth.factor)),
+        inflation=inflation,
         dof=np.full(m, worth.dof),
         residuals=point.residuals,
         residual_sd=residual_sd,

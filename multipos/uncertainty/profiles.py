@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import ConvergenceError, MultiposError
 from multipos.estimation.descent import maximise
-from multipos.estimation.known import chi_squares, scattered_again
+from multipos.estimation.known import chi_squares
 from multipos.estimation.likelihood import linearise, moved, recentred
 from multipos.estimation.restatement import (
     estimated_variances,
@@ -38,11 +38,14 @@ from multipos.estimation.restatement import (
     restate,
     return_to_optimum,
 )
+from multipos.estimation.starts import reduced_information
 from multipos.estimation.variances import components, linearised
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
+from multipos.uncertainty.propagation import evaluate_budget
+from multipos.uncertainty.sensitivities import estimator_gain
 
 Profile = Callable[[float], float]  # how much a parameter's value costs, S_j(t) - S_min
 
@@ -173,12 +176,7 @@ def profile_interval(calibration: Calibration, output: str, term: str) -> Interv
             f"as many terms of {output} as readings: nothing is left to tell how far they may "
             "move; give --reading-sd or more positions."
         )
-    if c.weighed and np.isfinite(dof):
-        found = scattered_again(c)
-        dof, factor = float(found.parameter_dof[index]), float(found.inflation[index])
-        residuals, best = _known_problem(c, np.full(len(c.outputs), factor))
-    else:
-        residuals, best = _known_problem(c)
+    residuals, best = _known_problem(c, index)
     return search_interval(
         residuals, best, index, u=float(c.u[index]), dof=dof, confidence=c.confidence
     )
@@ -195,6 +193,10 @@ def _likelihood_interval(c: Calibration, index: int) -> Interval:
         dof = float(components(linearised(problem, best), np.zeros(2), free).dof[index])
 
     normal = linearise(problem, best.state, best.point)
+    if c.weighed:
+        p = len(c.names)
+        variance = np.linalg.inv(reduced_information(normal, p))[index, index]
+        factor = _scatter_of(c, index) ** 2 / variance
     slope = np.zeros(len(normal.information))  # how all unknowns follow the parameter
     others = np.arange(len(slope)) != index
     slope[index] = 1.0
@@ -217,13 +219,17 @@ def _likelihood_interval(c: Calibration, index: int) -> Interval:
     return _search_ends(rise, float(best.state.theta[index]), k, float(c.u[index]))
 
 
-def _known_problem(
-    c: Calibration, sd: Array | None = None
-) -> tuple[Callable[[Array], Array], Array]:
+def _scatter_of(c: Calibration, index: int) -> float:
+    """Return u of a parameter without what a budget added to it."""
+    rows = (row for row in evaluate_budget(c).rows if row.evaluation == "A")
+    return math.sqrt(sum(float(row.covariance[index, index]) for row in rows))
+
+
+def _known_problem(c: Calibration, index: int) -> tuple[Callable[[Array], Array], Array]:
     """Return the whitened residuals (n M,) of parameters (p,) at known orientations, and the best.
 
-    The noise is that by which the fit weighed readings, or of variance one, times `sd`² of each
-    output (M,), or what the fit multiplied it by.
+    The noise is that by which the fit weighed readings, or of variance one, times what the fit
+    multiplied it by; so that where a scatter was found, u of one parameter is what it was.
     """
     noise = c.noise
     full = noise is not None and noise.ndim == 2
@@ -241,7 +247,11 @@ def _known_problem(
     best = c.parameters
     if c.estimator is Estimator.CLOSED_FORM:
         best = fit_residuals(lambda p: whitened(left(p)), best)
-    if sd is None:
+    if c.weighed and noise is not None:
+        gain = estimator_gain(c)[index]
+        variance = gain @ (noise @ gain if full else noise * gain)
+        sd = np.full(len(c.outputs), _scatter_of(c, index) / math.sqrt(variance))
+    else:
         sd = np.sqrt(_variance_factor(c, chi_squares(left(best), noise)))
 
     def residuals(p: Array) -> Array:
