@@ -21,6 +21,7 @@ import multipos as mp
 from multipos.estimation.gains import uncertain_gain
 from multipos.estimation.identifiability import CANDIDATES, condition, plausible_range
 from multipos.estimation.noise import _in_words
+from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.estimation.robustness import _huber_factor
 from multipos.estimation.starts import _require_sphere
 from multipos.estimation.uncertain import _scale_bias
@@ -256,20 +257,20 @@ def test_second_order_is_kept_by_the_pointers_only(name, without, with_k2, p):
 # --- noise: stated, denied, estimated
 
 
-def test_stated_noise_weighs_unequal_axes_and_is_believed():
+def test_stated_noise_weighs_unequal_axes():
     sd = np.array([1e-5, 1e-4, 3e-5])
     sensor = Sensor(matrix=lower(MATRIX))
     values = sensor.read(UP) + sd * rng().standard_normal(UP.shape)
     cal = mp.fit(mp.Readings(values), unknown_orientation=True, reading_sd=sd)
     assert close(cal, sensor.truth(cal.model))
-    assert np.isinf(cal.parameter_dof).all()
+    assert (cal.parameter_dof > 24 - 9).all()  # what is stated tells more than residuals alone
     assert cal["ay", "1"].u > 2.0 * cal["ax", "1"].u
     u = mp.fit(mp.Readings(values, u=np.tile(sd, (24, 1))), unknown_orientation=True)
     assert (u.parameters == cal.parameters).all()
 
 
 @pytest.mark.parametrize("mode", ["unknown", "uncertain"])
-def test_denied_noise_is_scaled_up_and_said(mode):
+def test_denied_noise_is_added_to_and_said(mode):
     readings = readings_of(Sensor(matrix=lower(MATRIX)), UP, rng(), sd=1e-4, off_deg=0.005)
     how = {"unknown_orientation": True} if mode == "unknown" else {"orientation_sd": 0.005}
     cal = mp.fit(mp.Readings(readings.values, up=readings.up), reading_sd=1e-6, **how)
@@ -277,13 +278,13 @@ def test_denied_noise_is_scaled_up_and_said(mode):
     said = [w for w in cal.diagnostics.warnings if "deny the stated reading noise" in w]
     assert len(said) == 1
     assert "--orientation-sd" in said[0]
-    factor = float(said[0].split("multiplied by ")[1].split(";")[0])
-    nu = 24 - 9 if mode == "unknown" else 72 - 12
-    assert (cal.parameter_dof == nu).all()
-    # across the direction the orientation error takes the blame, along it nothing does
-    assert factor == pytest.approx(1e4 if mode == "unknown" else 1e4 / 3.0, rel=0.6)
-    if mode == "unknown":
-        assert_allclose(cal.covariance, honest.covariance, rtol=1e-6)
+    scatter = cal.variance_components.rest_to_rest["ay"].value
+    assert f"position to position of {scatter:.3g} reading" in said[0]
+    # 15 or some 24 contrasts that no orientation touches
+    assert scatter == pytest.approx(1e-4, rel=0.5)
+    if mode == "unknown":  # a floor that is nothing is as good as none
+        assert_allclose(cal.U, honest.U, rtol=1e-3)
+        assert_allclose(cal.parameter_dof, 24 - 9, rtol=1e-3)
 
 
 def test_nothing_left_is_said():
@@ -316,8 +317,9 @@ def test_both_standard_deviations_are_estimated_and_how_well():
         orientation_sd=found["orientation_sd_deg"]["value"],
         reading_sd=found["reading_sd"]["value"],
     )
-    assert_allclose(cal.parameters, given.parameters, rtol=0, atol=1e-10)
-    assert_allclose(cal.u, given.u, rtol=1e-6)
+    # what was estimated is a floor there, beside which a little scatter is allowed for
+    assert_allclose(cal.parameters, given.parameters, rtol=0, atol=0.02 * cal.u.min())
+    assert_allclose(cal.u, given.u, rtol=0.1)
     assert (cal.parameter_dof < 200.0).all()
     loaded = cal.to_dict()["variance_components"]
     assert loaded["reading_sd"]["value"] == found["reading_sd"]["value"]
@@ -908,25 +910,19 @@ def test_gain_by_finite_differences(mode, tmp_path):
         "auto": {"orientation_sd": "auto"},
     }.get(mode, {"reading_sd": 1e-5})
     known = {} if mode == "unknown" else known
+    cal = mp.fit(mp.Readings(values, **known), convention="specific-force", **how)
+    problem = restate(cal)
 
-    def solve(at):
-        return mp.fit(mp.Readings(at, **known), convention="specific-force", **fixed)
+    def solve(at):  # variances are held where they are
+        return return_to_optimum(cal, replace(problem, values=at)).state.theta
 
-    fixed = how
-    cal = solve(values)
-    if mode == "auto":  # variances are held where they are
-        found = cal.variance_components
-        fixed = {
-            "orientation_sd": found["orientation_sd_deg"]["value"],
-            "reading_sd": found["reading_sd"]["value"],
-        }
     cal.save(tmp_path / "cal.json")
     gain = uncertain_gain(mp.load(tmp_path / "cal.json"))
     h = 1e-6
     scale = np.abs(gain).max()
     for column in generator.choice(gain.shape[1], 12, replace=False).tolist():
         step = h * (np.arange(values.size) == column).reshape(values.shape)
-        wanted = (solve(values + step).parameters - solve(values - step).parameters) / (2.0 * h)
+        wanted = (solve(values + step) - solve(values - step)) / (2.0 * h)
         # second order is left out: residuals of 1e-5 and steps of 3e-4 against one
         assert_allclose(gain[:, column], wanted, rtol=0, atol=2e-3 * scale)
 

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.doubts.criticism import aicc, find_influence, fourier_residuals, judge_terms
 from multipos.errors import ConvergenceError, MultiposError, UsageError
+from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.found import Component, VarianceComponents
 from multipos.uncertainty import monte_carlo
@@ -51,12 +52,12 @@ def test_gain_of_the_likelihood_against_the_whole_estimator(options, tolerance):
     data = readings("fibonacci-24", sd=2e-4)
     options = {"scheme": scheme, "reading_sd": 2e-4, **options}
     c = mp.fit(data, **options)
-    gain = estimator_gain(c)
+    gain, problem = estimator_gain(c), restate(c)
     rng = np.random.default_rng(4)
     for _ in range(3):
         step = 1e-4 * rng.standard_normal(data.values.shape)
-        moved = [
-            mp.fit(replace(data, values=data.values + side * step), **options).parameters
+        moved = [  # the noise held where it was found
+            return_to_optimum(c, replace(problem, values=data.values + side * step)).state.theta
             for side in (1.0, -1.0)
         ]
         found = (moved[0] - moved[1]) / 2.0
