@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
+from multipos.files.characters import visible
 from multipos.files.lists import Names, split_numbers
 from multipos.files.tables import Source, read_table
 from multipos.numerics.selection import thresholds
@@ -190,7 +191,7 @@ def regress(
         dropped=read.dropped,
         hysteresis=hysteresis,
         cross_validation=validation,
-        source=source if sha256 else None,
+        source=visible(source) if sha256 else None,
         sha256=sha256,
         warnings=(*said, *_warnings(plan, segments, hysteresis, validation)),
     )

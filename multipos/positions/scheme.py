@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.characters import visible
 from multipos.files.pipes import is_pipe
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
@@ -141,7 +142,7 @@ def _from_table(source: Source) -> Scheme:
         )
     labels = table.text("position") if "position" in table else None
     _refuse_twice(table.source, labels)
-    return Scheme(table.source, attitudes.up, attitudes.rotation, labels)
+    return Scheme(visible(table.source), attitudes.up, attitudes.rotation, labels)
 
 
 def _refuse_twice(name: str, labels: tuple[str, ...] | None) -> None:

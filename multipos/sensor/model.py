@@ -363,7 +363,7 @@ def build_model(
         Unknown model or column, a formula that cannot be parsed, axes that are not x, y, z.
     """
     check_axes(outputs, axes, inputs)
-    name = text.strip()
+    name = " ".join(text.split())  # what is said of it stands on one line
     formula = NAMED.get(name, name)
     words = (*NAMED, *COMPONENTS, "1", "own", *(known or ()))
     if re.fullmatch(r"[\w-]+", name) and name not in words:

@@ -168,3 +168,10 @@ def test_a_file_without_orientation_is_no_scheme(tmp_path):
     path.write_text("position,ax\n1,2\n")
     with pytest.raises(MultiposError, match="no orientation columns; give direction"):
         read_scheme(path)
+
+
+def test_a_file_may_be_called_anything(tmp_path):
+    """Its name stands in notes, on one line, and does nothing to a terminal."""
+    path = tmp_path / "a\n\x1b[31m.csv"
+    path.write_text("position,direction\n1,E-N-U\n")
+    assert read_scheme(path).name.endswith(r"a\u000a\u001b[31m.csv")

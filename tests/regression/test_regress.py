@@ -637,3 +637,10 @@ def test_damaged_file_is_refused(tmp_path, capsys, text):
     status, out, err = run(capsys, "apply", path, data)
     assert (status, out) == (1, "")
     assert str(path) in err
+
+
+def test_a_regression_of_a_file_called_anything_is_read_back(tmp_path):
+    path = tmp_path / "\x1b[31m.csv"
+    path.write_text("y,t\n1,0\n2,1\n3.5,2\n4,3\n")
+    mp.regress(path, response="y", variables="t").save(tmp_path / "r.json")
+    assert mp.load_regression(tmp_path / "r.json").source.endswith(r"\u001b[31m.csv")

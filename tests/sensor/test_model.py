@@ -285,3 +285,8 @@ def test_a_missing_column_is_named():
     model = build("1 + x + temperature", ("a",), ("x",))
     with pytest.raises(UsageError, match="needs column 'temperature'"):
         model.predict(np.ones(3), np.zeros((1, 3)), {})
+
+
+def test_a_formula_of_two_lines_is_one():
+    model = build_model("1 + x\n + y", ("ax",), ("x",))
+    assert model.text == "1 + x + y"
