@@ -15,7 +15,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
@@ -27,7 +26,13 @@ from multipos.numerics.terms import evaluate_terms, largest_value
 from multipos.regression.candidates import read_candidates
 from multipos.regression.correlation import effective_size
 from multipos.regression.hysteresis import BRANCHES, branch_of, compare_branches
-from multipos.regression.observations import Data, check_columns, read_observations
+from multipos.regression.observations import (
+    Data,
+    Observations,
+    Rows,
+    check_columns,
+    read_observations,
+)
 from multipos.regression.piecewise import (
     METHODS,
     ROBUST,
@@ -157,42 +162,45 @@ def regress(
     source, sha256 = table.source, table.sha256
     del table  # whose text may be most of what is in memory
     check_columns(source, read.data, response, names, constant=plan.constant)
-    said = list(read.notes)
-    edges = given
-    if wanted is not None and given is None:
-        edges = _find_edges(plan, read.data, wanted, min_rows)
-        if not edges:
-            said.append(f"no edge in {wanted} is worth its coefficients: one segment")
-    elif wanted is not None and edges is not None:
-        check_edges(wanted, edges, read.data.columns[wanted])
-    cut = _Cut(wanted, edges or (), continuous, branches)
+    edges, said = _settle_edges(plan, read.data, wanted, given, min_rows)
+    cut = _Cut(wanted, edges, continuous, branches)
+    result = _describe(plan, response, read, cut, cross_validate)
+    return replace(
+        result,
+        source=source if sha256 else None,
+        sha256=sha256,
+        warnings=(*read.notes, *said, *result.warnings),
+    )
+
+
+def _describe(
+    plan: Plan, response: str, read: Observations, cut: _Cut, blocks: int | None
+) -> Regression:
+    """Return the fitted segments with what tells how far to believe them."""
     hysteresis = None
-    if branches is not None:
+    if cut.branch_column is not None:
         hysteresis = compare_branches(
-            plan.terms, read.data, branches, wanted, cut.edges, plan.confidence
+            plan.terms, read.data, cut.branch_column, cut.variable, cut.edges, plan.confidence
         )
         if not hysteresis["significant"]:
             cut = replace(cut, branch_column=None)
     segments = _fit_all(plan, read.data, cut)
     validation = None
-    if cross_validate is not None:
+    if blocks is not None:
         validation = check_by_blocks(
             read.data,
-            cross_validate,
+            blocks,
             lambda some: _assemble(plan, response, _fit_all(plan, some, cut), cut),
         )
-    result = _assemble(plan, response, segments, cut)
     return replace(
-        result,
+        _assemble(plan, response, segments, cut),
         time=read.time,
         rates=read.rates,
         n=len(read.data),
         dropped=read.dropped,
         hysteresis=hysteresis,
         cross_validation=validation,
-        source=source if sha256 else None,
-        sha256=sha256,
-        warnings=(*said, *_warnings(plan, segments, hysteresis, validation)),
+        warnings=tuple(_warnings(plan, segments, hysteresis, validation)),
     )
 
 
@@ -273,18 +281,39 @@ def _parse_segment(
     variable, colon, rest = text.rpartition(":")
     if not (colon and variable and rest):
         raise UsageError(f"--segment takes VARIABLE:EDGE,EDGE or VARIABLE:auto, got '{text}'.")
-    if rest.strip() == "auto":
-        return variable, None
+    return variable, None if rest.strip() == "auto" else _parse_edges(rest)
+
+
+def _parse_edges(rest: str) -> tuple[float, ...]:
     try:
         edges = split_numbers(rest)
     except ValueError:
         raise UsageError(f"--segment: '{rest}' is not a list of numbers, nor 'auto'.") from None
     if any(b <= a for a, b in pairwise(edges)) or not np.isfinite(edges).all():
         raise UsageError(f"--segment: edges must be finite and increase, got '{rest}'.")
-    return variable, edges
+    return edges
 
 
 # --- segments and branches
+
+
+def _settle_edges(
+    plan: Plan,
+    data: Data,
+    variable: str | None,
+    given: tuple[float, ...] | None,
+    min_rows: int | None,
+) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """Return the edges that are given or found, and what there is to say of them."""
+    if variable is None:
+        return (), ()
+    if given is not None:
+        check_edges(variable, given, data.columns[variable])
+        return given, ()
+    edges = _find_edges(plan, data, variable, min_rows)
+    if not edges:
+        return (), (f"no edge in {variable} is worth its coefficients: one segment",)
+    return edges, ()
 
 
 def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> tuple[float, ...]:
@@ -308,43 +337,69 @@ def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> 
     return find_edges(values, design, data.response, minimum=minimum, worth=worth)
 
 
-def _groups(data: Data, cut: _Cut) -> list[tuple[str | None, NDArray[np.intp], NDArray[np.intp]]]:
-    """Return (branch, rows, segment of each row), one for each branch."""
+@dataclass(frozen=True)
+class _Branch:
+    """Rows of one sign of the rate, or all where `name` is None, and the segment of each."""
+
+    name: str | None
+    rows: Rows
+    place: Rows
+
+
+def _branches(data: Data, cut: _Cut) -> list[_Branch]:
     n = len(data)
     place = np.zeros(n, dtype=np.intp)
     if cut.variable is not None:
         place = segment_of(data.columns[cut.variable], cut.edges)
     if cut.branch_column is None:
-        return [(None, np.arange(n), place)]
+        return [_Branch(None, np.arange(n), place)]
     sign = branch_of(data.columns[cut.branch_column])
-    return [(name, np.flatnonzero(sign == b), place[sign == b]) for b, name in enumerate(BRANCHES)]
+    return [
+        _Branch(name, np.flatnonzero(sign == b), place[sign == b])
+        for b, name in enumerate(BRANCHES)
+    ]
 
 
 def _fit_all(plan: Plan, data: Data, cut: _Cut) -> list[Segment]:
-    variable = cut.variable or plan.variables[0]
-    v = data.columns[variable]
-    outer = [float(v.min()), *cut.edges, float(v.max())]
-    spans = list(pairwise(outer))
-    segments: list[Segment] = []
-    for branch, rows, place in _groups(data, cut):
-        if cut.continuous and cut.edges:
-            for number, span in enumerate(spans):
-                if number not in place:
-                    empty = f"segment {number + 1} ({format_span(variable, span, branch)})"
-                    raise MultiposError(f"{empty} has no rows; move the edge, or give more rows.")
-            where = "the continuous model" if branch is None else f"the {branch} branch"
-            segments += fit_continuous(
-                plan, data.take(rows), variable, cut.edges, spans, branch, where
-            )
-            continue
-        for number, span in enumerate(spans):
-            where = "the table"
-            if cut.edges or branch:
-                where = f"segment {number + 1} ({format_span(variable, span, branch)})"
-            mine = rows[place == number]
-            some = data if len(mine) == len(data) else data.take(mine)
-            segments.append(fit_segment(plan, some, span, branch, where))
+    fit = _fit_joined if cut.continuous and cut.edges else _fit_apart
+    return [segment for branch in _branches(data, cut) for segment in fit(plan, data, cut, branch)]
+
+
+def _fit_joined(plan: Plan, data: Data, cut: _Cut, branch: _Branch) -> list[Segment]:
+    """Return the segments of one branch without a jump at the edges."""
+    variable, spans = _spans(plan, data, cut)
+    for number, span in enumerate(spans):
+        if number not in branch.place:
+            empty = _segment_name(number, variable, span, branch)
+            raise MultiposError(f"{empty} has no rows; move the edge, or give more rows.")
+    where = "the continuous model" if branch.name is None else f"the {branch.name} branch"
+    rows = data.take(branch.rows)
+    return fit_continuous(plan, rows, variable, cut.edges, spans, branch.name, where)
+
+
+def _fit_apart(plan: Plan, data: Data, cut: _Cut, branch: _Branch) -> list[Segment]:
+    """Return the segments of one branch, each fitted by itself."""
+    variable, spans = _spans(plan, data, cut)
+    segments = []
+    for number, span in enumerate(spans):
+        where = "the table"
+        if cut.edges or branch.name:
+            where = _segment_name(number, variable, span, branch)
+        mine = branch.rows[branch.place == number]
+        some = data if len(mine) == len(data) else data.take(mine)
+        segments.append(fit_segment(plan, some, span, branch.name, where))
     return segments
+
+
+def _spans(plan: Plan, data: Data, cut: _Cut) -> tuple[str, list[tuple[float, float]]]:
+    """Return the variable that segments lie along, and from where to where each goes."""
+    variable = cut.variable or plan.variables[0]
+    values = data.columns[variable]
+    return variable, list(pairwise([float(values.min()), *cut.edges, float(values.max())]))
+
+
+def _segment_name(number: int, variable: str, span: tuple[float, float], branch: _Branch) -> str:
+    return f"segment {number + 1} ({format_span(variable, span, branch.name)})"
 
 
 # --- what is said

@@ -21,7 +21,7 @@ them, so that their standard deviations, where they were estimated, are drawn li
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -140,49 +140,26 @@ def simulate_budget(
     UsageError
         An option is out of range, or the calibration needs an `estimator`.
     """
-    if trials is not None and not 100 <= trials <= _MOST:
-        raise UsageError(
-            f"`trials` must lie between 100 and {_MOST}, got {trials}; a million tell the ends of "
-            "an interval to three digits, beyond which it is the budget that is not known so well."
-        )
-    if digits not in (1, 2):
-        raise UsageError(f"`digits` must be 1 or 2, got {digits}.")
+    _check_options(trials, digits)
     c = calibration
     generator = np.random.default_rng(rng)
     solve = estimator or _own_estimator(c)
     draw = _Draws(c, generator)
     delta = numerical_tolerance(c.u, digits)
     exists = np.where(np.repeat(c.dof, [len(t) for t in c.model.terms]) > 2.0, 1.0, math.nan)
-    least = max(_BLOCK, math.ceil(100.0 / (1.0 - c.confidence)))
     one_by_one = estimator is None and c.estimator not in ("linear", "closed-form")
     size = _FEW if one_by_one and trials is not None else _BLOCK
-    done: list[Array] = []
-    summaries: list[Array] = []
-    count, stable = 0, False
-    while count < (trials or _MOST):
-        step = min(size, (trials or _MOST) - count)
-        block = solve(draw(step))
-        done.append(block)
-        count += len(block)
-        if progress is not None:
-            progress(count)
-        if trials is not None:
-            continue
-        low, high = _symmetric(_sorted(block), c.confidence)
-        spread = block.std(axis=0, ddof=1) * exists
-        summaries.append(np.array([block.mean(axis=0) * exists, spread, low, high]))
-        if len(summaries) < 2 or count < least:
-            continue
-        rest = np.std(summaries, axis=0, ddof=1) / math.sqrt(len(summaries))
-        stable = bool((np.nan_to_num(2.0 * rest) <= delta / 5.0).all())
-        if stable:
-            break
+    blocks = _blocks(solve, draw, trials or _MOST, size, progress)
+    if trials is None:
+        done, stable = _until_stable(blocks, c.confidence, exists, delta)
+    else:
+        done, stable = list(blocks), False
     values = _sorted(np.concatenate(done))
     low, high = _symmetric(values, c.confidence)
     off = np.maximum(np.abs(c.parameters - c.U - low), np.abs(c.parameters + c.U - high))
     return MonteCarlo(
         names=c.names,
-        trials=count,
+        trials=sum(map(len, done)),
         stable=stable,
         mean=values.mean(axis=1),
         u=values.std(axis=1, ddof=1) * exists,
@@ -193,11 +170,74 @@ def simulate_budget(
     )
 
 
+def _check_options(trials: int | None, digits: int) -> None:
+    if trials is not None and not 100 <= trials <= _MOST:
+        raise UsageError(
+            f"`trials` must lie between 100 and {_MOST}, got {trials}; a million tell the ends of "
+            "an interval to three digits, beyond which it is the budget that is not known so well."
+        )
+    if digits not in (1, 2):
+        raise UsageError(f"`digits` must be 1 or 2, got {digits}.")
+
+
+def _blocks(
+    solve: Estimator,
+    draw: "_Draws",
+    most: int,
+    size: int,
+    progress: Callable[[int], object] | None,
+) -> Iterator[Array]:
+    """Yield the parameters (trials, p) of so many trials at a time."""
+    count = 0
+    while count < most:
+        block = solve(draw(min(size, most - count)))
+        count += len(block)
+        if progress is not None:
+            progress(count)
+        yield block
+
+
+def _until_stable(
+    blocks: Iterator[Array], confidence: float, exists: Array, delta: Array
+) -> tuple[list[Array], bool]:
+    """Return blocks until their averages are stable to δ/5, and whether they became so."""
+    least = max(_BLOCK, math.ceil(100.0 / (1.0 - confidence)))
+    done: list[Array] = []
+    summaries: list[Array] = []
+    for block in blocks:
+        done.append(block)
+        low, high = _symmetric(_sorted(block), confidence)
+        spread = block.std(axis=0, ddof=1) * exists
+        summaries.append(np.array([block.mean(axis=0) * exists, spread, low, high]))
+        if len(summaries) < 2 or sum(map(len, done)) < least:
+            continue
+        rest = np.std(summaries, axis=0, ddof=1) / math.sqrt(len(summaries))
+        if (np.nan_to_num(2.0 * rest) <= delta / 5.0).all():
+            return done, True
+    return done, False
+
+
 def numerical_tolerance(u: Array, digits: int) -> Array:
     """Return δ, half a unit of the last of so many significant digits of u (JCGM 101, 7.9.2)."""
     with np.errstate(divide="ignore"):
         exponent = np.floor(np.log10(u)) - (digits - 1)
     return np.asarray(0.5 * 10.0**exponent)
+
+
+def _quantities_to_draw(c: Calibration) -> list[Quantity]:
+    """Return what of the budget is drawn: all that the scatter does not contain already."""
+    tables = c.extra.get("budget", {}).get("tables", {})
+    stated = read_budget(tables).quantities
+    contained = {r.quantity for r in evaluate_budget(c).rows if r.contained.all()}
+    if c.estimator == "unknown-orientation":
+        contained |= {"level", "index"}  # orientations that were not used cannot be wrong
+    left_out = ("gravity", "third_order", *contained)
+    quantities = [quantity for name, quantity in stated.items() if name not in left_out]
+    if c.gravity is not None and c.gravity.u > 0.0:
+        given = stated.get("gravity")
+        law, dof = (given.distribution, given.dof) if given else ("normal", math.inf)
+        quantities.append(Quantity("gravity", c.gravity.u, "m/s^2", law, dof))
+    return quantities
 
 
 class _Draws:
@@ -207,20 +247,7 @@ class _Draws:
         self.c, self.rng = calibration, rng
         c = calibration
         self.n, self.m = c.readings.values.shape
-        tables = c.extra.get("budget", {}).get("tables", {})
-        stated = read_budget(tables).quantities
-        contained = {r.quantity for r in evaluate_budget(c).rows if r.contained.all()}
-        if c.estimator == "unknown-orientation":
-            contained |= {"level", "index"}  # orientations that were not used cannot be wrong
-        self.quantities = [
-            quantity
-            for name, quantity in stated.items()
-            if name not in ("gravity", "third_order", *contained)
-        ]
-        if c.gravity is not None and c.gravity.u > 0.0:
-            given = stated.get("gravity")
-            law, dof = (given.distribution, given.dof) if given else ("normal", math.inf)
-            self.quantities.append(Quantity("gravity", c.gravity.u, "m/s^2", law, dof))
+        self.quantities = _quantities_to_draw(c)
         self.model_readings = c.model.predict(c.parameters, c.reference, c.readings.environment)
         scatter = [row for row in evaluate_budget(c).rows if row.quantity == "readings"]
         self.joint = len(scatter) == 1 and self.m > 1
@@ -249,12 +276,7 @@ class _Draws:
 
     def __call__(self, trials: int) -> Array:
         """Return readings (trials, n, M) about the fitted model."""
-        turned = [q for q in self.quantities if q.name in ("level", "orientation", "index")]
-        scaled = [q for q in self.quantities if q.name == "gravity"]
-        if turned or scaled or self.spread.any() or self.level:
-            readings = self._acted(trials, turned, scaled)
-        else:
-            readings = np.broadcast_to(self.model_readings, (trials, self.n, self.m))
+        readings = self._without_noise(trials)
         for quantity in self.quantities:
             if quantity.name in ("gain", "offset", "temperature"):
                 moves = reading_moves(self.c, quantity)
@@ -265,6 +287,14 @@ class _Draws:
         noise = self._noise(trials)
         noise += readings
         return noise
+
+    def _without_noise(self, trials: int) -> Array:
+        """Readings of the model at the forces that may have acted."""
+        turned = [q for q in self.quantities if q.name in ("level", "orientation", "index")]
+        scaled = [q for q in self.quantities if q.name == "gravity"]
+        if turned or scaled or self.spread.any() or self.level:
+            return self._acted(trials, turned, scaled)
+        return np.broadcast_to(self.model_readings, (trials, self.n, self.m))
 
     def _acted(self, trials: int, turned: list[Quantity], scaled: list[Quantity]) -> Array:
         """Readings of the model at the forces that really act, turned and scaled in full."""
