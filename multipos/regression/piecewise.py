@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, RankError
 from multipos.files.records import LARGEST
@@ -36,6 +35,7 @@ from multipos.numerics.selection import (
 from multipos.numerics.subsets import Subset, SubsetCriterion, all_subsets, criteria
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms
 from multipos.regression.correlation import (
+    TimeOrder,
     cluster_covariance,
     effective_size,
     hac_covariance,
@@ -43,11 +43,9 @@ from multipos.regression.correlation import (
     wald,
     window_dof,
 )
-from multipos.regression.observations import Data
+from multipos.regression.observations import Data, Rows
 from multipos.regression.segment import Robust, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
-
-Rows = NDArray[np.intp]
 
 METHODS = ("full", "stepwise", "backward", "subsets")
 RowDependence = Literal["hac", "effective"]
@@ -258,11 +256,7 @@ def _fit(
     where: str,
 ) -> _Fit:
     n, p = design.shape
-    if n < (p if plan.method == "full" else int(plan.constant) + 2):
-        raise MultiposError(
-            f"{where} has {n} rows for {p} terms; move the edge, give more rows or fewer terms"
-            + (", or use --stepwise." if plan.method == "full" else ".")
-        )
+    _require_rows(plan, n, p, where)
     try:
         selection, subsets = _select(plan, design, response, names, requires)
         columns = list(selection.columns)
@@ -271,13 +265,7 @@ def _fit(
             return _Fit(selection, subsets, None, design[:, :0], response, np.zeros(n), zero, n)
         chosen = design if len(columns) == p else design[:, columns]
         found = solve(chosen, response, names=[names[j] for j in columns], rows="rows")
-        far = int(np.argmax(np.abs(found.coefficients)))
-        largest = float(found.coefficients[far])
-        if not abs(largest) <= LARGEST:
-            raise MultiposError(
-                f"the coefficient of '{names[columns[far]]}' is {largest:g}, which no file takes; "
-                "give the variables in a smaller unit, or the response in a larger one."
-            )
+        _check_size(found.coefficients, [names[j] for j in columns])
     except RankError as error:
         said = "; ".join(error.combinations) or str(error)
         raise RankError(
@@ -299,6 +287,26 @@ def _fit(
         found.cofactor * s2,
         found.dof,
     )
+
+
+def _require_rows(plan: Plan, n: int, p: int, where: str) -> None:
+    full = plan.method == "full"
+    if n < (p if full else int(plan.constant) + 2):
+        raise MultiposError(
+            f"{where} has {n} rows for {p} terms; move the edge, give more rows or fewer terms"
+            + (", or use --stepwise." if full else ".")
+        )
+
+
+def _check_size(coefficients: Array, names: Sequence[str]) -> None:
+    """Refuse a coefficient that could not be read back from a file."""
+    far = int(np.argmax(np.abs(coefficients)))
+    largest = float(coefficients[far])
+    if not abs(largest) <= LARGEST:
+        raise MultiposError(
+            f"the coefficient of '{names[far]}' is {largest:g}, which no file takes; "
+            "give the variables in a smaller unit, or the response in a larger one."
+        )
 
 
 def _select(
@@ -388,9 +396,7 @@ def _robust(plan: Plan, fit: _Fit, data: Data) -> _RobustFit | None:
     if fit.found is None or fit.dof <= 0 or not fit.found.rss:
         return None
     X, e, cofactor = fit.design, fit.residuals, fit.found.cofactor
-    rho, correlated = (0.0, False) if data.order is None else lag_one(e, data.order)
-    n = len(data)
-    size = n if data.order is None or not correlated else effective_size(e, data.order)
+    rho, correlated, size = _neighbours(e, data.order)
     if data.cluster is not None:
         covariance, m = cluster_covariance(X, e, cofactor, data.cluster)
         return _RobustFit(covariance, "cluster", m - 1.0, size, rho)
@@ -402,6 +408,14 @@ def _robust(plan: Plan, fit: _Fit, data: Data) -> _RobustFit | None:
     nu = size - X.shape[1]
     scale = fit.dof / nu if nu > 0.0 else np.nan
     return _RobustFit(fit.covariance * scale, "effective", nu, size, rho)
+
+
+def _neighbours(e: Array, order: TimeOrder | None) -> tuple[float, bool, float]:
+    """Return the correlation of neighbours, whether it is one, and how many rows they are worth."""
+    if order is None:
+        return 0.0, False, len(e)
+    rho, correlated = lag_one(e, order)
+    return rho, correlated, effective_size(e, order) if correlated else len(e)
 
 
 def _robust_test(fit: _RobustFit, terms: tuple[Term, ...], values: Array) -> Robust:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from multipos.errors import MultiposError
 from multipos.files.records import (
     ANY_NUMBER,
     ANY_TEXT,
@@ -33,8 +32,8 @@ from multipos.files.records import (
     Named,
     Text,
     Whole,
-    require,
     require_covariance,
+    restore,
 )
 from multipos.files.tables import read_json
 from multipos.numerics.arrays import Array
@@ -213,18 +212,18 @@ def load_regression(path: str | os.PathLike[str]) -> Regression:
     MultiposError
         The file is missing, truncated, of another schema, or holds what no regression does.
     """
-    content = read_json(path, SCHEMA)
-    require(content, REGRESSION, str(path), "run regress again")
-    try:
-        regression = _from_dict(content)
-        _check_consistency(regression)
-    except ValueError as error:
-        raise MultiposError(f"{path}: not a regression: {error}; run regress again.") from None
-    return regression
+    return restore(
+        read_json(path, SCHEMA),
+        REGRESSION,
+        _from_dict,
+        str(path),
+        what="regression",
+        again="run regress again",
+    )
 
 
 def _from_dict(c: Mapping[str, Any]) -> Regression:
-    return Regression(
+    regression = Regression(
         response=c["response"],
         variables=tuple(c["variables"]),
         candidates=tuple(c["candidates"]),
@@ -248,10 +247,13 @@ def _from_dict(c: Mapping[str, Any]) -> Regression:
         version=c["multipos_version"],
         thresholds=c["thresholds"],
     )
+    _check_cuts(regression)
+    _check_variables(regression)
+    return regression
 
 
-def _check_consistency(r: Regression) -> None:
-    """Hold segments, edges, branches and rates of a file to each other."""
+def _check_cuts(r: Regression) -> None:
+    """Hold segments, edges and branches of a file to each other."""
     edges, branches = r.edges, (None,) if r.branch_column is None else BRANCHES
     if any(low >= high for low, high in pairwise(edges)):
         raise ValueError("its edges do not ascend")
@@ -260,6 +262,10 @@ def _check_consistency(r: Regression) -> None:
     expected = [branch for branch in branches for _ in range(len(edges) + 1)]
     if [segment.branch for segment in r.segments] != expected:
         raise ValueError("its segments do not fit its edges and branches")
+
+
+def _check_variables(r: Regression) -> None:
+    """Hold a file to having what its segments and its rates are of."""
     if r.segment_variable is None and not r.variables:
         raise ValueError("it has no variables")
     if r.rates and (r.time is None or not all(name.endswith("_rate") for name in r.rates)):
@@ -350,38 +356,12 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
     ValueError
         Coefficients, covariances and limits that do not fit each other.
     """
-    terms = tuple(Term(tuple(map(factor_from_list, entry["factors"]))) for entry in c["terms"])
+    terms = _terms(c)
     covariance = _square(c, "covariance")
     require_covariance(covariance, _numbers([entry["u"] for entry in c["terms"]]))
-    used = {factor.variable for term in terms for factor in term.factors}
-    if not used.issubset(c["limits"]):
-        raise ValueError("a segment lacks the limits of a variable of its terms")
-    if any(low > high for low, high in (c["range"], *c["limits"].values())):
-        raise ValueError("a segment's range or limits end before they begin")
-    robust = None
-    if "robust" in c:
-        missing = [key for key in _ROBUST if key not in c]
-        if missing:
-            raise ValueError(f"a segment with 'robust' lacks '{missing[0]}'")
-        wide = _square(c, "covariance_robust")
-        with np.errstate(invalid="ignore"):
-            require_covariance(wide, np.sqrt(np.diag(wide)))
-        robust = Robust(
-            c["robust"],
-            wide,
-            _number(c["F_robust"]),
-            _number(c["p_robust"]),
-            tuple(map(_number, c["dof_robust"])),  # type: ignore[arg-type]
-            _number(c["t_dof_robust"]),
-            c["n_effective"],
-            c["lag_one"],
-        )
+    _check_limits(c, terms)
+    robust = _robust(c) if "robust" in c else None
     found = c["runner_up"]
-    runner_up = (
-        None
-        if found is None
-        else Tested("add", found["term"], _number(found["F"], np.inf), found["p"])
-    )
     return Segment(
         range=tuple(c["range"]),
         branch=c["branch"],
@@ -400,11 +380,44 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
         p=_number(c["p"]),
         limits={name: tuple(pair) for name, pair in c["limits"].items()},
         path=tuple(_step(step) for step in c["path"]),
-        runner_up=runner_up,
+        runner_up=None if found is None else _tested({"action": "add", **found}),
         F_to_enter=np.nan if found is None else _number(found["F_to_enter"]),
         collinear=tuple(c["collinear"]),
         subsets=tuple(_subset(s, c["terms"]) for s in c.get("subsets", [])),
         robust=robust,
+    )
+
+
+def _terms(c: Mapping[str, Any]) -> tuple[Term, ...]:
+    return tuple(Term(tuple(map(factor_from_list, entry["factors"]))) for entry in c["terms"])
+
+
+def _check_limits(c: Mapping[str, Any], terms: tuple[Term, ...]) -> None:
+    """Hold a segment's range and the limits of its variables to each other and to its terms."""
+    used = {factor.variable for term in terms for factor in term.factors}
+    if not used.issubset(c["limits"]):
+        raise ValueError("a segment lacks the limits of a variable of its terms")
+    if any(low > high for low, high in (c["range"], *c["limits"].values())):
+        raise ValueError("a segment's range or limits end before they begin")
+
+
+def _robust(c: Mapping[str, Any]) -> Robust:
+    """Return what a segment says where its rows depend on each other."""
+    missing = [key for key in _ROBUST if key not in c]
+    if missing:
+        raise ValueError(f"a segment with 'robust' lacks '{missing[0]}'")
+    covariance = _square(c, "covariance_robust")
+    with np.errstate(invalid="ignore"):
+        require_covariance(covariance, np.sqrt(np.diag(covariance)))
+    return Robust(
+        c["robust"],
+        covariance,
+        _number(c["F_robust"]),
+        _number(c["p_robust"]),
+        tuple(map(_number, c["dof_robust"])),  # type: ignore[arg-type]
+        _number(c["t_dof_robust"]),
+        c["n_effective"],
+        c["lag_one"],
     )
 
 
