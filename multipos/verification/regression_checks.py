@@ -11,6 +11,7 @@ nothing there.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.compensation.correction import correct, range_column, read_predictors
 from multipos.errors import MultiposError, UsageError
@@ -90,11 +91,15 @@ def check_regression(
         warnings=(said,) if outside.any() else (),
         calibration=r.created,
         against=against,
-        segments={
-            f"{number}: {format_span(r.range_variable, s.range, s.branch)}": place == number - 1
-            for number, s in enumerate(r.segments, start=1)
-        },
+        segments=_rows_by_segment(r, place),
     )
+
+
+def _rows_by_segment(r: Regression, place: NDArray[np.intp]) -> dict[str, NDArray[np.bool_]]:
+    return {
+        f"{number}: {format_span(r.range_variable, s.range, s.branch)}": place == number - 1
+        for number, s in enumerate(r.segments, start=1)
+    }
 
 
 def _coverage(r: Regression) -> Array:
