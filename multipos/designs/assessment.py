@@ -40,7 +40,7 @@ from multipos.designs.information import (
     make_setting,
     objective,
 )
-from multipos.designs.optimum import Optimum, largest_sensitivity, optimise_sphere
+from multipos.designs.optimum import ContinuousOptimum, largest_sensitivity, optimise_sphere
 from multipos.estimation.known import FLOOR
 from multipos.files.lists import Names, split_names, spread
 from multipos.files.numbers import number, table
@@ -222,9 +222,9 @@ class Assessor:
     def __init__(self, setting: Setting, reading_sd: float = 1.0) -> None:
         self.setting = setting
         self.reading_sd = reading_sd
-        self._optima: dict[str, Optimum] = {}
+        self._optima: dict[str, ContinuousOptimum] = {}
 
-    def optimum(self, name: str) -> Optimum:
+    def optimum(self, name: str) -> ContinuousOptimum:
         """Return the best that positions can do on the sphere, by criterion D, A or I."""
         if name not in self._optima:
             criterion = make_criterion(name, self.setting)
@@ -375,7 +375,6 @@ def aliases(setting: Setting, up: Array) -> list[dict[str, Any]]:
     """
     model = setting.model
     higher = build_model(_HIGHER, model.outputs, model.axes)
-    variables = {axis: setting.size * up[:, i] for i, axis in enumerate(COMPONENTS)}
     rows = setting.rows(up)
     factors = [np.linalg.pinv(Z.reshape(-1, Z.shape[2])) for Z in rows]
     found = []
@@ -386,9 +385,7 @@ def aliases(setting: Setting, up: Array) -> list[dict[str, Any]]:
         for term in higher.terms[i]:
             if term in own or not _sensed(term, model):
                 continue
-            X = np.zeros((len(up), len(model.outputs), 1))
-            X[:, i, 0] = term.evaluate(variables)
-            column = X[:, i] if len(rows) > 1 else setting.whiten(up, X).reshape(len(Z), 1)
+            column = _column_of(setting, up, i, term)
             a = factors[block] @ column
             size = float(np.linalg.norm(column))
             seen = float(np.linalg.norm(column - Z @ a)) / size if size > FLOOR else 0.0
@@ -405,6 +402,14 @@ def aliases(setting: Setting, up: Array) -> list[dict[str, Any]]:
                 }
             )
     return found
+
+
+def _column_of(setting: Setting, up: Array, output: int, term: Term) -> Array:
+    """Return what a term of one output adds to the rows of its block, as a column."""
+    variables = {axis: setting.size * up[:, i] for i, axis in enumerate(COMPONENTS)}
+    X = np.zeros((len(up), len(setting.model.outputs), 1))
+    X[:, output, 0] = term.evaluate(variables)
+    return X[:, output] if len(setting.blocks) > 1 else setting.whiten(up, X).reshape(-1, 1)
 
 
 def _sensed(term: Term, model: Model) -> bool:
