@@ -226,16 +226,24 @@ class _Writer:
                 fixed = sum(value for value, rest in parts if not rest.factors)
                 if varying:
                     name = f"c{len(constants)}"
-                    shifted = [part for v, rest in varying for part in self._about_middle(v, rest)]
-                    if force in bare:  # its value in the middle is in o and K0
-                        shifted = [part for part in shifted if part[1]]
-                    else:
-                        shifted.append((fixed, ""))
-                    constants.append(f"{name} = {self._sum(_collected(shifted))}")
+                    total = self._constant(varying, None if force in bare else fixed)
+                    constants.append(f"{name} = {total}")
                     coefficients.append((i, force, (1.0, name)))
                 elif force not in bare:
                     coefficients.append((i, force, (fixed, "")))
         return constants, coefficients
+
+    def _constant(self, varying: list[tuple[float, Term]], fixed: float | None) -> str:
+        """Return a sum of products of other columns; without `fixed`, less its middle value.
+
+        That of bias and scale factors is in o and K0.
+        """
+        shifted = [part for value, rest in varying for part in self._about_middle(value, rest)]
+        if fixed is None:
+            shifted = [part for part in shifted if part[1]]
+        else:
+            shifted.append((fixed, ""))
+        return self._sum(_collected(shifted))
 
     def _by_force(self, row: Array) -> dict[Term, list[tuple[float, Term]]]:
         """Return an output's coefficients by product of force, each with its other columns."""

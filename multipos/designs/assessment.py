@@ -387,18 +387,14 @@ def aliases(setting: Setting, up: Array) -> list[dict[str, Any]]:
                 continue
             column = _column_of(setting, up, i, term)
             a = factors[block] @ column
-            size = float(np.linalg.norm(column))
-            seen = float(np.linalg.norm(column - Z @ a)) / size if size > FLOOR else 0.0
+            seen = _share_left(column, Z @ a)
+            amounts = zip(names, a[:, 0].tolist(), strict=True)
             found.append(
                 {
                     "output": output,
                     "term": str(term),
-                    "seen": seen if seen >= _UNSEEN else 0.0,
-                    "into": {
-                        name: value
-                        for name, value in zip(names, a[:, 0].tolist(), strict=True)
-                        if abs(value) > _UNSEEN
-                    },
+                    "seen": seen,
+                    "into": {name: value for name, value in amounts if abs(value) > _UNSEEN},
                 }
             )
     return found
@@ -410,6 +406,13 @@ def _column_of(setting: Setting, up: Array, output: int, term: Term) -> Array:
     X = np.zeros((len(up), len(setting.model.outputs), 1))
     X[:, output, 0] = term.evaluate(variables)
     return X[:, output] if len(setting.blocks) > 1 else setting.whiten(up, X).reshape(-1, 1)
+
+
+def _share_left(column: Array, explained: Array) -> float:
+    """Return the share of a column that is left beside what explains it, 0 where none to see."""
+    size = float(np.linalg.norm(column))
+    share = float(np.linalg.norm(column - explained)) / size if size > FLOOR else 0.0
+    return share if share >= _UNSEEN else 0.0
 
 
 def _sensed(term: Term, model: Model) -> bool:

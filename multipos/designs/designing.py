@@ -201,7 +201,7 @@ def design(
         },
         bench_efficiency=on_bench,
         travel_deg=turned,
-        time_s=None if move_time is None else move_time[0] * len(up) + move_time[1] * turned,
+        time_s=_time_s(move_time, len(up), turned),
         scheme=described,
     )
 
@@ -213,6 +213,10 @@ def _efficiency(
     if criterion == "G":  # the value is −ln of the largest s on the sphere, 1 at the optimum
         return min(1.0, math.exp(value)), None
     return min(1.0, math.exp(value - sphere.value)), min(1.0, math.exp(value - best.value))
+
+
+def _time_s(move_time: tuple[float, float] | None, count: int, turned_deg: float) -> float | None:
+    return None if move_time is None else move_time[0] * count + move_time[1] * turned_deg
 
 
 def _certificate(setting: Setting, best: ContinuousOptimum, over: str) -> dict[str, Any]:

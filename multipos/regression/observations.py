@@ -88,8 +88,8 @@ def read_observations(
     MultiposError
         A column is missing, a cell is empty, no number or too large a one.
     """
-    if time is None and "time" in table and not table.is_text("time"):
-        time = "time"
+    if time is None:
+        time = _usual_time(table)
     formed = _rates_to_form(table, wanted)
     plain = [name for name in wanted if name not in formed]
     needed = list(dict.fromkeys([response, *plain, *formed.values(), *_named(time)]))
@@ -107,6 +107,11 @@ def read_observations(
     groups = None if cluster is None else _clusters(table, cluster, kept)
     data = Data(columns, columns[response], order, groups)
     return Observations(data, time, rates, table.rows - len(kept), notes)
+
+
+def _usual_time(table: Table) -> str | None:
+    """Return `time` where there is a column of numbers of that name."""
+    return "time" if "time" in table and not table.is_text("time") else None
 
 
 def _named(column: str | None) -> tuple[str, ...]:

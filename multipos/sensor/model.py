@@ -373,29 +373,35 @@ def build_model(
         )
     terms = []
     for axis in axes:
-        parsed = dict.fromkeys(
-            parse_term(part, text, axis)
-            for part in split_terms(expand_products(formula, axis), text)
-        )
-        seen = [t for t in parsed if sees_only(t, inputs)]
-        if len(seen) < len(parsed) and name not in NAMED:
-            hidden = next(str(t) for t in parsed if t not in seen)
-            raise UsageError(
-                f"term '{hidden}' of the formula needs a component that is not among "
-                f"--inputs {','.join(inputs)}; drop the term or name the input."
-            )
-        terms.append(tuple(seen))
+        parts = split_terms(expand_products(formula, axis), text)
+        parsed = dict.fromkeys(parse_term(part, text, axis) for part in parts)
+        seen = tuple(t for t in parsed if sees_only(t, inputs))
+        if name not in NAMED:
+            _refuse_hidden([str(t) for t in parsed if t not in seen], inputs)
+        terms.append(seen)
     model = Model(name, outputs, axes, inputs, unit, tuple(terms))
     if known is not None:
-        columns = set(known)
-        for variable in model.environment:
-            if variable not in columns:
-                raise UsageError(
-                    f"unknown term '{variable}' in model '{text}'; a term is made of x, y, z, own, "
-                    + ", ".join([*function_forms("own"), *sorted(columns)])
-                    + "."
-                )
+        _check_columns(model, set(known), text)
     return model
+
+
+def _refuse_hidden(hidden: list[str], inputs: tuple[str, ...]) -> None:
+    """Refuse terms that a formula writes out, of a component that is none of the inputs."""
+    if hidden:
+        raise UsageError(
+            f"term '{hidden[0]}' of the formula needs a component that is not among "
+            f"--inputs {','.join(inputs)}; drop the term or name the input."
+        )
+
+
+def _check_columns(model: Model, columns: set[str], text: str) -> None:
+    for variable in model.environment:
+        if variable not in columns:
+            raise UsageError(
+                f"unknown term '{variable}' in model '{text}'; a term is made of x, y, z, own, "
+                + ", ".join([*function_forms("own"), *sorted(columns)])
+                + "."
+            )
 
 
 def paper_symbol(model: Model, index: int) -> str | None:
