@@ -219,19 +219,22 @@ class _Writer:
         """Return n of eq. (1): per output and product of force, a number or a named constant."""
         constants: list[str] = []
         coefficients: list[_RestTerm] = []
-        bare = {CONSTANT, *(linear_term(axis) for axis in self._sensed)}
         for i, row in enumerate(self._theta):
             for force, parts in self._by_force(row).items():
                 varying = [(value, rest) for value, rest in parts if rest.factors]
                 fixed = sum(value for value, rest in parts if not rest.factors)
                 if varying:
                     name = f"c{len(constants)}"
-                    total = self._constant(varying, None if force in bare else fixed)
+                    total = self._constant(varying, None if self._is_bare(force) else fixed)
                     constants.append(f"{name} = {total}")
                     coefficients.append((i, force, (1.0, name)))
-                elif force not in bare:
+                elif not self._is_bare(force):
                     coefficients.append((i, force, (fixed, "")))
         return constants, coefficients
+
+    def _is_bare(self, force: Term) -> bool:
+        """Tell whether o and K0 hold the coefficient of a product of force."""
+        return force in {CONSTANT, *(linear_term(axis) for axis in self._sensed)}
 
     def _constant(self, varying: list[tuple[float, Term]], fixed: float | None) -> str:
         """Return a sum of products of other columns; without `fixed`, less its middle value.

@@ -78,14 +78,10 @@ def correct(
         )
     raw = table.number(target, largest=LARGEST)
     columns = read_predictors(regression, table)
-    place = regression.segment_of(columns) if columns else np.zeros(table.rows, dtype=np.intp)
+    place = place_rows(regression, columns, table.rows)
     beyond, clamped = _outside(regression, columns, place)
-    if outside == "refuse" and beyond.any():
-        row = int(np.argmax(beyond))
-        raise MultiposError(
-            f"{table.where(row, target)}: the row is outside what the regression was fitted to "
-            f"({int(beyond.sum())} of {table.rows} rows are); use --outside flag to see them."
-        )
+    if outside == "refuse":
+        _refuse_outside(table, target, beyond)
     predicted, u = _predict(regression, clamped if outside == "clamp" else columns, place)
     added: dict[str, Column] = {"predicted": predicted, "corrected": raw - predicted}
     if uncertainty:
@@ -98,6 +94,20 @@ def correct(
         )
     kept = {name: copy(column) for name, column in table.columns.items()}  # the caller's own stay
     return Corrected({**kept, **added})
+
+
+def place_rows(regression: Regression, columns: Mapping[str, Array], rows: int) -> NDArray[np.intp]:
+    """Return the number of the segment of every row; without a predictor there is one segment."""
+    return regression.segment_of(columns) if columns else np.zeros(rows, dtype=np.intp)
+
+
+def _refuse_outside(table: Table, target: str, beyond: NDArray[np.bool_]) -> None:
+    if beyond.any():
+        row = int(np.argmax(beyond))
+        raise MultiposError(
+            f"{table.where(row, target)}: the row is outside what the regression was fitted to "
+            f"({int(beyond.sum())} of {table.rows} rows are); use --outside flag to see them."
+        )
 
 
 def _predict(

@@ -371,27 +371,25 @@ def build_model(
             f"unknown model '{name}'; give {', '.join(NAMED)} "
             "or a formula such as '1 + x + y + z + own^2'."
         )
-    terms = []
-    for axis in axes:
-        parts = split_terms(expand_products(formula, axis), text)
-        parsed = dict.fromkeys(parse_term(part, text, axis) for part in parts)
-        seen = tuple(t for t in parsed if sees_only(t, inputs))
-        if name not in NAMED:
-            _refuse_hidden([str(t) for t in parsed if t not in seen], inputs)
-        terms.append(seen)
-    model = Model(name, outputs, axes, inputs, unit, tuple(terms))
+    terms = tuple(_seen_terms(formula, text, axis, inputs) for axis in axes)
+    model = Model(name, outputs, axes, inputs, unit, terms)
     if known is not None:
         _check_columns(model, set(known), text)
     return model
 
 
-def _refuse_hidden(hidden: list[str], inputs: tuple[str, ...]) -> None:
-    """Refuse terms that a formula writes out, of a component that is none of the inputs."""
-    if hidden:
+def _seen_terms(formula: str, text: str, axis: str, inputs: tuple[str, ...]) -> tuple[Term, ...]:
+    """Return the terms of an output that its inputs let act; a name leaves the others out."""
+    parts = split_terms(expand_products(formula, axis), text)
+    parsed = dict.fromkeys(parse_term(part, text, axis) for part in parts)
+    seen = tuple(term for term in parsed if sees_only(term, inputs))
+    if len(seen) < len(parsed) and text.strip() not in NAMED:
+        hidden = next(str(term) for term in parsed if term not in seen)
         raise UsageError(
-            f"term '{hidden[0]}' of the formula needs a component that is not among "
+            f"term '{hidden}' of the formula needs a component that is not among "
             f"--inputs {','.join(inputs)}; drop the term or name the input."
         )
+    return seen
 
 
 def _check_columns(model: Model, columns: set[str], text: str) -> None:

@@ -13,7 +13,7 @@ nothing there.
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.compensation.correction import correct, range_column, read_predictors
+from multipos.compensation.correction import correct, place_rows, range_column, read_predictors
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
@@ -59,7 +59,7 @@ def check_regression(
             "a check needs a run within it."
         )
     columns = read_predictors(r, table)
-    place = r.segment_of(columns) if columns else np.zeros(table.rows, dtype=np.intp)
+    place = place_rows(r, columns, table.rows)
     against, reference = range_column(r, table, columns)
     after, u = (np.asarray(found[name])[:, None] for name in ("corrected", "u_corrected"))
     counted = ~outside[:, None]
