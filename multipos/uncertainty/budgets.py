@@ -52,7 +52,7 @@ _SPREAD = ("u", "U", "k", "half_width", "distribution", "dof")
 
 
 @dataclass(frozen=True)
-class Kind:
+class QuantityKind:
     """What a table of the budget is about.
 
     Attributes
@@ -74,17 +74,19 @@ class Kind:
 
 
 KINDS = {
-    "gravity": Kind("local gravity", "m/s^2", True, ("value", "latitude_deg", "height_m")),
-    "level": Kind("level of the table, two axes", "deg", True),
-    "orientation": Kind("orientation of each position", "deg", False),
-    "index": Kind("periodic error of the dividing head", "deg", True, ("harmonics", "axis")),
-    "gain": Kind("gain of the ADC or voltmeter", "1", True, ("each_output",)),
-    "offset": Kind("offset of the ADC or voltmeter", "", True, ("each_output",)),
-    "resolution": Kind("resolution of the readings", "", False, ("step",)),
-    "temperature": Kind(
+    "gravity": QuantityKind("local gravity", "m/s^2", True, ("value", "latitude_deg", "height_m")),
+    "level": QuantityKind("level of the table, two axes", "deg", True),
+    "orientation": QuantityKind("orientation of each position", "deg", False),
+    "index": QuantityKind(
+        "periodic error of the dividing head", "deg", True, ("harmonics", "axis")
+    ),
+    "gain": QuantityKind("gain of the ADC or voltmeter", "1", True, ("each_output",)),
+    "offset": QuantityKind("offset of the ADC or voltmeter", "", True, ("each_output",)),
+    "resolution": QuantityKind("resolution of the readings", "", False, ("step",)),
+    "temperature": QuantityKind(
         "temperature of the sensor", "degC", True, ("bias_per_degC", "scale_per_degC")
     ),
-    "third_order": Kind("third-order term beyond the positions", "1/g^2", True),
+    "third_order": QuantityKind("third-order term beyond the positions", "1/g^2", True),
 }
 
 
@@ -100,7 +102,7 @@ class Quantity(Result):
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> QuantityKind:
         """What the quantity is about."""
         return KINDS[self.name]
 
@@ -163,7 +165,7 @@ def _quantity(where: str, name: str, table: Any) -> Quantity:
 
 
 def _split(
-    where: str, table: Mapping[str, Any], kind: Kind, suffix: str
+    where: str, table: Mapping[str, Any], kind: QuantityKind, suffix: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the keys of a quantity's size, without suffix, and its settings."""
     size = _size_keys(suffix)
