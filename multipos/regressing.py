@@ -9,7 +9,7 @@ Where a rate is named, heating and cooling are modelled apart if they differ.
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Any
@@ -17,44 +17,25 @@ from typing import Any
 import numpy as np
 
 from multipos import __version__
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import UsageError
 from multipos.files.lists import Names, split_numbers
 from multipos.files.tables import Source, read_table
 from multipos.numerics.selection import thresholds
 from multipos.numerics.subsets import CRITERIA, SubsetCriterion
-from multipos.numerics.terms import evaluate_terms, largest_value
+from multipos.numerics.terms import largest_value
 from multipos.regression.candidates import read_candidates
-from multipos.regression.correlation import effective_size
-from multipos.regression.hysteresis import BRANCHES, branch_of, compare_branches
+from multipos.regression.cutting import Cut, fit_cut, settle_edges
+from multipos.regression.hysteresis import compare_branches
 from multipos.regression.observations import (
-    Data,
     Observations,
-    Rows,
     check_columns,
     read_observations,
 )
-from multipos.regression.piecewise import (
-    METHODS,
-    ROBUST,
-    Plan,
-    RowDependence,
-    fit_continuous,
-    fit_segment,
-)
-from multipos.regression.result import Regression, format_span
+from multipos.regression.piecewise import METHODS, Plan
+from multipos.regression.result import Regression
+from multipos.regression.robust import ROBUST, RowDependence
 from multipos.regression.segment import Segment
-from multipos.regression.segmentation import check_edges, find_edges, segment_of
 from multipos.regression.validation import check_by_blocks
-
-
-@dataclass(frozen=True)
-class _Cut:
-    """How rows are cut: at edges of a variable, and by the sign of a rate."""
-
-    variable: str | None
-    edges: tuple[float, ...]
-    continuous: bool
-    branch_column: str | None
 
 
 def regress(
@@ -162,8 +143,8 @@ def regress(
     source, sha256 = table.source, table.sha256
     del table  # whose text may be most of what is in memory
     check_columns(source, read.data, response, names, constant=plan.constant)
-    edges, said = _settle_edges(plan, read.data, wanted, given, min_rows)
-    cut = _Cut(wanted, edges, continuous, branches)
+    edges, said = settle_edges(plan, read.data, wanted, given, min_rows)
+    cut = Cut(wanted, edges, continuous, branches)
     result = _describe(plan, response, read, cut, cross_validate)
     return replace(
         result,
@@ -174,7 +155,7 @@ def regress(
 
 
 def _describe(
-    plan: Plan, response: str, read: Observations, cut: _Cut, blocks: int | None
+    plan: Plan, response: str, read: Observations, cut: Cut, blocks: int | None
 ) -> Regression:
     """Return the fitted segments with what tells how far to believe them."""
     hysteresis = None
@@ -184,13 +165,13 @@ def _describe(
         )
         if not hysteresis["significant"]:
             cut = replace(cut, branch_column=None)
-    segments = _fit_all(plan, read.data, cut)
+    segments = fit_cut(plan, read.data, cut)
     validation = None
     if blocks is not None:
         validation = check_by_blocks(
             read.data,
             blocks,
-            lambda some: _assemble(plan, response, _fit_all(plan, some, cut), cut),
+            lambda some: _assemble(plan, response, fit_cut(plan, some, cut), cut),
         )
     return replace(
         _assemble(plan, response, segments, cut),
@@ -204,7 +185,7 @@ def _describe(
     )
 
 
-def _assemble(plan: Plan, response: str, segments: Sequence[Segment], cut: _Cut) -> Regression:
+def _assemble(plan: Plan, response: str, segments: Sequence[Segment], cut: Cut) -> Regression:
     """Return the result of fitted segments, without what concerns the whole table."""
     used = plan.limits.__dict__ if plan.method in ("stepwise", "backward") else {}
     return Regression(
@@ -292,114 +273,6 @@ def _parse_edges(rest: str) -> tuple[float, ...]:
     if any(b <= a for a, b in pairwise(edges)) or not np.isfinite(edges).all():
         raise UsageError(f"--segment: edges must be finite and increase, got '{rest}'.")
     return edges
-
-
-# --- segments and branches
-
-
-def _settle_edges(
-    plan: Plan,
-    data: Data,
-    variable: str | None,
-    given: tuple[float, ...] | None,
-    min_rows: int | None,
-) -> tuple[tuple[float, ...], tuple[str, ...]]:
-    """Return the edges that are given or found, and what there is to say of them."""
-    if variable is None:
-        return (), ()
-    if given is not None:
-        check_edges(variable, given, data.columns[variable])
-        return given, ()
-    edges = _find_edges(plan, data, variable, min_rows)
-    if not edges:
-        return (), (f"no edge in {variable} is worth its coefficients: one segment",)
-    return edges, ()
-
-
-def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> tuple[float, ...]:
-    p = len(plan.terms)
-    minimum = 2 * p if min_rows is None else min_rows
-    if minimum <= p and plan.method == "full":
-        raise UsageError(f"--min-rows must be above the number of terms, {p}; got {minimum}.")
-    design = evaluate_terms(plan.terms, data.columns, len(data))
-    values = data.columns[variable]
-    worth = 1.0
-    if data.order is not None:
-        # what five segments leave is close to noise alone, whatever the edges will be
-        bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
-        place = segment_of(values, bins.tolist())
-        left = np.empty(len(data))
-        for number in range(len(bins) + 1):
-            rows = np.flatnonzero(place == number)
-            X, y = design[rows], data.response[rows]
-            left[rows] = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
-        worth = effective_size(left, data.order) / len(data)
-    return find_edges(values, design, data.response, minimum=minimum, worth=worth)
-
-
-@dataclass(frozen=True)
-class _Branch:
-    """Rows of one sign of the rate, or all where `name` is None, and the segment of each."""
-
-    name: str | None
-    rows: Rows
-    place: Rows
-
-
-def _branches(data: Data, cut: _Cut) -> list[_Branch]:
-    n = len(data)
-    place = np.zeros(n, dtype=np.intp)
-    if cut.variable is not None:
-        place = segment_of(data.columns[cut.variable], cut.edges)
-    if cut.branch_column is None:
-        return [_Branch(None, np.arange(n), place)]
-    sign = branch_of(data.columns[cut.branch_column])
-    return [
-        _Branch(name, np.flatnonzero(sign == b), place[sign == b])
-        for b, name in enumerate(BRANCHES)
-    ]
-
-
-def _fit_all(plan: Plan, data: Data, cut: _Cut) -> list[Segment]:
-    fit = _fit_joined if cut.continuous and cut.edges else _fit_apart
-    return [segment for branch in _branches(data, cut) for segment in fit(plan, data, cut, branch)]
-
-
-def _fit_joined(plan: Plan, data: Data, cut: _Cut, branch: _Branch) -> list[Segment]:
-    """Return the segments of one branch without a jump at the edges."""
-    variable, spans = _spans(plan, data, cut)
-    for number, span in enumerate(spans):
-        if number not in branch.place:
-            empty = _segment_name(number, variable, span, branch)
-            raise MultiposError(f"{empty} has no rows; move the edge, or give more rows.")
-    where = "the continuous model" if branch.name is None else f"the {branch.name} branch"
-    rows = data.take(branch.rows)
-    return fit_continuous(plan, rows, variable, cut.edges, spans, branch.name, where)
-
-
-def _fit_apart(plan: Plan, data: Data, cut: _Cut, branch: _Branch) -> list[Segment]:
-    """Return the segments of one branch, each fitted by itself."""
-    variable, spans = _spans(plan, data, cut)
-    segments = []
-    for number, span in enumerate(spans):
-        where = "the table"
-        if cut.edges or branch.name:
-            where = _segment_name(number, variable, span, branch)
-        mine = branch.rows[branch.place == number]
-        some = data if len(mine) == len(data) else data.take(mine)
-        segments.append(fit_segment(plan, some, span, branch.name, where))
-    return segments
-
-
-def _spans(plan: Plan, data: Data, cut: _Cut) -> tuple[str, list[tuple[float, float]]]:
-    """Return the variable that segments lie along, and from where to where each goes."""
-    variable = cut.variable or plan.variables[0]
-    values = data.columns[variable]
-    return variable, list(pairwise([float(values.min()), *cut.edges, float(values.max())]))
-
-
-def _segment_name(number: int, variable: str, span: tuple[float, float], branch: _Branch) -> str:
-    return f"segment {number + 1} ({format_span(variable, span, branch.name)})"
 
 
 # --- what is said

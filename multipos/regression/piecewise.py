@@ -15,7 +15,6 @@ branch, and F is that of Wald, b' C⁻¹ b / k. A segment's rms is on its rows l
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -34,22 +33,13 @@ from multipos.numerics.selection import (
 )
 from multipos.numerics.subsets import Subset, SubsetCriterion, all_subsets, criteria
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms
-from multipos.regression.correlation import (
-    TimeOrder,
-    cluster_covariance,
-    effective_size,
-    hac_covariance,
-    lag_one,
-    wald,
-    window_dof,
-)
+from multipos.regression.correlation import wald
 from multipos.regression.observations import Data, Rows
+from multipos.regression.robust import RobustFit, RowDependence, robust_fit, robust_test
 from multipos.regression.segment import Robust, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
 
 METHODS = ("full", "stepwise", "backward", "subsets")
-RowDependence = Literal["hac", "effective"]
-ROBUST: tuple[RowDependence, ...] = get_args(RowDependence)
 
 
 @dataclass(frozen=True)
@@ -146,7 +136,7 @@ def fit_segment(
         F,
         span,
         branch,
-        None if robust is None else _robust_test(robust, terms, values),
+        None if robust is None else robust_test(robust, terms, values),
     )
 
 
@@ -195,7 +185,7 @@ def fit_continuous(
         local = None
         if robust is not None:
             turned = robust._replace(covariance=L @ robust.covariance @ L.T)
-            local = _robust_test(turned, terms, values)
+            local = robust_test(turned, terms, values)
         rows = np.flatnonzero(place == s)
         segments.append(
             _segment(
@@ -309,6 +299,10 @@ def _check_size(coefficients: Array, names: Sequence[str]) -> None:
         )
 
 
+def _robust(plan: Plan, fit: _Fit, data: Data) -> RobustFit | None:
+    return None if fit.found is None else robust_fit(fit.found, fit.design, data, plan.robust)
+
+
 def _select(
     plan: Plan, design: Array, response: Array, names: list[str], requires: list[frozenset[int]]
 ) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
@@ -379,53 +373,3 @@ def _segment(
         subsets=fit.subsets,
         robust=robust,
     )
-
-
-class _RobustFit(NamedTuple):
-    """Robust covariance of all coefficients of a fit, and what goes with it."""
-
-    covariance: Array
-    kind: str
-    nu: float
-    n_effective: float
-    lag_one: float
-
-
-def _robust(plan: Plan, fit: _Fit, data: Data) -> _RobustFit | None:
-    """Return the robust covariance where a cluster column or a time column calls for one."""
-    if fit.found is None or fit.dof <= 0 or not fit.found.rss:
-        return None
-    X, e, cofactor = fit.design, fit.residuals, fit.found.cofactor
-    rho, correlated, size = _neighbours(e, data.order)
-    if data.cluster is not None:
-        covariance, m = cluster_covariance(X, e, cofactor, data.cluster)
-        return _RobustFit(covariance, "cluster", m - 1.0, size, rho)
-    if data.order is None or not correlated:
-        return None
-    if plan.robust == "hac":
-        covariance = hac_covariance(X, e, cofactor, data.order)
-        return _RobustFit(covariance, "hac", window_dof(e, data.order), size, rho)
-    nu = size - X.shape[1]
-    scale = fit.dof / nu if nu > 0.0 else np.nan
-    return _RobustFit(fit.covariance * scale, "effective", nu, size, rho)
-
-
-def _neighbours(e: Array, order: TimeOrder | None) -> tuple[float, bool, float]:
-    """Return the correlation of neighbours, whether it is one, and how many rows they are worth."""
-    if order is None:
-        return 0.0, False, len(e)
-    rho, correlated = lag_one(e, order)
-    return rho, correlated, effective_size(e, order) if correlated else len(e)
-
-
-def _robust_test(fit: _RobustFit, terms: tuple[Term, ...], values: Array) -> Robust:
-    """Return F_robust of a segment's slopes, eq. (5) of `multipos.regression.correlation`."""
-    slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
-    F, k = wald(values[slopes], fit.covariance[np.ix_(slopes, slopes)])
-    nu = fit.nu
-    if fit.kind != "effective":  # Hotelling's law for an estimated covariance
-        F, nu = F * (nu - k + 1.0) / nu, nu - k + 1.0
-    if not (k and nu > 0.0):
-        F = np.nan
-    p = f_tail(F, k, nu) if F == F else np.nan
-    return Robust(fit.kind, fit.covariance, F, p, (k, nu), fit.nu, fit.n_effective, fit.lag_one)
