@@ -69,7 +69,8 @@ class Assessment(Keyed):
     u : mapping of 'output:term' to float, or None
         Standard uncertainty of each parameter, eq. (1).
     aliases : tuple of mappings, or None
-        {output, term, seen, into} of each term that the model lacks, eq. (1) of `multipos.designs.aliases`.
+        {output, term, seen, into} of each term that the model lacks, by eq. (1) of
+        `multipos.designs.aliases`.
     hidden : tuple of str, or None
         Those that the data hide wholly, in words.
     """
