@@ -181,7 +181,9 @@ class _Writer:
         """Return the element of J = dh/df of one output and one axis."""
         axis = self._sensed[k]
         parts = [(float(self._slope[i, k]), "")]
-        for term, (c, name) in ((term, factor) for j, term, factor in coefficients if j == i):
+        for j, term, (c, name) in coefficients:
+            if j != i:
+                continue
             weight, lower, slope = _derivative(term, axis)
             product = self._product(name, lower)
             if slope:

@@ -179,7 +179,8 @@ def _horizontal(readings: Readings, level: NDArray[np.bool_]) -> NDArray[np.intp
         east = -1 if readings.rotation is None else _along(readings.rotation[row][:, 0])
         result[row] = _turned_about(np.flatnonzero(level[row]), often, planes, east)
     decided = np.flatnonzero(result >= 0).tolist()
-    for row in (row for row in along if result[row] < 0):
+    open_rows = [row for row in along if result[row] < 0]
+    for row in open_rows:
         # Of two neighbours as near, the one that follows: a roll begins along an axis.
         near = [k for k in decided if level[row, result[k]]]
         if near:
