@@ -9,48 +9,34 @@ Where a rate is named, heating and cooling are modelled apart if they differ.
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos import __version__
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import UsageError
 from multipos.files.characters import visible
 from multipos.files.lists import Names, split_numbers
 from multipos.files.tables import Source, read_table
 from multipos.numerics.selection import thresholds
 from multipos.numerics.subsets import CRITERIA, SubsetCriterion
-from multipos.numerics.terms import evaluate_terms, largest_value
+from multipos.numerics.terms import largest_value
 from multipos.regression.candidates import read_candidates
-from multipos.regression.correlation import effective_size
-from multipos.regression.hysteresis import BRANCHES, branch_of, compare_branches
-from multipos.regression.observations import Data, check_columns, read_observations
-from multipos.regression.piecewise import (
-    METHODS,
-    ROBUST,
-    Plan,
-    RowDependence,
-    fit_continuous,
-    fit_segment,
+from multipos.regression.cutting import Cut, fit_cut, settle_edges
+from multipos.regression.hysteresis import compare_branches
+from multipos.regression.observations import (
+    Observations,
+    check_columns,
+    read_observations,
 )
-from multipos.regression.result import Regression, format_span
+from multipos.regression.piecewise import METHODS, Plan
+from multipos.regression.result import Regression
+from multipos.regression.robust import ROBUST, RowDependence
 from multipos.regression.segment import Segment
-from multipos.regression.segmentation import check_edges, find_edges, segment_of
 from multipos.regression.validation import check_by_blocks
-
-
-@dataclass(frozen=True)
-class _Cut:
-    """How rows are cut: at edges of a variable, and by the sign of a rate."""
-
-    variable: str | None
-    edges: tuple[float, ...]
-    continuous: bool
-    branch_column: str | None
 
 
 def regress(
@@ -158,46 +144,49 @@ def regress(
     source, sha256 = table.source, table.sha256
     del table  # whose text may be most of what is in memory
     check_columns(source, read.data, response, names, constant=plan.constant)
-    said = list(read.notes)
-    edges = given
-    if wanted is not None and given is None:
-        edges = _find_edges(plan, read.data, wanted, min_rows)
-        if not edges:
-            said.append(f"no edge in {wanted} is worth its coefficients: one segment")
-    elif wanted is not None and edges is not None:
-        check_edges(wanted, edges, read.data.columns[wanted])
-    cut = _Cut(wanted, edges or (), continuous, branches)
+    edges, said = settle_edges(plan, read.data, wanted, given, min_rows)
+    cut = Cut(wanted, edges, continuous, branches)
+    result = _describe(plan, response, read, cut, cross_validate)
+    return replace(
+        result,
+        source=visible(source) if sha256 else None,
+        sha256=sha256,
+        warnings=(*read.notes, *said, *result.warnings),
+    )
+
+
+def _describe(
+    plan: Plan, response: str, read: Observations, cut: Cut, blocks: int | None
+) -> Regression:
+    """Return the fitted segments with what tells how far to believe them."""
     hysteresis = None
-    if branches is not None:
+    if cut.branch_column is not None:
         hysteresis = compare_branches(
-            plan.terms, read.data, branches, wanted, cut.edges, plan.confidence
+            plan.terms, read.data, cut.branch_column, cut.variable, cut.edges, plan.confidence
         )
         if not hysteresis["significant"]:
             cut = replace(cut, branch_column=None)
-    segments = _fit_all(plan, read.data, cut)
+    segments = fit_cut(plan, read.data, cut)
     validation = None
-    if cross_validate is not None:
+    if blocks is not None:
         validation = check_by_blocks(
             read.data,
-            cross_validate,
-            lambda some: _assemble(plan, response, _fit_all(plan, some, cut), cut),
+            blocks,
+            lambda some: _assemble(plan, response, fit_cut(plan, some, cut), cut),
         )
-    result = _assemble(plan, response, segments, cut)
     return replace(
-        result,
+        _assemble(plan, response, segments, cut),
         time=read.time,
         rates=read.rates,
         n=len(read.data),
         dropped=read.dropped,
         hysteresis=hysteresis,
         cross_validation=validation,
-        source=visible(source) if sha256 else None,
-        sha256=sha256,
-        warnings=(*said, *_warnings(plan, segments, hysteresis, validation)),
+        warnings=tuple(_warnings(plan, segments, hysteresis, validation)),
     )
 
 
-def _assemble(plan: Plan, response: str, segments: Sequence[Segment], cut: _Cut) -> Regression:
+def _assemble(plan: Plan, response: str, segments: Sequence[Segment], cut: Cut) -> Regression:
     """Return the result of fitted segments, without what concerns the whole table."""
     used = plan.limits.__dict__ if plan.method in ("stepwise", "backward") else {}
     return Regression(
@@ -274,78 +263,17 @@ def _parse_segment(
     variable, colon, rest = text.rpartition(":")
     if not (colon and variable and rest):
         raise UsageError(f"--segment takes VARIABLE:EDGE,EDGE or VARIABLE:auto, got '{text}'.")
-    if rest.strip() == "auto":
-        return variable, None
+    return variable, None if rest.strip() == "auto" else _parse_edges(rest)
+
+
+def _parse_edges(rest: str) -> tuple[float, ...]:
     try:
         edges = split_numbers(rest)
     except ValueError:
         raise UsageError(f"--segment: '{rest}' is not a list of numbers, nor 'auto'.") from None
     if any(b <= a for a, b in pairwise(edges)) or not np.isfinite(edges).all():
         raise UsageError(f"--segment: edges must be finite and increase, got '{rest}'.")
-    return variable, edges
-
-
-# --- segments and branches
-
-
-def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> tuple[float, ...]:
-    p = len(plan.terms)
-    minimum = 2 * p if min_rows is None else min_rows
-    if minimum <= p and plan.method == "full":
-        raise UsageError(f"--min-rows must be above the number of terms, {p}; got {minimum}.")
-    design = evaluate_terms(plan.terms, data.columns, len(data))
-    values = data.columns[variable]
-    worth = 1.0
-    if data.order is not None:
-        # what five segments leave is close to noise alone, whatever the edges will be
-        bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
-        place = segment_of(values, bins.tolist())
-        left = np.empty(len(data))
-        for number in range(len(bins) + 1):
-            rows = np.flatnonzero(place == number)
-            X, y = design[rows], data.response[rows]
-            left[rows] = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
-        worth = effective_size(left, data.order) / len(data)
-    return find_edges(values, design, data.response, minimum=minimum, worth=worth)
-
-
-def _groups(data: Data, cut: _Cut) -> list[tuple[str | None, NDArray[np.intp], NDArray[np.intp]]]:
-    """Return (branch, rows, segment of each row), one for each branch."""
-    n = len(data)
-    place = np.zeros(n, dtype=np.intp)
-    if cut.variable is not None:
-        place = segment_of(data.columns[cut.variable], cut.edges)
-    if cut.branch_column is None:
-        return [(None, np.arange(n), place)]
-    sign = branch_of(data.columns[cut.branch_column])
-    return [(name, np.flatnonzero(sign == b), place[sign == b]) for b, name in enumerate(BRANCHES)]
-
-
-def _fit_all(plan: Plan, data: Data, cut: _Cut) -> list[Segment]:
-    variable = cut.variable or plan.variables[0]
-    v = data.columns[variable]
-    outer = [float(v.min()), *cut.edges, float(v.max())]
-    spans = list(pairwise(outer))
-    segments: list[Segment] = []
-    for branch, rows, place in _groups(data, cut):
-        if cut.continuous and cut.edges:
-            for number, span in enumerate(spans):
-                if number not in place:
-                    empty = f"segment {number + 1} ({format_span(variable, span, branch)})"
-                    raise MultiposError(f"{empty} has no rows; move the edge, or give more rows.")
-            where = "the continuous model" if branch is None else f"the {branch} branch"
-            segments += fit_continuous(
-                plan, data.take(rows), variable, cut.edges, spans, branch, where
-            )
-            continue
-        for number, span in enumerate(spans):
-            where = "the table"
-            if cut.edges or branch:
-                where = f"segment {number + 1} ({format_span(variable, span, branch)})"
-            mine = rows[place == number]
-            some = data if len(mine) == len(data) else data.take(mine)
-            segments.append(fit_segment(plan, some, span, branch, where))
-    return segments
+    return edges
 
 
 # --- what is said

@@ -164,13 +164,24 @@ def freeze(value: Any) -> Any:
 
 def _same(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
-        if type(one) is not type(other):
-            return False
-        return np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f")
+        return type(one) is type(other) and _same_arrays(one, other)
     if isinstance(one, Result):
         return bool(one == other)
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
+    if _are(Mapping, one, other):
         return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
-    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+    if _are((list, tuple), one, other):
         return len(one) == len(other) and all(map(_same, one, other))
+    return _same_values(one, other)
+
+
+def _are(kinds: type | tuple[type, ...], one: Any, other: Any) -> bool:
+    return isinstance(one, kinds) and isinstance(other, kinds)
+
+
+def _same_arrays(one: Any, other: Any) -> bool:
+    return np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f")
+
+
+def _same_values(one: Any, other: Any) -> bool:
+    """Tell whether two values are equal, or both NaN."""
     return bool(one == other or (one != one and other != other))

@@ -100,6 +100,11 @@ class Output:
         for form in self.forms:
             if ending in FORMS[form][0]:
                 return form
+        self._check(path, ending, json)
+        return "json" if json and (path == STDOUT or self.own == "text") else self.own
+
+    def _check(self, path: str, ending: str, json: bool) -> None:
+        """Refuse a name whose ending says none of the forms, where the command's own is none."""
         if ending in KNOWN:
             way = "give another ending, or none"
             if self.others:
@@ -109,7 +114,6 @@ class Output:
             raise UsageError("-o -: a folder cannot go to stdout; name one.")
         if path == STDOUT and json and "json" not in self.forms:
             raise UsageError("-o - and --json would both go to stdout; leave one out.")
-        return "json" if json and (path == STDOUT or self.own == "text") else self.own
 
 
 @dataclass(frozen=True)

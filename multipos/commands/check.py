@@ -7,7 +7,7 @@ from multipos.commands.options import add_range, numbers
 from multipos.files.tables import read_schema, to_json
 from multipos.plots.check import check_figure
 from multipos.regression.regression_file import SCHEMA, load_regression
-from multipos.reports.sections import check_text
+from multipos.reports.sheets import check_text
 from multipos.sensor.calibration_file import load
 from multipos.verification.checks import check
 

@@ -53,22 +53,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    mine, other = (_LOG, _READINGS) if arguments.log else (_READINGS, _LOG)
-    for name in other:
-        if getattr(arguments, name) is not None:
-            option = f"--{name.replace('_', '-')}"
-            raise UsageError(
-                f"{option} is for {'averaged readings' if arguments.log else 'a log'}; "
-                f"{'leave out' if arguments.log else 'add'} --log."
-            )
+    made, mine = (simulate_log, _LOG) if arguments.log else (simulate, _READINGS)
+    _refuse_others(arguments)
     options = {name: getattr(arguments, name) for name in _BOTH}
-    options |= {
-        name: default if getattr(arguments, name) is None else getattr(arguments, name)
-        for name, default in mine.items()
-    }
+    for name, default in mine.items():
+        given = getattr(arguments, name)
+        options[name] = default if given is None else given
     if options["seed"] is not None and options["seed"] < 0:
         raise UsageError(f"--seed must be 0 or more, got {options['seed']}.")
-    made = simulate_log if arguments.log else simulate
     columns = made(load(arguments.calibration), arguments.scheme, **options)
 
     def table() -> str:
@@ -80,3 +72,13 @@ def run(arguments: argparse.Namespace) -> Answer:
         forms={"table": table, "text": table},
         verbatim=True,
     )
+
+
+def _refuse_others(arguments: argparse.Namespace) -> None:
+    """Refuse the options of the form that is not made."""
+    others, what, way = _LOG, "a log", "add"
+    if arguments.log:
+        others, what, way = _READINGS, "averaged readings", "leave out"
+    for name in others:
+        if getattr(arguments, name) is not None:
+            raise UsageError(f"--{name.replace('_', '-')} is for {what}; {way} --log.")

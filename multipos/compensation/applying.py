@@ -234,29 +234,32 @@ def add_columns(
     if outside == "clamp":
         environment = clamped
     axes = list(sensed_axes(calibration.model))
-    names = [COMPONENTS[i] for i in axes]
+    tilts: dict[str, Array] = {}
     if tilt:
         rest = at_rest(calibration, raw, environment)
         force, found = rest[:, axes], tilt_at_rest(calibration, rest, environment)
         beyond |= np.isnan(found.tilt).any(axis=1)
+        tilts = _by_axis("tilt_{}_deg", axes, np.degrees(found.tilt))
+        if uncertainty:
+            tilts |= _by_axis("u_tilt_{}_deg", axes, np.degrees(found.u))
     else:
         force = calibration.compensate(raw, environment)
     beyond |= _force_outside(calibration, force)
-    added = {f"f_{axis}": force[:, column] for column, axis in enumerate(names)}
+    added = _by_axis("f_{}", axes, force)
     if uncertainty:
         covariance = force_covariance(calibration, force, environment)
-        for column, axis in enumerate(names):
-            added[f"u_f_{axis}"] = np.sqrt(covariance[:, column, column])
-    if tilt:
-        for column, axis in enumerate(names):
-            added[f"tilt_{axis}_deg"] = np.degrees(found.tilt[:, column])
-        for column, axis in enumerate(names if uncertainty else ()):
-            added[f"u_tilt_{axis}_deg"] = np.degrees(found.u[:, column])
+        added |= _by_axis("u_f_{}", axes, np.sqrt(np.einsum("nkk->nk", covariance)))
+    added |= tilts
     if len(calibration.outputs) > len(axes):
         odd = parity(calibration, raw, force, environment, reading_noise(calibration))
         added["parity"] = odd.size
         added["fault"] = (odd.p < FAULT_LEVEL).astype(np.int64)
     return {**added, "outside": beyond.astype(np.int64)}
+
+
+def _by_axis(name: str, axes: Sequence[int], values: Array) -> dict[str, Array]:
+    """Return values (n, K) as columns named after their axes."""
+    return {name.format(COMPONENTS[i]): values[:, column] for column, i in enumerate(axes)}
 
 
 def check_outside(outside: str) -> None:

@@ -149,9 +149,7 @@ class _Writer:
     def _square(self, coefficients: list[_RestTerm]) -> list[str]:
         lines = []
         for i in range(len(self._bias)):
-            rest = self._sum(
-                [(c, self._product(name, term)) for j, term, (c, name) in coefficients if j == i]
-            )
+            rest = self._sum(self._rest_of(i, coefficients))
             less = f" - ({rest})" if rest != self._number(0.0) else ""
             lines.append(f"const {self._kind} r{i} = d{i}{less};")
         for k, axis in enumerate(self._sensed):
@@ -162,31 +160,37 @@ class _Writer:
     def _redundant(self, coefficients: list[_RestTerm]) -> list[str]:
         """Write a step along J', for more outputs than axes."""
         lines = []
-        count = len(self._bias)
-        for i in range(count):
-            parts = [
-                (c, self._product(name, term)) for j, term, (c, name) in coefficients if j == i
-            ]
+        outputs = range(len(self._bias))
+        for i in outputs:
+            parts = self._rest_of(i, coefficients)
             parts += [(v, axis) for v, axis in zip(self._slope[i], self._sensed, strict=True)]
             lines.append(f"const {self._kind} r{i} = d{i} - ({self._sum(parts)});")
-        for k, axis in enumerate(self._sensed):
-            gradient = []
-            for i in range(count):
-                parts = [(float(self._slope[i, k]), "")]
-                for j, term, (c, name) in coefficients:
-                    if j == i:
-                        weight, lower, slope = _derivative(term, axis)
-                        product = self._product(name, lower)
-                        if slope:
-                            turn = f"({self._written(slope, axis)})"
-                            product = f"{product} * {turn}" if product else turn
-                        parts.append((c * weight, product))
-                gradient.append(f"({self._sum(parts)}) * r{i}")
+        for k in range(len(self._sensed)):
+            gradient = [f"({self._slope_of(i, k, coefficients)}) * r{i}" for i in outputs]
             lines.append(f"const {self._kind} g{k} = {' + '.join(gradient)};")
         normal = np.linalg.inv(self._slope.T @ self._slope)
         for k, axis in enumerate(self._sensed):
             lines.append(f"{axis} += {self._sum([(v, f'g{j}') for j, v in enumerate(normal[k])])};")
         return lines
+
+    def _rest_of(self, i: int, coefficients: list[_RestTerm]) -> list[tuple[float, str]]:
+        """Return n of eq. (1) for one output, as numbers times products."""
+        return [(c, self._product(name, term)) for j, term, (c, name) in coefficients if j == i]
+
+    def _slope_of(self, i: int, k: int, coefficients: list[_RestTerm]) -> str:
+        """Return the element of J = dh/df of one output and one axis."""
+        axis = self._sensed[k]
+        parts = [(float(self._slope[i, k]), "")]
+        for j, term, (c, name) in coefficients:
+            if j != i:
+                continue
+            weight, lower, slope = _derivative(term, axis)
+            product = self._product(name, lower)
+            if slope:
+                turn = f"({self._written(slope, axis)})"
+                product = f"{product} * {turn}" if product else turn
+            parts.append((c * weight, product))
+        return self._sum(parts)
 
     def _offsets(self) -> list[str]:
         """Write all that is read before anything is written: raw and accel may be one array."""
@@ -217,29 +221,44 @@ class _Writer:
         """Return n of eq. (1): per output and product of force, a number or a named constant."""
         constants: list[str] = []
         coefficients: list[_RestTerm] = []
-        bare = {CONSTANT, *(linear_term(axis) for axis in self._sensed)}
         for i, row in enumerate(self._theta):
-            grouped: dict[Term, list[tuple[float, Term]]] = {}
-            for value, term in zip(row.tolist(), self._model.basis_terms, strict=True):
-                force = Term(tuple(f for f in term.factors if f.variable in COMPONENTS))
-                rest = Term(tuple(f for f in term.factors if f.variable not in COMPONENTS))
-                if value and all(f.variable in self._sensed for f in force.factors):
-                    grouped.setdefault(force, []).append((value, rest))
-            for force, parts in grouped.items():
+            for force, parts in self._by_force(row).items():
                 varying = [(value, rest) for value, rest in parts if rest.factors]
                 fixed = sum(value for value, rest in parts if not rest.factors)
                 if varying:
                     name = f"c{len(constants)}"
-                    shifted = [part for v, rest in varying for part in self._about_middle(v, rest)]
-                    if force in bare:  # its value in the middle is in o and K0
-                        shifted = [part for part in shifted if part[1]]
-                    else:
-                        shifted.append((fixed, ""))
-                    constants.append(f"{name} = {self._sum(_collected(shifted))}")
+                    total = self._constant(varying, None if self._is_bare(force) else fixed)
+                    constants.append(f"{name} = {total}")
                     coefficients.append((i, force, (1.0, name)))
-                elif force not in bare:
+                elif not self._is_bare(force):
                     coefficients.append((i, force, (fixed, "")))
         return constants, coefficients
+
+    def _is_bare(self, force: Term) -> bool:
+        """Tell whether o and K0 hold the coefficient of a product of force."""
+        return force in {CONSTANT, *(linear_term(axis) for axis in self._sensed)}
+
+    def _constant(self, varying: list[tuple[float, Term]], fixed: float | None) -> str:
+        """Return a sum of products of other columns; without `fixed`, less its middle value.
+
+        That of bias and scale factors is in o and K0.
+        """
+        shifted = [part for value, rest in varying for part in self._about_middle(value, rest)]
+        if fixed is None:
+            shifted = [part for part in shifted if part[1]]
+        else:
+            shifted.append((fixed, ""))
+        return self._sum(_collected(shifted))
+
+    def _by_force(self, row: Array) -> dict[Term, list[tuple[float, Term]]]:
+        """Return an output's coefficients by product of force, each with its other columns."""
+        grouped: dict[Term, list[tuple[float, Term]]] = {}
+        for value, term in zip(row.tolist(), self._model.basis_terms, strict=True):
+            force = Term(tuple(f for f in term.factors if f.variable in COMPONENTS))
+            rest = Term(tuple(f for f in term.factors if f.variable not in COMPONENTS))
+            if value and all(f.variable in self._sensed for f in force.factors):
+                grouped.setdefault(force, []).append((value, rest))
+        return grouped
 
     def _about_middle(self, value: float, term: Term) -> list[tuple[float, str]]:
         """Expand a product of other columns about the middle: numbers times products of t.

@@ -129,9 +129,7 @@ def _step(calibration: Calibration, inverse: Any, single: bool) -> tuple[list[st
 
 def _write(step: Any, names: list[list[str]], single: bool) -> tuple[list[str], bool]:
     """Write out CasADi's operations, each result under a name of its own."""
-    import casadi
-
-    codes = {getattr(casadi, name): name for name in dir(casadi) if name.startswith("OP_")}
+    codes = _codes()
     words = {"one": literal(1.0, single), "zero": literal(0.0, single), "f": "f" * single}
     kind = "float" if single else "double"
     held: dict[int, str] = {}
@@ -149,20 +147,37 @@ def _write(step: Any, names: list[list[str]], single: bool) -> tuple[list[str], 
         if code == "OP_OUTPUT":
             results.append((names[0][into[1]], held[operands[0]]))
             continue
-        function = code.removeprefix("OP_")
-        if function in _FUNCTIONS:
-            template, library = f"{function.lower()}{{f}}({{0}})", True
-        elif code in _UNARY or code in _BINARY:
-            template = _UNARY.get(code) or _BINARY[code]
-            library |= "{f}" in template
-        else:
-            raise MultiposError(
-                f"the expression uses CasADi's {function.lower()}, which has no counterpart in "
-                "the C file; write it with other operations."
-            )
+        template = _template(code)
+        library |= "{f}" in template
         text = template.format(*(held[i] for i in operands), **words)
         lines.append(f"const {kind} v{k} = {text};")
         held[into[0]] = f"v{k}"
     # All of a step is computed from the force before it.
     lines += [f"{axis} = {value};" for axis, value in results]
     return lines, library
+
+
+def _codes() -> dict[int, str]:
+    """Return the names of CasADi's operations by their numbers."""
+    import casadi
+
+    return {getattr(casadi, name): name for name in dir(casadi) if name.startswith("OP_")}
+
+
+def _template(code: str) -> str:
+    """Return an operation in C; {f} stands behind the name of a function of the C library.
+
+    Raises
+    ------
+    MultiposError
+        It has no counterpart in C.
+    """
+    function = code.removeprefix("OP_")
+    if function in _FUNCTIONS:
+        return f"{function.lower()}{{f}}({{0}})"
+    if code in _UNARY or code in _BINARY:
+        return _UNARY.get(code) or _BINARY[code]
+    raise MultiposError(
+        f"the expression uses CasADi's {function.lower()}, which has no counterpart in "
+        "the C file; write it with other operations."
+    )

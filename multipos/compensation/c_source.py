@@ -110,11 +110,7 @@ def _require_held(calibration: Calibration, single: bool) -> None:
     largest, smallest = float(limits.max), float(limits.tiny)
     precision = "single" if single else "double"
     way = ("leave out --float, or " if single else "") + "fit in a unit nearer to its size"
-    middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
-    slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0]
-    needed = np.repeat(
-        _NEGLIGIBLE * np.abs(slope).max(axis=1), [part.stop - part.start for part in model.slices]
-    )
+    needed = _negligible(calibration)
     for name, value, least in zip(calibration.names, calibration.parameters, needed, strict=True):
         size = abs(float(value))
         if size > largest or least < size < smallest:
@@ -123,6 +119,15 @@ def _require_held(calibration: Calibration, single: bool) -> None:
     for name in model.environment:
         if max(map(abs, environment_range(calibration, name))) > largest:
             raise MultiposError(f"column '{name}' overflows in {precision} precision; {way}.")
+
+
+def _negligible(calibration: Calibration) -> Array:
+    """Return how small each parameter (p,) may be and be nothing, in its output."""
+    model = calibration.model
+    middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
+    slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0]
+    sizes = [part.stop - part.start for part in model.slices]
+    return np.repeat(_NEGLIGIBLE * np.abs(slope).max(axis=1), sizes)
 
 
 def _header(calibration: Calibration, name: str, how: str) -> str:

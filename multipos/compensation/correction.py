@@ -12,7 +12,7 @@ leaves what the rows of the fit covered. A polynomial says nothing there: the ro
 variables are clamped to the range, or the table is refused.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Any
 
@@ -78,22 +78,11 @@ def correct(
         )
     raw = table.number(target, largest=LARGEST)
     columns = read_predictors(regression, table)
-    place = regression.segment_of(columns) if columns else np.zeros(table.rows, dtype=np.intp)
+    place = place_rows(regression, columns, table.rows)
     beyond, clamped = _outside(regression, columns, place)
-    if outside == "refuse" and beyond.any():
-        row = int(np.argmax(beyond))
-        raise MultiposError(
-            f"{table.where(row, target)}: the row is outside what the regression was fitted to "
-            f"({int(beyond.sum())} of {table.rows} rows are); use --outside flag to see them."
-        )
-    used = clamped if outside == "clamp" else columns
-    predicted, u = np.empty(table.rows), np.empty(table.rows)
-    for number, segment in enumerate(regression.segments):
-        rows = np.flatnonzero(place == number)
-        X = segment.design(used, rows)
-        C = segment.covariance if segment.robust is None else segment.robust.covariance
-        predicted[rows] = X @ segment.values
-        u[rows] = np.sqrt(np.einsum("ij,jk,ik->i", X, C, X) + segment.rms**2)
+    if outside == "refuse":
+        _refuse_outside(table, target, beyond)
+    predicted, u = _predict(regression, clamped if outside == "clamp" else columns, place)
     added: dict[str, Column] = {"predicted": predicted, "corrected": raw - predicted}
     if uncertainty:
         added["u_corrected"] = u
@@ -107,26 +96,61 @@ def correct(
     return Corrected({**kept, **added})
 
 
+def place_rows(regression: Regression, columns: Mapping[str, Array], rows: int) -> NDArray[np.intp]:
+    """Return the number of the segment of every row; without a predictor there is one segment."""
+    return regression.segment_of(columns) if columns else np.zeros(rows, dtype=np.intp)
+
+
+def _refuse_outside(table: Table, target: str, beyond: NDArray[np.bool_]) -> None:
+    if beyond.any():
+        row = int(np.argmax(beyond))
+        raise MultiposError(
+            f"{table.where(row, target)}: the row is outside what the regression was fitted to "
+            f"({int(beyond.sum())} of {table.rows} rows are); use --outside flag to see them."
+        )
+
+
+def _predict(
+    regression: Regression, columns: Mapping[str, Array], place: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Return what the regression predicts of every row, and its standard uncertainty by eq. (1)."""
+    predicted, u = np.empty(len(place)), np.empty(len(place))
+    for number, segment in enumerate(regression.segments):
+        rows = np.flatnonzero(place == number)
+        X = segment.design(columns, rows)
+        C = segment.covariance if segment.robust is None else segment.robust.covariance
+        predicted[rows] = X @ segment.values
+        u[rows] = np.sqrt(np.einsum("ij,jk,ik->i", X, C, X) + segment.rms**2)
+    return predicted, u
+
+
 def read_predictors(regression: Regression, table: Table) -> dict[str, Array]:
     """Return the columns that a prediction needs; rates from the time column as for the fit."""
     columns = {}
     terms = [term for segment in regression.segments for term in segment.terms]
     for name in regression.needed:
         window = None if name in table else regression.rates.get(name)
-        source, time = name.removesuffix("_rate"), regression.time
-        wanted = [name] if window is None or time is None else [source, time]
-        for each in wanted:
-            if each not in table:
-                raise MultiposError(
-                    f"{table.source}: no column '{each}', which this regression needs; "
-                    f"the columns are {', '.join(table.columns)}."
-                )
-        if window is None or time is None:
+        if window is None or regression.time is None:
+            _require_columns(table, [name])
             columns[name] = table.number(name, largest=largest_value(terms, name))
         else:
-            at, values = (table.number(each, largest=LARGEST) for each in (time, source))
-            columns[name] = smoothed_rate(at, values, window=window)
+            columns[name] = _rate(table, name.removesuffix("_rate"), regression.time, window)
     return columns
+
+
+def _rate(table: Table, source: str, time: str, window: float) -> Array:
+    _require_columns(table, [source, time])
+    at, values = (table.number(name, largest=LARGEST) for name in (time, source))
+    return smoothed_rate(at, values, window=window)
+
+
+def _require_columns(table: Table, names: Sequence[str]) -> None:
+    for name in names:
+        if name not in table:
+            raise MultiposError(
+                f"{table.source}: no column '{name}', which this regression needs; "
+                f"the columns are {', '.join(table.columns)}."
+            )
 
 
 def range_column(

@@ -5,6 +5,8 @@ is written again from the calibration, and where both are the same to the byte, 
 this program that is compiled. Any other C runs only where the user says so.
 """
 
+import re
+
 import numpy as np
 
 from multipos import __version__
@@ -38,14 +40,9 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     path, raw = file.path, file.raw
     found = SIGNATURE.search(file.text)
     assert found is not None  # or another target would have been asked
+    _check_sizes(path, found, calibration)
     names = calibration.model.environment
     sensed = list(sensed_axes(calibration.model))
-    sizes = (len(calibration.outputs), len(names), len(sensed))
-    if (int(found["raw"]), int(found["env"] or 0), int(found["accel"])) != sizes:
-        raise MultiposError(
-            f"{path}: {found['name']}_compensate is not made for the outputs of this calibration; "
-            "export again."
-        )
     name, single = found["name"], found["type"] == "float"
     own = c_source(calibration, name, single=single).encode()
     foreign = raw != own
@@ -76,6 +73,16 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
         difference=difference,
         foreign=foreign,
     )
+
+
+def _check_sizes(path: str, found: re.Match[str], calibration: Calibration) -> None:
+    model = calibration.model
+    sizes = (len(calibration.outputs), len(model.environment), len(sensed_axes(model)))
+    if (int(found["raw"]), int(found["env"] or 0), int(found["accel"])) != sizes:
+        raise MultiposError(
+            f"{path}: {found['name']}_compensate is not made for the outputs of this calibration; "
+            "export again."
+        )
 
 
 def _difference(raw: bytes, own: bytes) -> str:

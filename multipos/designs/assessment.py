@@ -12,16 +12,10 @@ on the whole sphere (`multipos.designs.optimum`), per position, so that n does n
 
 and a scheme that needs 1/efficiency times as many positions tells as much.
 
-What a scheme cannot see: a term that the model lacks has the column c at the positions, the model
-the columns Z. Its coefficient is added to the parameters by the factors a and shows in the
-residuals by the part r,
-
-    a = (Z'Z)⁻¹ Z'c,        r = ‖c − Z a‖ / ‖c‖;                                            (2)
-
-where r = 0 the data hide it wholly.
+What a scheme cannot see is told by `multipos.designs.aliases`.
 
 Sources: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS, 2007
-(criteria, efficiencies, alias matrix).
+(criteria, efficiencies).
 """
 
 import math
@@ -31,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from multipos.designs.aliases import UNSEEN, find_aliases, in_parameters, say_hidden
 from multipos.designs.information import (
     Blocks,
     Setting,
@@ -40,20 +35,17 @@ from multipos.designs.information import (
     make_setting,
     objective,
 )
-from multipos.designs.optimum import Optimum, largest_sensitivity, optimise_sphere
+from multipos.designs.optimum import ContinuousOptimum, largest_sensitivity, optimise_sphere
 from multipos.estimation.known import FLOOR
 from multipos.files.lists import Names, split_names, spread
 from multipos.files.numbers import number, table
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import name_combinations, separability
-from multipos.numerics.terms import COMPONENTS, Term
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import Scheme, named_schemes, read_scheme
 from multipos.results import Keyed, data_frame
-from multipos.sensor.model import Model, build_model, default_axes
-
-_UNSEEN = 1e-9  # share of a term in the residuals below which they hide it
-_HIGHER = "x^2 + y^2 + z^2 + x*y + x*z + y*z + own^3 + own*|own|"
+from multipos.sensor.model import build_model, default_axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +69,8 @@ class Assessment(Keyed):
     u : mapping of 'output:term' to float, or None
         Standard uncertainty of each parameter, eq. (1).
     aliases : tuple of mappings, or None
-        {output, term, seen, into} of each term that the model lacks, eq. (2).
+        {output, term, seen, into} of each term that the model lacks, by eq. (1) of
+        `multipos.designs.aliases`.
     hidden : tuple of str, or None
         Those that the data hide wholly, in words.
     """
@@ -222,9 +215,9 @@ class Assessor:
     def __init__(self, setting: Setting, reading_sd: float = 1.0) -> None:
         self.setting = setting
         self.reading_sd = reading_sd
-        self._optima: dict[str, Optimum] = {}
+        self._optima: dict[str, ContinuousOptimum] = {}
 
-    def optimum(self, name: str) -> Optimum:
+    def optimum(self, name: str) -> ContinuousOptimum:
         """Return the best that positions can do on the sphere, by criterion D, A or I."""
         if name not in self._optima:
             criterion = make_criterion(name, self.setting)
@@ -268,7 +261,7 @@ class Assessor:
         information = inform(self.setting.rows(scheme.up))
         inverse = np.concatenate([np.diag(np.linalg.inv(M)) for M in information])
         u = self.reading_sd * np.sqrt(inverse / n)
-        found = aliases(self.setting, scheme.up)
+        found = find_aliases(self.setting, scheme.up)
         names = [f"{output}:{term}" for output, term in model.keys]
         return replace(
             told,
@@ -280,7 +273,7 @@ class Assessor:
             condition=condition,
             u=dict(zip(names, u.tolist(), strict=True)),
             aliases=tuple(found),
-            hidden=tuple(_hidden(alias) for alias in found if alias["seen"] < _UNSEEN),
+            hidden=tuple(say_hidden(alias) for alias in found if alias["seen"] < UNSEEN),
         )
 
     def _efficiency(self, information: Blocks, name: str) -> float:
@@ -350,8 +343,8 @@ def scheme_details(entry: Assessment) -> list[str]:
         [
             alias["output"],
             alias["term"],
-            "hidden" if alias["seen"] < _UNSEEN else f"{alias['seen']:.2f}",
-            _sum(alias["into"], least=1e-3) or "-",
+            "hidden" if alias["seen"] < UNSEEN else f"{alias['seen']:.2f}",
+            in_parameters(alias["into"], least=1e-3) or "-",
         ]
         for alias in entry.aliases
     ]
@@ -362,64 +355,6 @@ def scheme_details(entry: Assessment) -> list[str]:
             table(["output", "term", "seen", "adds"], seen, left=4),
         ]
     return parts
-
-
-def aliases(setting: Setting, up: Array) -> list[dict[str, Any]]:
-    """Return what higher terms would do to the parameters, eq. (2).
-
-    Returns
-    -------
-    list of dict
-        {output, term, seen: the part that shows in the residuals (0 … 1), into: {parameter name:
-        amount per unit of the term}}, for squares, products, the own cube and own·|own|.
-    """
-    model = setting.model
-    higher = build_model(_HIGHER, model.outputs, model.axes)
-    variables = {axis: setting.size * up[:, i] for i, axis in enumerate(COMPONENTS)}
-    rows = setting.rows(up)
-    factors = [np.linalg.pinv(Z.reshape(-1, Z.shape[2])) for Z in rows]
-    found = []
-    for i, (output, own) in enumerate(zip(model.outputs, model.terms, strict=True)):
-        block = i if len(rows) > 1 else 0
-        Z = rows[block].reshape(-1, rows[block].shape[2])
-        names = model.names[setting.blocks[block]]
-        for term in higher.terms[i]:
-            if term in own or not _sensed(term, model):
-                continue
-            X = np.zeros((len(up), len(model.outputs), 1))
-            X[:, i, 0] = term.evaluate(variables)
-            column = X[:, i] if len(rows) > 1 else setting.whiten(up, X).reshape(len(Z), 1)
-            a = factors[block] @ column
-            size = float(np.linalg.norm(column))
-            seen = float(np.linalg.norm(column - Z @ a)) / size if size > FLOOR else 0.0
-            found.append(
-                {
-                    "output": output,
-                    "term": str(term),
-                    "seen": seen if seen >= _UNSEEN else 0.0,
-                    "into": {
-                        name: value
-                        for name, value in zip(names, a[:, 0].tolist(), strict=True)
-                        if abs(value) > _UNSEEN
-                    },
-                }
-            )
-    return found
-
-
-def _sensed(term: Term, model: Model) -> bool:
-    return bool(term.factors) and all(f.variable in model.inputs for f in term.factors)
-
-
-def _hidden(alias: dict[str, Any]) -> str:
-    name = f"{alias['term']} of {alias['output']}"
-    if not alias["into"]:
-        return f"`{name}` has no effect at these positions"
-    return f"`{name}` passes for `{_sum(alias['into'])}`"
-
-
-def _sum(amounts: dict[str, float], least: float = 0.0) -> str:
-    return " ".join(f"{value:+.3g} {name}" for name, value in amounts.items() if abs(value) > least)
 
 
 def _dof(setting: Setting, count: int) -> dict[str, int]:

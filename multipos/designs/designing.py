@@ -31,7 +31,7 @@ from multipos.designs.information import (
     sensitivity,
 )
 from multipos.designs.optimum import (
-    Optimum,
+    ContinuousOptimum,
     largest_sensitivity,
     optimise_candidates,
     optimise_sphere,
@@ -183,10 +183,7 @@ def design(
         )
     up = np.concatenate([given, order_positions(up, given[-1:])])
     described = assessor.describe(Scheme("design", up, np.full((len(up), 3, 3), np.nan), None))
-    p = len(setting.model.keys)
-    # the value of G is −ln of the largest s over the sphere, which is 1 at the optimum
-    at_best = 0.0 if criterion == "G" else sphere.value
-    on_bench = None if criterion == "G" else min(1.0, math.exp(value - best.value))
+    efficiency, on_bench = _efficiency(criterion, value, sphere, best)
     turned = travel_deg(up)
     return Design(
         model=setting.model.text,
@@ -196,27 +193,44 @@ def design(
         included=len(given),
         log_det=described.log_det,
         optimum_log_det=assessor.optimum("D").log_det,
-        efficiency=min(1.0, math.exp(value - at_best)),
-        certificate={
-            "max_variance": p * (1.0 + best.gap),
-            "parameters": p,
-            "gap": best.gap,
-            "over": "sphere" if bench is None else "candidates",
-        },
+        efficiency=efficiency,
+        certificate=_certificate(setting, best, "sphere" if bench is None else "candidates"),
         optimum={
             "positions": best.up if bench is None else bench[best.chosen],
             "weights": best.weights,
         },
         bench_efficiency=on_bench,
         travel_deg=turned,
-        time_s=None if move_time is None else move_time[0] * len(up) + move_time[1] * turned,
+        time_s=_time_s(move_time, len(up), turned),
         scheme=described,
     )
 
 
+def _efficiency(
+    criterion: str, value: float, sphere: ContinuousOptimum, best: ContinuousOptimum
+) -> tuple[float, float | None]:
+    """Return the efficiency against the sphere, and against the best that could be."""
+    if criterion == "G":  # the value is −ln of the largest s on the sphere, 1 at the optimum
+        return min(1.0, math.exp(value)), None
+    return min(1.0, math.exp(value - sphere.value)), min(1.0, math.exp(value - best.value))
+
+
+def _time_s(move_time: tuple[float, float] | None, count: int, turned_deg: float) -> float | None:
+    return None if move_time is None else move_time[0] * count + move_time[1] * turned_deg
+
+
+def _certificate(setting: Setting, best: ContinuousOptimum, over: str) -> dict[str, Any]:
+    p = len(setting.model.keys)
+    return {
+        "max_variance": p * (1.0 + best.gap),
+        "parameters": p,
+        "gap": best.gap,
+        "over": over,
+    }
+
+
 def design_text(found: Design) -> str:
     """Return `design` as text: the positions, what they tell, and the certificate."""
-    certificate, name = found.certificate, found.criterion
     rows = [
         [str(i + 1), *(f"{value:.6f}" for value in up), "given" if i < found.included else ""]
         for i, up in enumerate(found.positions.tolist())
@@ -224,6 +238,17 @@ def design_text(found: Design) -> str:
     if not found.included:
         rows = [row[:-1] for row in rows]
     header = ["position", "up x", "up y", "up z", ""][: len(rows[0])]
+    heading = (
+        f"model {found.model}, orientations {found.orientation}, "
+        f"criterion {found.criterion}, {len(rows)} positions"
+    )
+    parts = [heading, table(header, rows), _summary(found), *scheme_details(found.scheme)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _summary(found: Design) -> str:
+    """Return how good the positions are, with the certificate."""
+    certificate = found.certificate
     bench = certificate["over"] == "candidates"
     reach = "these candidates" if bench else "the whole sphere"
     time = "" if found.time_s is None else f"{found.time_s:.0f} s"
@@ -231,7 +256,7 @@ def design_text(found: Design) -> str:
         f"largest variance {certificate['max_variance']:.8g} of the best on {reach} "
         f"for {certificate['parameters']} parameters, less 1"
     )
-    summary = [
+    lines = [
         ["efficiency", f"{found.efficiency:.6f}", "against the best on the whole sphere"],
         ["log det", f"{found.log_det:.6f}", f"at most {found.optimum_log_det:.6f}"],
         ["certificate", f"{certificate['gap']:.1e}", proof],
@@ -239,15 +264,9 @@ def design_text(found: Design) -> str:
     ]
     if bench and found.bench_efficiency is not None:
         share = f"{found.bench_efficiency:.6f}"
-        summary.insert(1, ["", share, "against the best on these candidates"])
-    width = max(len(row[1]) for row in summary)
-    lines = [f"{a:<11}  {b:>{width}}  {c}".rstrip() for a, b, c in summary]
-    heading = (
-        f"model {found.model}, orientations {found.orientation}, "
-        f"criterion {name}, {len(rows)} positions"
-    )
-    parts = [heading, table(header, rows), "\n".join(lines), *scheme_details(found.scheme)]
-    return "\n\n".join(parts) + "\n"
+        lines.insert(1, ["", share, "against the best on these candidates"])
+    width = max(len(line[1]) for line in lines)
+    return "\n".join(f"{a:<11}  {b:>{width}}  {c}".rstrip() for a, b, c in lines)
 
 
 def design_csv(found: Design) -> str:
@@ -298,7 +317,7 @@ def _search(
     count: int,
     bench: Array | None,
     given: Array,
-    best: Optimum,
+    best: ContinuousOptimum,
     rng: np.random.Generator,
 ) -> tuple[float, Array]:
     """Return the criterion and the best `count` positions beside those given."""
@@ -346,7 +365,9 @@ def _search_largest(
     return max(ranked, key=lambda result: result[0])
 
 
-def _promising(setting: Setting, criterion: Criterion, bench: Array, best: Optimum) -> Array:
+def _promising(
+    setting: Setting, criterion: Criterion, bench: Array, best: ContinuousOptimum
+) -> Array:
     """Return the candidates that exact designs are made of: where s of the optimum is high."""
     information = inform(setting.rows(bench[best.chosen]), best.weights)
     s = sensitivity(setting.rows(bench), kernels(information, criterion))

@@ -215,14 +215,18 @@ def make_criterion(name: str, setting: Setting, region: Array | None = None) -> 
     UsageError
         No such criterion or parameter.
     """
-    sizes = [part.stop - part.start for part in setting.blocks]
     if name in ("D", "G"):
         return Criterion(name)
     if name == "A":
-        return Criterion(name, tuple(np.eye(size) for size in sizes))
+        return Criterion(name, tuple(np.eye(part.stop - part.start) for part in setting.blocks))
     if name == "I":
         whole = _moments(setting.model) if region is None else _average(setting, region)
         return Criterion(name, tuple(whole[part, part] for part in setting.blocks))
+    return Criterion(name, _weight_of_one(name, setting))
+
+
+def _weight_of_one(name: str, setting: Setting) -> Blocks:
+    """Return B of eq. (2) for the variance of one parameter, u:OUTPUT:TERM."""
     kind, _, key = name.partition(":")
     output, _, term = key.partition(":")
     if kind != "u" or not term:
@@ -232,9 +236,9 @@ def make_criterion(name: str, setting: Setting, region: Array | None = None) -> 
     except KeyError as error:
         raise UsageError(f"criterion '{name}': {error.args[0]}.") from None
     # 1 for the one, a little for the others
-    diagonal = np.full(sum(sizes), _OTHERS)
+    diagonal = np.full(sum(part.stop - part.start for part in setting.blocks), _OTHERS)
     diagonal[index] = 1.0
-    return Criterion(name, tuple(np.diag(diagonal[part]) for part in setting.blocks))
+    return tuple(np.diag(diagonal[part]) for part in setting.blocks)
 
 
 def inform(rows: Blocks, weights: Array | None = None) -> Blocks:

@@ -67,7 +67,7 @@ _SPECIAL = "all-26+icosahedron-12+dodecahedron-20"
 
 
 @dataclass(frozen=True)
-class Optimum:
+class ContinuousOptimum:
     """A continuous design and its certificate.
 
     Attributes
@@ -91,7 +91,9 @@ class Optimum:
     gap: float
 
 
-def optimise_candidates(rows: Blocks, criterion: Criterion, *, gap: float = GAP) -> Optimum:
+def optimise_candidates(
+    rows: Blocks, criterion: Criterion, *, gap: float = GAP
+) -> ContinuousOptimum:
     """Return the best weights on candidates whose rows are (n, K, p_b).
 
     Raises
@@ -115,7 +117,7 @@ def optimise_candidates(rows: Blocks, criterion: Criterion, *, gap: float = GAP)
         found = float(s.max()) - 1.0
         if found <= gap:
             kept = weights > 0.0
-            return Optimum(
+            return ContinuousOptimum(
                 np.empty((0, 3)),
                 working[kept],
                 weights[kept],
@@ -135,7 +137,9 @@ def optimise_candidates(rows: Blocks, criterion: Criterion, *, gap: float = GAP)
     raise ConvergenceError(_unfinished(found))
 
 
-def optimise_sphere(setting: Setting, criterion: Criterion, *, gap: float = GAP) -> Optimum:
+def optimise_sphere(
+    setting: Setting, criterion: Criterion, *, gap: float = GAP
+) -> ContinuousOptimum:
     """Return the best weights over all directions of the sphere.
 
     Raises
@@ -155,7 +159,7 @@ def optimise_sphere(setting: Setting, criterion: Criterion, *, gap: float = GAP)
             peaks, heights = maxima(sensed, _FINE)
         found = float(heights.max()) - 1.0
         if found <= gap:
-            return Optimum(
+            return ContinuousOptimum(
                 up,
                 np.empty(0, dtype=np.intp),
                 weights,

@@ -128,10 +128,7 @@ def worth(
         No such parameter, or a target without one.
     """
     keys = [f"{output}:{term}" for output, term in calibration.model.keys]
-    if parameter is not None and parameter not in keys:
-        raise UsageError(f"unknown parameter '{parameter}'; give one of {', '.join(keys)}.")
-    if target is not None and (parameter is None or not target > 0.0):
-        raise UsageError("a target must be above 0 and name its parameter, as in ax:x=0.001.")
+    _check_target(keys, parameter, target)
     index = None if parameter is None else keys.index(parameter)
     setting, present, covered = _measured(calibration)
     up = read_bench(candidates)
@@ -160,6 +157,13 @@ def worth(
     )
 
 
+def _check_target(keys: list[str], parameter: str | None, target: float | None) -> None:
+    if parameter is not None and parameter not in keys:
+        raise UsageError(f"unknown parameter '{parameter}'; give one of {', '.join(keys)}.")
+    if target is not None and (parameter is None or not target > 0.0):
+        raise UsageError("a target must be above 0 and name its parameter, as in ax:x=0.001.")
+
+
 def worth_text(found: Worth) -> str:
     """Return `worth` as text: the best next positions, and how many the target takes."""
     parameter = found.parameter
@@ -173,23 +177,28 @@ def worth_text(found: Worth) -> str:
         header.append("to")
     what = parameter or "all parameters"
     parts = [f"worth of one more position, for {what}", table(header, rows, left=0)]
-    if found.target is not None and found.path is None:
-        parts.append(
+    return "\n\n".join([*parts, *_way_to_target(found)]) + "\n"
+
+
+def _way_to_target(found: Worth) -> list[str]:
+    """Say how many positions the target takes, where there is one."""
+    if found.target is None:
+        return []
+    if found.path is None:
+        missed = (
             f"the target of {number(found.target)} is out of reach: u stays above "
             f"{number(found.floor)}, whatever is measured, or falls too slowly"
         )
-    if found.path is not None:
-        parts.append(
-            f"{found.further_positions} further positions reach the target; the next ones, "
-            "in the order of their worth:"
-        )
-        steps = [
-            [str(i + 1), *(f"{value:.6f}" for value in row)]
-            for i, row in enumerate(found.path[:_SHOWN].tolist())
-        ]
-        if steps:
-            parts.append(table(["next", "up x", "up y", "up z"], steps))
-    return "\n\n".join(parts) + "\n"
+        return [missed]
+    reached = (
+        f"{found.further_positions} further positions reach the target; the next ones, "
+        "in the order of their worth:"
+    )
+    steps = [
+        [str(i + 1), *(f"{value:.6f}" for value in row)]
+        for i, row in enumerate(found.path[:_SHOWN].tolist())
+    ]
+    return [reached, table(["next", "up x", "up y", "up z"], steps)] if steps else [reached]
 
 
 def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:

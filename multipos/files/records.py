@@ -11,9 +11,9 @@ that other programs read line by line.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ LARGEST_SQUARE = LARGEST**2  # of variances and covariances
 LONGEST = 10_000  # characters of a text
 _SAME = 1e-6  # relative; what was written with all its digits is nearer by far
 _SHOWN = 40  # characters of a value in a message
+
+Restored = TypeVar("Restored")
 
 
 class _KindError(Exception):
@@ -283,6 +285,38 @@ def require(content: Any, kind: Kind, where: str, again: str) -> None:
             place, found, need = fault.args
             said = f"{visible(place) or 'all of it'} is {_in_words(found)}; {need} is needed there"
         raise MultiposError(f"{where}: {said}; the file is damaged, {again}.") from None
+
+
+def restore(
+    content: Any, kind: Kind, make: Callable[[Any], Restored], where: str, *, what: str, again: str
+) -> Restored:
+    """Return what a file holds, once its content is as its description has it.
+
+    Parameters
+    ----------
+    content : object
+        As JSON gave it.
+    kind : Kind
+    make : callable
+        Takes the content; raises ValueError where its parts contradict each other.
+    where : str
+        The file, for the message.
+    what : str
+        What the file should hold, as in 'calibration'.
+    again : str
+        What writes the file again, as in 'fit again'.
+
+    Raises
+    ------
+    MultiposError
+        As in `require`, or the parts contradict each other.
+    """
+    require(content, kind, where, again)
+    try:
+        return make(content)
+    except ValueError as error:
+        said = str(error).rstrip(".")
+        raise MultiposError(f"{where}: not a {what}: {said}; {again}.") from None
 
 
 def require_covariance(covariance: NDArray[np.float64], u: NDArray[np.float64]) -> None:

@@ -218,7 +218,7 @@ def select_stepwise(
     -------
     Selection
     """
-    search = _Search(triangle, names, forced, requires)
+    search = _TermSearch(triangle, names, forced, requires)
     path: list[Step] = []
     while True:
         removable, addable = search.removable(), search.addable()
@@ -270,7 +270,7 @@ def select_backward(
             f"backward selection starts from the full model, but {said}; drop a term, or use "
             "--stepwise."
         )
-    search = _Search(triangle, names, forced, requires, start=range(p))
+    search = _TermSearch(triangle, names, forced, requires, start=range(p))
     path: list[Step] = []
     while True:
         removable = search.removable()
@@ -286,7 +286,7 @@ def select_backward(
         )
 
 
-class _Search:
+class _TermSearch:
     """The model as it stands between two steps: which columns are in, and what each would do."""
 
     def __init__(

@@ -27,6 +27,7 @@ from math import inf, log
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
@@ -145,10 +146,8 @@ def all_subsets(
     index = np.arange(len(rss))
     member = (index[:, np.newaxis] >> np.arange(len(free))) & 1 == 1
     allowed = np.isfinite(rss)
-    for place, j in enumerate(free):
-        for needed in requires[j] if requires else ():
-            if needed not in forced:
-                allowed &= ~member[:, place] | member[:, free.index(needed)]
+    if requires:
+        allowed &= _stand_on_theirs(member, free, forced, requires)
     size = member.sum(axis=1) + len(forced)
     allowed &= size < triangle.rows
     index = index[allowed]
@@ -168,6 +167,20 @@ def all_subsets(
         for i in index.tolist()
     ]
     return tuple(sorted(found, key=lambda s: _badness(s, criterion)))
+
+
+def _stand_on_theirs(
+    member: NDArray[np.bool_],
+    free: Sequence[int],
+    forced: Sequence[int],
+    requires: Sequence[frozenset[int]],
+) -> NDArray[np.bool_]:
+    """Tell of each subset whether every column in it has the columns that it requires."""
+    result = np.ones(len(member), dtype=bool)
+    for place, j in enumerate(free):
+        for needed in requires[j].difference(forced):
+            result &= ~member[:, place] | member[:, free.index(needed)]
+    return result
 
 
 def _badness(subset: Subset, criterion: str) -> float:

@@ -169,32 +169,39 @@ def split_terms(formula: str, text: str) -> list[str]:
 def parse_term(part: str, text: str, axis: str, highest: int = HIGHEST_POWER) -> Term:
     """Parse ``x*|own|`` for the output whose own axis is given."""
     exponents: dict[str, dict[str, int]] = {}  # by variable and function, '' for the bare one
-    refused = f"must lie between 1 and {highest}."
-    for factor in part.split("*"):
-        if factor.strip() == "1":
-            continue
-        read = read_factor(factor.strip())
-        if read is None:
-            forms = ", ".join(["own", *function_forms("own")])
-            raise UsageError(
-                f"model '{text}': cannot read '{factor.strip() or part}'; a term is a product of "
-                f"1, x, y, z, {forms} and column names, each with ^power."
-            )
-        name, function, digits = read
-        digits = digits or "1"
-        power = int(digits) if len(digits) <= len(str(highest)) else highest + 1
-        if not 1 <= power <= highest:
-            raise UsageError(f"model '{text}': the power in '{factor.strip()}' {refused}")
-        name = axis if name == "own" else name
-        counts = exponents.setdefault(name, {})
-        counts[function] = counts.get(function, 0) + power
+    for factor in map(str.strip, part.split("*")):
+        if factor != "1":
+            name, function, power = _read_power(factor, part, text, highest)
+            counts = exponents.setdefault(axis if name == "own" else name, {})
+            counts[function] = counts.get(function, 0) + power
     factors = [_product(name, counts, text) for name, counts in sorted(exponents.items())]
     for f in factors:
         if f.power > highest:
             raise UsageError(
-                f"model '{text}': the power of {f.variable} in '{part.strip()}' {refused}"
+                f"model '{text}': the power of {f.variable} in '{part.strip()}' must lie between 1 "
+                f"and {highest}."
             )
     return Term(tuple(factor for factor in factors if factor.is_variable))
+
+
+def _read_power(factor: str, part: str, text: str, highest: int) -> tuple[str, str, int]:
+    """Return variable, function and power of ``|x|^2`` in a term."""
+    read = read_factor(factor)
+    if read is None:
+        forms = ", ".join(["own", *function_forms("own")])
+        raise UsageError(
+            f"model '{text}': cannot read '{factor or part}'; a term is a product of "
+            f"1, x, y, z, {forms} and column names, each with ^power."
+        )
+    name, function, digits = read
+    digits = digits or "1"
+    # a number of more digits is above the highest, however many int() would take
+    power = int(digits) if len(digits) <= len(str(highest)) else highest + 1
+    if not 1 <= power <= highest:
+        raise UsageError(
+            f"model '{text}': the power in '{factor}' must lie between 1 and {highest}."
+        )
+    return name, function, power
 
 
 def _product(name: str, exponents: dict[str, int], text: str) -> Factor:

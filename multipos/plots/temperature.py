@@ -6,6 +6,7 @@ import numpy as np
 
 from multipos.compensation.correction import correct, range_column, read_predictors
 from multipos.files.tables import Source, read_table
+from multipos.numerics.selection import Step
 from multipos.plots.style import (
     COLOURS,
     name_series,
@@ -100,17 +101,7 @@ def draw_path(segment: Segment, axes: "Axes") -> None:
     """
     steps = segment.path
     for row, step in enumerate(steps):
-        added = step.action == "add"
-        axes.barh(
-            row,
-            step.F,
-            color=COLOURS[0] if added else "none",
-            edgecolor=COLOURS[0],
-            hatch="" if added else "//",
-            linewidth=1.0,
-        )
-        if step.runner_up is not None and step.runner_up.F > 0.0:
-            axes.plot(step.runner_up.F, row, marker="D", color=COLOURS[1], linestyle="none")
+        _draw_step(step, row, axes)
     axes.set_yticks(
         range(len(steps)),
         [f"{'+' if step.action == 'add' else '−'} {step.term}" for step in steps],
@@ -120,6 +111,20 @@ def draw_path(segment: Segment, axes: "Axes") -> None:
         axes.set_xlim(left=min([1.0, *(0.5 * step.F for step in steps if step.F > 0.0)]))
     axes.invert_yaxis()
     axes.set(xlabel="F to enter or to remove; ◆ the runner-up")
+
+
+def _draw_step(step: Step, row: int, axes: "Axes") -> None:
+    added = step.action == "add"
+    axes.barh(
+        row,
+        step.F,
+        color=COLOURS[0] if added else "none",
+        edgecolor=COLOURS[0],
+        hatch="" if added else "//",
+        linewidth=1.0,
+    )
+    if step.runner_up is not None and step.runner_up.F > 0.0:
+        axes.plot(step.runner_up.F, row, marker="D", color=COLOURS[1], linestyle="none")
 
 
 def regression_figure(regression: Regression, data: Source) -> "Figure":

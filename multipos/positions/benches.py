@@ -74,11 +74,7 @@ def _reach(name: str) -> Array:
         steps = len(_turn(name, match[1]))
         return np.concatenate([read_scheme(f"roll-{axis}-{steps}").up for axis in match[2]])
     if match := _NEAR.fullmatch(name):
-        cap = _cap(_within(name, match[1], 45.0))
-        # the cap about z, turned to each face
-        return np.concatenate(
-            [sign * np.roll(cap, shift, axis=1) for shift in range(3) for sign in (1, -1)]
-        )
+        return _at_faces(_cap(_within(name, match[1], 45.0)))
     if match := _TILT.fullmatch(name):
         shift = "zxy".index(match[2] or "z")
         return np.roll(_cap(_within(name, match[1], 180.0)), shift, axis=1)
@@ -115,6 +111,13 @@ def _cap(angle: float) -> Array:
     """Return directions within an angle [degrees] of z: rings no more than 5 degrees apart."""
     rings = np.linspace(0.0, angle, max(_RINGS, int(np.ceil(angle / 5.0))) + 1)
     return _two_axis(rings, np.arange(_SPOKES) * 360.0 / _SPOKES)
+
+
+def _at_faces(cap: Array) -> Array:
+    """Return a cap about z turned to each face."""
+    return np.concatenate(
+        [sign * np.roll(cap, shift, axis=1) for shift in range(3) for sign in (1, -1)]
+    )
 
 
 def _once(up: Array) -> Array:

@@ -174,27 +174,35 @@ def _horizontal(readings: Readings, level: NDArray[np.bool_]) -> NDArray[np.intp
     result[clear] = np.argmax(level[clear], axis=1)
     planes = set(result[clear].tolist())
     often = level.sum(axis=0)
-    open_rows = []
-    for row in np.flatnonzero(level.sum(axis=1) == 2).tolist():
-        possible = np.flatnonzero(level[row])
+    along = np.flatnonzero(level.sum(axis=1) == 2).tolist()
+    for row in along:
         east = -1 if readings.rotation is None else _along(readings.rotation[row][:, 0])
-        rolled = [axis for axis in possible.tolist() if axis in planes]
-        most = possible[often[possible] == often[possible].max()]
-        if east in possible:
-            result[row] = east
-        elif len(rolled) == 1:
-            result[row] = rolled[0]
-        elif not planes and len(most) == 1:
-            result[row] = most[0]
-        else:
-            open_rows.append(row)
+        result[row] = _turned_about(np.flatnonzero(level[row]), often, planes, east)
     decided = np.flatnonzero(result >= 0).tolist()
+    open_rows = [row for row in along if result[row] < 0]
     for row in open_rows:
         # Of two neighbours as near, the one that follows: a roll begins along an axis.
         near = [k for k in decided if level[row, result[k]]]
         if near:
             result[row] = result[min(near, key=lambda k: (abs(k - row), k < row))]
     return result
+
+
+def _turned_about(
+    possible: NDArray[np.intp], often: NDArray[np.intp], planes: set[int], east: int
+) -> int:
+    """Return the one of two horizontal axes that a position was turned about, −1 if open.
+
+    `often` says how many positions each axis is horizontal in, `planes` are the axes of the rolls
+    that are known, and `east` is the axis that points there.
+    """
+    if east in possible:
+        return east
+    rolled = [axis for axis in possible.tolist() if axis in planes]
+    if len(rolled) == 1:
+        return int(rolled[0])
+    most = possible[often[possible] == often[possible].max()]
+    return int(most[0]) if not planes and len(most) == 1 else -1
 
 
 def _along(vector: Array) -> int:

@@ -32,16 +32,30 @@ def read_candidates(
     if names is not None and len(set(names)) < len(names):
         raise UsageError(f"--variables names a column twice: {','.join(names)}.")
     if terms is not None:
-        parsed = parse_terms(terms, highest=HIGHEST_DEGREE)
-        used = tuple(dict.fromkeys(f.variable for t in parsed for f in t.factors))
-        strange = [name for name in used if names is not None and name not in names]
-        if strange:
-            raise UsageError(f"--terms uses '{strange[0]}', which is not among --variables.")
-        names = used if names is None else names
+        names, candidates = _from_formula(terms, names)
     elif names is None:
         raise UsageError("regress needs --variables A,B,C or --terms.")
     else:
-        parsed = polynomial(names, 1 if degree is None else degree)
+        candidates = polynomial(names, 1 if degree is None else degree)
+    _check_variables(names, response)
+    return names, candidates
+
+
+def _from_formula(
+    text: str, names: tuple[str, ...] | None
+) -> tuple[tuple[str, ...], tuple[Term, ...]]:
+    """Return the variables, those that are used where none are named, and the terms."""
+    terms = parse_terms(text, highest=HIGHEST_DEGREE)
+    used = tuple(dict.fromkeys(f.variable for term in terms for f in term.factors))
+    if names is None:
+        return used, terms
+    strange = [name for name in used if name not in names]
+    if strange:
+        raise UsageError(f"--terms uses '{strange[0]}', which is not among --variables.")
+    return names, terms
+
+
+def _check_variables(names: tuple[str, ...], response: str) -> None:
     if response in names:
         raise UsageError(
             f"the response '{response}' is among the variables and would explain itself; "
@@ -49,7 +63,6 @@ def read_candidates(
         )
     if not names:
         raise UsageError("--terms holds no variable; the mean alone needs no regression.")
-    return names, parsed
 
 
 def polynomial(variables: Sequence[str], degree: int) -> tuple[Term, ...]:

@@ -88,54 +88,97 @@ def read_observations(
     MultiposError
         A column is missing, a cell is empty, no number or too large a one.
     """
-    if time is None and "time" in table and not table.is_text("time"):
-        time = "time"
-    formed = [
-        name
-        for name in dict.fromkeys(wanted)
-        if name not in table and name.endswith("_rate") and name.removesuffix("_rate") in table
-    ]
+    if time is None:
+        time = _usual_time(table)
+    formed = _rates_to_form(table, wanted)
     plain = [name for name in wanted if name not in formed]
-    sources = [name.removesuffix("_rate") for name in formed]
-    needed = list(dict.fromkeys([response, *plain, *sources, *([time] if time else [])]))
-    missing = [name for name in [*needed, *([cluster] if cluster else [])] if name not in table]
+    needed = list(dict.fromkeys([response, *plain, *formed.values(), *_named(time)]))
+    _require_columns(table, [*needed, *_named(cluster)])
+    if formed and time is None:
+        raise MultiposError(
+            f"{table.source}: no column '{next(iter(formed))}', and no time column to form it "
+            "from; name one with --time."
+        )
+    columns, kept, notes = _read_complete(table, needed, largest, drop_missing)
+    rates: dict[str, float] = {}
+    if time is not None:
+        rates = _form_rates(table, columns, kept, formed, time, rate_window, largest)
+    order = None if time is None else time_order(columns[time])
+    groups = None if cluster is None else _clusters(table, cluster, kept)
+    data = Data(columns, columns[response], order, groups)
+    return Observations(data, time, rates, table.rows - len(kept), notes)
+
+
+def _usual_time(table: Table) -> str | None:
+    """Return `time` where there is a column of numbers of that name."""
+    return "time" if "time" in table and not table.is_text("time") else None
+
+
+def _named(column: str | None) -> tuple[str, ...]:
+    """Return the column that an option names, if it names one."""
+    return () if column is None else (column,)
+
+
+def _rates_to_form(table: Table, wanted: Sequence[str]) -> dict[str, str]:
+    """Return the wanted rates that are no columns, each with the column it is the rate of."""
+    absent = [name for name in wanted if name not in table and name.endswith("_rate")]
+    sources = {name: name.removesuffix("_rate") for name in absent}
+    return {name: source for name, source in sources.items() if source in table}
+
+
+def _require_columns(table: Table, names: Sequence[str]) -> None:
+    missing = [name for name in names if name not in table]
     if missing:
         raise MultiposError(
             f"{table.source}: no column '{missing[0]}'; the columns are {', '.join(table.columns)}."
         )
-    if formed and time is None:
-        raise MultiposError(
-            f"{table.source}: no column '{formed[0]}', and no time column to form it from; "
-            "name one with --time."
-        )
+
+
+def _read_complete(
+    table: Table, names: Sequence[str], largest: Mapping[str, float], drop: bool
+) -> tuple[dict[str, Array], Rows, tuple[str, ...]]:
+    """Return columns as numbers in the rows without an empty cell, these rows, and notes."""
     columns = {
-        name: table.number(name, empty=True, largest=largest.get(name, LARGEST)) for name in needed
+        name: table.number(name, empty=True, largest=largest.get(name, LARGEST)) for name in names
     }
-    kept, notes = _complete(table, columns, drop_missing)
+    kept, notes = _complete(table, columns, drop)
     if len(kept) < table.rows:
         columns = {name: column[kept] for name, column in columns.items()}
-    rates = {}
-    for name, source in zip(formed, sources, strict=True):
-        assert time is not None
+    return columns, kept, notes
+
+
+def _form_rates(
+    table: Table,
+    columns: dict[str, Array],
+    kept: Rows,
+    formed: Mapping[str, str],
+    time: str,
+    rate_window: float | None,
+    largest: Mapping[str, float],
+) -> dict[str, float]:
+    """Put the rates beside the columns they are formed from; return the window of each."""
+    windows = {}
+    for name, source in formed.items():
         window = default_window(columns[time]) if rate_window is None else rate_window
-        columns[name] = smoothed_rate(columns[time], columns[source], window=window)
-        rates[name] = window
-        far = ~(np.abs(columns[name]) <= largest.get(name, LARGEST))
+        rate = smoothed_rate(columns[time], columns[source], window=window)
+        far = ~(np.abs(rate) <= largest.get(name, LARGEST))
         if far.any():
-            row = int(kept[np.argmax(far)])
+            first = int(np.argmax(far))
             raise MultiposError(
-                f"{table.where(row, source)}: the rate there is {columns[name][np.argmax(far)]:g}, "
+                f"{table.where(int(kept[first]), source)}: the rate there is {rate[first]:g}, "
                 f"whose powers are no numbers; check the steps of column '{time}'."
             )
-    groups = None
-    if cluster is not None:
-        labels = np.array(table.text(cluster))[kept]
-        groups = np.unique(labels, return_inverse=True)[1]
-        if groups.max() == 0:
-            raise MultiposError(f"{table.source}: column '{cluster}' holds one cluster only.")
-    order = None if time is None else time_order(columns[time])
-    data = Data(columns, columns[response], order, groups)
-    return Observations(data, time, rates, table.rows - len(kept), notes)
+        columns[name], windows[name] = rate, window
+    return windows
+
+
+def _clusters(table: Table, cluster: str, kept: Rows) -> Rows:
+    """Return the number of the cluster that each row belongs to."""
+    labels = np.array(table.text(cluster))[kept]
+    groups = np.unique(labels, return_inverse=True)[1]
+    if groups.max() == 0:
+        raise MultiposError(f"{table.source}: column '{cluster}' holds one cluster only.")
+    return groups
 
 
 def _complete(
@@ -147,18 +190,26 @@ def _complete(
     if not len(rows):
         return np.arange(table.rows), ()
     counted = ", ".join(f"{len(where)} in '{name}'" for name, where in bad.items() if len(where))
-    named = ", ".join(str(row + 1) for row in rows[:10].tolist())
-    named += ", …" if len(rows) > 10 else ""
     if not drop:
         first = next(name for name, where in bad.items() if rows[0] in where)
         raise MultiposError(
             f"{table.where(int(rows[0]), first)}: {len(rows)} of {table.rows} rows have an empty "
-            f"cell ({counted}; rows {named}); fill them, or leave them out with --drop-missing."
+            f"cell ({counted}; rows {_listed(rows)}); fill them, or leave them out with "
+            "--drop-missing."
         )
     if len(rows) == table.rows:
         raise MultiposError(f"{table.source}: every row has an empty cell ({counted}).")
-    note = f"{len(rows)} of {table.rows} rows dropped for an empty cell ({counted}; rows {named})"
+    note = (
+        f"{len(rows)} of {table.rows} rows dropped for an empty cell ({counted}; rows "
+        f"{_listed(rows)})"
+    )
     return np.setdiff1d(np.arange(table.rows), rows), (note,)
+
+
+def _listed(rows: Rows) -> str:
+    """Return the first rows by the number a reader counts."""
+    named = ", ".join(str(row + 1) for row in rows[:10].tolist())
+    return named + (", …" if len(rows) > 10 else "")
 
 
 def check_columns(

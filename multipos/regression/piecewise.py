@@ -15,10 +15,8 @@ branch, and F is that of Wald, b' C⁻¹ b / k. A segment's rms is on its rows l
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, RankError
 from multipos.files.records import LARGEST
@@ -35,23 +33,13 @@ from multipos.numerics.selection import (
 )
 from multipos.numerics.subsets import Subset, SubsetCriterion, all_subsets, criteria
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms
-from multipos.regression.correlation import (
-    cluster_covariance,
-    effective_size,
-    hac_covariance,
-    lag_one,
-    wald,
-    window_dof,
-)
-from multipos.regression.observations import Data
+from multipos.regression.correlation import wald
+from multipos.regression.observations import Data, Rows
+from multipos.regression.robust import RobustFit, RowDependence, robust_fit, robust_test
 from multipos.regression.segment import Robust, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
 
-Rows = NDArray[np.intp]
-
 METHODS = ("full", "stepwise", "backward", "subsets")
-RowDependence = Literal["hac", "effective"]
-ROBUST: tuple[RowDependence, ...] = get_args(RowDependence)
 
 
 @dataclass(frozen=True)
@@ -148,7 +136,7 @@ def fit_segment(
         F,
         span,
         branch,
-        None if robust is None else _robust_test(robust, terms, values),
+        None if robust is None else robust_test(robust, terms, values),
     )
 
 
@@ -197,7 +185,7 @@ def fit_continuous(
         local = None
         if robust is not None:
             turned = robust._replace(covariance=L @ robust.covariance @ L.T)
-            local = _robust_test(turned, terms, values)
+            local = robust_test(turned, terms, values)
         rows = np.flatnonzero(place == s)
         segments.append(
             _segment(
@@ -258,11 +246,7 @@ def _fit(
     where: str,
 ) -> _Fit:
     n, p = design.shape
-    if n < (p if plan.method == "full" else int(plan.constant) + 2):
-        raise MultiposError(
-            f"{where} has {n} rows for {p} terms; move the edge, give more rows or fewer terms"
-            + (", or use --stepwise." if plan.method == "full" else ".")
-        )
+    _require_rows(plan, n, p, where)
     try:
         selection, subsets = _select(plan, design, response, names, requires)
         columns = list(selection.columns)
@@ -271,13 +255,7 @@ def _fit(
             return _Fit(selection, subsets, None, design[:, :0], response, np.zeros(n), zero, n)
         chosen = design if len(columns) == p else design[:, columns]
         found = solve(chosen, response, names=[names[j] for j in columns], rows="rows")
-        far = int(np.argmax(np.abs(found.coefficients)))
-        largest = float(found.coefficients[far])
-        if not abs(largest) <= LARGEST:
-            raise MultiposError(
-                f"the coefficient of '{names[columns[far]]}' is {largest:g}, which no file takes; "
-                "give the variables in a smaller unit, or the response in a larger one."
-            )
+        _check_size(found.coefficients, [names[j] for j in columns])
     except RankError as error:
         said = "; ".join(error.combinations) or str(error)
         raise RankError(
@@ -299,6 +277,30 @@ def _fit(
         found.cofactor * s2,
         found.dof,
     )
+
+
+def _require_rows(plan: Plan, n: int, p: int, where: str) -> None:
+    full = plan.method == "full"
+    if n < (p if full else int(plan.constant) + 2):
+        raise MultiposError(
+            f"{where} has {n} rows for {p} terms; move the edge, give more rows or fewer terms"
+            + (", or use --stepwise." if full else ".")
+        )
+
+
+def _check_size(coefficients: Array, names: Sequence[str]) -> None:
+    """Refuse a coefficient that could not be read back from a file."""
+    far = int(np.argmax(np.abs(coefficients)))
+    largest = float(coefficients[far])
+    if not abs(largest) <= LARGEST:
+        raise MultiposError(
+            f"the coefficient of '{names[far]}' is {largest:g}, which no file takes; "
+            "give the variables in a smaller unit, or the response in a larger one."
+        )
+
+
+def _robust(plan: Plan, fit: _Fit, data: Data) -> RobustFit | None:
+    return None if fit.found is None else robust_fit(fit.found, fit.design, data, plan.robust)
 
 
 def _select(
@@ -371,47 +373,3 @@ def _segment(
         subsets=fit.subsets,
         robust=robust,
     )
-
-
-class _RobustFit(NamedTuple):
-    """Robust covariance of all coefficients of a fit, and what goes with it."""
-
-    covariance: Array
-    kind: str
-    nu: float
-    n_effective: float
-    lag_one: float
-
-
-def _robust(plan: Plan, fit: _Fit, data: Data) -> _RobustFit | None:
-    """Return the robust covariance where a cluster column or a time column calls for one."""
-    if fit.found is None or fit.dof <= 0 or not fit.found.rss:
-        return None
-    X, e, cofactor = fit.design, fit.residuals, fit.found.cofactor
-    rho, correlated = (0.0, False) if data.order is None else lag_one(e, data.order)
-    n = len(data)
-    size = n if data.order is None or not correlated else effective_size(e, data.order)
-    if data.cluster is not None:
-        covariance, m = cluster_covariance(X, e, cofactor, data.cluster)
-        return _RobustFit(covariance, "cluster", m - 1.0, size, rho)
-    if data.order is None or not correlated:
-        return None
-    if plan.robust == "hac":
-        covariance = hac_covariance(X, e, cofactor, data.order)
-        return _RobustFit(covariance, "hac", window_dof(e, data.order), size, rho)
-    nu = size - X.shape[1]
-    scale = fit.dof / nu if nu > 0.0 else np.nan
-    return _RobustFit(fit.covariance * scale, "effective", nu, size, rho)
-
-
-def _robust_test(fit: _RobustFit, terms: tuple[Term, ...], values: Array) -> Robust:
-    """Return F_robust of a segment's slopes, eq. (5) of `multipos.regression.correlation`."""
-    slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
-    F, k = wald(values[slopes], fit.covariance[np.ix_(slopes, slopes)])
-    nu = fit.nu
-    if fit.kind != "effective":  # Hotelling's law for an estimated covariance
-        F, nu = F * (nu - k + 1.0) / nu, nu - k + 1.0
-    if not (k and nu > 0.0):
-        F = np.nan
-    p = f_tail(F, k, nu) if F == F else np.nan
-    return Robust(fit.kind, fit.covariance, F, p, (k, nu), fit.nu, fit.n_effective, fit.lag_one)

@@ -138,22 +138,36 @@ def format_span(variable: str, span: tuple[float, float], branch: str | None) ->
 
 
 def _text(r: Regression) -> list[str]:
+    lines = [*_outline(r), *_judged(r), "", _overview(r)]
+    for i, segment in enumerate(r.segments, start=1):
+        span = format_span(r.range_variable, segment.range, segment.branch)
+        lines += ["", f"Segment {i}: {span}", *_segment_text(segment)]
+        last = i == len(r.segments) or r.segments[i].branch != segment.branch
+        if last or not r.continuous:  # segments fitted together share their path
+            lines += _path_text(segment)
+    return lines
+
+
+def _outline(r: Regression) -> list[str]:
+    """Say of what the regression is made."""
     counted = f"{r.n} rows" + (f", {r.dropped} dropped" if r.dropped else "")
+    limits = ", ".join(f"{k} {v:g}" for k, v in r.thresholds.items())
+    method = f"{r.method} ({limits})" if limits else r.method
     lines = [
         f"response   {r.response}, {counted}",
-        f"terms      {len(r.candidates)} candidates, {r.method}"
-        + (
-            " (" + ", ".join(f"{k} {v:g}" for k, v in r.thresholds.items()) + ")"
-            if r.thresholds
-            else ""
-        ),
+        f"terms      {len(r.candidates)} candidates, {method}",
     ]
     lines += [f"rate       {name}: window {window:.6g}" for name, window in r.rates.items()]
     if r.edges:
         edges = ", ".join(f"{edge:.6g}" for edge in r.edges)
-        lines.append(
-            f"edges      {r.segment_variable} = {edges}" + (", continuous" if r.continuous else "")
-        )
+        joined = ", continuous" if r.continuous else ""
+        lines.append(f"edges      {r.segment_variable} = {edges}{joined}")
+    return lines
+
+
+def _judged(r: Regression) -> list[str]:
+    """Say what tests of the whole table found."""
+    lines = []
     if r.hysteresis is not None:
         h = r.hysteresis
         lines.append(
@@ -166,13 +180,6 @@ def _text(r: Regression) -> list[str]:
             f"unseen     rms {found['rms']:.4g}, R² {number(found['r2'])} "
             f"over {found['blocks']} blocks of time left out in turn"
         )
-    lines += ["", _overview(r)]
-    for i, segment in enumerate(r.segments, start=1):
-        span = format_span(r.range_variable, segment.range, segment.branch)
-        lines += ["", f"Segment {i}: {span}", *_segment_text(segment)]
-        last = i == len(r.segments) or r.segments[i].branch != segment.branch
-        if last or not r.continuous:  # segments fitted together share their path
-            lines += _path_text(segment)
     return lines
 
 

@@ -169,15 +169,19 @@ def _polish(data: _Sorted, bins: Sequence[int], minimum: int) -> tuple[float, tu
         start, end = (edges[i - 1] if i else 0), (edges[i + 1] if i + 1 < len(edges) else n)
         low, high = max(cuts[place - 1], start + minimum), min(cuts[place + 1], end - minimum)
         fine = sorted({edges[i], *(j for j in _between(data.v, low, high) if low <= j <= high)})
-        if len(fine) < 2:
-            continue
-        parts = [data.triangle(a, b) for a, b in pairwise((start, *fine, end))]
-        left = list(accumulate(parts[:-1], lambda a, b: join([a, b])))
-        right = list(accumulate(parts[:0:-1], lambda a, b: join([a, b])))[::-1]
-        costs = [residual_sum(a) + residual_sum(b) for a, b in zip(left, right, strict=True)]
-        edges[i] = fine[int(np.argmin(costs))]
+        if len(fine) > 1:
+            edges[i] = _best_edge(data, start, fine, end)
     rss = sum(residual_sum(data.triangle(a, b)) for a, b in pairwise((0, *edges, n)))
     return rss, tuple(edges)
+
+
+def _best_edge(data: _Sorted, start: int, fine: Sequence[int], end: int) -> int:
+    """Return the one of some rows at which start … end is cut with the least residual sum."""
+    parts = [data.triangle(a, b) for a, b in pairwise((start, *fine, end))]
+    left = list(accumulate(parts[:-1], lambda a, b: join([a, b])))
+    right = list(accumulate(parts[:0:-1], lambda a, b: join([a, b])))[::-1]
+    costs = [residual_sum(a) + residual_sum(b) for a, b in zip(left, right, strict=True)]
+    return fine[int(np.argmin(costs))]
 
 
 def _between(v: Array, low: int, high: int) -> list[int]:

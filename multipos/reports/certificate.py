@@ -15,22 +15,22 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.tables import read_toml
-from multipos.reports.bench_evidence import check_section, rolls_section
 from multipos.reports.evidence import (
-    checks_section,
+    check_section,
     correlation_section,
     errors_section,
     positions_section,
     residuals_section,
+    rolls_section,
 )
 from multipos.reports.findings import (
-    Grid,
-    Section,
     budget_section,
     parameters_section,
     sensor_section,
     sphere_section,
 )
+from multipos.reports.fit_checks import checks_section
+from multipos.reports.page import PageTable, Section
 from multipos.reports.translations import Language, Translator
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
@@ -222,7 +222,8 @@ def _method(c: Calibration, tr: Translator) -> Section:
             rows.append((tr(name), f"{column.min():.6g} … {column.max():.6g}"))
     header = (tr("Item"), tr("Value"))
     return Section(
-        tr("Method and data"), tables=(Grid(tr("How it was done"), header, tuple(rows), left=2),)
+        tr("Method and data"),
+        tables=(PageTable(tr("How it was done"), header, tuple(rows), left=2),),
     )
 
 

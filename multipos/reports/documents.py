@@ -21,7 +21,7 @@ from multipos.files.numbers import markdown_line, markdown_table, markdown_text
 from multipos.files.tables import write_text
 from multipos.plots.style import COLOURS
 from multipos.reports.certificate import Content, build_content
-from multipos.reports.findings import Figure, Grid
+from multipos.reports.page import Figure, PageTable
 from multipos.reports.translations import Language
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
@@ -159,7 +159,7 @@ def _columns(text: str) -> int:
     return sum(2 if unicodedata.east_asian_width(mark) in "WF" else 1 for mark in text)
 
 
-def _aligned(grid: Grid) -> str:
+def _aligned(grid: PageTable) -> str:
     cells = [[visible(cell) for cell in row] for row in (grid.header, *grid.rows)]
     widths = [max(_columns(row[i]) for row in cells) for i in range(len(grid.header))]
     lines = []

@@ -1,13 +1,12 @@
-"""The sections of a report on why it may be believed: residuals, errors, positions, checks."""
+"""The sections of a report on what was seen: residuals, errors, positions, rolls, another run."""
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.doubts.criticism import find_influence, fourier_residuals, judge_terms
-from multipos.doubts.joint_tests import judge_terms_jointly
-from multipos.files.numbers import largest_rows, number
+from multipos.doubts.criticism import fourier_residuals
+from multipos.errors import MultiposError
+from multipos.files.numbers import number
 from multipos.plots.calibration import (
     compensated_error,
     draw_correlation,
@@ -17,13 +16,15 @@ from multipos.plots.calibration import (
     draw_residuals,
     nominal_error,
 )
-from multipos.reports.findings import Figure, Grid, Section, draw_svg
+from multipos.plots.check import draw_check
+from multipos.plots.tumble import draw_harmonics, draw_rolls
+from multipos.reports.page import Figure, PageTable, Section, draw_svg, largest_positions
+from multipos.reports.sheets import Sheet, check_sheets, table_error_sheets
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
-from multipos.uncertainty.monte_carlo import MonteCarlo
+from multipos.uncertainty.turntable import table_errors
+from multipos.verification.verdicts import Check
 
-_SHOWN = " (the {shown} largest of {count}; the calibration file has all)"
 _WIDE = 16  # parameters beyond which the correlation matrix is only a figure
 
 
@@ -34,7 +35,7 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
         for output, one in zip(c.outputs, axes, strict=True):
             draw_residuals(c, one, output=output)
 
-    shown, suffix = _largest(tr, c.relative_residuals)
+    shown, suffix = largest_positions(tr, c.relative_residuals)
     names = c.readings.labels
     rows = [
         (names[row], *(f"{value:+.3e}" for value in c.residuals[row].tolist())) for row in shown
@@ -42,7 +43,7 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
     paragraphs = [
         tr("Residual = reading − model. The bars are ±2 standard deviations of each residual.")
     ]
-    if c.estimator.endswith("orientation"):
+    if not c.estimator.exact:
         paragraphs.append(
             tr(
                 "The orientations were estimated with the parameters, so a residual shows only "
@@ -62,7 +63,7 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
             ),
         ),
         (
-            Grid(
+            PageTable(
                 tr("Residuals at every position") + suffix,
                 (tr("Position"), *(f"{output} [{c.model.unit}]" for output in c.outputs)),
                 tuple(rows),
@@ -74,7 +75,7 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
 def errors_section(c: Calibration, tr: Translator) -> Section:
     """Return the errors before and after compensation, and linearity."""
     before, after = nominal_error(c), compensated_error(c)
-    shown, suffix = _largest(tr, after)
+    shown, suffix = largest_positions(tr, after)
     names = c.readings.labels
     rows = [
         (names[row], number(float(before[row]), 3), number(float(after[row]), 3)) for row in shown
@@ -108,12 +109,12 @@ def errors_section(c: Calibration, tr: Translator) -> Section:
             ),
         ),
         (
-            Grid(
+            PageTable(
                 tr("Size of the error [g]") + suffix,
                 tuple(map(tr, ("Position", "before", "after"))),
                 tuple(rows),
             ),
-            Grid(
+            PageTable(
                 tr("Linearity [%]"),
                 tuple(map(tr, ("Output", "without the model", "with the model"))),
                 tuple(lines),
@@ -127,7 +128,7 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
     up = c.reference / np.linalg.norm(c.reference, axis=1)[:, None]
     up = (-up if c.convention == "gravity" else up) + 0.0
     leverage, names = c.diagnostics.leverage, c.readings.labels
-    shown, suffix = _largest(tr, leverage.max(axis=1))
+    shown, suffix = largest_positions(tr, leverage.max(axis=1))
     rows = [
         (
             names[row],
@@ -158,7 +159,7 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
             ),
         ),
         (
-            Grid(
+            PageTable(
                 tr("Up vector and leverage of every position") + suffix,
                 (tr("Position"), "x", "y", "z", *(f"h {output}" for output in c.outputs)),
                 tuple(rows),
@@ -190,173 +191,111 @@ def correlation_section(c: Calibration, tr: Translator) -> Section:
                 lambda: draw_svg(tr, 1, 5.4, lambda axes: draw_correlation(c, axes[0])),
             ),
         ),
-        (Grid(tr("Correlation coefficients"), ("", *names), rows),) if small else (),
+        (PageTable(tr("Correlation coefficients"), ("", *names), rows),) if small else (),
     )
 
 
-def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None) -> Section:
-    """Return the checks of the fit."""
-    rows: list[tuple[str, str]] = [
-        (tr("rms of what is left after compensation"), f"{c.rms:.3e} g"),
-        (tr("rank and parameters"), f"{c.diagnostics.rank} / {c.diagnostics.parameters}"),
-        (tr("condition of the design"), number(c.diagnostics.condition, 3)),
+def rolls_section(c: Calibration, tr: Translator) -> Section:
+    """Return the signal along each roll, the harmonics left, and the errors of the turntable."""
+
+    def signal(axes: Any) -> None:
+        for output, one in zip(c.outputs, axes, strict=True):
+            draw_rolls(c, one, output=output)
+
+    def left(axes: Any) -> None:
+        for output, one in zip(c.outputs, axes, strict=True):
+            draw_harmonics(c, one, output=output)
+
+    figures = [
+        Figure(
+            tr("Signal against angle"),
+            tr("One panel for each output; markers are readings, by the plane of the roll."),
+            lambda: draw_svg(tr, len(c.outputs), 2.2, signal),
+        )
     ]
-    if c.cross_check is not None:
-        rows.append((tr("closed form against least squares"), f"{c.cross_check:.1e}"))
-    for output, test in c.diagnostics.lack_of_fit.items():
-        rows.append(
-            (
-                tr("lack of fit of {output} against repeats", output=output),
-                f"F = {number(_float(test['F']))}, p = {number(_float(test['p']), 3)}",
+    if fourier_residuals(c):
+        figures.append(
+            Figure(
+                tr("Residual harmonics"),
+                tr("Bars for each order and roll; the numbers are in the checks."),
+                lambda: draw_svg(tr, len(c.outputs), 1.9, left),
             )
         )
-    grids = [Grid(tr("Checks of the fit"), (tr("Check"), tr("Result")), tuple(rows))]
-    paragraphs: list[str] = []
-    tests = _joint_tests(c, tr)
-    if c.estimator.exact:
-        tests += _criticism(c, tr)
-    if tests:
-        grids += tests
-        paragraphs.append(
+    return Section(
+        tr("Rolls"),
+        (
             tr(
-                "A small p says that chance alone would rarely do the same: that a term is needed, "
-                "or that residuals follow the angle of the roll. With many tests in a table a few "
-                "small p are expected."
-            )
-        )
-    if simulated is not None:
-        grids.append(_simulated(simulated, tr))
-        paragraphs.append(
-            tr(
-                "Monte Carlo draws every input quantity from its law, lets it act in full and "
-                "estimates again (JCGM 101). U is valid where the ends of both intervals agree "
-                "within the tolerance."
-            )
-        )
-    return Section(tr("Checks"), tuple(paragraphs), tables=tuple(grids))
-
-
-def _joint_tests(c: Calibration, tr: Translator) -> list[Grid]:
-    """Return tests of terms over all outputs; none of a robust fit or an expression."""
-    if c.robust_weight is not None or isinstance(c.model, ExpressionModel):
-        return []
-    rows = [
-        (
-            t.terms,
-            tr("in the model") if t.inside else tr("not in the model"),
-            str(t),
-            number(t.p, 2),
-        )
-        for t in judge_terms_jointly(c)
-    ]
-    header = tuple(map(tr, ("Terms", "Status", "Statistic", "p")))
-    return [Grid(tr("Tests of terms over all outputs"), header, tuple(rows), 2)] if rows else []
-
-
-def _simulated(found: MonteCarlo, tr: Translator) -> Grid:
-    rows = [
-        (
-            name,
-            number(u, 3),
-            f"[{low:.7g}, {high:.7g}]",
-            f"[{first:.7g}, {last:.7g}]",
-            number(tolerance, 2),
-            tr("yes") if valid else tr("no"),
-        )
-        for name, u, (low, high), (first, last), tolerance, valid in zip(
-            found.names,
-            found.u.tolist(),
-            found.symmetric.tolist(),
-            found.shortest.tolist(),
-            found.tolerance.tolist(),
-            found.valid.tolist(),
-            strict=True,
-        )
-    ]
-    header = ("Parameter", "u", "Symmetric interval", "Shortest interval", "Tolerance", "U valid")
-    return Grid(
-        tr("Monte Carlo, {trials} trials", trials=str(found.trials)),
-        tuple(map(tr, header)),
-        tuple(rows),
-    )
-
-
-def _criticism(c: Calibration, tr: Translator) -> list[Grid]:
-    """Return tests of terms, influence of the positions and harmonics of the residuals."""
-    grids = []
-    terms = [
-        (
-            t.output,
-            t.term,
-            tr("in the model") if t.inside else tr("not in the model"),
-            number(t.f),
-            number(t.dof[1]),
-            number(t.p, 2),
-            number(t.aicc),
-        )
-        for t in judge_terms(c)
-    ]
-    header = ("Output", "Term", "Status", "F", "dof", "p", "AICc if changed")
-    if terms:
-        grids.append(Grid(tr("Tests of single terms"), tuple(map(tr, header)), tuple(terms), 3))
-    found = find_influence(c)
-    names = c.readings.labels
-    shown, suffix = _largest(tr, np.abs(found.studentised).max(axis=1))
-    influence = [
-        (
-            names[row],
-            *(
-                number(value, 3)
-                for i in range(len(c.outputs))
-                for value in (
-                    float(found.studentised[row, i]),
-                    float(found.cook[row, i]),
-                    float(found.left_out[row, i]),
-                )
+                "Signal of every output against the angle of each roll; the curves are the Fourier "
+                "series of the readings."
             ),
-        )
-        for row in shown
-    ]
-    columns = [f"{name} {output}" for output in c.outputs for name in ("r", "D", "e")]
-    grids.append(
-        Grid(
             tr(
-                "Influence of each position: studentised residual r, Cook's D, leave-one-out "
-                "error e"
-            )
-            + suffix,
-            (tr("Position"), *columns),
-            tuple(influence),
-        )
+                "What the rolls tell of the turntable: the zero of its encoder and two harmonics "
+                "of its circle, estimated together with the sensor. Each names the terms of a "
+                "sensor that would look the same; where the model holds them it cannot be told."
+            ),
+        ),
+        tuple(figures),
+        tuple(_table_of(sheet, tr, left=2) for sheet in table_error_sheets(table_errors(c))),
     )
-    waves = [
-        (
-            entry["roll"],
-            entry["output"],
-            *(f"{number(w['amplitude'], 2)} ({number(w['p'], 2)})" for w in entry["harmonics"]),
+
+
+def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
+    """Return an independent run before and after compensation.
+
+    Raises
+    ------
+    MultiposError
+        The check is of another calibration.
+    """
+    if found.calibration != c.created:
+        raise MultiposError(
+            f"the check is of a calibration created {found.calibration}, this one was created "
+            f"{c.created}; run check with this calibration."
         )
-        for entry in fourier_residuals(c)
+
+    def draw(axes: Any) -> None:
+        for axis, one in zip(found.axes, axes, strict=True):
+            draw_check(found, one, axis=axis)
+
+    paragraphs = [
+        tr(
+            "An independent run at known positions ({file}), before compensation by (reading − "
+            "{bias}) / {scale}, and after. U has the calibration and the readings of the run in "
+            "it, with a coverage probability of {percent} %.",
+            file=found.source or tr("from memory"),
+            bias=f"{found.bias:g}",
+            scale=f"{found.scale:g}",
+            percent=f"{100.0 * found.confidence:g}",
+        )
     ]
-    if waves:
-        orders = [tr("order {n}", n=str(i)) for i in range(1, max(map(len, waves)) - 1)]
-        grids.append(
-            Grid(
-                tr("Residuals along each roll: amplitude (p)"),
-                (tr("Roll about"), tr("Output"), *orders),
-                tuple(waves),
-                2,
+    if found.limit is not None:
+        paragraphs.append(
+            tr(
+                "Verdict against {limit} {unit}: {verdict}. It is pass where error and U together "
+                "stay within the limit, fail where the error less U is beyond it, else undecided; "
+                "the worst position counts.",
+                limit=f"{found.limit:g}",
+                unit=found.unit,
+                verdict=tr(found.verdict or "-"),
             )
         )
-    return grids
+    return Section(
+        tr("Independent check"),
+        tuple(paragraphs),
+        (
+            Figure(
+                tr("Error against {what}", what=tr(found.quantity)),
+                tr(
+                    "One panel for each axis: open squares before, circles with U after, dashed "
+                    "lines the limit."
+                ),
+                lambda: draw_svg(tr, len(found.axes), 2.4, draw),
+            ),
+        ),
+        tuple(_table_of(sheet, tr) for sheet in check_sheets(found)),
+    )
 
 
-def _largest(tr: Translator, sizes: NDArray[np.float64]) -> tuple[list[int], str]:
-    """Return the positions that a table shows, and what its title says where it leaves some out."""
-    shown = largest_rows(sizes.tolist())
-    if len(shown) == len(sizes):
-        return shown, ""
-    return shown, tr(_SHOWN, shown=str(len(shown)), count=str(len(sizes)))
-
-
-def _float(value: object) -> float | None:
-    return float(value) if isinstance(value, int | float) else None
+def _table_of(sheet: Sheet, tr: Translator, left: int = 1) -> PageTable:
+    rows = tuple(tuple(map(tr, row)) for row in sheet.rows)
+    return PageTable(tr.message(sheet.title), tuple(map(tr.label, sheet.header)), rows, left)

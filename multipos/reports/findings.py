@@ -1,12 +1,6 @@
-"""The sections of a report on what was found: parameters, sensor, uncertainty, compensation.
+"""The sections of a report on what was found: parameters, sensor, uncertainty, compensation."""
 
-A section is paragraphs, figures and tables; numbers are text here, with the digits that their
-uncertainty leaves. Figures are functions and drawn only where they are wanted.
-"""
-
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,72 +8,17 @@ from multipos.files.numbers import number, uncertain
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
 from multipos.plots.calibration import draw_budget
-from multipos.plots.style import new_figure, to_svg
+from multipos.reports.page import Figure, PageTable, Section, draw_svg
 from multipos.reports.translations import Translator
-from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration import Calibration, Parameter
 from multipos.sensor.derived import intrinsic_gradient
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import evaluate_sphere
 
 
-@dataclass(frozen=True)
-class Grid:
-    """A table: its caption, header and rows of text; the first `left` columns hold words."""
-
-    caption: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    left: int = 1
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure: caption, what it shows in words, and the function that draws it as SVG."""
-
-    caption: str
-    description: str
-    draw: Callable[[], str]
-
-
-@dataclass(frozen=True)
-class Section:
-    """A section of the report, in the order paragraphs, figures, tables."""
-
-    title: str
-    paragraphs: tuple[str, ...] = ()
-    figures: tuple[Figure, ...] = ()
-    tables: tuple[Grid, ...] = ()
-
-
-def draw_svg(tr: Translator, rows: int, height: float, draw: Callable[[Any], None]) -> str:
-    """Return a figure of so many axes as SVG with its words translated."""
-    figure, axes = new_figure(rows, height=height)
-    draw(axes)
-    return tr.svg(to_svg(figure))
-
-
 def parameters_section(c: Calibration, tr: Translator) -> Section:
     """Return the parameters with their uncertainty."""
-    rows = []
-    for output, term in c.model.keys:
-        p = c[output, str(term)]
-        rows.append(
-            (
-                p.name,
-                p.symbol or "",
-                tr.message(p.label),
-                p.unit,
-                uncertain(p.value, p.u),
-                number(p.u, 2),
-                number(p.k, 3),
-                number(p.U, 2),
-                number(p.dof),
-            )
-        )
-    header = ("Parameter", "Symbol", "Meaning", "Unit", "Value(u)", "u", "k", "U", "dof")
-    symbols = any(row[1] for row in rows)
-    keep = [i for i in range(len(header)) if symbols or i != 1]
     return Section(
         tr("Results"),
         (
@@ -95,37 +34,77 @@ def parameters_section(c: Calibration, tr: Translator) -> Section:
                 percent=f"{100.0 * c.confidence:g}",
             ),
         ),
-        tables=(
-            Grid(
-                tr("Parameters with uncertainty"),
-                tuple(tr(header[i]) for i in keep),
-                tuple(tuple(row[i] for i in keep) for row in rows),
-                left=4 if symbols else 3,
-            ),
-        ),
+        tables=(_parameter_table(c, tr),),
+    )
+
+
+def _parameter_table(c: Calibration, tr: Translator) -> PageTable:
+    """Return every parameter; the column of symbols only where there are any."""
+    rows = [_parameter_row(c[output, str(term)], tr) for output, term in c.model.keys]
+    header = ("Parameter", "Symbol", "Meaning", "Unit", "Value(u)", "u", "k", "U", "dof")
+    symbols = any(row[1] for row in rows)
+    keep = [i for i in range(len(header)) if symbols or i != 1]
+    return PageTable(
+        tr("Parameters with uncertainty"),
+        tuple(tr(header[i]) for i in keep),
+        tuple(tuple(row[i] for i in keep) for row in rows),
+        left=4 if symbols else 3,
+    )
+
+
+def _parameter_row(p: Parameter, tr: Translator) -> tuple[str, ...]:
+    return (
+        p.name,
+        p.symbol or "",
+        tr.message(p.label),
+        p.unit,
+        uncertain(p.value, p.u),
+        number(p.u, 2),
+        number(p.k, 3),
+        number(p.U, 2),
+        number(p.dof),
     )
 
 
 def sensor_section(c: Calibration, budget: Evaluation, tr: Translator) -> Section:
     """Return what the sensor is: sensitivities, offsets, angles, with U."""
-    rows = []
-    if c.intrinsic is not None:
-        values, gradient = intrinsic_gradient(c.model, c.parameters, c.mean_environment)
-        u, dof, _ = budget.combine(gradient)
-        m = len(c.outputs)
-        names = [
-            *((tr("Sensitivity of {output}", output=o), f"{c.model.unit}/g") for o in c.outputs),
-            *((tr("Offset of {output}", output=o), "g") for o in c.outputs),
-            *((tr("Angle between input axes {pair}", pair=p), "deg") for p in ("xy", "xz", "yz")),
-            *((tr("Mounting, rotation about {axis}", axis=a), "deg") for a in COMPONENTS),
-        ]
-        for (name, unit), value, sd, nu in zip(
-            names, values.tolist(), u.tolist(), dof.tolist(), strict=True
-        ):
-            k = coverage_factor(c.confidence, nu)
-            shown = "1" if unit == "g/g" else unit
-            rows.append((name, shown, uncertain(value, sd), number(k * sd, 2), number(k, 3)))
-        assert len(names) == 2 * m + 6
+    rows = [*_intrinsic_rows(c, budget, tr), *_installation_rows(c, tr)]
+    if not rows:
+        return Section(tr("The sensor"), (tr("The model has too few linear terms for it."),))
+    header = tuple(map(tr, ("Quantity", "Unit", "Value(u)", "U", "k")))
+    return Section(
+        tr("The sensor"),
+        (tr("Quantities derived from the parameters, with their full covariance."),),
+        tables=(PageTable(tr("Sensitivity, offset and axes"), header, tuple(rows), left=2),),
+    )
+
+
+def _intrinsic_rows(c: Calibration, budget: Evaluation, tr: Translator) -> list[tuple[str, ...]]:
+    """Return sensitivities, offsets, angles between axes and mounting, of a triad."""
+    if c.intrinsic is None:
+        return []
+    values, gradient = intrinsic_gradient(c.model, c.parameters, c.mean_environment)
+    u, dof, _ = budget.combine(gradient)
+    sensitivity = f"{c.model.unit}/g"
+    names = [
+        *((tr("Sensitivity of {output}", output=o), sensitivity) for o in c.outputs),
+        *((tr("Offset of {output}", output=o), "g") for o in c.outputs),
+        *((tr("Angle between input axes {pair}", pair=p), "deg") for p in ("xy", "xz", "yz")),
+        *((tr("Mounting, rotation about {axis}", axis=a), "deg") for a in COMPONENTS),
+    ]
+    rows: list[tuple[str, ...]] = []
+    for (name, unit), value, sd, nu in zip(
+        names, values.tolist(), u.tolist(), dof.tolist(), strict=True
+    ):
+        k = coverage_factor(c.confidence, nu)
+        shown = "1" if unit == "g/g" else unit
+        rows.append((name, shown, uncertain(value, sd), number(k * sd, 2), number(k, 3)))
+    return rows
+
+
+def _installation_rows(c: Calibration, tr: Translator) -> list[tuple[str, ...]]:
+    """Return how far each output leans to the others, in degrees and in milliradians."""
+    rows: list[tuple[str, ...]] = []
     for pair, found in c.installation_deg.items():
         in_mrad = {key: np.pi / 0.18 * size for key, size in found.items()}
         for unit, entry in (("deg", found), ("mrad", in_mrad)):
@@ -138,44 +117,11 @@ def sensor_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
                     number(entry["U"] / entry["u"] if entry["u"] else None, 3),
                 )
             )
-    if not rows:
-        return Section(tr("The sensor"), (tr("The model has too few linear terms for it."),))
-    header = tuple(map(tr, ("Quantity", "Unit", "Value(u)", "U", "k")))
-    return Section(
-        tr("The sensor"),
-        (tr("Quantities derived from the parameters, with their full covariance."),),
-        tables=(Grid(tr("Sensitivity, offset and axes"), header, tuple(rows), left=2),),
-    )
+    return rows
 
 
 def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Section:
     """Return the budget: quantities and what each contributes."""
-    seen, lines = set(), []
-    for row in budget.rows:
-        if row.quantity in seen:
-            continue
-        seen.add(row.quantity)
-        lines.append(
-            (
-                tr(row.text),
-                row.evaluation,
-                tr(row.distribution),
-                number(row.u, 3),
-                row.unit,
-                number(float(row.dof.min())),
-                tr("yes") if row.common else tr("no"),
-                tr("in the scatter") if row.contained.all() else tr("added"),
-            )
-        )
-    stated = c.budget_tables
-    absent = [
-        tr(kind.text) for name, kind in KINDS.items() if name not in seen and name not in stated
-    ]
-    names = list(dict.fromkeys(row.quantity for row in budget.rows))
-    contributions = [
-        (name, *(_contribution(budget, quantity, i) for quantity in names), number(c.u[i], 2))
-        for i, name in enumerate(budget.names)
-    ]
     paragraphs = [
         tr(
             "Every input quantity enters by what it does to the parameters through this estimator "
@@ -185,8 +131,9 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
             "added again."
         )
     ]
+    absent = _absent_quantities(c, budget)
     if absent:
-        paragraphs.append(tr("Not in the budget: {list}.", list=tr.listed(absent)))
+        paragraphs.append(tr("Not in the budget: {list}.", list=tr.listed(list(map(tr, absent)))))
     return Section(
         tr("Uncertainty budget"),
         tuple(paragraphs),
@@ -202,33 +149,48 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
                 ),
             ),
         ),
+        (_quantity_table(budget, tr), _contribution_table(c, budget, tr)),
+    )
+
+
+def _absent_quantities(c: Calibration, budget: Evaluation) -> list[str]:
+    """Return what a budget could state and this one does not, in plain words."""
+    known = {row.quantity for row in budget.rows}.union(c.budget_tables)
+    return [kind.text for name, kind in KINDS.items() if name not in known]
+
+
+def _quantity_table(budget: Evaluation, tr: Translator) -> PageTable:
+    """Return the input quantities, each once."""
+    first = {row.quantity: row for row in reversed(budget.rows)}
+    lines = [
         (
-            Grid(
-                tr("Input quantities"),
-                tuple(
-                    map(
-                        tr,
-                        (
-                            "Quantity",
-                            "Type",
-                            "Distribution",
-                            "u",
-                            "Unit",
-                            "dof",
-                            "Common",
-                            "Treatment",
-                        ),
-                    )
-                ),
-                tuple(lines),
-                left=3,
-            ),
-            Grid(
-                tr("Contributions to the standard uncertainty of each parameter"),
-                (tr("Parameter"), *(tr(name) for name in names), tr("combined u")),
-                tuple(contributions),
-            ),
-        ),
+            tr(row.text),
+            row.evaluation,
+            tr(row.distribution),
+            number(row.u, 3),
+            row.unit,
+            number(float(row.dof.min())),
+            tr("yes") if row.common else tr("no"),
+            tr("in the scatter") if row.contained.all() else tr("added"),
+        )
+        for row in budget.rows
+        if row is first[row.quantity]
+    ]
+    header = ("Quantity", "Type", "Distribution", "u", "Unit", "dof", "Common", "Treatment")
+    return PageTable(tr("Input quantities"), tuple(map(tr, header)), tuple(lines), left=3)
+
+
+def _contribution_table(c: Calibration, budget: Evaluation, tr: Translator) -> PageTable:
+    """Return what every quantity contributes to every parameter."""
+    quantities = list(dict.fromkeys(row.quantity for row in budget.rows))
+    rows = [
+        (name, *(_contribution(budget, quantity, i) for quantity in quantities), number(c.u[i], 2))
+        for i, name in enumerate(budget.names)
+    ]
+    return PageTable(
+        tr("Contributions to the standard uncertainty of each parameter"),
+        (tr("Parameter"), *(tr(quantity) for quantity in quantities), tr("combined u")),
+        tuple(rows),
     )
 
 
@@ -244,27 +206,8 @@ def _contribution(budget: Evaluation, quantity: str, parameter: int) -> str:
 
 def sphere_section(c: Calibration, tr: Translator) -> Section:
     """Return how well force and tilt are known, and where."""
-    rows = []
     allowed = "third_order" in c.budget_tables
-    for size in (1.0, 2.0, 5.0) if allowed else (1.0,):
-        for what, axes in evaluate_sphere(c, size=size).items():
-            if what == "tilt_deg" and size > 1.0:
-                continue
-            for axis, entry in axes.items():
-                rows.append(
-                    (
-                        tr("force along {axis}", axis=axis)
-                        if what == "force"
-                        else tr("tilt of {axis}", axis=axis),
-                        f"{size:g} g" + ("" if size <= 1.0 else " *"),
-                        "g" if what == "force" else "deg",
-                        number(entry["rms"], 2),
-                        number(entry["worst"], 2),
-                        number(entry["k"], 3),
-                        number(entry["U"], 2),
-                        ", ".join(f"{v / size:.2f}" for v in entry["at"]),
-                    )
-                )
+    rows = _sphere_rows(c, (1.0, 2.0, 5.0) if allowed else (1.0,), tr)
     paragraphs = [
         tr(
             "Uncertainty of compensated force and of tilt from the parameters, over all "
@@ -286,7 +229,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
         tr("Compensated force and tilt"),
         tuple(paragraphs),
         tables=(
-            Grid(
+            PageTable(
                 tr("Worst case and rms over the sphere"),
                 tuple(map(tr, header)),
                 tuple(rows),
@@ -294,3 +237,27 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
             ),
         ),
     )
+
+
+def _sphere_rows(c: Calibration, sizes: Sequence[float], tr: Translator) -> list[tuple[str, ...]]:
+    """Return force at each size [g] and tilt at 1 g, by axis."""
+    words = {"force": ("force along {axis}", "g"), "tilt_deg": ("tilt of {axis}", "deg")}
+    rows: list[tuple[str, ...]] = []
+    for size in sizes:
+        found = evaluate_sphere(c, size=size)
+        for what in ("force",) if size > 1.0 else found:
+            text, unit = words[what]
+            for axis, entry in found[what].items():
+                rows.append(
+                    (
+                        tr(text, axis=axis),
+                        f"{size:g} g" + ("" if size <= 1.0 else " *"),
+                        unit,
+                        number(entry["rms"], 2),
+                        number(entry["worst"], 2),
+                        number(entry["k"], 3),
+                        number(entry["U"], 2),
+                        ", ".join(f"{v / size:.2f}" for v in entry["at"]),
+                    )
+                )
+    return rows

@@ -9,7 +9,7 @@ import math
 
 from multipos.files.numbers import largest_rows, number, table
 from multipos.numerics.terms import COMPONENTS
-from multipos.reports.sections import installation_sheets, table_error_sheets
+from multipos.reports.sheets import installation_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration, parameter_rows
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.turntable import has_rolls, table_errors

@@ -200,13 +200,8 @@ def build_expression(
         The function takes no parameter, or does not return one expression.
     """
     casadi = load_casadi()
-    arguments = signature(expression).parameters.values()
-    if any(a.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD) for a in arguments):
-        raise UsageError("the model's function must name each of its arguments.")
-    columns = tuple(a.name for a in arguments if a.name in known)
-    parameters = [a for a in arguments if a.name not in (*COMPONENTS, "own", *columns)]
-    if not parameters:
-        raise UsageError("the model's function has no parameter to fit beside x, y, z and own.")
+    arguments = tuple(signature(expression).parameters.values())
+    columns, parameters = _told_apart(arguments, known)
     force = casadi.SX.sym("f", 3)
     surroundings = casadi.SX.sym("e", len(columns))
     unknown = casadi.SX.sym("p", len(parameters))
@@ -216,16 +211,7 @@ def build_expression(
     functions = []
     for axis in axes:
         given = {**values, "own": values[axis]}
-        try:
-            y = casadi.SX(expression(**{a.name: given[a.name] for a in arguments}))
-        except (NotImplementedError, RuntimeError, TypeError) as error:
-            why = str(error).partition("\n")[0]
-            raise UsageError(
-                f"the model's function must return one value made of its arguments: {why}; for a "
-                "condition use casadi.if_else."
-            ) from None
-        if y.shape != (1, 1):
-            raise UsageError(f"the model's function must return one value, got shape {y.shape}.")
+        y = _called(expression, {a.name: given[a.name] for a in arguments})
         functions.append(_program(y, [force, surroundings, unknown], expression))
     start = tuple(0.0 if a.default is Parameter.empty else float(a.default) for a in parameters)
     symbols = tuple(Symbol(name=a.name) for a in parameters)
@@ -242,6 +228,35 @@ def build_expression(
         columns,
         start,
     )
+
+
+def _told_apart(
+    arguments: Sequence[Parameter], known: tuple[str, ...]
+) -> tuple[tuple[str, ...], list[Parameter]]:
+    """Return the columns of the readings among the arguments, and the parameters to be found."""
+    if any(a.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD) for a in arguments):
+        raise UsageError("the model's function must name each of its arguments.")
+    columns = tuple(a.name for a in arguments if a.name in known)
+    parameters = [a for a in arguments if a.name not in (*COMPONENTS, "own", *columns)]
+    if not parameters:
+        raise UsageError("the model's function has no parameter to fit beside x, y, z and own.")
+    return columns, parameters
+
+
+def _called(expression: Expression, arguments: Mapping[str, Any]) -> Any:
+    """Return what the function makes of symbols, which must be one value (SX)."""
+    casadi = load_casadi()
+    try:
+        y = casadi.SX(expression(**arguments))
+    except (NotImplementedError, RuntimeError, TypeError) as error:
+        why = str(error).partition("\n")[0]
+        raise UsageError(
+            f"the model's function must return one value made of its arguments: {why}; for a "
+            "condition use casadi.if_else."
+        ) from None
+    if y.shape != (1, 1):
+        raise UsageError(f"the model's function must return one value, got shape {y.shape}.")
+    return y
 
 
 def _program(y: Any, arguments: list[Any], expression: Expression) -> tuple[Instruction, ...]:

@@ -114,25 +114,31 @@ def require_instructions(program: Sequence[Sequence[Any]], sizes: Sequence[int])
         raise ValueError(f"the expression has {len(program)} instructions, {_MOST} are the most")
     filled: set[int] = set()
     for line, (name, *rest) in enumerate(program, start=1):
-        count = _OPERANDS.get(name) if isinstance(name, str) else None
-        if count is None:
+        if not isinstance(name, str) or name not in _OPERANDS:
             raise ValueError(f"the expression has an unknown instruction {name!r:.40}")
-        places = rest[:1] if name == "const" else rest
-        whole = all(type(place) is int and 0 <= place < _MOST for place in places)
-        if len(rest) != count or not whole:
-            fits = False
-        elif name == "input":
-            fits = rest[1] < len(sizes) and rest[2] < sizes[rest[1]]
-        elif name == "const":
-            fits = isinstance(rest[1], int | float) and math.isfinite(rest[1])
-        else:
-            fits = filled.issuperset(rest if name == "output" else rest[1:])
-        if not fits:
+        if not (_has_operands(name, rest) and _is_filled(name, rest, filled, sizes)):
             raise ValueError(f"instruction {line} of the expression, '{name}', has operands amiss")
         if name != "output":
             filled.add(rest[0])
     if not any(name == "output" for name, *_ in program):
         raise ValueError("the expression has no output")
+
+
+def _has_operands(name: str, operands: Sequence[Any]) -> bool:
+    """Tell whether an instruction has as many numbers as it needs, places where they belong."""
+    places = operands[:1] if name == "const" else operands
+    whole = all(type(place) is int and 0 <= place < _MOST for place in places)
+    return whole and len(operands) == _OPERANDS[name]
+
+
+def _is_filled(name: str, operands: Sequence[Any], filled: set[int], sizes: Sequence[int]) -> bool:
+    """Tell whether all that an instruction reads is there."""
+    if name == "input":
+        _, argument, component = operands
+        return bool(argument < len(sizes) and component < sizes[argument])
+    if name == "const":
+        return isinstance(operands[1], int | float) and math.isfinite(operands[1])
+    return filled.issuperset(operands if name == "output" else operands[1:])
 
 
 def read_instructions(program: Sequence[Sequence[Any]], arguments: Sequence[Any]) -> Any:

@@ -371,31 +371,35 @@ def build_model(
             f"unknown model '{name}'; give {', '.join(NAMED)} "
             "or a formula such as '1 + x + y + z + own^2'."
         )
-    terms = []
-    for axis in axes:
-        parsed = dict.fromkeys(
-            parse_term(part, text, axis)
-            for part in split_terms(expand_products(formula, axis), text)
-        )
-        seen = [t for t in parsed if sees_only(t, inputs)]
-        if len(seen) < len(parsed) and name not in NAMED:
-            hidden = next(str(t) for t in parsed if t not in seen)
-            raise UsageError(
-                f"term '{hidden}' of the formula needs a component that is not among "
-                f"--inputs {','.join(inputs)}; drop the term or name the input."
-            )
-        terms.append(tuple(seen))
-    model = Model(name, outputs, axes, inputs, unit, tuple(terms))
+    terms = tuple(_seen_terms(formula, text, axis, inputs) for axis in axes)
+    model = Model(name, outputs, axes, inputs, unit, terms)
     if known is not None:
-        columns = set(known)
-        for variable in model.environment:
-            if variable not in columns:
-                raise UsageError(
-                    f"unknown term '{variable}' in model '{text}'; a term is made of x, y, z, own, "
-                    + ", ".join([*function_forms("own"), *sorted(columns)])
-                    + "."
-                )
+        _check_columns(model, set(known), text)
     return model
+
+
+def _seen_terms(formula: str, text: str, axis: str, inputs: tuple[str, ...]) -> tuple[Term, ...]:
+    """Return the terms of an output that its inputs let act; a name leaves the others out."""
+    parts = split_terms(expand_products(formula, axis), text)
+    parsed = dict.fromkeys(parse_term(part, text, axis) for part in parts)
+    seen = tuple(term for term in parsed if sees_only(term, inputs))
+    if len(seen) < len(parsed) and text.strip() not in NAMED:
+        hidden = next(str(term) for term in parsed if term not in seen)
+        raise UsageError(
+            f"term '{hidden}' of the formula needs a component that is not among "
+            f"--inputs {','.join(inputs)}; drop the term or name the input."
+        )
+    return seen
+
+
+def _check_columns(model: Model, columns: set[str], text: str) -> None:
+    for variable in model.environment:
+        if variable not in columns:
+            raise UsageError(
+                f"unknown term '{variable}' in model '{text}'; a term is made of x, y, z, own, "
+                + ", ".join([*function_forms("own"), *sorted(columns)])
+                + "."
+            )
 
 
 def paper_symbol(model: Model, index: int) -> str | None:

@@ -3,27 +3,33 @@
 from multipos.numerics.factors import MODULUS, Factor
 from multipos.numerics.terms import COMPONENTS, Term
 
+_LINEAR = tuple(Factor(axis, 1) for axis in COMPONENTS)
+# What a power of one component, and a function of it, is called: of an output's own, of another.
+_ALONG_OWN = {(1, ""): "scale", (2, ""): "quad", (3, ""): "cubic", (1, MODULUS): "odd"}
+_ACROSS = {(1, ""): "cross", (2, ""): "square"}
+
 
 def parameter_name(output: str, axis: str, term: Term) -> str:
     """Return the name of a parameter, as INTERFACE lists them: bias_ax, scale_ax, cross_ax_y."""
     if not term.factors:
         return f"bias_{output}"
     if len(term.factors) == 1:
-        factor = term.factors[0]
-        own = factor.variable == axis
-        if factor == Factor(factor.variable, 1) and factor.variable in COMPONENTS:
-            return f"scale_{output}" if own else f"cross_{output}_{factor.variable}"
-        if factor == Factor(factor.variable, 2) and factor.variable in COMPONENTS:
-            return f"quad_{output}" if own else f"square_{output}_{factor.variable}"
-        if own and factor == Factor(axis, 3):
-            return f"cubic_{output}"
-        if own and factor == Factor(axis, 1, MODULUS):
-            return f"odd_{output}"
-    force = [f for f in term.factors if f.variable in COMPONENTS]
-    pair = [f.variable for f in force if f == Factor(f.variable, 1)]
-    if len(pair) == len(term.factors) == 2:
-        return f"product_{output}_{''.join(pair)}"
+        named = _of_one_factor(output, axis, term.factors[0])
+        if named:
+            return named
+    if len(term.factors) == 2 and all(factor in _LINEAR for factor in term.factors):
+        return f"product_{output}_{''.join(factor.variable for factor in term.factors)}"
     return f"{term}_{output}"
+
+
+def _of_one_factor(output: str, axis: str, factor: Factor) -> str:
+    """Return the name of a power of one component, '' where it has none of its own."""
+    form = (factor.power, factor.function)
+    if factor.variable == axis and form in _ALONG_OWN:
+        return f"{_ALONG_OWN[form]}_{output}"
+    if factor.variable in COMPONENTS and factor.variable != axis and form in _ACROSS:
+        return f"{_ACROSS[form]}_{output}_{factor.variable}"
+    return ""
 
 
 def parameter_label(output: str, axis: str, term: Term) -> str:

@@ -52,7 +52,7 @@ _SPREAD = ("u", "U", "k", "half_width", "distribution", "dof")
 
 
 @dataclass(frozen=True)
-class Kind:
+class QuantityKind:
     """What a table of the budget is about.
 
     Attributes
@@ -74,17 +74,19 @@ class Kind:
 
 
 KINDS = {
-    "gravity": Kind("local gravity", "m/s^2", True, ("value", "latitude_deg", "height_m")),
-    "level": Kind("level of the table, two axes", "deg", True),
-    "orientation": Kind("orientation of each position", "deg", False),
-    "index": Kind("periodic error of the dividing head", "deg", True, ("harmonics", "axis")),
-    "gain": Kind("gain of the ADC or voltmeter", "1", True, ("each_output",)),
-    "offset": Kind("offset of the ADC or voltmeter", "", True, ("each_output",)),
-    "resolution": Kind("resolution of the readings", "", False, ("step",)),
-    "temperature": Kind(
+    "gravity": QuantityKind("local gravity", "m/s^2", True, ("value", "latitude_deg", "height_m")),
+    "level": QuantityKind("level of the table, two axes", "deg", True),
+    "orientation": QuantityKind("orientation of each position", "deg", False),
+    "index": QuantityKind(
+        "periodic error of the dividing head", "deg", True, ("harmonics", "axis")
+    ),
+    "gain": QuantityKind("gain of the ADC or voltmeter", "1", True, ("each_output",)),
+    "offset": QuantityKind("offset of the ADC or voltmeter", "", True, ("each_output",)),
+    "resolution": QuantityKind("resolution of the readings", "", False, ("step",)),
+    "temperature": QuantityKind(
         "temperature of the sensor", "degC", True, ("bias_per_degC", "scale_per_degC")
     ),
-    "third_order": Kind("third-order term beyond the positions", "1/g^2", True),
+    "third_order": QuantityKind("third-order term beyond the positions", "1/g^2", True),
 }
 
 
@@ -100,7 +102,7 @@ class Quantity(Result):
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> QuantityKind:
         """What the quantity is about."""
         return KINDS[self.name]
 
@@ -151,7 +153,22 @@ def _quantity(where: str, name: str, table: Any) -> Quantity:
         raise MultiposError(f"{where}: write it as a table, such as [{name}] and below it u = …")
     kind = KINDS[name]
     suffix = "_deg" if kind.unit == "deg" else ""
-    size = {key if key in ("k", "distribution", "dof") else key + suffix: key for key in _SPREAD}
+    spread, settings = _split(where, table, kind, suffix)
+    if name == "resolution" and "step" in settings:
+        spread |= _from_step(where, spread, settings)
+    u, distribution = _size(where, spread, suffix)
+    dof = _number(where, spread, "dof") if "dof" in spread else math.inf
+    if not dof >= _FEWEST:
+        raise MultiposError(f"{where}: 'dof' must be above 0, at least {_FEWEST:g}, got {dof:g}.")
+    _check_settings(where, name, settings)
+    return Quantity(name, u, kind.unit, distribution, dof, settings)
+
+
+def _split(
+    where: str, table: Mapping[str, Any], kind: QuantityKind, suffix: str
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the keys of a quantity's size, without suffix, and its settings."""
+    size = _size_keys(suffix)
     unknown = [key for key in table if key not in size and key not in kind.settings]
     if unknown:
         raise MultiposError(
@@ -159,17 +176,23 @@ def _quantity(where: str, name: str, table: Any) -> Quantity:
         )
     spread = {size[key]: value for key, value in table.items() if key in size}
     settings = {key: value for key, value in table.items() if key in kind.settings}
-    if name == "resolution" and "step" in settings:
-        if set(spread) - {"dof"}:
-            raise MultiposError(f"{where}: 'step' says the size already; leave out the others.")
-        step = _number(where, settings, "step")
-        spread |= {"half_width": step / 2.0, "distribution": "rectangular"}
-    u, distribution = _size(where, spread, suffix)
-    dof = _number(where, spread, "dof") if "dof" in spread else math.inf
-    if not dof >= _FEWEST:
-        raise MultiposError(f"{where}: 'dof' must be above 0, at least {_FEWEST:g}, got {dof:g}.")
-    _check_settings(where, name, settings)
-    return Quantity(name, u, kind.unit, distribution, dof, settings)
+    return spread, settings
+
+
+def _size_keys(suffix: str) -> dict[str, str]:
+    """Return the keys that say how large a quantity is, as they are written, without suffix."""
+    bare = ("k", "distribution", "dof")
+    return {key if key in bare else key + suffix: key for key in _SPREAD}
+
+
+def _from_step(
+    where: str, spread: Mapping[str, Any], settings: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the size of a resolution from its whole step."""
+    if set(spread) - {"dof"}:
+        raise MultiposError(f"{where}: 'step' says the size already; leave out the others.")
+    step = _number(where, settings, "step")
+    return {"half_width": step / 2.0, "distribution": "rectangular"}
 
 
 def _size(where: str, spread: Mapping[str, Any], suffix: str) -> tuple[float, str]:
@@ -179,21 +202,10 @@ def _size(where: str, spread: Mapping[str, Any], suffix: str) -> tuple[float, st
         need = f"'u{suffix}', 'U{suffix}' with 'k', or 'half_width{suffix}'"
         found = " and ".join(f"'{key}{suffix}'" for key in given) or "none"
         raise MultiposError(f"{where}: give one of {need}; there is {found}.")
-    law = str(spread.get("distribution", "normal" if given != ["half_width"] else "rectangular"))
-    if law not in ("normal", *DIVISORS):
-        raise MultiposError(
-            f"{where}: unknown distribution '{law}'; give normal, {', '.join(DIVISORS)}."
-        )
+    law = _law(where, spread)
     value = _number(where, spread, given[0], given[0] + suffix)
     if given == ["U"]:
-        if "k" not in spread:
-            raise MultiposError(f"{where}: 'U{suffix}' needs its coverage factor 'k' beside it.")
-        factor = _number(where, spread, "k")
-        if not factor > 0.0:
-            raise MultiposError(f"{where}: 'k' must be above 0, got {factor:g}.")
-        if not value <= factor * LARGEST:
-            raise MultiposError(f"{where}: 'k' is {factor:g}, too small for a coverage factor.")
-        return value / factor, law
+        return value / _coverage_factor(where, spread, suffix, value), law
     if "k" in spread:
         raise MultiposError(f"{where}: 'k' belongs to 'U{suffix}'; leave it out.")
     if given == ["u"]:
@@ -206,37 +218,33 @@ def _size(where: str, spread: Mapping[str, Any], suffix: str) -> tuple[float, st
     return value / DIVISORS[law], law
 
 
-def _check_settings(where: str, name: str, settings: dict[str, Any]) -> None:
-    if name == "gravity":
-        if ("value" in settings) == ("latitude_deg" in settings):
-            raise MultiposError(f"{where}: give 'value' [m/s^2] or 'latitude_deg'.")
-        if "height_m" in settings and "latitude_deg" not in settings:
-            raise MultiposError(f"{where}: 'height_m' needs 'latitude_deg'.")
-        if "latitude_deg" in settings:
-            latitude = _number(where, settings, "latitude_deg", signed=True)
-            height = _number(where, {"height_m": 0.0, **settings}, "height_m", signed=True)
-            try:
-                settings["value"] = normal_gravity(latitude, height)
-            except ValueError as error:
-                raise MultiposError(f"{where}: {error}") from None
-        if not 1.0 <= _number(where, settings, "value") <= 100.0:
-            raise MultiposError(
-                f"{where}: 'value' must be in m/s^2, such as 9.81, got {settings['value']:g}."
-            )
-    if name == "index":
-        harmonics = settings.setdefault("harmonics", [1, 2])
-        whole = (
-            isinstance(harmonics, list)
-            and harmonics
-            and all(
-                isinstance(order, int) and not isinstance(order, bool) and order >= 0
-                for order in harmonics
-            )
+def _law(where: str, spread: Mapping[str, Any]) -> str:
+    usual = "rectangular" if "half_width" in spread else "normal"
+    law = str(spread.get("distribution", usual))
+    if law not in ("normal", *DIVISORS):
+        raise MultiposError(
+            f"{where}: unknown distribution '{law}'; give normal, {', '.join(DIVISORS)}."
         )
-        if not whole:
-            raise MultiposError(f"{where}: 'harmonics' must be whole numbers, such as [1, 2].")
-        if settings.get("axis", "x") not in ("x", "y", "z"):
-            raise MultiposError(f"{where}: 'axis' must be x, y or z, got '{settings['axis']}'.")
+    return law
+
+
+def _coverage_factor(where: str, spread: Mapping[str, Any], suffix: str, expanded: float) -> float:
+    if "k" not in spread:
+        raise MultiposError(f"{where}: 'U{suffix}' needs its coverage factor 'k' beside it.")
+    factor = _number(where, spread, "k")
+    if not factor > 0.0:
+        raise MultiposError(f"{where}: 'k' must be above 0, got {factor:g}.")
+    if not expanded <= factor * LARGEST:
+        raise MultiposError(f"{where}: 'k' is {factor:g}, too small for a coverage factor.")
+    return factor
+
+
+def _check_settings(where: str, name: str, settings: dict[str, Any]) -> None:
+    """Hold the keys beside the size to what they may be, and set those that follow."""
+    if name == "gravity":
+        _settle_gravity(where, settings)
+    if name == "index":
+        _settle_index(where, settings)
     if not isinstance(settings.get("each_output", False), bool):
         raise MultiposError(f"{where}: 'each_output' must be true or false.")
     for key in ("bias_per_degC", "scale_per_degC"):
@@ -244,17 +252,49 @@ def _check_settings(where: str, name: str, settings: dict[str, Any]) -> None:
             _number(where, settings, key, signed=True)
 
 
+def _settle_gravity(where: str, settings: dict[str, Any]) -> None:
+    if ("value" in settings) == ("latitude_deg" in settings):
+        raise MultiposError(f"{where}: give 'value' [m/s^2] or 'latitude_deg'.")
+    if "height_m" in settings and "latitude_deg" not in settings:
+        raise MultiposError(f"{where}: 'height_m' needs 'latitude_deg'.")
+    if "latitude_deg" in settings:
+        latitude = _number(where, settings, "latitude_deg", signed=True)
+        height = _number(where, {"height_m": 0.0, **settings}, "height_m", signed=True)
+        try:
+            settings["value"] = normal_gravity(latitude, height)
+        except ValueError as error:
+            raise MultiposError(f"{where}: {error}") from None
+    if not 1.0 <= _number(where, settings, "value") <= 100.0:
+        raise MultiposError(
+            f"{where}: 'value' must be in m/s^2, such as 9.81, got {settings['value']:g}."
+        )
+
+
+def _settle_index(where: str, settings: dict[str, Any]) -> None:
+    harmonics = settings.setdefault("harmonics", [1, 2])
+    if not (isinstance(harmonics, list) and harmonics and all(map(_is_order, harmonics))):
+        raise MultiposError(f"{where}: 'harmonics' must be whole numbers, such as [1, 2].")
+    if settings.get("axis", "x") not in ("x", "y", "z"):
+        raise MultiposError(f"{where}: 'axis' must be x, y or z, got '{settings['axis']}'.")
+
+
+def _is_order(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
 def _number(
     where: str, table: Mapping[str, Any], key: str, name: str | None = None, *, signed: bool = False
 ) -> float:
-    value = table[key]
-    good = isinstance(value, int | float) and not isinstance(value, bool)
-    if not good or math.isnan(value) or (math.isinf(value) and key != "dof"):
-        raise MultiposError(f"{where}: '{name or key}' must be a number, got {value!r}.")
+    value, called = table[key], name or key
+    if not _is_number(value) or (math.isinf(value) and key != "dof"):
+        raise MultiposError(f"{where}: '{called}' must be a number, got {value!r}.")
     if not signed and value < 0.0:
-        raise MultiposError(f"{where}: '{name or key}' must be 0 or more, got {value:g}.")
+        raise MultiposError(f"{where}: '{called}' must be 0 or more, got {value:g}.")
     if abs(value) > LARGEST and not math.isinf(value):
-        raise MultiposError(
-            f"{where}: '{name or key}' must be no more than {LARGEST:g}, got {value:g}."
-        )
+        raise MultiposError(f"{where}: '{called}' must be no more than {LARGEST:g}, got {value:g}.")
     return float(value)
+
+
+def _is_number(value: Any) -> bool:
+    """Tell whether a value of a TOML file is a number, which true and nan are not."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and not math.isnan(value)

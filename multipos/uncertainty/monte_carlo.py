@@ -10,18 +10,16 @@ spread is the answer of JCGM 101, and U of JCGM 100 is valid where it agrees wit
 - Intervals are probabilistically symmetric, or the shortest (7.7).
 - Validation (8.1): with the ends of the Monte Carlo interval, d_low = |y − U − y_low| and
   d_high = |y + U − y_high| must both be below δ.
-- Noise estimated from residuals on ν degrees of freedom is drawn from Student's t (6.4.9), as one
-  scale for all readings of an output; for ν ≤ 2 its u does not exist, and only the intervals are
+- Noise estimated from residuals on ν ≤ 2 degrees of freedom has no u, and only the intervals are
   judged.
 
 With known orientations an estimate is one matrix product with the readings, however many trials.
 With uncertain and unknown ones the likelihood is searched in every trial, with the noise of the fit
-as its weights; positions, and a table that is not level, are turned by what that likelihood allows
-them, so that their standard deviations, where they were estimated, are drawn like the noise.
+as its weights. The readings of a trial are drawn by `multipos.uncertainty.draws`.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,14 +29,12 @@ from numpy.typing import NDArray
 from multipos.errors import UsageError
 from multipos.estimation.descent import maximise
 from multipos.estimation.problem import start_state
-from multipos.estimation.restatement import noise_factor, restate, return_to_optimum
+from multipos.estimation.restatement import restate
 from multipos.numerics.arrays import Array
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.found import Estimator, VarianceComponents
-from multipos.uncertainty.budgets import Quantity, read_budget
-from multipos.uncertainty.propagation import evaluate_budget
-from multipos.uncertainty.sensitivities import estimator_gain, reading_moves, turn_axes
+from multipos.uncertainty.draws import Draws
+from multipos.uncertainty.sensitivities import estimator_gain
 
 Solve = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (trials, p)
 
@@ -141,49 +137,26 @@ def simulate_budget(
     UsageError
         An option is out of range, or the calibration needs an `estimator`.
     """
-    if trials is not None and not 100 <= trials <= _MOST:
-        raise UsageError(
-            f"`trials` must lie between 100 and {_MOST}, got {trials}; a million tell the ends of "
-            "an interval to three digits, beyond which it is the budget that is not known so well."
-        )
-    if digits not in (1, 2):
-        raise UsageError(f"`digits` must be 1 or 2, got {digits}.")
+    _check_options(trials, digits)
     c = calibration
     generator = np.random.default_rng(rng)
     solve = estimator or _own_estimator(c)
-    draw = _Draws(c, generator)
+    draw = Draws(c, generator)
     delta = numerical_tolerance(c.u, digits)
     exists = np.where(np.repeat(c.dof, [len(t) for t in c.model.terms]) > 2.0, 1.0, math.nan)
-    least = max(_BLOCK, math.ceil(100.0 / (1.0 - c.confidence)))
     one_by_one = estimator is None and not c.estimator.exact
     size = _FEW if one_by_one and trials is not None else _BLOCK
-    done: list[Array] = []
-    summaries: list[Array] = []
-    count, stable = 0, False
-    while count < (trials or _MOST):
-        step = min(size, (trials or _MOST) - count)
-        block = solve(draw(step))
-        done.append(block)
-        count += len(block)
-        if progress is not None:
-            progress(count)
-        if trials is not None:
-            continue
-        low, high = _symmetric(_sorted(block), c.confidence)
-        spread = block.std(axis=0, ddof=1) * exists
-        summaries.append(np.array([block.mean(axis=0) * exists, spread, low, high]))
-        if len(summaries) < 2 or count < least:
-            continue
-        rest = np.std(summaries, axis=0, ddof=1) / math.sqrt(len(summaries))
-        stable = bool((np.nan_to_num(2.0 * rest) <= delta / 5.0).all())
-        if stable:
-            break
+    blocks = _blocks(solve, draw, trials or _MOST, size, progress)
+    if trials is None:
+        done, stable = _until_stable(blocks, c.confidence, exists, delta)
+    else:
+        done, stable = list(blocks), False
     values = _sorted(np.concatenate(done))
     low, high = _symmetric(values, c.confidence)
     off = np.maximum(np.abs(c.parameters - c.U - low), np.abs(c.parameters + c.U - high))
     return MonteCarlo(
         names=c.names,
-        trials=count,
+        trials=sum(map(len, done)),
         stable=stable,
         mean=values.mean(axis=1),
         u=values.std(axis=1, ddof=1) * exists,
@@ -194,173 +167,58 @@ def simulate_budget(
     )
 
 
+def _check_options(trials: int | None, digits: int) -> None:
+    if trials is not None and not 100 <= trials <= _MOST:
+        raise UsageError(
+            f"`trials` must lie between 100 and {_MOST}, got {trials}; a million tell the ends of "
+            "an interval to three digits, beyond which it is the budget that is not known so well."
+        )
+    if digits not in (1, 2):
+        raise UsageError(f"`digits` must be 1 or 2, got {digits}.")
+
+
+def _blocks(
+    solve: Solve,
+    draw: Draws,
+    most: int,
+    size: int,
+    progress: Callable[[int], object] | None,
+) -> Iterator[Array]:
+    """Yield the parameters (trials, p) of so many trials at a time."""
+    count = 0
+    while count < most:
+        block = solve(draw(min(size, most - count)))
+        count += len(block)
+        if progress is not None:
+            progress(count)
+        yield block
+
+
+def _until_stable(
+    blocks: Iterator[Array], confidence: float, exists: Array, delta: Array
+) -> tuple[list[Array], bool]:
+    """Return blocks until their averages are stable to δ/5, and whether they became so."""
+    least = max(_BLOCK, math.ceil(100.0 / (1.0 - confidence)))
+    done: list[Array] = []
+    summaries: list[Array] = []
+    for block in blocks:
+        done.append(block)
+        low, high = _symmetric(_sorted(block), confidence)
+        spread = block.std(axis=0, ddof=1) * exists
+        summaries.append(np.array([block.mean(axis=0) * exists, spread, low, high]))
+        if len(summaries) < 2 or sum(map(len, done)) < least:
+            continue
+        rest = np.std(summaries, axis=0, ddof=1) / math.sqrt(len(summaries))
+        if (np.nan_to_num(2.0 * rest) <= delta / 5.0).all():
+            return done, True
+    return done, False
+
+
 def numerical_tolerance(u: Array, digits: int) -> Array:
     """Return δ, half a unit of the last of so many significant digits of u (JCGM 101, 7.9.2)."""
     with np.errstate(divide="ignore"):
         exponent = np.floor(np.log10(u)) - (digits - 1)
     return np.asarray(0.5 * 10.0**exponent)
-
-
-class _Draws:
-    """Readings as they might have been, all quantities of the budget drawn from their laws."""
-
-    def __init__(self, calibration: Calibration, rng: np.random.Generator) -> None:
-        self.c, self.rng = calibration, rng
-        c = calibration
-        self.n, self.m = c.readings.values.shape
-        stated = read_budget(c.budget_tables).quantities
-        contained = {r.quantity for r in evaluate_budget(c).rows if r.contained.all()}
-        if c.estimator is Estimator.UNKNOWN:
-            contained |= {"level", "index"}  # orientations that were not used cannot be wrong
-        self.quantities = [
-            quantity
-            for name, quantity in stated.items()
-            if name not in ("gravity", "third_order", *contained)
-        ]
-        if c.gravity is not None and c.gravity.u > 0.0:
-            given = stated.get("gravity")
-            law, dof = (given.distribution, given.dof) if given else ("normal", math.inf)
-            self.quantities.append(Quantity("gravity", c.gravity.u, "m/s^2", law, dof))
-        self.model_readings = c.model.predict(c.parameters, c.reference, c.readings.environment)
-        scatter = [row for row in evaluate_budget(c).rows if row.quantity == "readings"]
-        self.joint = len(scatter) == 1 and self.m > 1
-        self.spread, self.level, self.spread_dof = np.zeros(self.n), 0.0, math.inf
-        if not c.estimator.exact:
-            self._take_from_likelihood()
-        else:
-            self.noise = _noise_root(c, sum(row.covariance for row in scatter))
-
-    def _take_from_likelihood(self) -> None:
-        """Take noise and sds of positions from the likelihood of the fit."""
-        c, problem = self.c, restate(self.c)
-        root = math.sqrt(noise_factor(c, problem, return_to_optimum(c, problem)))
-        if problem.precision.ndim == 2:
-            self.noise = root / np.sqrt(problem.precision).ravel()
-        else:
-            blocks = np.linalg.cholesky(np.linalg.inv(problem.precision))
-            whole = np.zeros((self.n, self.m, self.n, self.m))
-            whole[np.arange(self.n), :, np.arange(self.n), :] = root * blocks
-            self.noise = whole.reshape(self.n * self.m, -1)
-        self.spread = np.where(
-            np.isfinite(problem.orientation_sd), root * problem.orientation_sd, 0.0
-        )
-        self.level, self.attitude = root * problem.level_sd, problem.attitude
-        components = c.variance_components or VarianceComponents()
-        estimated = components.orientation_sd_deg
-        if estimated is not None:  # u of ln s² is 2 u(s)/s, and of ln chi²_nu it is sqrt(2/nu)
-            self.spread_dof = 0.5 * (estimated.value / estimated.u) ** 2
-
-    def __call__(self, trials: int) -> Array:
-        """Return readings (trials, n, M) about the fitted model."""
-        turned = [q for q in self.quantities if q.name in ("level", "orientation", "index")]
-        scaled = [q for q in self.quantities if q.name == "gravity"]
-        if turned or scaled or self.spread.any() or self.level:
-            readings = self._acted(trials, turned, scaled)
-        else:
-            readings = np.broadcast_to(self.model_readings, (trials, self.n, self.m))
-        for quantity in self.quantities:
-            if quantity.name in ("gain", "offset", "temperature"):
-                moves = reading_moves(self.c, quantity)
-                drawn = self._law(quantity, (trials, moves.shape[2]))
-                readings = readings + np.einsum("nmq,tq->tnm", moves, drawn)
-            elif quantity.name == "resolution":
-                readings = readings + self._law(quantity, readings.shape)
-        noise = self._noise(trials)
-        noise += readings
-        return noise
-
-    def _acted(self, trials: int, turned: list[Quantity], scaled: list[Quantity]) -> Array:
-        """Readings of the model at the forces that really act, turned and scaled in full."""
-        c = self.c
-        vectors = np.zeros((trials, self.n, 3))  # rotation vectors of up, in case axes
-        for quantity in turned:
-            if quantity.name == "orientation":
-                vectors += np.radians(self._law(quantity, (trials, self.n, 3)))
-                continue
-            axes = turn_axes(c, quantity)
-            vectors += np.einsum(
-                "tq,nqi->tni", np.radians(self._law(quantity, (trials, axes.shape[1]))), axes
-            )
-        vectors += self._allowed(trials)
-        force = _rotate(np.broadcast_to(c.reference, vectors.shape), vectors)
-        for quantity in scaled:
-            assert c.gravity is not None
-            force = force * (1.0 + self._law(quantity, (trials, 1, 1)) / c.gravity.value)
-        flat = force.reshape(-1, 3)
-        environment = {
-            name: np.tile(c.readings.environment[name], trials) for name in c.model.environment
-        }
-        return c.model.predict(c.parameters, flat, environment).reshape(trials, self.n, self.m)
-
-    def _allowed(self, trials: int) -> Array:
-        """Turns of the positions (trials, n, 3) [rad] as the likelihood of the fit allows them."""
-        turns = np.zeros((trials, self.n, 3))
-        if self.spread.any():
-            turns += self.rng.standard_normal(turns.shape) * self.spread[:, None]
-            if math.isfinite(self.spread_dof):
-                drawn = self.rng.chisquare(self.spread_dof, (trials, 1, 1))
-                turns *= np.sqrt(self.spread_dof / drawn)
-        if self.level and self.attitude is not None:
-            tilt = self.level * self.rng.standard_normal((trials, 2))
-            turns += np.einsum("tq,niq->tni", tilt, self.attitude[:, :, :2])
-        return turns
-
-    def _noise(self, trials: int) -> Array:
-        drawn = self.rng.standard_normal((trials, self.n * self.m))
-        if self.noise.ndim == 2:
-            drawn = drawn @ self.noise.T
-        else:
-            drawn *= self.noise
-        noise = drawn.reshape(trials, self.n, self.m)
-        for output, dof in enumerate(self.c.dof.tolist()):
-            if math.isfinite(dof) and (output == 0 or not self.joint):
-                scale = np.sqrt(dof / self.rng.chisquare(dof, trials))[:, None]
-                if self.joint:
-                    return np.asarray(noise * scale[:, :, None])
-                noise[:, :, output] *= scale
-        return noise
-
-    def _law(self, quantity: Quantity, shape: tuple[int, ...]) -> Array:
-        u, rng = quantity.u, self.rng
-        if quantity.distribution == "rectangular":
-            return rng.uniform(-1.0, 1.0, shape) * (u * math.sqrt(3.0))
-        if quantity.distribution == "triangular":
-            return rng.triangular(-1.0, 0.0, 1.0, shape) * (u * math.sqrt(6.0))
-        if quantity.distribution == "arcsine":
-            return np.sin(rng.uniform(0.0, 2.0 * math.pi, shape)) * (u * math.sqrt(2.0))
-        if math.isfinite(quantity.dof):
-            return rng.standard_t(quantity.dof, shape) * u
-        return rng.standard_normal(shape) * u
-
-
-def _noise_root(c: Calibration, covariance: Any) -> Array:
-    """A root of the covariance of the readings: sds (n M,), or (n M, n M).
-
-    The stated noise times the factor by which the residuals scaled it, or residual sds.
-    """
-    n, m = c.readings.values.shape
-    gain = estimator_gain(c)
-    noise = np.ones(n * m) if c.noise is None else c.noise
-    if noise.ndim == 2:
-        root = np.linalg.cholesky(noise)
-        unscaled = gain @ root
-    else:
-        root = np.sqrt(noise)
-        unscaled = gain * root
-    claimed = np.sqrt(np.diag(covariance))
-    plain = np.linalg.norm(unscaled, axis=1)
-    factor = [float(np.median(claimed[part] / plain[part])) for part in c.model.slices]
-    scale = np.tile(factor, n)
-    return np.asarray(root * (scale[:, None] if root.ndim == 2 else scale))
-
-
-def _rotate(force: Array, vectors: Array) -> Array:
-    """Turn vectors (…, 3) by rotation vectors (…, 3), Rodrigues, with small angles exact."""
-    angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    sinc = np.sinc(angle / math.pi)
-    half = 0.5 * np.sinc(angle / (2.0 * math.pi)) ** 2
-    cross = np.cross(vectors, force)
-    return np.asarray(force + sinc * cross + half * np.cross(vectors, cross))
 
 
 def _own_estimator(c: Calibration) -> Solve:

@@ -21,6 +21,7 @@ beside the names of the terms that would do the same. Between two rolls the zero
 shift, which no term of the sensor does.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -121,13 +122,8 @@ def table_errors(calibration: Calibration) -> TableErrors:
     # What can be told is a matter of structure: small cross terms must not seem to tell it.
     nominal = _effects(calibration, rolls, own)
     sensor, every = _design(model, calibration), _shifts(model, readings, rolls)
-    free = _separable(sensor, np.column_stack([*every.values(), nominal]))
-    shifts = {key: every[key] for i, key in enumerate(every) if i in free}
-    sensor = np.column_stack([sensor, *shifts.values()])
-    kept = [i - len(every) for i in free if i >= len(every)]
-    kept = [kept[i] for i in _separable(sensor, effect[:, kept])]  # nor may they hide it
+    shifts, kept, design = _told_apart(sensor, every, nominal, effect)
     weight = _weights(calibration)
-    design = np.column_stack([sensor, effect[:, kept]])
     if (not kept and not shifts) or len(design) <= design.shape[1]:
         return TableErrors(_described(calibration, rolls, nominal, {}), (), 0.0)
     found = solve(design * weight[:, None], readings.values.ravel() * weight)
@@ -146,6 +142,18 @@ def table_errors(calibration: Calibration) -> TableErrors:
     }
     errors = _described(calibration, rolls, nominal, values)
     return TableErrors(errors, tuple(zero_shifts), dof)
+
+
+def _told_apart(
+    sensor: Array, shifts: Mapping[tuple[str, str], Array], nominal: Array, effect: Array
+) -> tuple[dict[tuple[str, str], Array], list[int], Array]:
+    """Return the zero shifts and columns of `effect` that can be told, and the design of all."""
+    free = _separable(sensor, np.column_stack([*shifts.values(), nominal]))
+    told = {key: shifts[key] for i, key in enumerate(shifts) if i in free}
+    design = np.column_stack([sensor, *told.values()])
+    kept = [i - len(shifts) for i in free if i >= len(shifts)]
+    kept = [kept[i] for i in _separable(design, effect[:, kept])]  # nor may small terms hide it
+    return told, kept, np.column_stack([design, effect[:, kept]])
 
 
 def roll_warnings(calibration: Calibration) -> list[str]:

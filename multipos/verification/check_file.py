@@ -26,7 +26,7 @@ from multipos.files.records import (
     Maybe,
     Named,
     Text,
-    require,
+    restore,
 )
 from multipos.files.tables import read_json
 from multipos.numerics.arrays import Array
@@ -116,20 +116,15 @@ def load_check(path: str | os.PathLike[str]) -> Check:
         raise MultiposError(
             f"{path}: the check of a regression; a report of a calibration needs a check of it."
         )
-    require(content, CHECK, str(path), "run check again")
-    axes = set(content["axes"])
-    for row in [*content["positions"], {"by_axis": content["by_axis"]}]:
-        for key, entry in row.items():
-            if key in _BY_AXIS and set(entry) != axes:
-                raise MultiposError(
-                    f"{path}: not a check: '{key}' is of {', '.join(entry)}, not of its axes; run "
-                    "check again."
-                )
-    return _from_dict(content)
+    return restore(content, CHECK, _from_dict, str(path), what="check", again="run check again")
 
 
 def _from_dict(c: Mapping[str, Any]) -> Check:
     axes = tuple(c["axes"])
+    for row in [*c["positions"], {"by_axis": c["by_axis"]}]:
+        for key, entry in row.items():
+            if key in _BY_AXIS and set(entry) != set(axes):
+                raise ValueError(f"'{key}' is of {', '.join(entry)}, not of its axes")
 
     def column(name: str) -> Array:
         rows = [[row[name][axis] for axis in axes] for row in c["positions"]]

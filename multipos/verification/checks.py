@@ -18,7 +18,7 @@ A regression is checked by `multipos.verification.regression_checks`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -97,21 +97,17 @@ def check(
         An option is at fault.
     """
     if isinstance(calibration, Regression):
-        given = {
-            "--scheme": scheme,
-            "--tilt": tilt or None,
-            "--limit-deg": limit_deg,
-            "--within-deg": within_deg,
-            "--reading-sd": reading_sd,
-            "--range": range,
-            "--nominal": None if tuple(nominal) == (0.0, 1.0) else nominal,
-        }
-        for name, value in given.items():
-            if value is not None:
-                raise UsageError(
-                    f"{name} goes with a calibration; a regression is checked row by "
-                    "row, against --limit-g."
-                )
+        _refuse_options(
+            {
+                "--scheme": scheme,
+                "--tilt": tilt or None,
+                "--limit-deg": limit_deg,
+                "--within-deg": within_deg,
+                "--reading-sd": reading_sd,
+                "--range": range,
+                "--nominal": None if tuple(nominal) == (0.0, 1.0) else nominal,
+            }
+        )
         return check_regression(calibration, readings, limit_g=limit_g)
     tilt = tilt or limit_deg is not None
     _check_options(tilt, limit_deg, limit_g, within_deg, nominal)
@@ -121,17 +117,30 @@ def check(
     data = orient(data, scheme)
     if range is not None:
         require_range(data, range)
+    noise = _noise(calibration, data, reading_sd)
+    limit = limit_deg if tilt else limit_g
+    return _check_run(calibration, data, noise, tilt, limit, within_deg, nominal)
+
+
+def _check_run(
+    calibration: Calibration,
+    data: Readings,
+    noise: Array,
+    tilt: bool,
+    limit: float | None,
+    within_deg: float | None,
+    nominal: Sequence[float],
+) -> Check:
+    """Return errors and verdicts of a run whose positions and noise (n, M) are known."""
     assert data.up is not None
     axes = list(sensed_axes(calibration.model))
-    noise = _noise(calibration, data, reading_sd)
-    run = _tilt_errors if tilt else _force_errors
-    reference, before, after, u, U = run(calibration, data, data.up, nominal, noise)
+    errors = _tilt_errors if tilt else _force_errors
+    reference, before, after, u, U = errors(calibration, data, data.up, nominal, noise)
     level = np.degrees(true_tilt(data.up))[:, axes]
     # A hair's breadth more, so that 60 degrees from a cosine is within 60.
     counted = np.abs(level) <= (90.0 if within_deg is None else within_deg) + 1e-6
     if not counted.any():
         raise MultiposError(f"no position of the run is within {within_deg:g} degrees of level.")
-    limit = limit_deg if tilt else limit_g
     return Check(
         quantity="tilt" if tilt else "force",
         unit="deg" if tilt else "g",
@@ -157,6 +166,16 @@ def check(
         warnings=data.notes,
         calibration=calibration.created,
     )
+
+
+def _refuse_options(given: Mapping[str, object]) -> None:
+    """Refuse options that are given, and of which a regression knows nothing."""
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(
+                f"{name} goes with a calibration; a regression is checked row by "
+                "row, against --limit-g."
+            )
 
 
 def _check_options(

@@ -172,13 +172,9 @@ def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> C
     if not 0.0 < confidence < 1.0:
         raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
     found = tuple(c if isinstance(c, Calibration) else load(c) for c in runs)
-    files = tuple(
-        f"calibration {i}" if isinstance(c, Calibration) else str(c)
-        for i, c in enumerate(runs, start=1)
-    )
+    files = _files(runs)
     _check_alike(found, files)
     values = np.array([c.parameters for c in found])
-    model = found[0].model
     sd = values.std(axis=0, ddof=1)
     drift, drift_u, drift_p, per = _drift(found, values)
     same = _same_readings(found)
@@ -205,9 +201,7 @@ def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> C
         p=judged.p,
         dof=judged.dof,
         scatter_dof=judged.scatter_dof,
-        bias_stability={
-            output: float(sd[i]) for i, (output, term) in enumerate(model.keys) if term == CONSTANT
-        },
+        bias_stability=_of_biases(found[0], sd),
         statistic=judged.statistic,
         dof_total=judged.dof_total,
         p_total=judged.p_total,
@@ -216,6 +210,14 @@ def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> C
         moved=judged.moved,
         per=per,
         warnings=tuple(warnings),
+    )
+
+
+def _files(runs: Sequence[Run]) -> tuple[str, ...]:
+    """Return what the runs are called in messages and tables."""
+    return tuple(
+        f"calibration {i}" if isinstance(c, Calibration) else str(c)
+        for i, c in enumerate(runs, start=1)
     )
 
 
@@ -238,6 +240,12 @@ def _check_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
                     f"{file}: its {what} differ from those of {files[0]} ({_listed(other)}, not "
                     f"{_listed(mine)}); compare calibrations of one unit and one model."
                 )
+
+
+def _of_biases(calibration: Calibration, sd: Array) -> dict[str, float]:
+    """Return the standard deviation of the bias of each output."""
+    keys = calibration.model.keys
+    return {output: float(sd[i]) for i, (output, term) in enumerate(keys) if term == CONSTANT}
 
 
 def _listed(value: object) -> str:
@@ -280,37 +288,49 @@ def comparison_text(found: Comparison) -> str:
         for i, (file, c) in enumerate(zip(found.files, found.calibrations, strict=True), start=1)
     ]
     model = found.calibrations[0].model
+    stability = [[output, number(sd, 3)] for output, sd in found.bias_stability.items()]
+    parts = [
+        "\n".join(lines),
+        _parameter_table(found),
+        "bias stability\n" + table(["output", f"sd [{model.unit}]"], stability),
+        _verdict(found),
+        *(f"warning: {warning}" for warning in found.warnings),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _parameter_table(found: Comparison) -> str:
+    """Return every parameter in every run, their mean and drift."""
+    model = found.calibrations[0].model
     runs = [str(i) for i in range(1, len(found.files) + 1)]
     header = ["parameter", "unit", *runs, "mean(sd)", f"drift per {found.per}", "p", ""]
     rows = []
     for i, name in enumerate(model.names):
         mean, sd = float(found.mean[i]), float(found.sd[i])
         rounding = 1e-12 * float(np.abs(found.values).max())
+        varies = sd > rounding
         rows.append(
             [
                 name,
                 model.units[i],
                 *(f"{value:.7g}" for value in found.values[:, i].tolist()),
-                uncertain(mean, sd if sd > rounding else 0.0),
-                number(float(found.drift[i]) if sd > rounding else 0.0, 2),
+                uncertain(mean, sd if varies else 0.0),
+                number(float(found.drift[i]) if varies else 0.0, 2),
                 number(float(found.p[i]), 2),
                 "moved" if name in found.moved else "",
             ]
         )
-    stability = [[output, number(sd, 3)] for output, sd in found.bias_stability.items()]
+    return table(header, rows, left=2)
+
+
+def _verdict(found: Comparison) -> str:
+    """Return whether the runs are consistent, and the test that says so."""
     verdict = "consistent" if found.consistent else "NOT consistent"
+    if math.isnan(found.p_total):
+        return f"{verdict}: {found.test}"
     dof = found.dof_total
     shown = ", ".join(map(number, dof)) if isinstance(dof, list) else number(dof)
-    said = f"{verdict}: {found.test}"
-    if not math.isnan(found.p_total):
-        said += f": {number(found.statistic)} on {shown} degrees of freedom, p = " + number(
-            found.p_total, 3
-        )
-    parts = [
-        "\n".join(lines),
-        table(header, rows, left=2),
-        "bias stability\n" + table(["output", f"sd [{model.unit}]"], stability),
-        said,
-        *(f"warning: {warning}" for warning in found.warnings),
-    ]
-    return "\n\n".join(parts) + "\n"
+    return (
+        f"{verdict}: {found.test}: {number(found.statistic)} on {shown} degrees of freedom, "
+        f"p = {number(found.p_total, 3)}"
+    )

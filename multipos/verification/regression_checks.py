@@ -11,8 +11,9 @@ nothing there.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
-from multipos.compensation.correction import correct, range_column, read_predictors
+from multipos.compensation.correction import correct, place_rows, range_column, read_predictors
 from multipos.errors import MultiposError
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
@@ -58,7 +59,7 @@ def check_regression(
             "a check needs a run within it."
         )
     columns = read_predictors(r, table)
-    place = r.segment_of(columns) if columns else np.zeros(table.rows, dtype=np.intp)
+    place = place_rows(r, columns, table.rows)
     against, reference = range_column(r, table, columns)
     after, u = (np.asarray(found[name])[:, None] for name in ("corrected", "u_corrected"))
     counted = ~outside[:, None]
@@ -90,11 +91,15 @@ def check_regression(
         warnings=(said,) if outside.any() else (),
         calibration=r.created,
         against=against,
-        segments={
-            f"{number}: {format_span(r.range_variable, s.range, s.branch)}": place == number - 1
-            for number, s in enumerate(r.segments, start=1)
-        },
+        segments=_rows_by_segment(r, place),
     )
+
+
+def _rows_by_segment(r: Regression, place: NDArray[np.intp]) -> dict[str, NDArray[np.bool_]]:
+    return {
+        f"{number}: {format_span(r.range_variable, s.range, s.branch)}": place == number - 1
+        for number, s in enumerate(r.segments, start=1)
+    }
 
 
 def _coverage(r: Regression) -> Array:

@@ -80,7 +80,7 @@ _ROUNDING = 1e-12  # residuals below this part of the largest reading are roundi
 
 
 @dataclass(frozen=True, eq=False)
-class Coefficient(Result):
+class TumbleCoefficient(Result):
     """One coefficient of eq. (1); all but K1 are divided by K1.
 
     `customary` holds value, u, U and unit as a data sheet has them; of K1 only u and U, in ppm.
@@ -101,7 +101,7 @@ class Tumble(Result):
 
     Attributes
     ----------
-    coefficients : dict of str to Coefficient
+    coefficients : dict of str to TumbleCoefficient
         Those that the points can tell, in the order of `COEFFICIENTS`.
     calibration : Calibration
     rolls : tuple of Roll
@@ -114,7 +114,7 @@ class Tumble(Result):
     unidentifiable, weak, warnings : tuples of str
     """
 
-    coefficients: dict[str, Coefficient]
+    coefficients: dict[str, TumbleCoefficient]
     calibration: Calibration
     rolls: tuple[Roll, ...]
     harmonics: tuple[Harmonic, ...]
@@ -130,7 +130,7 @@ class Tumble(Result):
         """Coefficients of eq. (1) that the model leaves out."""
         return tuple(name for name in _DEFAULT if name not in self.coefficients)
 
-    def __getitem__(self, name: str) -> Coefficient:
+    def __getitem__(self, name: str) -> TumbleCoefficient:
         """Return a coefficient by name, as in ``tumble["K2"]``."""
         return self.coefficients[name]
 
@@ -330,7 +330,7 @@ def _with_squares(said: tuple[str, ...], null: Array, names: Sequence[str]) -> t
     return tuple(result)
 
 
-def _coefficients(calibration: Calibration, axis: str) -> dict[str, Coefficient]:
+def _coefficients(calibration: Calibration, axis: str) -> dict[str, TumbleCoefficient]:
     c, model = calibration, calibration.model
     output = model.outputs[0]
     try:
@@ -355,7 +355,7 @@ def _coefficients(calibration: Calibration, axis: str) -> dict[str, Coefficient]
         if name == "K1":
             ppm = abs(_MILLION * u1 / K1)
             custom: dict[str, Any] = {"u": ppm, "U": k * ppm, "unit": customary}
-            result[name] = Coefficient(K1, u1, k * u1, model.units[j], k, dof, custom)
+            result[name] = TumbleCoefficient(K1, u1, k * u1, model.units[j], k, dof, custom)
             continue
         value = float(c.parameters[j]) / K1
         shared = float(c.covariance[j, scale])
@@ -363,7 +363,9 @@ def _coefficients(calibration: Calibration, axis: str) -> dict[str, Coefficient]
         u = math.nan if math.isnan(variance) else math.sqrt(max(variance, 0.0)) / abs(K1)
         value *= sign
         custom = {name: _MILLION * v for name, v in (("value", value), ("u", u), ("U", k * u))}
-        result[name] = Coefficient(value, u, k * u, unit, k, dof, {**custom, "unit": customary})
+        result[name] = TumbleCoefficient(
+            value, u, k * u, unit, k, dof, {**custom, "unit": customary}
+        )
     return result
 
 

@@ -4,29 +4,18 @@ import json
 import re
 import subprocess
 import sys
-import sysconfig
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from cli_bench import MULTIPOS, SIX, run, snapshot
 
 import multipos as mp
 from multipos import cli
 from multipos.errors import MultiposError, UsageError
 
-MULTIPOS = str(Path(sysconfig.get_path("scripts")) / "multipos")
-
-SIX = """\
-position,direction,ax,ay,az
-1,E-U-S,0.0071,1.0029,-0.0016
-2,E-N-U,-0.0094,-0.0058,1.0008
-3,D-E-S,-0.9965,0.0064,0.0015
-4,W-D-S,-0.0076,-1.0030,0.0032
-5,U-W-S,0.9965,0.0073,0.0027
-6,S-W-D,0.0067,-0.0060,-1.0008
-"""
 # the same with semicolons and decimal commas, with tabs, and as a spreadsheet saves it
 FORMS = {
     "comma": SIX.encode(),
@@ -46,24 +35,6 @@ def here(tmp_path, monkeypatch):
     (tmp_path / "six.csv").write_text(SIX, encoding="utf-8")
     mp.fit("six.csv").save("cal.json")
     return tmp_path
-
-
-def snapshot(folder):
-    return {
-        path: (path.stat().st_mtime_ns, path.read_bytes())
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
-
-
-def run(capsys, *arguments):
-    """Run in this process; return status, stdout and stderr."""
-    try:
-        status = cli.main(arguments)
-    except SystemExit as leaving:  # --help and --version
-        status = leaving.code
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
 
 
 def refused(capsys, here, *arguments):

@@ -5,11 +5,11 @@ import warnings
 
 import numpy as np
 import pytest
+from cli_bench import run
 from numpy.testing import assert_allclose
 from orientation_bench import Sensor, readings_of
 
 import multipos as mp
-from multipos import cli
 from multipos.positions.scheme import read_scheme
 
 UP = read_scheme("fibonacci-24").up
@@ -33,12 +33,6 @@ def ups(up=UP):
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def run(capsys, *arguments):
-    status = cli.main(arguments)
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
 
 
 def fitted(capsys, *options):

@@ -5,28 +5,18 @@ import os
 import signal
 import subprocess
 import sys
-import sysconfig
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_bench import MULTIPOS, SIX, run, snapshot
 
 import multipos as mp
 from multipos import cli
 from multipos.errors import MultiposError
 from multipos.files.tables import format_csv, write_text, written
 
-MULTIPOS = str(Path(sysconfig.get_path("scripts")) / "multipos")
-SIX = """\
-position,direction,ax,ay,az
-1,E-U-S,0.0071,1.0029,-0.0016
-2,E-N-U,-0.0094,-0.0058,1.0008
-3,D-E-S,-0.9965,0.0064,0.0015
-4,W-D-S,-0.0076,-1.0030,0.0032
-5,U-W-S,0.9965,0.0073,0.0027
-6,S-W-D,0.0067,-0.0060,-1.0008
-"""
 SECTIONS = '{"a": {"start": 0, "end": 90}, "b": {"start": 100, "end": 190}}'
 
 
@@ -54,15 +44,6 @@ def here(tmp_path, monkeypatch):
         )
     )
     return tmp_path
-
-
-def snapshot(folder):
-    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
-
-
-def run(capsys, *arguments):
-    status = cli.main(arguments)
-    return status, *capsys.readouterr()
 
 
 # A command line of each command, and the inputs that -o must not name.

@@ -4,31 +4,19 @@ import io
 import os
 import subprocess
 import sys
-import sysconfig
 import tempfile
 import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_bench import MULTIPOS, SIX, run
 from numpy.testing import assert_array_equal
 
 import multipos as mp
-from multipos import cli
 from multipos.errors import MultiposError
 from multipos.files.pipes import Pipe, rereadable
 from multipos.files.tables import format_csv, read_table, write_text
-
-MULTIPOS = str(Path(sysconfig.get_path("scripts")) / "multipos")
-SIX = """\
-position,direction,ax,ay,az
-1,E-U-S,0.0071,1.0029,-0.0016
-2,E-N-U,-0.0094,-0.0058,1.0008
-3,D-E-S,-0.9965,0.0064,0.0015
-4,W-D-S,-0.0076,-1.0030,0.0032
-5,U-W-S,0.9965,0.0073,0.0027
-6,S-W-D,0.0067,-0.0060,-1.0008
-"""
 
 
 @pytest.fixture
@@ -61,11 +49,6 @@ def feed(path, content):
     thread = threading.Thread(target=Path(path).write_bytes, args=[content], daemon=True)
     thread.start()
     return thread
-
-
-def run(capsys, *arguments):
-    status = cli.main(arguments)
-    return status, *capsys.readouterr()
 
 
 # Every input of every command; # stands before the one that comes through the pipe.

@@ -23,6 +23,7 @@ from multipos.files.records import (
     Whole,
     require,
     require_covariance,
+    restore,
 )
 from multipos.sensor.instructions import require_instructions
 
@@ -132,6 +133,22 @@ def test_instructions_that_cannot_be_read(line, new, message):
 def test_a_program_without_end_is_refused():
     with pytest.raises(ValueError, match="10001 instructions, 10000 are the most"):
         require_instructions([GOOD[0]] * 10_001, (3, 0))
+
+
+def test_what_contradicts_itself_is_named_with_the_way_out():
+    def whole(content):
+        if content["a"] + content["b"] != 1:
+            raise ValueError("'a' and 'b' are no whole.")
+        return content["a"]
+
+    kind = Fields({"a": Number(), "b": Number()})
+    said = {"what": "share", "again": "share again"}
+    assert restore({"a": 0.25, "b": 0.75}, kind, whole, "f.json", **said) == 0.25
+    with pytest.raises(MultiposError) as error:
+        restore({"a": 1, "b": 1}, kind, whole, "f.json", **said)
+    assert str(error.value) == "f.json: not a share: 'a' and 'b' are no whole; share again."
+    with pytest.raises(MultiposError, match=r"f\.json: b is null; .* damaged, share again\."):
+        restore({"a": 1, "b": None}, kind, whole, "f.json", **said)
 
 
 # --- the three kinds of files

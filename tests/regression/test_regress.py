@@ -6,11 +6,11 @@ import hald
 import nist
 import numpy as np
 import pytest
+from cli_bench import run
 from nist import digits
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import format_csv, read_table, to_json
 from multipos.numerics.least_squares import solve
@@ -24,13 +24,6 @@ from multipos.regression.observations import Data
 def write(path, columns):
     path.write_text(format_csv(columns), encoding="utf-8")
     return str(path)
-
-
-def run(capsys, *argv):
-    """Run a command; return its exit status, stdout and stderr."""
-    status = main([str(a) for a in argv])
-    out, err = capsys.readouterr()
-    return status, out, err
 
 
 @pytest.fixture

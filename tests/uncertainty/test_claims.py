@@ -18,7 +18,8 @@ from multipos.positions.scheme import read_scheme
 from multipos.sensor.found import Component, VarianceComponents
 from multipos.uncertainty import monte_carlo
 from multipos.uncertainty.budgets import Quantity
-from multipos.uncertainty.monte_carlo import _Draws, numerical_tolerance, simulate_budget
+from multipos.uncertainty.draws import Draws
+from multipos.uncertainty.monte_carlo import numerical_tolerance, simulate_budget
 from multipos.uncertainty.profiles import profile_interval, search_interval
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.sensitivities import estimator_gain
@@ -173,7 +174,7 @@ def test_trials_of_the_monte_carlo_by_hand(swing, trials, monkeypatch):
 )
 def test_laws_of_the_monte_carlo_have_their_half_width(law, ratio):
     quantity = Quantity("gain", 0.5, "", law, math.inf, {})
-    draws = _Draws._law(SimpleNamespace(rng=np.random.default_rng(1)), quantity, (40_000,))
+    draws = Draws._law(SimpleNamespace(rng=np.random.default_rng(1)), quantity, (40_000,))
     # of 40000, the largest of a triangle is some 1/√20000 short of it
     assert np.abs(draws).max() == pytest.approx(0.5 * ratio, rel=0.02)
     # a variance of 40000 to 4 √(2/40000)
@@ -184,7 +185,7 @@ def test_spread_of_positions_is_drawn_with_its_degrees_of_freedom():
     """An sd known to a quarter: of ln s² the u is 1/2, whose square is 2/ν, so ν = 8."""
     c = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd="auto")
     told = VarianceComponents(orientation_sd_deg=Component(0.4, 0.1))
-    draws = _Draws(replace(c, variance_components=told), np.random.default_rng(1))
+    draws = Draws(replace(c, variance_components=told), np.random.default_rng(1))
     assert draws.spread_dof == pytest.approx(8.0, rel=1e-12)
 
 

@@ -11,7 +11,7 @@ from multipos.positions.harmonics import find_rolls
 from multipos.positions.placement import orient
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
-from multipos.reports.sections import installation_sheets, table_error_sheets
+from multipos.reports.sheets import installation_sheets, table_error_sheets
 from multipos.uncertainty.turntable import QUANTITIES
 
 T = np.radians(np.arange(0.0, 360.0, 15.0))

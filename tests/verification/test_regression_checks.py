@@ -6,14 +6,14 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from cli_bench import run
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import format_csv
 from multipos.numerics.quantiles import coverage_factor
-from multipos.reports.sections import check_text
+from multipos.reports.sheets import check_text
 
 
 def chamber(seed, n=80, noise=1e-3):
@@ -32,12 +32,6 @@ def fitted(seed=1, **options):
 def write(path, columns):
     path.write_text(format_csv(columns), encoding="utf-8")
     return str(path)
-
-
-def run(capsys, *argv):
-    status = main([str(a) for a in argv])
-    out, err = capsys.readouterr()
-    return status, out, err
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import multipos as mp
 from multipos import cli
 from multipos.positions.harmonics import Harmonic, find_rolls, residual_series, strange_harmonics
 from multipos.positions.scheme import read_scheme
-from multipos.reports.sections import tumble_text
+from multipos.reports.sheets import tumble_text
 from multipos.sensor.model import build_model
 from multipos.verification.single_axis import _weak
 

@@ -4,7 +4,7 @@ A sheet is a title, a header and rows. Commands print it, and `multipos.reports.
 into a report of any form and language.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -143,10 +143,13 @@ def check_sheets(found: Check) -> list[Sheet]:
     """Return the summary and the errors of every position; of a regression by segment."""
     if found.segments:
         return [_by_segment(found)]
-    unit = found.unit
+    return [_by_axis(found), _by_position(found)]
+
+
+def _by_axis(found: Check) -> Sheet:
     header = [
         "axis",
-        f"max before [{unit}]",
+        f"max before [{found.unit}]",
         "max after",
         "rms before",
         "rms after",
@@ -158,18 +161,21 @@ def check_sheets(found: Check) -> list[Sheet]:
     rows = []
     for axis in (*found.axes, None) if len(found.axes) > 1 else found.axes:
         s = found.summary(axis)
-        values = [
-            number(s[when][key])
-            for key in ("maximum", "rms", "linearity_percent")
-            for when in ("before", "after")
-        ]
+        values = _before_and_after(s, "maximum", "rms", "linearity_percent")
         rows.append(
             [axis or "all", *values, number(s["after"]["largest_U"], 2), s["verdict"] or "-"]
         )
-    parts = [Sheet("Errors before and after compensation", header, rows)]
+    return Sheet("Errors before and after compensation", header, rows)
+
+
+def _before_and_after(summary: dict[str, Any], *keys: str) -> list[str]:
+    return [number(summary[when][key]) for key in keys for when in ("before", "after")]
+
+
+def _by_position(found: Check) -> Sheet:
     header = ["position"]
     for axis in found.axes:
-        header += [f"{axis} [{unit}]", "before", "after", "U"]
+        header += [f"{axis} [{found.unit}]", "before", "after", "U"]
     rows = []
     shown = largest_rows(np.abs(found.after).max(axis=1).tolist())
     for row in shown:
@@ -182,8 +188,7 @@ def check_sheets(found: Check) -> list[Sheet]:
     title = "Every position"
     if len(shown) < len(found.positions):
         title += f" (the {len(shown)} farthest off of {len(found.positions)}; JSON has all)"
-    parts.append(Sheet(title, [*header, "verdict"], rows))
-    return parts
+    return Sheet(title, [*header, "verdict"], rows)
 
 
 def _by_segment(found: Check) -> Sheet:
@@ -203,9 +208,7 @@ def _by_segment(found: Check) -> Sheet:
     for name in (*(n for n, inside in found.segments.items() if inside.any()), None):
         s = found.summary(segment=name)
         counted = found.counted[:, 0] if name is None else found.counted[found.segments[name], 0]
-        values = [
-            number(s[when][key]) for key in ("maximum", "rms") for when in ("before", "after")
-        ]
+        values = _before_and_after(s, "maximum", "rms")
         U = s["after"]["largest_U"]
         rows.append(
             [

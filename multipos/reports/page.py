@@ -1,0 +1,62 @@
+"""What a report is made of: sections of paragraphs, figures and tables.
+
+Numbers are text here, with the digits that their uncertainty leaves. Figures are functions and
+drawn only where they are wanted.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.files.numbers import largest_rows
+from multipos.plots.style import new_figure, to_svg
+from multipos.reports.translations import Translator
+
+_SHOWN = " (the {shown} largest of {count}; the calibration file has all)"
+
+
+@dataclass(frozen=True)
+class PageTable:
+    """A table: its caption, header and rows of text; the first `left` columns hold words."""
+
+    caption: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left: int = 1
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure: caption, what it shows in words, and the function that draws it as SVG."""
+
+    caption: str
+    description: str
+    draw: Callable[[], str]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the report, in the order paragraphs, figures, tables."""
+
+    title: str
+    paragraphs: tuple[str, ...] = ()
+    figures: tuple[Figure, ...] = ()
+    tables: tuple[PageTable, ...] = ()
+
+
+def draw_svg(tr: Translator, rows: int, height: float, draw: Callable[[Any], None]) -> str:
+    """Return a figure of so many axes as SVG with its words translated."""
+    figure, axes = new_figure(rows, height=height)
+    draw(axes)
+    return tr.svg(to_svg(figure))
+
+
+def largest_positions(tr: Translator, sizes: NDArray[np.float64]) -> tuple[list[int], str]:
+    """Return the positions that a table shows, and what its title says where it leaves some out."""
+    shown = largest_rows(sizes.tolist())
+    if len(shown) == len(sizes):
+        return shown, ""
+    return shown, tr(_SHOWN, shown=str(len(shown)), count=str(len(sizes)))
