@@ -17,15 +17,27 @@ from numpy.typing import NDArray
 
 from multipos.estimation.descent import resume
 from multipos.estimation.known import judge_claim
-from multipos.estimation.placed_scatter import integrate_placed
+from multipos.estimation.placed_scatter import (
+    as_scatter,
+    contrasts,
+    integrate_both,
+    integrate_placed,
+)
 from multipos.estimation.problem import Optimum, Problem
 from multipos.estimation.scatter import standard_uncertainty
 from multipos.estimation.variances import Components, components, linearised, maximise_restricted
 from multipos.numerics.arrays import Array
-from multipos.sensor.found import Component, RestToRest, VarianceComponents
+from multipos.sensor.found import Component, Placed, RestToRest, VarianceComponents
 
 _ROUNDS = 30  # of noise and solution in turn
 _SETTLED = 1e-5  # change of ln variance at which they agree
+_DETERMINED = 2.0  # factor to either side within which a placement is called determined
+_TELLING = 6  # contrasts that tell scatter from placement: with fewer, U does not cover
+_INSEPARABLE = (
+    "these positions cannot tell placement from scatter: all that readings differ by is taken as "
+    "scatter from position to position, and --orientation-sd auto found no orientation error; "
+    "state it, or add positions (18 or more serve)"
+)
 _NOTHING_LEFT = "as many unknowns as equations: nothing is left to estimate the "
 
 
@@ -66,6 +78,8 @@ def judge_noise(
             else "uncertainty from; give --reading-sd or more positions"
         )
         return problem, optimum, Worth(np.nan, 0.0, warnings=(_NOTHING_LEFT + words,))
+    if estimate_sd and stated:
+        return _both_beside_stated(problem, optimum, nu)
     if estimate_sd or (problem.has_prior and not stated):
         return _estimate(problem, optimum, stated, estimate_sd)
     if not stated:
@@ -89,6 +103,49 @@ def _beside_stated(first: Problem, optimum: Optimum, nu: float) -> tuple[Problem
         warnings=judge_claim(chi2, nu, np.array([tau2]), unit),
         components=VarianceComponents(dict.fromkeys(outputs, RestToRest(tau, u_tau, dof))),
         u=standard_uncertainty(posterior.expanded(np.zeros(p)), np.full(p, dof)),
+    )
+    return problem, optimum, worth
+
+
+def _both_beside_stated(
+    first: Problem, optimum: Optimum, nu: float
+) -> tuple[Problem, Optimum, Worth]:
+    """Find scatter from rest to rest and placement together, where readings tell them apart."""
+    if contrasts(first, optimum) < _TELLING:
+        problem, optimum, worth = _beside_stated(*as_scatter(first, optimum), nu)
+        return (
+            problem,
+            optimum,
+            replace(
+                worth,
+                orientation_sd=problem.orientation_sd,
+                warnings=(*worth.warnings, _INSEPARABLE),
+            ),
+        )
+    problem, optimum, both = integrate_both(first, optimum, nu)
+    tau2, u_tau, _ = both.posterior.summary
+    tau, dof = float(np.sqrt(tau2)), both.posterior.shape
+    p, outputs = len(problem.model.keys), problem.model.outputs
+    tied = problem.orientation_sd[np.isfinite(problem.orientation_sd)]
+    sd = float(np.degrees(tied.max()))
+    low, high = (sd * float(np.sqrt(end / both.factor)) for end in both.span)
+    determined = high <= _DETERMINED**2 * low
+    words = (
+        f"orientation error {sd:.2g} degrees (68 %: {low:.2g} to {high:.2g})"
+        if determined
+        else f"orientation error not determined (68 %: {low:.2g} to {high:.2g} degrees)"
+    )
+    scatter = f"scatter from position to position {tau:.3g} {problem.model.unit}"
+    worth = Worth(
+        1.0,
+        dof,
+        orientation_sd=problem.orientation_sd,
+        warnings=(f"estimated together: {scatter} beside the stated noise, {words}",),
+        components=VarianceComponents(
+            rest_to_rest=dict.fromkeys(outputs, RestToRest(tau, u_tau, dof)),
+            orientation_sd_deg=Placed(sd, (high - low) / 2.0, determined),
+        ),
+        u=standard_uncertainty(both.posterior.expanded(np.zeros(p)), np.full(p, dof)),
     )
     return problem, optimum, worth
 
@@ -146,6 +203,7 @@ def _in_words(
     if free[1]:
         tied = problem.orientation_sd[np.isfinite(problem.orientation_sd)]
         value = float(np.degrees(tied.max()))
-        orientation = Component(value, value * float(relative[-1]))
+        u = float(relative[-1])
+        orientation = Placed(value, value * u, u <= _DETERMINED - 1.0)
         words.append(f"orientation error {value:.3g} degrees (to {100.0 * relative[-1]:.0f} %)")
     return words, VarianceComponents(reading_sd=reading, orientation_sd_deg=orientation)

@@ -10,21 +10,25 @@ parameters is that of `multipos.estimation.scatter`, with Jeffreys' prior of (1)
 dτ² (Σ tr V_k⁻²)^½.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from multipos.estimation.descent import resume
+from multipos.estimation.descent import maximise, resume
 from multipos.estimation.likelihood import eliminate
-from multipos.estimation.problem import Optimum, Problem
-from multipos.estimation.scatter import Found, Posterior, integrate
+from multipos.estimation.problem import Optimum, Problem, start_state
+from multipos.estimation.scatter import NEGLIGIBLE, Found, Posterior, belief, integrate
 from multipos.estimation.variances import Linearised, linearised
 from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import step_on_sphere
 
 _ROUNDS = 8  # of scatter and solution in turn
 _SETTLED = 1e-4  # relative change of the noise far below what is known of it
+_SETTLED_BOTH = 0.02  # change of a logarithm, where both are known to a tenth of one at best
 _ROWS = 50_000  # positions worked on at once
+_COARSE, _FINE = 16, 24  # nodes a side
+_TOUCHED = 1e-6  # of the largest slope, below which a turn moves nothing
 
 
 def integrate_placed(
@@ -48,7 +52,8 @@ def integrate_placed(
         squares = optimum.point.objective * size, float(np.sum(residuals**2))
         if before > 0.0:  # the objective is under the noise that was found
             squares = squares[0] * (size + before) / size, squares[1]
-        posterior = integrate(partial(_evaluate, linear, floor, size), nu, size, squares)
+        alone = partial(_evaluate, linear, floor, size, np.ones(1))
+        posterior = integrate(alone, nu, size, squares)
         tau2 = posterior.summary[0]
         problem = replace(first, precision=_precision(first, floor, tau2))
         optimum = resume(problem, optimum)
@@ -56,6 +61,126 @@ def integrate_placed(
             break
         before = tau2
     return problem, optimum, posterior
+
+
+@dataclass(frozen=True)
+class Both:
+    """The posterior of scatter and placement together.
+
+    Attributes
+    ----------
+    posterior : Posterior
+        Of τ² and the parameters, over nodes of both.
+    factors : (G,) array
+        What s² is multiplied by at each node.
+    """
+
+    posterior: Posterior
+    factors: Array
+
+    @property
+    def factor(self) -> float:
+        """The posterior median of the factor on s²."""
+        return self._quantile(0.5)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The central 68 % of the factor on s²."""
+        return self._quantile(0.16), self._quantile(0.84)
+
+    def _quantile(self, share: float) -> float:
+        order = np.argsort(self.factors)
+        total = np.cumsum(self.posterior.weights[order])
+        place = min(int(np.searchsorted(total, share)), len(order) - 1)
+        return float(self.factors[order][place])
+
+
+def integrate_both(first: Problem, optimum: Optimum, nu: float) -> tuple[Problem, Optimum, Both]:
+    """Return problem and optimum with the scatter and the placement that were found.
+
+    Parameters
+    ----------
+    first, optimum
+        With the stated noise, and orientation sds that are right but for a common factor.
+    nu : float
+        Degrees of freedom, above 0.
+    """
+    floor = _covariances(first)
+    size = float(np.exp(np.mean(np.log(np.diagonal(floor, axis1=1, axis2=2)))))
+    problem, before = first, np.zeros(2)
+    for _ in range(_ROUNDS):
+        linear = linearised(first, optimum)
+        both = _over_both(linear, floor, size, nu)
+        tau2, factor = both.posterior.summary[0], both.factor
+        problem = replace(
+            first,
+            precision=_precision(first, floor, tau2),
+            orientation_sd=first.orientation_sd * np.sqrt(factor),
+        )
+        optimum = resume(problem, optimum)
+        now = np.log([size + tau2, factor])
+        if np.abs(now - before).max() <= _SETTLED_BOTH:
+            break
+        before = now
+    return problem, optimum, both
+
+
+def contrasts(problem: Problem, optimum: Optimum) -> int:
+    """Return how many contrasts of the readings no placement touches: they alone tell the scatter.
+
+    Only what lies along the normals of the sphere, less what the parameters take of it.
+    """
+    linear = linearised(problem, optimum)
+    n, m, _ = linear.design.shape
+    axes, sizes, _ = np.linalg.svd(linear.jacobian, full_matrices=True)
+    seen = np.zeros((n, m), bool)  # outputs' combinations that a turn does not move
+    seen[:, : sizes.shape[1]] = sizes <= _TOUCHED * sizes.max()
+    seen[:, sizes.shape[1] :] = True
+    seen[linear.orientation_sd == 0.0] = True
+    across = axes.transpose(0, 2, 1) @ linear.design
+    left = across[seen]
+    return int(len(left) - np.linalg.matrix_rank(left / np.linalg.norm(linear.design, axis=(0, 1))))
+
+
+def as_scatter(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
+    """Return the problem of positions that are where they are listed, and its optimum."""
+    tied = np.isfinite(problem.orientation_sd)
+    exact = replace(problem, orientation_sd=np.where(tied, 0.0, problem.orientation_sd))
+    direction = step_on_sphere(optimum.state.centre, optimum.state.basis, optimum.state.step)
+    state = start_state(exact, optimum.state.theta, direction, optimum.state.turns)
+    return exact, maximise(exact, state)
+
+
+def _over_both(linear: Linearised, floor: Array, size: float, nu: float) -> Both:
+    """Return the posterior over a grid of ln(τ² + size) and the logarithm of the factor on s²."""
+    whole = float(np.sum(linear.error**2)) + size
+    sd = linear.orientation_sd
+    tied = np.isfinite(sd) & (sd > 0.0)
+    slope = float(np.sum(linear.jacobian[tied] ** 2 * sd[tied, None, None] ** 2))
+    tail = 28.0 / nu + 0.5
+    x_ends = np.log(size), np.log(whole) + tail
+    # below, what placement does is nothing beside the noise that is stated
+    y_ends = np.log(1e-4 * size * linear.error.size / slope), np.log(whole / slope) + tail
+    for count in (*[_COARSE] * 3, _FINE):
+        x, y = np.linspace(*x_ends, count), np.linspace(*y_ends, count)
+        nodes = np.append(0.0, np.maximum(np.exp(x) - size, 0.0))
+        grid, factors = (each.ravel() for each in np.meshgrid(nodes, np.exp(y), indexing="ij"))
+        found = _evaluate(linear, floor, size, factors, grid)
+        log = found.log.reshape(count + 1, count)
+        x_ends = _told(x, log[1:].max(axis=1))
+        y_ends = _told(y, log.max(axis=0))
+    weights = np.exp(log - log.max()) * (x[1] - x[0])
+    weights[[1, -1]] /= 2.0
+    weights[0] *= belief(nu) / (x[1] - x[0])
+    weights[:, [0, -1]] /= 2.0
+    weights = weights.ravel() / weights.sum()
+    return Both(Posterior(grid, weights, found.moves, found.variances, size), factors)
+
+
+def _told(x: Array, log: Array) -> tuple[float, float]:
+    """Return the range of nodes where something is probable, and one more to either side."""
+    places = np.flatnonzero(log > log.max() - NEGLIGIBLE / 2.0)
+    return float(x[max(places[0] - 1, 0)]), float(x[min(places[-1] + 1, len(x) - 1)])
 
 
 def _covariances(problem: Problem) -> Array:
@@ -72,17 +197,23 @@ def _precision(problem: Problem, floor: Array, tau2: float) -> Array:
     return np.asarray(np.linalg.inv(floor + tau2 * np.eye(m)))
 
 
-def _evaluate(linear: Linearised, floor: Array, size: float, nodes: Array) -> Found:
-    """Return the posterior density of ln(τ² + size), moves and variances at nodes (G,)."""
+def _evaluate(linear: Linearised, floor: Array, size: float, factors: Array, nodes: Array) -> Found:
+    """Return the posterior density of ln(τ² + size), moves and variances at nodes (G,).
+
+    With more than one of `factors` (G,), by which s² is multiplied, it is that of ln s² as well.
+    """
+    factors = np.broadcast_to(factors, nodes.shape) if len(factors) == 1 else factors
     step = max(1, _ROWS // len(floor))
     parts = [
-        _evaluate_few(linear, floor, nodes[first : first + step], size)
-        for first in range(0, len(nodes), step)
+        _evaluate_few(linear, floor, size, factors[rows], nodes[rows])
+        for rows in (slice(first, first + step) for first in range(0, len(nodes), step))
     ]
     return Found(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
-def _evaluate_few(linear: Linearised, floor: Array, nodes: Array, size: float) -> Found:
+def _evaluate_few(
+    linear: Linearised, floor: Array, size: float, factors: Array, nodes: Array
+) -> Found:
     n, m = linear.error.shape
     G = len(nodes)
     covariance = floor + nodes[:, None, None, None] * np.eye(m)
@@ -90,13 +221,13 @@ def _evaluate_few(linear: Linearised, floor: Array, nodes: Array, size: float) -
     J = np.tile(linear.jacobian, (G, 1, 1))
     sd = np.tile(linear.orientation_sd, G)
     tied = np.isfinite(sd) & (sd > 0.0)
-    prior = np.where(tied, 1.0 / np.where(tied, sd, 1.0) ** 2, 0.0)
-    own = eliminate(P, J, P @ J, prior, sd == 0.0)
+    variance = np.where(tied, np.where(tied, sd, 1.0) ** 2 * np.repeat(factors, n), 1.0)
+    own = eliminate(P, J, P @ J, np.where(tied, 1.0 / variance, 0.0), sd == 0.0)
     W = own.marginal.reshape(G, n, m, m)
-    H = own.determinant.reshape(G, n)
-    # ln det V = ln det (Σ + τ²) + ln det H + 2 ln s², less what does not depend on τ²
+    H = own.determinant
+    # ln det V = ln det (Σ + τ²) + ln det H + 2 ln s², less what does not depend on either
     log_det = np.linalg.slogdet(covariance)[1].sum(axis=1)
-    log_det += np.log(np.where(H > 0.0, H, 1.0)).sum(axis=1)
+    log_det += (np.log(np.where(H > 0.0, H, 1.0)) + 2.0 * np.log(variance)).reshape(G, n).sum(1)
     A = linear.design.reshape(n * m, -1)
     X = (W @ linear.design).reshape(G, n * m, -1)  # V⁻¹A
     plain = np.einsum("gnij,nj->gni", W, linear.error).reshape(G, -1)
@@ -110,6 +241,22 @@ def _evaluate_few(linear: Linearised, floor: Array, nodes: Array, size: float) -
         + plain @ linear.error.ravel()
         - np.einsum("gp,gp->g", right, moves)
     )
-    log += 0.5 * np.log(np.einsum("gnij,gnji->g", W, W)) + np.log(nodes + size)
-    variances = np.einsum("gpp->gp", C)[:, : linear.p]
-    return Found(log, moves[:, : linear.p], variances)
+    log += _log_prior(linear, W, factors) + np.log(nodes + size)
+    return Found(log, moves[:, : linear.p], np.einsum("gpp->gp", C)[:, : linear.p])
+
+
+def _log_prior(linear: Linearised, W: Array, factors: Array) -> Array:
+    """Return ln of Jeffreys' prior of τ², or of τ² and ln s² together, at nodes (G,)."""
+    by_scatter = np.einsum("gnij,gnji->g", W, W)
+    if np.ptp(factors) == 0.0:
+        return np.asarray(0.5 * np.log(by_scatter))
+    sd = linear.orientation_sd
+    tied = np.where(np.isfinite(sd), sd, 0.0)
+    S = linear.jacobian * tied[:, None, None]  # s J
+    WS = W @ S
+    inner = S.transpose(0, 2, 1) @ WS
+    by_both = np.einsum("gnia,gnia->g", WS, WS)
+    by_placement = np.einsum("gnab,gnba->g", inner, inner)
+    determinant = np.maximum(by_scatter * by_placement - by_both**2, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(0.5 * np.log(determinant) + np.log(factors))

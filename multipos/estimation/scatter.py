@@ -47,9 +47,10 @@ _BELIEF = 1.4  # what "the claim is right" weighs, in units of ln V, from six de
 _FEW = 6.0  # degrees of freedom below which the claim must weigh more, or U is too long
 _RISE = 2.0  # power of 1/ν by which it does
 _COVERAGE = 0.95  # at which U and Student's t are made to agree
+_INNER = 0.68  # beside it, what tells how heavy the tails are
 _NODES = 48
 _NARROWED = 2  # times that the range is cut to where something is probable
-_NEGLIGIBLE = 30.0  # of -2 ln: one part in three million of the posterior
+NEGLIGIBLE = 30.0  # of -2 ln: one part in three million of the posterior
 _ROWS = 20_000  # readings worked on at once
 _MOST_DOF = 1e9
 _RIDGE = 1e-13  # of rounding, so that floors of any size leave a matrix that can be inverted
@@ -123,7 +124,22 @@ class Posterior:
 
     def expanded(self, moves: Array) -> Array:
         """Return U (p,) about estimates that moved by `moves` (p,), at 95 %."""
-        return _half_interval(self.moves - moves, np.sqrt(self.variances), self.weights)
+        return self._half(moves, _COVERAGE)
+
+    def _half(self, moves: Array, share: float) -> Array:
+        return _half_interval(self.moves - moves, np.sqrt(self.variances), self.weights, share)
+
+    @property
+    def shape(self) -> float:
+        """Degrees of freedom of the Student's t whose tails are those of the parameters."""
+        moves = np.zeros(self.moves.shape[1])
+        ratio = float(np.median(self.expanded(moves) / self._half(moves, _INNER)))
+        low, high = 1.0, _MOST_DOF
+        while high / low > 1.0 + 1e-6:
+            middle = float(np.sqrt(low * high))
+            tail = coverage_factor(_COVERAGE, middle) / coverage_factor(_INNER, middle)
+            low, high = (middle, high) if tail > ratio else (low, middle)
+        return low
 
 
 @dataclass(frozen=True)
@@ -250,6 +266,11 @@ def integrate_parts(parts: Sequence[Part]) -> Posterior:
     return integrate(lambda nodes: _evaluate(parts, nodes, size), dof, size, (weighted, plain))
 
 
+def belief(dof: float) -> float:
+    """Return what "the claim is right" weighs at so many degrees of freedom, in units of ln V."""
+    return float(_BELIEF * max(_FEW / dof, 1.0) ** _RISE)
+
+
 def integrate(
     evaluate: Callable[[Array], Found], dof: float, size: float, squares: tuple[float, float]
 ) -> Posterior:
@@ -275,7 +296,7 @@ def integrate(
     for _ in range(_NARROWED):
         x = np.linspace(*ends, _NODES // 2)
         log = evaluate(np.maximum(np.exp(x) - size, 0.0)).log
-        told = np.flatnonzero(log > log.max() - _NEGLIGIBLE / 2.0)
+        told = np.flatnonzero(log > log.max() - NEGLIGIBLE / 2.0)
         ends = float(x[max(told[0] - 1, 0)]), float(x[min(told[-1] + 1, len(x) - 1)])
     x = np.linspace(*ends, _NODES)
     nodes = np.append(0.0, np.maximum(np.exp(x) - size, 0.0))
@@ -283,8 +304,7 @@ def integrate(
     log = found.log[1:]
     weights = np.exp(log - log.max()) * (x[1] - x[0])
     weights[[0, -1]] /= 2.0
-    belief = _BELIEF * max(_FEW / dof, 1.0) ** _RISE
-    weights = np.append(belief * np.exp(found.log[0] - log.max()), weights)
+    weights = np.append(belief(dof) * np.exp(found.log[0] - log.max()), weights)
     return Posterior(nodes, weights / weights.sum(), found.moves, found.variances, size)
 
 
@@ -349,8 +369,8 @@ def _sums(part: Part, nodes: Array) -> _Sums:
     )
 
 
-def _half_interval(means: Array, sds: Array, weights: Array) -> Array:
-    """Return half the intervals (p,) about zero that hold 95 % of mixtures of normals (G, p)."""
+def _half_interval(means: Array, sds: Array, weights: Array, share: float) -> Array:
+    """Return half the intervals (p,) about zero that hold a share of mixtures of normals (G, p)."""
     from scipy.special import ndtr
 
     low = np.zeros(means.shape[1])
@@ -358,12 +378,12 @@ def _half_interval(means: Array, sds: Array, weights: Array) -> Array:
     guess = 2.0 * np.sqrt(weights @ (sds**2 + means**2))
     for _ in range(60):
         inside = weights @ (ndtr((guess - means) / sds) - ndtr((-guess - means) / sds))
-        low = np.where(inside < _COVERAGE, guess, low)
-        high = np.where(inside < _COVERAGE, high, guess)
+        low = np.where(inside < share, guess, low)
+        high = np.where(inside < share, high, guess)
         density = weights @ (
             (_normal((guess - means) / sds) + _normal((guess + means) / sds)) / sds
         )
-        following = guess + (_COVERAGE - inside) / np.maximum(density, 1e-300)
+        following = guess + (share - inside) / np.maximum(density, 1e-300)
         bad = ~((following > low) & (following < high))
         following = np.where(bad, 0.5 * (low + high), following)
         if np.all(np.abs(following - guess) <= 1e-10 * guess):

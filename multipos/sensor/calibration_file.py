@@ -51,6 +51,7 @@ from multipos.sensor.found import (
     Component,
     Estimator,
     FoundOrientations,
+    Placed,
     RestToRest,
     StatedBudget,
     VarianceComponents,
@@ -75,8 +76,9 @@ _SETTING = AnyOf((ANY_TEXT, Flag(), Listed(Whole()), ANY_NUMBER))  # of a table 
 
 # One number a position, or one an output as well where the outputs were fitted apart.
 _BY_POSITION = AnyOf((Numbers(2, gaps=True), Numbers(1, gaps=True)))
-_COMPONENTS = ("reading_sd", "orientation_sd_deg")
 _COMPONENT = Fields({"value": POSITIVE, "u": POSITIVE})
+_KEYS = ("value", "u", "determined")
+_PLACED = Fields({"value": POSITIVE, "u": POSITIVE}, {"determined": Flag()})
 _REST_TO_REST = Named(Fields({"value": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": _DOF}))
 _TESTED = Fields({"term": ANY_TEXT, "F": FIGURE, "p": P_VALUE})
 
@@ -152,7 +154,12 @@ CALIBRATION = Fields(
         "level_sd_deg": NOT_NEGATIVE,
         "level_tilt_deg": Numbers(1),
         "variance_components": Fields(
-            {}, {"rest_to_rest": _REST_TO_REST, **dict.fromkeys(_COMPONENTS, _COMPONENT)}
+            {},
+            {
+                "rest_to_rest": _REST_TO_REST,
+                "reading_sd": _COMPONENT,
+                "orientation_sd_deg": _PLACED,
+            },
         ),
         "selection": Named(
             Fields(
@@ -416,8 +423,9 @@ def _found(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _components(said: Mapping[str, Any]) -> VarianceComponents:
-    parts = _known_keys(said, _COMPONENTS)
-    scatter = said.get("rest_to_rest")
+    scatter, reading, placed = (
+        said.get(key) for key in ("rest_to_rest", "reading_sd", "orientation_sd_deg")
+    )
     if scatter is not None:
         dof = _dof([part["dof"] for part in scatter.values()]).tolist()
         scatter = {
@@ -425,7 +433,11 @@ def _components(said: Mapping[str, Any]) -> VarianceComponents:
             for (output, part), nu in zip(scatter.items(), dof, strict=True)
         }
     return VarianceComponents(
-        scatter, **{key: Component(part["value"], part["u"]) for key, part in parts.items()}
+        scatter,
+        None if reading is None else Component(reading["value"], reading["u"]),
+        None
+        if placed is None
+        else Placed(**{"determined": True, **_known_keys(placed, _KEYS)}),
     )
 
 

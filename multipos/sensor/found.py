@@ -39,6 +39,22 @@ class Component(Keyed):
 
 
 @dataclass(frozen=True, eq=False)
+class Placed(Keyed):
+    """How far positions were off [degrees], per axis, estimated with the parameters.
+
+    Attributes
+    ----------
+    value, u : float
+    determined : bool
+        Whether it is known to a factor of two.
+    """
+
+    value: float
+    u: float
+    determined: bool
+
+
+@dataclass(frozen=True, eq=False)
 class RestToRest(Keyed):
     """Scatter of one output from rest to rest, beyond what its readings state.
 
@@ -65,12 +81,12 @@ class VarianceComponents(Keyed):
         Where readings state their uncertainty.
     reading_sd : Component or None
         In reading units.
-    orientation_sd_deg : Component or None
+    orientation_sd_deg : Placed or None
     """
 
     rest_to_rest: Mapping[str, RestToRest] | None = None
     reading_sd: Component | None = None
-    orientation_sd_deg: Component | None = None
+    orientation_sd_deg: Placed | None = None
 
 
 def add_scatter(

@@ -15,7 +15,7 @@ from multipos.doubts.criticism import aicc, find_influence, fourier_residuals, j
 from multipos.errors import ConvergenceError, MultiposError, UsageError
 from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.found import Component, VarianceComponents
+from multipos.sensor.found import Placed, VarianceComponents
 from multipos.uncertainty import monte_carlo
 from multipos.uncertainty.budgets import Quantity
 from multipos.uncertainty.draws import Draws
@@ -184,7 +184,7 @@ def test_laws_of_the_monte_carlo_have_their_half_width(law, ratio):
 def test_spread_of_positions_is_drawn_with_its_degrees_of_freedom():
     """An sd known to a quarter: of ln s² the u is 1/2, whose square is 2/ν, so ν = 8."""
     c = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd="auto")
-    told = VarianceComponents(orientation_sd_deg=Component(0.4, 0.1))
+    told = VarianceComponents(orientation_sd_deg=Placed(0.4, 0.1, determined=True))
     draws = Draws(replace(c, variance_components=told), np.random.default_rng(1))
     assert draws.spread_dof == pytest.approx(8.0, rel=1e-12)
 
