@@ -14,7 +14,7 @@ References
 JCGM 100:2008, clauses 4.2 and 6.2.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -146,7 +146,7 @@ def _beside_stated(
         return _Weighed(fits, np.ones(len(model.keys)), np.full(m, np.inf), stated_sd(readings))
     designs = [phi[:, columns] for columns in model.columns]
     found = find_scatter(designs, fits.residuals, noise, pool=pool)
-    weighed = _solve(model, phi, readings, add_variances(noise, np.tile(found.variance, n)))
+    weighed = _weigh_again(model, phi, readings, fits, found.variance)
     moves = weighed.parameters - fits.parameters
     u = found.standard_uncertainty(moves, per_parameter(model, found.dof))
     components = VarianceComponents(
@@ -164,6 +164,20 @@ def _beside_stated(
     )
 
 
+def _weigh_again(
+    model: Model, phi: Array, readings: Readings, fits: _Fits, scatter: Array
+) -> _Fits:
+    """Return the fits with a scatter (M,) added to the stated noise."""
+    noise = readings.noise
+    assert noise is not None
+    n, m = readings.values.shape
+    if noise.ndim == 1 and not np.ptp(noise.reshape(n, m), axis=0).any():
+        # where readings of an output are alike, no weight changes
+        ratio = per_parameter(model, (noise[:m] + scatter) / noise[:m])
+        return replace(fits, cofactor=fits.cofactor * np.sqrt(np.outer(ratio, ratio)))
+    return _solve(model, phi, readings, add_variances(noise, np.tile(scatter, n)))
+
+
 def _solve(model: Model, phi: Array, readings: Readings, noise: Array | None) -> _Fits:
     if noise is not None and noise.ndim == 2:
         return _solve_jointly(model, phi, readings, noise)
@@ -177,16 +191,19 @@ def _solve_each(model: Model, phi: Array, readings: Readings, variances: Array |
     parameters, cofactor = np.empty(p), np.zeros((p, p))
     residuals, leverage, chi2 = np.empty((n, m)), np.empty((n, m)), np.empty(m)
     condition = 1.0
-    shared = variances is None and len(set(model.terms)) == 1
-    groups = [list(range(m))] if shared else [[output] for output in range(m)]
-    for group in groups:
+    stated = None if variances is None else variances.reshape(n, m)
+    alike: dict[tuple[tuple[int, ...], bytes], list[int]] = {}
+    for output, columns in enumerate(model.columns):
+        weights = b"" if stated is None else stated[:, output].tobytes()
+        alike.setdefault((tuple(columns.tolist()), weights), []).append(output)
+    for group in alike.values():
         first = group[0]
         found = _solve_output(
             model,
             phi,
             first,
             readings.values[:, group],
-            None if variances is None else variances.reshape(n, m)[:, first],
+            None if stated is None else stated[:, first],
         )
         for column, output in enumerate(group):
             mine = model.slices[output]

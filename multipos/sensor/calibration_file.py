@@ -435,9 +435,7 @@ def _components(said: Mapping[str, Any]) -> VarianceComponents:
     return VarianceComponents(
         scatter,
         None if reading is None else Component(reading["value"], reading["u"]),
-        None
-        if placed is None
-        else Placed(**{"determined": True, **_known_keys(placed, _KEYS)}),
+        None if placed is None else Placed(**{"determined": True, **_known_keys(placed, _KEYS)}),
     )
 
 

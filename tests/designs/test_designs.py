@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
 import multipos as mp
@@ -358,8 +359,13 @@ def test_predicted_u_is_what_the_fit_states(options):
     table |= dict(zip(OUTPUTS, (up + sd * rng.standard_normal(up.shape)).T, strict=True))
     cal = mp.fit(table, reading_sd=sd, **options)
     (entry,) = mp.schemes("all-26", reading_sd=sd, **options)["schemes"]
-    # the sensor is nominal to some 1e-4
-    assert_allclose(cal.u, list(entry["u"].values()), rtol=1e-3)
+    # beside a claim that is right the residuals leave room for some more, alike for all
+    ratio = cal.u / list(entry["u"].values())
+    assert 0.95 < ratio.mean() < 1.1
+    assert_allclose(ratio / ratio.mean(), 1.0, rtol=3e-3)
+    if not options:  # the sensor is nominal to some 1e-4
+        known = with_known_noise(cal)
+        assert_allclose(known.u, list(entry["u"].values()), rtol=1e-3)
 
 
 # --- exact designs
@@ -555,13 +561,13 @@ def readings(scheme, rng, sd=0.001):
 def test_worth_is_what_a_calibration_with_the_position_states():
     rng = np.random.default_rng(8)
     table = readings("faces-corners-14", rng)
-    cal = mp.fit(table, model="own-quadratic", reading_sd=0.001)
+    cal = with_known_noise(mp.fit(table, model="own-quadratic", reading_sd=0.001))
     found = mp.worth(cal, candidates="all-26", parameter="ay:y^2")
     assert found["u"] == pytest.approx(dict(zip(found["u"], cal.u, strict=True)), rel=1e-9)
     best = found["candidates"][0]
     more = {name: np.append(table[name], best["up"][i]) for i, name in enumerate(list(table)[:3])}
     more |= {name: np.append(table[name], best["up"][i] + 0.01) for i, name in enumerate(OUTPUTS)}
-    then = mp.fit(more, model="own-quadratic", reading_sd=0.001)
+    then = with_known_noise(mp.fit(more, model="own-quadratic", reading_sd=0.001))
     assert then["ay", "y^2"].u == pytest.approx(best["u"]["ay:y^2"], rel=1e-9)
     assert best["fall"] == pytest.approx(1 - best["u"]["ay:y^2"] / cal["ay", "y^2"].u)
 
@@ -577,11 +583,12 @@ def test_worth_of_a_position_whose_orientation_is_not_exact(options):
     last = {name: column[-1:] for name, column in more.items() if name.startswith("up")}
     (entry,) = mp.worth(cal, candidates=last)["candidates"]
     then = mp.fit(more, reading_sd=1e-4, **options)
-    assert_allclose(list(entry["u"].values()), then.u, rtol=2e-3)
+    # the further reading tells of the noise as well, which was not foreseen
+    assert_allclose(list(entry["u"].values()), then.u, rtol=0.03)
 
 
 def test_worth_says_when_to_stop():
-    cal = mp.fit(readings("faces-6", np.random.default_rng(9)), reading_sd=0.001)
+    cal = with_known_noise(mp.fit(readings("faces-6", np.random.default_rng(9)), reading_sd=0.001))
     target = cal["ax", "x"].u / 2
     found = mp.worth(cal, parameter="ax:x", target=target)
     # u² of scale is σ²/Σx²: from 2 to 8 takes six more faces

@@ -325,11 +325,25 @@ def test_both_standard_deviations_are_estimated_and_how_well():
     assert loaded["reading_sd"]["value"] == found["reading_sd"]["value"]
 
 
-def test_stated_noise_leaves_only_the_orientation_to_estimate():
+def test_beside_a_stated_noise_scatter_and_orientation_are_estimated():
     readings = readings_of(SENSOR, UP, rng(), sd=2e-5, off_deg=0.02)
     cal = mp.fit(readings, orientation_sd="auto", reading_sd=2e-5)
-    assert cal.variance_components.reading_sd is None
-    assert list(cal.to_dict()["variance_components"]) == ["orientation_sd_deg"]
+    found = cal.variance_components
+    assert found.reading_sd is None
+    assert found.rest_to_rest["ax"].value < 2e-5
+    placed = found.orientation_sd_deg
+    assert placed.determined
+    assert placed.value == pytest.approx(0.02, rel=0.5)
+    assert list(cal.to_dict()["variance_components"]) == ["rest_to_rest", "orientation_sd_deg"]
+    (said,) = (w for w in cal.diagnostics.warnings if "estimated together" in w)
+    assert f"orientation error {placed.value:.2g} degrees" in said
+    twelve = mp.fit(
+        readings_of(SENSOR, UP[::2], rng(), sd=2e-5, off_deg=0.02),
+        orientation_sd="auto",
+        reading_sd=2e-5,
+    )
+    assert any("cannot tell placement from scatter" in w for w in twelve.diagnostics.warnings)
+    assert twelve.variance_components.orientation_sd_deg is None
 
 
 def test_noise_beside_a_tilt_of_the_table_has_the_right_size():
@@ -801,8 +815,9 @@ def test_uncertain_orientation_names_the_need(readings, message):
 
 
 def test_parameters_that_are_estimable_only_formally_are_named():
-    badly = mp.fit(readings_of(SENSOR, UP, rng()), reading_sd=1e-6, orientation_sd=170.0)
-    assert any("cross_ax_y` is estimable only" in t for t in badly.diagnostics.unidentifiable)
+    eight = readings_of(SENSOR, UP[::3], rng(), sd=1e-5)
+    badly = mp.fit(eight, reading_sd=1e-5, orientation_sd=80.0)
+    assert any("cross_ay_z` is estimable only" in t for t in badly.diagnostics.unidentifiable)
 
 
 def test_plausible_uncertainties_by_hand():
