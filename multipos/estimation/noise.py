@@ -27,11 +27,13 @@ from multipos.estimation.problem import Optimum, Problem
 from multipos.estimation.scatter import standard_uncertainty
 from multipos.estimation.variances import Components, components, linearised, maximise_restricted
 from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import chi2_quantile
 from multipos.sensor.found import Component, Placed, RestToRest, VarianceComponents
 
 _ROUNDS = 30  # of noise and solution in turn
 _SETTLED = 1e-5  # change of ln variance at which they agree
 _DETERMINED = 2.0  # factor to either side within which a placement is called determined
+_STILL = 0.95  # χ² point beyond which a scatter does not explain what readings differ by
 _TELLING = 6  # contrasts that tell scatter from placement: with fewer, U does not cover
 _INSEPARABLE = (
     "these positions cannot tell placement from scatter: all that readings differ by is taken as "
@@ -91,10 +93,16 @@ def judge_noise(
 
 def _beside_stated(first: Problem, optimum: Optimum, nu: float) -> tuple[Problem, Optimum, Worth]:
     """Add to the stated noise what readings scatter from rest to rest (`placed_scatter`)."""
-    chi2 = optimum.point.objective
+    chi2, start = optimum.point.objective, optimum
     problem, optimum, posterior = integrate_placed(first, optimum, nu)
-    tau2, u_tau, dof = posterior.summary
-    tau = float(np.sqrt(tau2))
+    if (
+        optimum.point.objective > chi2_quantile(_STILL, nu)
+        and problem.prior.any()
+        and contrasts(first, start) >= _TELLING
+    ):
+        return _placed_worse(first, start, nu, chi2)
+    tau2, u_tau, _ = posterior.summary
+    tau, dof = float(np.sqrt(tau2)), posterior.shape
     p, outputs = len(problem.model.keys), problem.model.outputs
     unit = problem.model.unit
     worth = Worth(
@@ -103,6 +111,31 @@ def _beside_stated(first: Problem, optimum: Optimum, nu: float) -> tuple[Problem
         warnings=judge_claim(chi2, nu, np.array([tau2]), unit),
         components=VarianceComponents(dict.fromkeys(outputs, RestToRest(tau, u_tau, dof))),
         u=standard_uncertainty(posterior.expanded(np.zeros(p)), np.full(p, dof)),
+    )
+    return problem, optimum, worth
+
+
+def _placed_worse(
+    first: Problem, optimum: Optimum, nu: float, chi2: float
+) -> tuple[Problem, Optimum, Worth]:
+    """Take the stated placement for a floor, where no scatter explains what readings differ by."""
+    problem, optimum, both = integrate_both(first, optimum, nu, stated=True)
+    tau2, u_tau, _ = both.posterior.summary
+    tau, dof = float(np.sqrt(tau2)), both.posterior.shape
+    tied = problem.orientation_sd[np.isfinite(problem.orientation_sd)]
+    p, outputs = len(problem.model.keys), problem.model.outputs
+    said = (
+        *judge_claim(chi2, nu, np.array([tau2]), problem.model.unit),
+        "no scatter alone explains the residuals: positions were off by more than was stated, "
+        f"some {np.degrees(tied.max()):.2g} degrees, see --orientation-sd auto",
+    )
+    worth = Worth(
+        1.0,
+        dof,
+        orientation_sd=problem.orientation_sd,
+        warnings=said,
+        components=VarianceComponents(dict.fromkeys(outputs, RestToRest(tau, u_tau, dof))),
+        u=standard_uncertainty(both.posterior.expanded(np.zeros(p)), np.full(p, dof)),
     )
     return problem, optimum, worth
 

@@ -95,7 +95,9 @@ class Both:
         return float(self.factors[order][place])
 
 
-def integrate_both(first: Problem, optimum: Optimum, nu: float) -> tuple[Problem, Optimum, Both]:
+def integrate_both(
+    first: Problem, optimum: Optimum, nu: float, *, stated: bool = False
+) -> tuple[Problem, Optimum, Both]:
     """Return problem and optimum with the scatter and the placement that were found.
 
     Parameters
@@ -104,13 +106,15 @@ def integrate_both(first: Problem, optimum: Optimum, nu: float) -> tuple[Problem
         With the stated noise, and orientation sds that are right but for a common factor.
     nu : float
         Degrees of freedom, above 0.
+    stated : bool
+        The orientation sds are a floor, as the noise is.
     """
     floor = _covariances(first)
     size = float(np.exp(np.mean(np.log(np.diagonal(floor, axis1=1, axis2=2)))))
     problem, before = first, np.zeros(2)
     for _ in range(_ROUNDS):
         linear = linearised(first, optimum)
-        both = _over_both(linear, floor, size, nu)
+        both = _over_both(linear, floor, size, nu, stated)
         tau2, factor = both.posterior.summary[0], both.factor
         problem = replace(
             first,
@@ -151,7 +155,7 @@ def as_scatter(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
     return exact, maximise(exact, state)
 
 
-def _over_both(linear: Linearised, floor: Array, size: float, nu: float) -> Both:
+def _over_both(linear: Linearised, floor: Array, size: float, nu: float, stated: bool) -> Both:
     """Return the posterior over a grid of ln(τ² + size) and the logarithm of the factor on s²."""
     whole = float(np.sum(linear.error**2)) + size
     sd = linear.orientation_sd
@@ -160,7 +164,8 @@ def _over_both(linear: Linearised, floor: Array, size: float, nu: float) -> Both
     tail = 28.0 / nu + 0.5
     x_ends = np.log(size), np.log(whole) + tail
     # below, what placement does is nothing beside the noise that is stated
-    y_ends = np.log(1e-4 * size * linear.error.size / slope), np.log(whole / slope) + tail
+    least = 0.0 if stated else np.log(1e-4 * size * linear.error.size / slope)
+    y_ends = least, max(np.log(whole / slope), least) + tail
     for count in (*[_COARSE] * 3, _FINE):
         x, y = np.linspace(*x_ends, count), np.linspace(*y_ends, count)
         nodes = np.append(0.0, np.maximum(np.exp(x) - size, 0.0))
@@ -173,6 +178,8 @@ def _over_both(linear: Linearised, floor: Array, size: float, nu: float) -> Both
     weights[[1, -1]] /= 2.0
     weights[0] *= belief(nu) / (x[1] - x[0])
     weights[:, [0, -1]] /= 2.0
+    if stated and y[0] == 0.0:
+        weights[:, 0] += belief(nu) / (y[1] - y[0]) * weights[:, 0] * 2.0
     weights = weights.ravel() / weights.sum()
     return Both(Posterior(grid, weights, found.moves, found.variances, size), factors)
 
