@@ -10,11 +10,8 @@ follows the F distribution on q and nu₁ if nothing is in the terms.
 
 - Uncertain and unknown orientations: chi² is the minimum F of `multipos.estimation.likelihood`,
   each model with orientations of its own, both with the noise that was stated or found. Where
-  variances were estimated by restricted likelihood they are those of the model with the terms,
-  chi²₁/nu₁ is then 1 by construction, and the degrees of freedom of the denominator follow from
-  Satterthwaite's of the q parameters, nu_j, through the mean of F,
-
-      E = sum nu_j/(nu_j − 2),     nu = 2 E/(E − q).                                        (2)
+  noise was integrated over it is that of the model with the terms, chi²₁/nu₁ is then taken as 1,
+  and the degrees of freedom are those of its posterior.
 
 - Known orientations: each output has a scatter of its own, and so an F of its own; the p values
   P_i are independent and combine to −2 sum ln P_i, chi² on 2M degrees of freedom. Outputs whose
@@ -22,8 +19,7 @@ follows the F distribution on q and nu₁ if nothing is in the terms.
 
 References
 ----------
-R. A. Fisher, *Statistical Methods for Research Workers*, 1932, section 21.1; A. H.-T. Fai and
-P. L. Cornelius 1996, J. Stat. Comput. Simul. 54, eq. (2).
+R. A. Fisher, *Statistical Methods for Research Workers*, 1932, section 21.1.
 """
 
 import math
@@ -41,7 +37,6 @@ from multipos.estimation.noise import judge_noise
 from multipos.estimation.problem import Optimum, Problem
 from multipos.estimation.restatement import estimated_variances, restate, return_to_optimum
 from multipos.estimation.starts import reduced_information
-from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.results import Result
@@ -139,9 +134,7 @@ def _by_likelihood(c: Calibration) -> Iterator[JointTest]:
             wide, found, worth = judge_noise(
                 wide, found, nu, stated=not free[0], estimate_sd=bool(free[1])
             )
-            assert worth.parameter_dof is not None
-            tested = [key not in small.keys for key in large.keys]
-            scale, dof = 1.0, _denominator(worth.parameter_dof[tested])
+            scale, dof = 1.0, worth.dof
         chi2 = _fitted(wide, found, small)[1].point.objective
         f = (chi2 - found.point.objective) / q / scale
         yield JointTest(name, inside, f, (float(q), dof), f_tail(f, float(q), dof))
@@ -160,14 +153,6 @@ def _is_told(problem: Problem, optimum: Optimum) -> bool:
     normal = linearise(problem, optimum.state, optimum.point)
     p = len(problem.model.keys)
     return optimum.converged and math.isfinite(condition(reduced_information(normal, p)))
-
-
-def _denominator(dof: Array) -> float:
-    """Return the degrees of freedom of the denominator by eq. (2)."""
-    if dof.min() <= 2.0:
-        return float(dof.min())
-    mean = float(np.sum(dof / (dof - 2.0)))
-    return 2.0 * mean / (mean - len(dof))
 
 
 def _by_output(c: Calibration) -> Iterator[JointTest]:

@@ -17,9 +17,9 @@ import numpy as np
 
 from multipos.estimation.descent import maximise, resume
 from multipos.estimation.likelihood import eliminate
+from multipos.estimation.linearisation import Linearised, linearised
 from multipos.estimation.problem import Optimum, Problem, start_state
 from multipos.estimation.scatter import NEGLIGIBLE, Found, Posterior, belief, integrate
-from multipos.estimation.variances import Linearised, linearised
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import step_on_sphere
 
@@ -28,11 +28,14 @@ _SETTLED = 1e-4  # relative change of the noise far below what is known of it
 _SETTLED_BOTH = 0.02  # change of a logarithm, where both are known to a tenth of one at best
 _ROWS = 50_000  # positions worked on at once
 _COARSE, _FINE = 16, 24  # nodes a side
+_LEAST = 0.03  # of what placement does to a reading: noise of that size changes nothing
+_LEAST_TOLD = 1e-3  # the same where readings tell the noise
+_TELLING = 6  # contrasts from which on they do
 _TOUCHED = 1e-6  # of the largest slope, below which a turn moves nothing
 
 
 def integrate_placed(
-    first: Problem, optimum: Optimum, nu: float
+    first: Problem, optimum: Optimum, nu: float, *, believed: bool = True
 ) -> tuple[Problem, Optimum, Posterior]:
     """Return problem and optimum with the scatter that was found, and its posterior.
 
@@ -42,6 +45,8 @@ def integrate_placed(
         With the stated noise.
     nu : float
         Degrees of freedom, above 0.
+    believed : bool
+        The stated noise may be all there is.
     """
     floor = _covariances(first)
     size = float(np.exp(np.mean(np.log(np.diagonal(floor, axis1=1, axis2=2)))))
@@ -53,7 +58,7 @@ def integrate_placed(
         if before > 0.0:  # the objective is under the noise that was found
             squares = squares[0] * (size + before) / size, squares[1]
         alone = partial(_evaluate, linear, floor, size, np.ones(1))
-        posterior = integrate(alone, nu, size, squares)
+        posterior = integrate(alone, nu, size, squares, believed=believed)
         tau2 = posterior.summary[0]
         problem = replace(first, precision=_precision(first, floor, tau2))
         optimum = resume(problem, optimum)
@@ -61,6 +66,24 @@ def integrate_placed(
             break
         before = tau2
     return problem, optimum, posterior
+
+
+def least_floor(problem: Problem, optimum: Optimum) -> Problem:
+    """Return the problem with a noise so small that it changes nothing.
+
+    Where no contrast tells the noise, the least noise that could matter is what placement does to
+    a reading, by a small share; elsewhere what is left over is.
+    """
+    jacobian = linearised(problem, optimum).jacobian
+    tied = np.isfinite(problem.orientation_sd) & (problem.orientation_sd > 0.0)
+    moved = jacobian[tied] * problem.orientation_sd[tied, None, None]
+    share = _LEAST_TOLD if tells_apart(problem, optimum) else _LEAST
+    size = share**2 * float(np.sum(moved**2)) / problem.values.size
+    if not tied.any():
+        size = _LEAST_TOLD**2 * float(np.mean(optimum.point.residuals**2))
+    rounding = np.finfo(float).eps * float(np.abs(problem.values).max())
+    floor = max(size, rounding**2)
+    return replace(problem, precision=np.full(problem.values.shape, 1.0 / floor))
 
 
 @dataclass(frozen=True)
@@ -96,7 +119,7 @@ class Both:
 
 
 def integrate_both(
-    first: Problem, optimum: Optimum, nu: float, *, stated: bool = False
+    first: Problem, optimum: Optimum, nu: float, *, floor: bool = False, believed: bool = True
 ) -> tuple[Problem, Optimum, Both]:
     """Return problem and optimum with the scatter and the placement that were found.
 
@@ -106,19 +129,21 @@ def integrate_both(
         With the stated noise, and orientation sds that are right but for a common factor.
     nu : float
         Degrees of freedom, above 0.
-    stated : bool
+    floor : bool
         The orientation sds are a floor, as the noise is.
+    believed : bool
+        The stated noise may be all there is.
     """
-    floor = _covariances(first)
-    size = float(np.exp(np.mean(np.log(np.diagonal(floor, axis1=1, axis2=2)))))
+    least = _covariances(first)
+    size = float(np.exp(np.mean(np.log(np.diagonal(least, axis1=1, axis2=2)))))
+    grid = partial(_over_both, floor=least, size=size, nu=nu, placed=floor, believed=believed)
     problem, before = first, np.zeros(2)
     for _ in range(_ROUNDS):
-        linear = linearised(first, optimum)
-        both = _over_both(linear, floor, size, nu, stated)
+        both = grid(linearised(first, optimum))
         tau2, factor = both.posterior.summary[0], both.factor
         problem = replace(
             first,
-            precision=_precision(first, floor, tau2),
+            precision=_precision(first, least, tau2),
             orientation_sd=first.orientation_sd * np.sqrt(factor),
         )
         optimum = resume(problem, optimum)
@@ -129,7 +154,12 @@ def integrate_both(
     return problem, optimum, both
 
 
-def contrasts(problem: Problem, optimum: Optimum) -> int:
+def tells_apart(problem: Problem, optimum: Optimum) -> bool:
+    """Tell whether readings tell scatter from placement; where few do, U would not cover."""
+    return _contrasts(problem, optimum) >= _TELLING
+
+
+def _contrasts(problem: Problem, optimum: Optimum) -> int:
     """Return how many contrasts of the readings no placement touches: they alone tell the scatter.
 
     Only what lies along the normals of the sphere, less what the parameters take of it.
@@ -155,7 +185,9 @@ def as_scatter(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
     return exact, maximise(exact, state)
 
 
-def _over_both(linear: Linearised, floor: Array, size: float, nu: float, stated: bool) -> Both:
+def _over_both(
+    linear: Linearised, *, floor: Array, size: float, nu: float, placed: bool, believed: bool
+) -> Both:
     """Return the posterior over a grid of ln(τ² + size) and the logarithm of the factor on s²."""
     whole = float(np.sum(linear.error**2)) + size
     sd = linear.orientation_sd
@@ -164,7 +196,7 @@ def _over_both(linear: Linearised, floor: Array, size: float, nu: float, stated:
     tail = 28.0 / nu + 0.5
     x_ends = np.log(size), np.log(whole) + tail
     # below, what placement does is nothing beside the noise that is stated
-    least = 0.0 if stated else np.log(1e-4 * size * linear.error.size / slope)
+    least = 0.0 if placed else np.log(1e-4 * size * linear.error.size / slope)
     y_ends = least, max(np.log(whole / slope), least) + tail
     for count in (*[_COARSE] * 3, _FINE):
         x, y = np.linspace(*x_ends, count), np.linspace(*y_ends, count)
@@ -176,9 +208,9 @@ def _over_both(linear: Linearised, floor: Array, size: float, nu: float, stated:
         y_ends = _told(y, log.max(axis=0))
     weights = np.exp(log - log.max()) * (x[1] - x[0])
     weights[[1, -1]] /= 2.0
-    weights[0] *= belief(nu) / (x[1] - x[0])
+    weights[0] *= believed * belief(nu) / (x[1] - x[0])
     weights[:, [0, -1]] /= 2.0
-    if stated and y[0] == 0.0:
+    if placed and y[0] == 0.0:
         weights[:, 0] += belief(nu) / (y[1] - y[0]) * weights[:, 0] * 2.0
     weights = weights.ravel() / weights.sum()
     return Both(Posterior(grid, weights, found.moves, found.variances, size), factors)

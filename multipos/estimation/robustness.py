@@ -32,13 +32,14 @@ from multipos.estimation.known import believe
 from multipos.estimation.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.estimation.noise import Worth
 from multipos.estimation.problem import Optimum, Problem
-from multipos.estimation.variances import FINEST_OF_PLACEMENT
 from multipos.numerics.quantiles import chi2_quantile
 
 ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is still reported
 _BEYOND_DOUBT = 1e-6  # chance below which a position is set aside
 _ROUNDS = 30  # of noise and solution in turn
 _SETTLED = 1e-4  # change of ln variance far below what a median can tell
+# Noise that is less of what the placement does would leave no digits of what tells them apart.
+_FINEST_OF_PLACEMENT = 1e-6
 _FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits vanish altogether
 
 
@@ -108,7 +109,7 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
     typical = np.array([median[m] for m in degrees.tolist()])
     tied = np.isfinite(problem.orientation_sd)
     widest = float(problem.orientation_sd[tied].max()) if tied.any() else 0.0
-    finest = (_FINEST + FINEST_OF_PLACEMENT * widest) * float(np.abs(problem.values).max())
+    finest = (_FINEST + _FINEST_OF_PLACEMENT * widest) * float(np.abs(problem.values).max())
     for _ in range(_ROUNDS):
         ratio = float(np.median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
         ratio = max(ratio, float(np.abs(problem.precision[kept]).max()) * finest**2)

@@ -273,7 +273,12 @@ def belief(dof: float) -> float:
 
 
 def integrate(
-    evaluate: Callable[[Array], Found], dof: float, size: float, squares: tuple[float, float]
+    evaluate: Callable[[Array], Found],
+    dof: float,
+    size: float,
+    squares: tuple[float, float],
+    *,
+    believed: bool = True,
 ) -> Posterior:
     """Return the posterior of a scatter, and of parameters.
 
@@ -287,6 +292,8 @@ def integrate(
         Of the floors.
     squares : tuple of two float
         Sums of squared residuals that bracket how noisy readings can be.
+    believed : bool
+        The floor is a claim that may be right, and not only where the search ends.
     """
     least = min(squares) / (dof + 10.0 * np.sqrt(dof) + 30.0)
     # Large V are unlikely as V^(−ν/2); a tail of 1e-6 is cut off.
@@ -307,7 +314,7 @@ def integrate(
     log = found.log[1:]
     weights = np.exp(log - log.max()) * (x[1] - x[0])
     weights[[0, -1]] /= 2.0
-    weights = np.append(belief(dof) * np.exp(found.log[0] - log.max()), weights)
+    weights = np.append(believed * belief(dof) * np.exp(found.log[0] - log.max()), weights)
     return Posterior(nodes, weights / weights.sum(), found.moves, found.variances, size)
 
 

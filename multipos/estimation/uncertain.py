@@ -201,7 +201,7 @@ def _solution(
         reference=point.force,
         parameters=state.theta,
         covariance=covariance,
-        parameter_dof=np.full(p, worth.dof) if worth.parameter_dof is None else worth.parameter_dof,
+        parameter_dof=np.full(p, worth.dof),
         inflation=inflation,
         dof=np.full(m, worth.dof),
         residuals=point.residuals,

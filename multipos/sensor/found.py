@@ -73,7 +73,7 @@ class RestToRest(Keyed):
 
 @dataclass(frozen=True, eq=False)
 class VarianceComponents(Keyed):
-    """What restricted maximum likelihood says of the noise; None where it was not asked.
+    """What was found of the noise beside the parameters; None where it was not to be found.
 
     Attributes
     ----------

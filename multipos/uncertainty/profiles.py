@@ -32,14 +32,8 @@ from multipos.errors import ConvergenceError, MultiposError
 from multipos.estimation.descent import maximise
 from multipos.estimation.known import chi_squares
 from multipos.estimation.likelihood import linearise, moved, recentred
-from multipos.estimation.restatement import (
-    estimated_variances,
-    noise_factor,
-    restate,
-    return_to_optimum,
-)
+from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.estimation.starts import reduced_information
-from multipos.estimation.variances import components, linearised
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.sensor.calibration import Calibration
@@ -186,17 +180,11 @@ def _likelihood_interval(c: Calibration, index: int) -> Interval:
     """Return the interval of an uncertain or unknown orientation."""
     problem = restate(c)
     best = return_to_optimum(c, problem)
-    factor = noise_factor(c, problem, best)
     held = replace(problem, held=(index,))
-    dof, free = float(c.dof[0]), estimated_variances(c)
-    if free.any():
-        dof = float(components(linearised(problem, best), np.zeros(2), free).dof[index])
-
     normal = linearise(problem, best.state, best.point)
-    if c.weighed:
-        p = len(c.names)
-        variance = np.linalg.inv(reduced_information(normal, p))[index, index]
-        factor = _scatter_of(c, index) ** 2 / variance
+    # what the noise that was found makes of the variance under the noise as restated
+    variance = float(np.linalg.inv(reduced_information(normal, len(c.names)))[index, index])
+    factor = _scatter_of(c, index) ** 2 / variance
     slope = np.zeros(len(normal.information))  # how all unknowns follow the parameter
     others = np.arange(len(slope)) != index
     slope[index] = 1.0
@@ -215,7 +203,7 @@ def _likelihood_interval(c: Calibration, index: int) -> Interval:
             )
         return (found.point.objective - best.point.objective) / factor
 
-    k = coverage_factor(c.confidence, dof)
+    k = coverage_factor(c.confidence, float(c.dof[0]))
     return _search_ends(rise, float(best.state.theta[index]), k, float(c.u[index]))
 
 

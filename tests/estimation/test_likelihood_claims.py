@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 import multipos as mp
-from multipos.doubts.joint_tests import _denominator, judge_terms_jointly
+from multipos.doubts.joint_tests import judge_terms_jointly
 from multipos.errors import MultiposError
 from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.numerics.quantiles import chi2_tail
@@ -256,20 +256,6 @@ def test_joint_test_of_correlated_readings():
     chi2 = r @ np.linalg.solve(data.covariance, r)
     assert found.dof == (3.0, 57.0)
     assert found.statistic == pytest.approx(wald / 3 / (chi2 / 57), rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("dof", "wanted"),
-    [
-        ([7.0], 7.0),  # E = 7/5, 2 E/(E − 1) = 2.8/0.4
-        ([10.0, 10.0], 10.0),  # E = 2 · 10/8, 2 E/(E − 2) = 5/0.5
-        ([6.0, 12.0], 54 / 7),  # E = 1.5 + 1.2, 5.4/0.7
-        ([4.0, 6.0, 12.0], 94 / 17),  # E = 2 + 1.5 + 1.2, 9.4/1.7
-        ([1.5, 12.0], 1.5),  # no mean: no more than the least
-    ],
-)
-def test_degrees_of_freedom_of_a_joint_test_by_hand(dof, wanted):
-    assert _denominator(np.array(dof)) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_terms_that_the_positions_cannot_tell_are_left_out():

@@ -1,0 +1,53 @@
+"""A solution of the likelihood as a linear model of its readings.
+
+About an optimum the readings at the listed positions have residuals e_k (n, M) with
+
+    e = A theta + error,      cov error_k = Sigma_k + s_k² J_k J_k',                        (1)
+
+Sigma_k, s_k, J_k, A as in `multipos.estimation.likelihood`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from multipos.estimation.likelihood import linearise
+from multipos.estimation.problem import Optimum, Problem
+from multipos.numerics.arrays import Array
+from multipos.sensor.inverse import parameter_jacobian
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A solution as a linear model of its readings, eq. (1)."""
+
+    error: Array  # (n, M), residuals at the listed positions
+    design: Array  # (n, M, p + q), A: parameters and shared unknowns
+    jacobian: Array  # (n, M, 2)
+    precision: Array  # (n, M, M), Sigma^-1
+    orientation_sd: Array  # (n,) [rad]
+    prior: Array  # (p + q,) information of the unknowns themselves
+    p: int
+
+
+def linearised(problem: Problem, optimum: Optimum) -> Linearised:
+    """Return the linear model about an optimum, with the variances that `problem` states."""
+    state = optimum.state
+    normal = linearise(problem, state, optimum.point)
+    p, m = len(state.theta), problem.values.shape[1]
+    slopes = parameter_jacobian(
+        problem.model, state.theta, optimum.point.force, problem.environment
+    )
+    prior = np.zeros(p + problem.shared)
+    if problem.level_sd > 0.0:
+        prior[-2:] = 1.0 / problem.level_sd**2
+    precision = problem.precision
+    return Linearised(
+        error=optimum.point.residuals + np.einsum("nmi,ni->nm", normal.jacobian, state.step),
+        design=np.concatenate([slopes, normal.shared], axis=2),
+        jacobian=normal.jacobian,
+        precision=precision if precision.ndim == 3 else precision[:, :, None] * np.eye(m),
+        orientation_sd=problem.orientation_sd,
+        prior=prior,
+        p=p,
+    )
