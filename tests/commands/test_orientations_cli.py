@@ -72,7 +72,7 @@ def test_a_column_chooses_the_uncertain_estimator(here, capsys):
     cells = ups()
     for name in cells:
         cells[name][22] = cells[name][23] = ""
-    (here / "r.csv").write_text(table(columns=cells | {"orientation_sd_deg": sd}))
+    (here / "r.csv").write_text(table(off_deg=0.0, columns=cells | {"orientation_sd_deg": sd}))
     found, _ = fitted(capsys, "--reading-sd", "1e-5")
     assert found["estimator"] == "uncertain-orientation"
     assert found["orientation_sd_deg"] == pytest.approx([0.01] * 20 + [0, 0, None, None])
