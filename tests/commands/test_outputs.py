@@ -79,6 +79,7 @@ COMMANDS = {
     "check": (["cal.json", "six.csv", "--scheme", "faces-6+six.csv"], ["cal.json", "six.csv"]),
     "compare": (["cal.json", "check.json"], ["cal.json", "check.json"]),
     "regress": (["log.csv", "--response", "ax", "--variables", "ay"], ["log.csv"]),
+    "stability": (["log.csv", "--calibration", "cal.json"], ["log.csv", "cal.json"]),
     "tumble": (["tumble.csv", "--scheme", "six.csv"], ["tumble.csv", "six.csv"]),
     "simulate": (["cal.json", "--scheme", "six.csv"], ["cal.json", "six.csv"]),
     "report": (
@@ -155,6 +156,7 @@ WRITTEN = {
     "check": {".json", ".txt", ".svg", ".png", ".pdf"},
     "compare": {".json", ".txt", ".svg", ".png", ".pdf"},
     "regress": {".json", ".txt", ".svg", ".png", ".pdf"},
+    "stability": {".json", ".csv", ".txt", ".svg", ".png", ".pdf"},
     "tumble": {".json", ".txt", ".svg", ".png", ".pdf"},
     "simulate": {".csv", ".json", ".txt"},
     "report": {".html", ".md", ".txt"},
