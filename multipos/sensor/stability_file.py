@@ -168,27 +168,18 @@ def load_stability(path: str | os.PathLike[str]) -> Stability:
     """
     content = read_json(path, SCHEMA)
     require(content, STABILITY, str(path), "run stability again")
-    outputs = content["outputs"]
-    if not outputs:
-        raise MultiposError(f"{path}: it has no outputs; run stability again.")
-    tau = [[point["tau"] for point in each["allan"]] for each in outputs.values()]
-    records = content["records"]
-    alike = all(row == tau[0] for row in tau) and all(
-        set(each["zero"]) == set(each["settled"]) == set(outputs)
-        and all(len(zero) == len(each["time"]) for zero in each["zero"].values())
-        for each in records
-    )
-    spreads = [set(content[key]) for key in ("run_to_run", "turn_on")]
-    if not alike or any(names and names != set(outputs) for names in spreads):
+    outputs, records = content["outputs"], content["records"]
+    taus = [[point["tau"] for point in each["allan"]] for each in outputs.values()]
+    if not _is_whole(content, taus):
         raise MultiposError(
             f"{path}: its outputs, averaging times or records do not go together; the file is "
             "damaged, run stability again."
         )
     return Stability(
-        tau=np.array(tau[0], dtype=np.float64),
+        tau=np.array(taus[0], dtype=np.float64),
         outputs={name: _read_output(each) for name, each in outputs.items()},
-        run_to_run={name: Spread(**_own(each, _SPREAD)) for name, each in _items(content, 0)},
-        turn_on={name: Spread(**_own(each, _SPREAD)) for name, each in _items(content, 1)},
+        run_to_run=_spreads(content["run_to_run"]),
+        turn_on=_spreads(content["turn_on"]),
         records=tuple(map(_read_record, records)),
         sample_rate=content["sample_rate"],
         unit=content["unit"],
@@ -198,17 +189,32 @@ def load_stability(path: str | os.PathLike[str]) -> Stability:
     )
 
 
-def _items(content: Mapping[str, Any], which: int) -> Any:
-    return content[("run_to_run", "turn_on")[which]].items()
+def _is_whole(content: Mapping[str, Any], taus: list[list[float]]) -> bool:
+    """Tell whether there is an output, and everything is about the same outputs and times."""
+    names = set(content["outputs"])
+    if not names or any(tau != taus[0] for tau in taus):
+        return False
+    spreads = [set(content[key]) for key in ("run_to_run", "turn_on") if content[key]]
+    return all(each == names for each in spreads) and all(
+        _is_record_whole(each, names) for each in content["records"]
+    )
+
+
+def _is_record_whole(content: Mapping[str, Any], names: set[str]) -> bool:
+    columns = [content["temperature"] or content["time"], *content["zero"].values()]
+    alike = all(len(column) == len(content["time"]) for column in columns)
+    return alike and set(content["zero"]) == set(content["settled"]) == names
+
+
+def _spreads(content: Mapping[str, Any]) -> dict[str, Spread]:
+    return {name: Spread(**_own(each, _SPREAD)) for name, each in content.items()}
 
 
 def _own(content: Mapping[str, Any], kind: Fields) -> dict[str, Any]:
     return {name: content[name] for name in kind.needed}
 
 
-def _estimate(content: Mapping[str, Any] | None) -> Estimate | None:
-    if content is None:
-        return None
+def _estimate(content: Mapping[str, Any]) -> Estimate:
     dof = content["dof"]
     return Estimate(**{**_own(content, _ESTIMATE), "dof": np.inf if dof is None else dof})
 
@@ -218,26 +224,33 @@ def _read_output(content: Mapping[str, Any]) -> OutputStability:
         np.array([point[name] for point in content["allan"]], dtype=np.float64)
         for name in ("adev", "u", "dof")
     )
-    laws: dict[str, Any] = {law: _estimate(content[law]) for law in _LAWS}
+    laws = {law: _estimate(content[law]) for law in _LAWS}
     warm, temperature = content["warm_up"], content["temperature_coefficient"]
-    warm_up = coefficient = None
-    if warm is not None:
-        size = {key: warm[f"amplitude_{key}"] for key in ("u", "U", "dof")}
-        amplitude = _estimate({"value": warm["amplitude"], "unit": warm["unit"], **size})
-        spread = {key: warm[f"time_constant_{key}"] for key in ("u", "U")}
-        constant = _estimate({"value": warm["time_constant"], "unit": "s", "dof": None, **spread})
-        assert amplitude is not None
-        assert constant is not None
-        warm_up = WarmUp(amplitude, constant, warm["settled_after"])
-    if temperature is not None:
-        change = _estimate(temperature)
-        assert change is not None
-        coefficient = TemperatureCoefficient(
-            change, _estimate(temperature["micro_g"]), _estimate(temperature["ppm"])
-        )
     return OutputStability(
-        adev=adev, u=u, dof=dof, **laws, warm_up=warm_up, temperature_coefficient=coefficient
+        adev=adev,
+        u=u,
+        dof=dof,
+        **laws,
+        warm_up=None if warm is None else _read_warm_up(warm),
+        temperature_coefficient=None if temperature is None else _read_temperature(temperature),
     )
+
+
+def _read_warm_up(content: Mapping[str, Any]) -> WarmUp:
+    size = {key: content[f"amplitude_{key}"] for key in ("u", "U", "dof")}
+    spread = {key: content[f"time_constant_{key}"] for key in ("u", "U")}
+    return WarmUp(
+        _estimate({"value": content["amplitude"], "unit": content["unit"], **size}),
+        _estimate({"value": content["time_constant"], "unit": "s", "dof": None, **spread}),
+        content["settled_after"],
+    )
+
+
+def _read_temperature(content: Mapping[str, Any]) -> TemperatureCoefficient:
+    others = {
+        key: None if content[key] is None else _estimate(content[key]) for key in ("micro_g", "ppm")
+    }
+    return TemperatureCoefficient(_estimate(content), **others)
 
 
 def _read_record(content: Mapping[str, Any]) -> StaticRecord:

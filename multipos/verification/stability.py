@@ -13,7 +13,7 @@ Song and Qin 2009, section 3 and figure 1. IEEE Std 952-1997, annex C. C. A. Gre
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from multipos.logs.opening import open_log
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
 from multipos.numerics.allan import octaves
+from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.sensor.stability import OutputStability, Spread, Stability, StaticRecord
@@ -106,7 +107,7 @@ def stability(
         told = None if progress is None else _share(progress, i, len(given))
         raw.append(read_record(open_log(each, columns=columns), wanted, told))
     _check_alike(raw)
-    return _complete(raw, model, unit or "reading", confidence)
+    return _complete(raw, model, unit or ("reading" if model is None else "g"), confidence)
 
 
 def _share(progress: Progress, i: int, count: int) -> Progress:
@@ -164,55 +165,51 @@ def _check_alike(raw: Sequence[RawRecord]) -> None:
 def _complete(
     raw: Sequence[RawRecord], calibration: Calibration | None, unit: str, confidence: float
 ) -> Stability:
-    names, rate = raw[0].names, raw[0].rate
-    lengths = octaves(max(each.samples for each in raw))
-    notes = [note for each in raw for note in each.notes]
+    names, lengths = raw[0].names, octaves(max(each.samples for each in raw))
     steady = [each.source for each in raw if _is_steady(each)]
-    if steady:
-        notes.append(f"{steady[0]}: the temperature never changes, so it is not used")
-    found = {
-        name: _trends([_blocks(each, i, len(lengths), not steady) for each in raw], lengths)
-        for i, name in enumerate(names)
-    }
-    settled = {
-        name: [
-            float(np.mean(each.blocks[i] - transient))
-            for each, transient in zip(raw, found[name].transients, strict=True)
-        ]
-        for i, name in enumerate(names)
-    }
-    values = Values(raw, lengths, unit if calibration is None else "g", confidence)
-    outputs = {name: values.output(i, found[name]) for i, name in enumerate(names)}
-    shortest = min(each.samples for each in raw) / rate
-    notes += [note for name in names for note in _cautions(name, outputs[name], shortest)]
-    several = len(raw) > 1
-    if several and len(raw) < _LEAST:
-        notes.append(
-            f"{len(raw)} records say little about how the zero repeats; take at least {_LEAST}"
-        )
-    begun = {name: [_begin(each, i) for each in raw] for i, name in enumerate(names)}
+    found = [_trends(raw, i, lengths, not steady) for i in range(len(names))]
+    records = tuple(_kept(each, [d.transients[r] for d in found]) for r, each in enumerate(raw))
+    values = Values(raw, lengths, unit, confidence)
+    outputs = {name: values.output(i, found[i]) for i, name in enumerate(names)}
+    run_to_run, turn_on = _repeats(records, names)
     return Stability(
-        tau=np.array(lengths) / rate,
+        tau=np.array(lengths) / raw[0].rate,
         outputs=outputs,
-        run_to_run={name: _spread(settled[name]) for name in names if several},
-        turn_on={name: _spread(begun[name]) for name in names if several},
-        records=tuple(
-            StaticRecord(
-                source=each.source,
-                samples=each.samples,
-                time=np.asarray((np.arange(each.blocks.shape[1]) + 0.5) * each.length / rate),
-                zero=dict(zip(names, each.blocks, strict=True)),
-                settled={name: settled[name][i] for name in names},
-                temperature=each.temperature,
-            )
-            for i, each in enumerate(raw)
-        ),
-        sample_rate=rate,
-        unit=values.unit,
+        run_to_run=run_to_run,
+        turn_on=turn_on,
+        records=records,
+        sample_rate=raw[0].rate,
+        unit=unit,
         confidence=confidence,
         calibration=None if calibration is None else calibration.created,
-        warnings=tuple(notes),
+        warnings=_cautions(raw, steady, outputs),
     )
+
+
+def _kept(record: RawRecord, transients: Sequence[Array]) -> StaticRecord:
+    zero = dict(zip(record.names, record.blocks, strict=True))
+    return StaticRecord(
+        source=record.source,
+        samples=record.samples,
+        time=np.asarray((np.arange(record.blocks.shape[1]) + 0.5) * record.length / record.rate),
+        zero=zero,
+        settled={
+            name: float(np.mean(zero[name] - transient))
+            for name, transient in zip(record.names, transients, strict=True)
+        },
+        temperature=record.temperature,
+    )
+
+
+def _repeats(
+    records: Sequence[StaticRecord], names: Sequence[str]
+) -> tuple[dict[str, Spread], dict[str, Spread]]:
+    """Return how the settled zero and the zero just after switching on repeat."""
+    if len(records) == 1:
+        return {}, {}
+    settled = {name: _spread([each.settled[name] for each in records]) for name in names}
+    begun = {name: _spread([_begin(each.zero[name]) for each in records]) for name in names}
+    return settled, begun
 
 
 def _is_steady(record: RawRecord) -> bool:
@@ -231,8 +228,11 @@ def _blocks(record: RawRecord, output: int, count: int, with_temperature: bool) 
     )
 
 
-def _trends(blocks: Sequence[Blocks], lengths: Sequence[int]) -> Description:
+def _trends(
+    raw: Sequence[RawRecord], output: int, lengths: Sequence[int], with_temperature: bool
+) -> Description:
     """Return trends and noise; a warm-up that follows the temperature is one all the same."""
+    blocks = [_blocks(each, output, len(lengths), with_temperature) for each in raw]
     found = describe(blocks, lengths)
     if blocks[0].temperature is None or found.time_constant is not None:
         return found
@@ -247,8 +247,7 @@ def _trends(blocks: Sequence[Blocks], lengths: Sequence[int]) -> Description:
     )
 
 
-def _begin(record: RawRecord, output: int) -> float:
-    zero = record.blocks[output]
+def _begin(zero: Array) -> float:
     return float(zero[: max(round(_FIRST * len(zero)), 1)].mean())
 
 
@@ -256,11 +255,21 @@ def _spread(values: list[float]) -> Spread:
     return Spread(float(np.std(values, ddof=1)), float(np.ptp(values)), len(values) - 1)
 
 
-def _cautions(name: str, found: OutputStability, shortest: float) -> list[str]:
-    notes = []
-    if found.warm_up is not None and found.warm_up.settled_after > shortest:
+def _cautions(
+    raw: Sequence[RawRecord], steady: Sequence[str], outputs: Mapping[str, OutputStability]
+) -> tuple[str, ...]:
+    notes = [note for each in raw for note in each.notes]
+    if steady:
+        notes.append(f"{steady[0]}: the temperature never changes, so it is not used")
+    shortest = min(each.samples / each.rate for each in raw)
+    for name, found in outputs.items():
+        if found.warm_up is not None and found.warm_up.settled_after > shortest:
+            notes.append(
+                f"{name}: the warm-up settles after {found.warm_up.settled_after:.0f} s only, but "
+                f"a record ends at {shortest:.0f} s; record longer"
+            )
+    if 1 < len(raw) < _LEAST:
         notes.append(
-            f"{name}: the warm-up settles after {found.warm_up.settled_after:.0f} s only, but a "
-            f"record ends at {shortest:.0f} s; record longer"
+            f"{len(raw)} records say little about how the zero repeats; take at least {_LEAST}"
         )
-    return notes
+    return tuple(notes)

@@ -1,10 +1,9 @@
 """Stability as people read it."""
 
 import math
-from collections.abc import Mapping
 
 from multipos.files.numbers import number, table, uncertain
-from multipos.sensor.stability import MICRO_G, Estimate, OutputStability, Spread, Stability
+from multipos.sensor.stability import MICRO_G, Estimate, Spread, Stability
 
 _HOUR = 3600.0
 _LAWS = ("output", "white noise N", "bias instability B", "random walk K", "drift")
@@ -14,31 +13,15 @@ def stability_text(found: Stability) -> str:
     """Return a result as text; accelerations in µg, the standard uncertainty in brackets."""
     factor = MICRO_G.get(found.unit, 1.0)
     unit = "µg" if found.unit in MICRO_G else found.unit
-    parts = [_records(found), _laws(found, factor, unit)]
-    warm = {name: each.warm_up for name, each in found.outputs.items() if each.warm_up}
-    if warm:
-        header = ["warm-up", f"amplitude [{unit}]", "time constant [s]", "settled after [s]"]
-        rows = [
-            [
-                name,
-                _shown(each.amplitude, factor),
-                _shown(each.time_constant, 1.0),
-                number(each.settled_after),
-            ]
-            for name, each in warm.items()
-        ]
-        parts.append(table(header, rows))
-    if any(each.temperature_coefficient for each in found.outputs.values()):
-        parts.append(_temperature(found.outputs, factor, unit))
-    if found.run_to_run:
-        header = ["zero", f"run to run, sd [{unit}]", "range", "turn-on, sd", "range", "dof"]
-        rows = [
-            [name, *_spread(each, factor), *_spread(found.turn_on[name], factor), str(each.dof)]
-            for name, each in found.run_to_run.items()
-        ]
-        parts.append(table(header, rows))
-    parts += [f"warning: {warning}" for warning in found.warnings]
-    return "\n\n".join(parts) + "\n"
+    parts = [
+        _records(found),
+        _laws(found, factor, unit),
+        _warm_up(found, factor, unit),
+        _temperature(found, factor, unit),
+        _repeats(found, factor, unit),
+        *(f"warning: {warning}" for warning in found.warnings),
+    ]
+    return "\n\n".join(filter(None, parts)) + "\n"
 
 
 def _records(found: Stability) -> str:
@@ -64,14 +47,38 @@ def _laws(found: Stability, factor: float, unit: str) -> str:
     return table(_LAWS, [units, *rows])
 
 
-def _temperature(outputs: Mapping[str, OutputStability], factor: float, unit: str) -> str:
+def _warm_up(found: Stability, factor: float, unit: str) -> str:
+    rows = [
+        [
+            name,
+            _shown(each.warm_up.amplitude, factor),
+            _shown(each.warm_up.time_constant, 1.0),
+            number(each.warm_up.settled_after),
+        ]
+        for name, each in found.outputs.items()
+        if each.warm_up is not None
+    ]
+    header = ["warm-up", f"amplitude [{unit}]", "time constant [s]", "settled after [s]"]
+    return table(header, rows) if rows else ""
+
+
+def _temperature(found: Stability, factor: float, unit: str) -> str:
     rows = []
-    for name, each in outputs.items():
-        coefficient = each.temperature_coefficient
-        assert coefficient is not None
-        ppm = "-" if coefficient.ppm is None else _shown(coefficient.ppm, 1.0)
-        rows.append([name, _shown(coefficient.change, factor), ppm])
-    return table(["temperature", f"change [{unit}/°C]", "[ppm/°C]"], rows)
+    for name, each in found.outputs.items():
+        if (coefficient := each.temperature_coefficient) is not None:
+            ppm = "-" if coefficient.ppm is None else _shown(coefficient.ppm, 1.0)
+            rows.append([name, _shown(coefficient.change, factor), ppm])
+    header = ["temperature", f"change [{unit}/°C]", "[ppm/°C]"]
+    return table(header, rows) if rows else ""
+
+
+def _repeats(found: Stability, factor: float, unit: str) -> str:
+    rows = [
+        [name, *_spread(each, factor), *_spread(found.turn_on[name], factor), str(each.dof)]
+        for name, each in found.run_to_run.items()
+    ]
+    header = ["zero", f"run to run, sd [{unit}]", "range", "turn-on, sd", "range", "dof"]
+    return table(header, rows) if rows else ""
 
 
 def _spread(found: Spread, factor: float) -> list[str]:

@@ -27,7 +27,7 @@ class Values:
     def __init__(
         self, raw: Sequence[RawRecord], lengths: Sequence[int], unit: str, confidence: float
     ) -> None:
-        self.unit = unit
+        self._unit = unit
         self._rate, self._confidence = raw[0].rate, confidence
         self._raw, self._lengths = raw, lengths
         self._samples = [each.samples for each in raw]
@@ -42,10 +42,10 @@ class Values:
             adev=adev,
             u=adev / np.sqrt(2.0 * dof),
             dof=dof,
-            white_noise=self._law(found, 0, 1.0 / root, f"{self.unit}/sqrt(Hz)"),
-            bias_instability=self._law(found, 1, 1.0, self.unit),
-            random_walk=self._law(found, 2, root, f"{self.unit}/sqrt(s)"),
-            drift=self._estimate(found.found[DRIFT], self._rate, f"{self.unit}/s"),
+            white_noise=self._law(found, 0, 1.0 / root, f"{self._unit}/sqrt(Hz)"),
+            bias_instability=self._law(found, 1, 1.0, self._unit),
+            random_walk=self._law(found, 2, root, f"{self._unit}/sqrt(s)"),
+            drift=self._estimate(found.found[DRIFT], self._rate, f"{self._unit}/s"),
             warm_up=self._warm_up(found),
             temperature_coefficient=self._temperature(found, index),
         )
@@ -69,7 +69,7 @@ class Values:
     def _warm_up(self, found: Description) -> WarmUp | None:
         if found.time_constant is None:
             return None
-        amplitude = self._estimate(found.found[WARM_UP], 1.0, self.unit)
+        amplitude = self._estimate(found.found[WARM_UP], 1.0, self._unit)
         constant = self._estimate(found.time_constant, 1.0 / self._rate, "s")
         floor = float(found.laws.deviation(np.array(self._lengths, dtype=np.float64)).min())
         times = np.log(max(abs(amplitude.value) / floor, 1.0))
@@ -78,10 +78,10 @@ class Values:
     def _temperature(self, found: Description, index: int) -> TemperatureCoefficient | None:
         if TEMPERATURE not in found.found:
             return None
-        change = self._estimate(found.found[TEMPERATURE], 1.0, f"{self.unit}/degC")
+        change = self._estimate(found.found[TEMPERATURE], 1.0, f"{self._unit}/degC")
         micro_g = ppm = None
-        if self.unit in MICRO_G:
-            micro_g = change.scaled(MICRO_G[self.unit], "ug/degC")
+        if self._unit in MICRO_G:
+            micro_g = change.scaled(MICRO_G[self._unit], "ug/degC")
         mean = float(self._means[index])
         if abs(mean) >= _NOTHING * np.abs(self._means).max() and mean != 0.0:
             ppm = change.scaled(1e6 / mean, "ppm/degC")

@@ -71,14 +71,7 @@ def read_record(log: Log, wanted: Source, progress: Progress | None) -> RawRecor
     UsageError
         More than three columns could be outputs.
     """
-    time_column = wanted.time_column
-    if time_column is None and wanted.rate is None and "time" in log.numeric:
-        time_column = "time"
-    if time_column is None and wanted.rate is None:
-        raise MultiposError(
-            f"{log.source}: no column 'time', so nothing tells how long a sample takes; name it "
-            "with --time-column, or give --rate."
-        )
+    time_column = _time_column(log, wanted)
     raw = _outputs(log, wanted, time_column)
     _require(log, [column for column in (time_column, wanted.temperature) if column])
     with Samples(log, raw, time_column) as samples, ExitStack() as stack:
@@ -91,23 +84,16 @@ def read_record(log: Log, wanted: Source, progress: Progress | None) -> RawRecor
             )
         names = _names(raw, wanted.calibration)
         length = 1 << max(samples.rows // _BLOCKS, 1).bit_length() - 1
-        blocks = _Blocks(length)
+        blocks, gaps = _Blocks(length), _Gaps(samples)
         warmth = _temperature(log, wanted, samples)
         phases = [stack.enter_context(Phases()) for _ in names]
-        gaps, last = 0, np.empty(0)
         for first, piece in samples.pieces():
             values = _compensated(wanted.calibration, samples, piece, first)
             for each, one in zip(phases, values, strict=True):
                 each.feed(one)
-            blocks.feed(np.vstack([values, piece[warmth][None]]) if warmth else values)
-            if time_column is not None:
-                gaps += int((np.diff(piece[-1], prepend=last) > _GAP * samples.step).sum())
-                last = piece[-1, -1:]
-        lengths = octaves(samples.rows)
-        means = blocks.means()
-        notes = list(samples.notes)
-        if gaps:
-            notes.append(f"the time has {gaps} gaps; its samples are taken as if evenly spaced")
+            blocks.feed(np.vstack([values, piece[warmth]]))
+            gaps.feed(piece)
+        lengths, means = octaves(samples.rows), blocks.means()
         return RawRecord(
             source=log.source,
             names=names,
@@ -115,10 +101,22 @@ def read_record(log: Log, wanted: Source, progress: Progress | None) -> RawRecor
             rate=rate,
             length=length,
             blocks=means[: len(names)],
-            temperature=_measured(log.source, means[-1]) if warmth else None,
+            temperature=_measured(log.source, means[len(names) :]),
             sums=np.array([each.sums(lengths) for each in phases]),
-            notes=tuple(f"{log.source}: {note}" for note in notes),
+            notes=tuple(f"{log.source}: {note}" for note in (*samples.notes, *gaps.notes())),
         )
+
+
+def _time_column(log: Log, wanted: Source) -> str | None:
+    """Return the column of the time, or None where the rate is given."""
+    if wanted.time_column is not None or wanted.rate is not None:
+        return wanted.time_column
+    if "time" not in log.numeric:
+        raise MultiposError(
+            f"{log.source}: no column 'time', so nothing tells how long a sample takes; name it "
+            "with --time-column, or give --rate."
+        )
+    return "time"
 
 
 def _require(log: Log, columns: Sequence[str]) -> None:
@@ -154,8 +152,8 @@ def _names(raw: tuple[str, ...], calibration: Calibration | None) -> tuple[str, 
     return tuple(f"f_{COMPONENTS[axis]}" for axis in sensed_axes(calibration.model))
 
 
-def _temperature(log: Log, wanted: Source, samples: Samples) -> int | None:
-    """Return the row of the temperature in the pieces, or None where there is none."""
+def _temperature(log: Log, wanted: Source, samples: Samples) -> slice:
+    """Return the row of the temperature in the pieces, none where it was not measured."""
     name = wanted.temperature or "temperature"
     if name not in samples.others:
         if wanted.temperature is not None:
@@ -163,8 +161,9 @@ def _temperature(log: Log, wanted: Source, samples: Samples) -> int | None:
                 f"{log.source}: column '{name}' is an output or no number, so no temperature; "
                 "name another with --temperature."
             )
-        return None
-    return samples.outputs + samples.others.index(name)
+        return slice(0)
+    row = samples.outputs + samples.others.index(name)
+    return slice(row, row + 1)
 
 
 def _compensated(
@@ -186,13 +185,15 @@ def _compensated(
     return np.ascontiguousarray(force)
 
 
-def _measured(source: str, means: Array) -> Array:
+def _measured(source: str, means: Array) -> Array | None:
+    if not len(means):
+        return None
     if not np.isfinite(means).all():
         raise MultiposError(
             f"{source}: the temperature is unknown in part of the record; fill it in, or name "
             "another column with --temperature."
         )
-    return means
+    return np.asarray(means[0])
 
 
 class _Blocks:
@@ -220,3 +221,25 @@ class _Blocks:
     def means(self) -> Array:
         """Return the means (K, b) of whole blocks."""
         return np.concatenate(self._means, axis=1)
+
+
+class _Gaps:
+    """Count the steps of the time that are far longer than usual."""
+
+    def __init__(self, samples: Samples) -> None:
+        self._timed = samples.time_column is not None
+        self._longest = _GAP * samples.step
+        self._last = np.empty(0)
+        self._count = 0
+
+    def feed(self, piece: Array) -> None:
+        if not self._timed:
+            return
+        time = piece[-1]
+        self._count += int((np.diff(time, prepend=self._last) > self._longest).sum())
+        self._last = time[-1:]
+
+    def notes(self) -> list[str]:
+        if not self._count:
+            return []
+        return [f"the time has {self._count} gaps; samples are taken as if evenly spaced"]

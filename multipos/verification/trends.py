@@ -32,6 +32,7 @@ from multipos.numerics.quantiles import chi2_quantile
 DRIFT, TEMPERATURE, WARM_UP = "drift", "temperature", "warm_up"
 
 _TURNS = 8  # of coefficients and noise in turn
+_FARTHEST = 0.5  # of the logarithm of the time constant, in one step
 _SETTLED = 1e-4  # relative change of the time constant
 _CERTAIN = 1.0 - 1e-4  # a drift or warm-up that noise would feign more often is none
 _TRIED = 40  # time constants to begin with
@@ -165,53 +166,46 @@ class _Fit(NamedTuple):
     transients: tuple[Array, ...]
     square: float
     likelihood: float
-    moved: float | None
-    step: float  # relative, of the time constant
+    step: float  # of ln T_w
+
+    @property
+    def moved(self) -> float | None:
+        """The time constant after the step."""
+        if self.time_constant is None:
+            return None
+        return self.time_constant.value * math.exp(self.step)
 
 
 def _least_squares(
     records: Sequence[Blocks], names: tuple[str, ...], constant: float | None, squares: Array
 ) -> _Fit:
     """Fit eq. (1), linear but for the time constant, which takes one step of Gauss and Newton."""
+    designs = [_columns(record, names, constant) for record in records]
     white, logs = [], 0.0
-    for record in records:
-        columns = np.column_stack([_columns(record, names, constant), record.values])
-        rows, log = _whitened(record, columns, squares)
+    for record, design in zip(records, designs, strict=True):
+        rows, log = _whitened(record, np.column_stack([design, record.values]), squares)
         logs += log + math.log(float(rows[:, 0] @ rows[:, 0]))
         white.append(rows)
     own = [np.asarray(np.linalg.lstsq(r[:, :-1], r[:, -1], rcond=None)[0]) for r in white]
     left: list[Array] = [rows[:, -1] - rows[:, :-1] @ b for rows, b in zip(white, own, strict=True)]
     square = sum(float(r @ r) for r in left)
-    trends, transients = [], []
-    for record, b in zip(records, own, strict=True):
-        columns = _columns(record, names, constant)
-        trends.append(columns[:, 1:] @ b[1:])
-        warm = names.index(WARM_UP) + 1 if WARM_UP in names else None
-        transients.append(np.zeros(len(columns)) if warm is None else columns[:, warm] * b[warm])
-    step, u_step, covariances = _step(records, names, constant, squares, white, own, left)
-    coefficients = {
-        name: _pooled([b[i] for b in own], [C[i, i] for C in covariances])
-        for i, name in enumerate(names, start=1)
-    }
-    moved = time_constant = None
-    if constant is not None:
-        moved = constant * math.exp(min(max(step, -0.5), 0.5))
-        time_constant = Coefficient(constant, constant * u_step, math.inf)
+    # The warm-up comes last, where there is one.
+    warm = [0.0 if constant is None else float(b[-1]) for b in own]
+    step, u_step, covariances = _step(records, constant, squares, white, own, left)
+    time_constant = None if constant is None else Coefficient(constant, constant * u_step, math.inf)
     return _Fit(
-        coefficients,
-        time_constant,
-        tuple(trends),
-        tuple(transients),
-        square,
-        logs + square,
-        moved,
-        step,
+        coefficients=_coefficients(names, own, covariances),
+        time_constant=time_constant,
+        trends=tuple(X[:, 1:] @ b[1:] for X, b in zip(designs, own, strict=True)),
+        transients=tuple(a * X[:, -1] for a, X in zip(warm, designs, strict=True)),
+        square=square,
+        likelihood=logs + square,
+        step=min(max(step, -_FARTHEST), _FARTHEST),
     )
 
 
 def _step(
     records: Sequence[Blocks],
-    names: tuple[str, ...],
     constant: float | None,
     squares: Array,
     white: list[Array],
@@ -280,6 +274,15 @@ def _covariance(count: int, length: int, squares: Array) -> Array:
     kernel[0] *= 1.0 + 1e-9  # what rounding may have taken
     index = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     return np.asarray(kernel[index] + 2.0 * np.abs(squares[1:3] @ kernels[1:3]).max())
+
+
+def _coefficients(
+    names: tuple[str, ...], own: list[Array], covariances: list[Array]
+) -> dict[str, Coefficient]:
+    return {
+        name: _pooled([b[i] for b in own], [C[i, i] for C in covariances])
+        for i, name in enumerate(names, start=1)
+    }
 
 
 def _pooled(values: list[float], variances: list[float]) -> Coefficient:

@@ -360,7 +360,7 @@ def test_cautions_say_what_is_missing():
     gappy["time"][50:] += 10.0
     gappy["temperature"] = np.full(100, 20.0)
     notes = " ".join(mp.stability(gappy).warnings)
-    assert "the time has 1 gaps" in notes
+    assert "the time has 1 gaps; samples are taken as if evenly spaced" in notes
     assert "the temperature never changes" in notes
 
 
