@@ -256,7 +256,7 @@ class _Draws:
         else:
             readings = np.broadcast_to(self.model_readings, (trials, self.n, self.m))
         for quantity in self.quantities:
-            if quantity.name in ("gain", "offset", "temperature"):
+            if quantity.name in ("gain", "offset", "temperature", "stability"):
                 moves = reading_moves(self.c, quantity)
                 drawn = self._law(quantity, (trials, moves.shape[2]))
                 readings = readings + np.einsum("nmq,tq->tnm", moves, drawn)
