@@ -50,6 +50,17 @@ def resolve(where: str, table: Any, beside: str) -> dict[str, Any]:
 
 
 def _check_numbers(where: str, table: Mapping[str, Any]) -> None:
+    _check_keys(where, table)
+    for name, value in table.items():
+        least, most = (1.0, math.inf) if name == "dof" else (0.0, LARGEST)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not number or not least <= value <= most:
+            raise MultiposError(
+                f"{where}: '{name}' must be a number of at least {least:g}, got {value!r}."
+            )
+
+
+def _check_keys(where: str, table: Mapping[str, Any]) -> None:
     sizes = [key for key in table if key.startswith(_SIZE) and key != _SIZE]
     unknown = [key for key in table if key not in sizes and key != "dof"]
     if unknown or not sizes:
@@ -58,13 +69,6 @@ def _check_numbers(where: str, table: Mapping[str, Any]) -> None:
             f"{where}: give 'file', or standard deviations by output, 'u_ax' and so on, with "
             f"'dof'; {found}."
         )
-    for name, value in table.items():
-        least, most = (1.0, math.inf) if name == "dof" else (0.0, LARGEST)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not least <= value <= most:
-            raise MultiposError(
-                f"{where}: '{name}' must be a number of at least {least:g}, got {value!r}."
-            )
 
 
 def _from_file(where: str, name: Any, beside: str) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Static records: what is told of simulated ones, with calibration and without, and what is not."""
 
 import json
+import tracemalloc
 from functools import cache
 
 import numpy as np
@@ -372,3 +373,16 @@ def test_a_long_record_goes_through_blocks_of_many_samples():
     assert_allclose(kept.time[:2], [128 / RATE, 384 / RATE])
     whole = log["ax"][: 256 * len(kept.time)].reshape(-1, 256).mean(axis=1)
     assert_allclose(kept.zero["ax"], whole, rtol=0, atol=1e-15)
+
+
+def test_memory_does_not_grow_with_the_record(tmp_path):
+    peaks = []
+    for rows in (400_000, 1_600_000):
+        np.save(tmp_path / "log.npy", np.random.default_rng(1).standard_normal(rows))
+        tracemalloc.start()
+        mp.stability(tmp_path / "log.npy", rate=1000.0)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # The samples are 3 and 13 MB; what is kept in memory is pieces, blocks and a first 4 MB.
+    assert peaks[1] < 1.2 * peaks[0]
+    assert peaks[1] < 25e6
