@@ -58,7 +58,7 @@ _PUBLIC = {
     "simulate": "sensor.simulation",
     "simulate_budget": "uncertainty.monte_carlo",
     "simulate_log": "sensor.simulation",
-    "stability": "verification.stability",
+    "stability": "verification.static_stability",
     "state_bench": "uncertainty.turntable",
     "state_budget": "uncertainty.propagation",
     "table_errors": "uncertainty.turntable",
@@ -117,7 +117,7 @@ if TYPE_CHECKING:
     from multipos.verification.comparison import compare as compare
     from multipos.verification.single_axis import Tumble as Tumble
     from multipos.verification.single_axis import tumble as tumble
-    from multipos.verification.stability import stability as stability
+    from multipos.verification.static_stability import stability as stability
     from multipos.verification.verdicts import Check as Check
 
 

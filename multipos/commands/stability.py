@@ -7,8 +7,8 @@ from multipos.commands.options import file_progress, names
 from multipos.files.tables import format_csv, to_json
 from multipos.logs.readers import formats_read
 from multipos.plots.stability import stability_figure
-from multipos.verification.stability import stability
 from multipos.verification.stability_text import stability_text
+from multipos.verification.static_stability import stability
 
 INPUTS = ("logs", "calibration")
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "table", "figure"))
