@@ -150,7 +150,7 @@ def test_stdin_from_a_file_is_an_input(here):
 
 
 WRITTEN = {
-    "fit": {".json", ".txt"},
+    "fit": {".json", ".txt", ".svg", ".png", ".pdf"},
     "average": {".csv", ".json", ".txt"},
     "apply": {".csv", ".json", ".txt"},
     "check": {".json", ".txt", ".svg", ".png", ".pdf"},
@@ -162,8 +162,8 @@ WRITTEN = {
     "report": {".html", ".md", ".txt"},
     "export": {".json"},
     "verify-export": {".json", ".txt"},
-    "schemes": {".json", ".txt"},
-    "design": {".csv", ".json", ".txt"},
+    "schemes": {".json", ".txt", ".svg", ".png", ".pdf"},
+    "design": {".csv", ".json", ".txt", ".svg", ".png", ".pdf"},
     "worth": {".json", ".txt"},
     "demo": set(),
 }
