@@ -75,7 +75,7 @@ def fit_laws(lengths: Sequence[int], variances: Array, records: Sequence[int]) -
     lengths : (T,) of int
         Averaging times in samples, rising.
     variances : (T,) array
-        Allan variances, above zero.
+        Allan variances, at least one above zero.
     records : of int
         Samples of the records, which were pooled.
     """
@@ -84,6 +84,8 @@ def fit_laws(lengths: Sequence[int], variances: Array, records: Sequence[int]) -
         return found
     tried = [found]
     for first in range(1, len(lengths) - _FEWEST + 1):
+        if not variances[first:].any():
+            break
         tried.append(_best(lengths, variances, records, first))
     found = min(tried, key=lambda each: each.chi2 + _COST * each.first)
     if not _is_denied(found):
@@ -124,7 +126,8 @@ def _fit(
     used, curve = list(lengths[first:]), variances[first:]
     design = law_variances(np.array(used, dtype=np.float64))[:, :laws]
     number = np.array([sum(starts(n, m) for n in records) / m for m in used])
-    factor = np.diag(curve / np.sqrt(number))  # to begin with
+    least = _NEXT_TO_NOTHING * curve.max()  # samples without noise have no variance at some length
+    factor = np.diag(np.maximum(curve, least) / np.sqrt(number))  # to begin with
     model = squares = np.zeros(0)
     for _ in range(_TOGETHER):
         rows = np.linalg.solve(factor, np.column_stack([design, curve]))

@@ -343,6 +343,25 @@ def test_what_cannot_be_told_is_refused_in_words(name):
         mp.stability(list(logs) if name != "no log" else [], **options)
 
 
+@pytest.mark.parametrize(
+    "samples",
+    [
+        np.arange(100.0),
+        np.tile([0.0, 1.0], 500),
+        np.sin(np.arange(5000) / 50.0),
+        np.concatenate([np.zeros(500), np.ones(500)]),
+        np.append(np.zeros(999), 1.0),
+        1e-30 * np.arange(1000.0) ** 2,
+    ],
+    ids=["ramp", "alternating", "wave", "step", "one that differs", "tiny parabola"],
+)
+def test_what_is_no_noise_gives_numbers_all_the_same(samples):
+    each = mp.stability({"ax": samples}, rate=10.0).outputs["ax"]
+    for law in (each.white_noise, each.bias_instability, each.random_walk, each.drift):
+        assert np.isfinite([law.value, law.u, law.U]).all()
+    assert np.isfinite(each.u).all()
+
+
 def test_too_many_columns_ask_for_outputs():
     log = {name: np.sin(np.arange(100.0)) for name in "abcd"}
     with pytest.raises(UsageError, match="name them with --outputs"):
