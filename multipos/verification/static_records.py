@@ -73,7 +73,7 @@ def read_record(log: Log, wanted: Source, progress: Progress | None) -> RawRecor
     """
     time_column = _time_column(log, wanted)
     raw = _outputs(log, wanted, time_column)
-    _require(log, [column for column in (time_column, wanted.temperature) if column])
+    _require(log, [c for c in (time_column, wanted.temperature) if c is not None])
     with Samples(log, raw, time_column) as samples, ExitStack() as stack:
         rate = samples.survey(wanted.rate, None, progress)[2]
         assert rate is not None
@@ -154,7 +154,7 @@ def _names(raw: tuple[str, ...], calibration: Calibration | None) -> tuple[str, 
 
 def _temperature(log: Log, wanted: Source, samples: Samples) -> slice:
     """Return the row of the temperature in the pieces, none where it was not measured."""
-    name = wanted.temperature or "temperature"
+    name = "temperature" if wanted.temperature is None else wanted.temperature
     if name not in samples.others:
         if wanted.temperature is not None:
             raise MultiposError(

@@ -284,6 +284,7 @@ REFUSED = {
     "too short": ((short(),), {}, MultiposError, "50 samples say nothing about stability"),
     "no time": (({"ax": np.arange(100.0)},), {}, MultiposError, "give --rate"),
     "no such output": ((short(),), {"outputs": "ay"}, MultiposError, "no column 'ay'"),
+    "an empty name": ((short(),), {"time_column": ""}, MultiposError, "no column ''"),
     "no such temperature": ((short(),), {"temperature": "temp"}, MultiposError, "no column 'temp'"),
     "an output as temperature": (
         ({"ax": np.sin(np.arange(100.0)), "t": np.arange(100.0), "time": np.arange(100.0)},),
