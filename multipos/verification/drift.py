@@ -63,14 +63,16 @@ def _clock(calibrations: Sequence[Calibration]) -> tuple[Array, str]:
     """Return when each calibration was made, and by what clock."""
     columns = [c.readings.environment.get("time") for c in calibrations]
     known = [time for time in columns if time is not None and np.isfinite(time).all()]
-    order = np.arange(1.0, len(columns) + 1.0)
-    if len(known) < len(columns):
-        return order, GIVEN
     at = np.array([time.mean() for time in known])
-    ends = sorted((float(time.min()), float(time.max())) for time in known)
-    apart = all(end < begin for (_, end), (begin, _) in pairwise(ends))
-    if not np.ptp(at) > 0.0:
-        return order, GIVEN
-    if ends[0][0] >= _EPOCH:
-        return at, ABSOLUTE
-    return (at, ORDERED) if apart else (order, GIVEN)
+    if len(known) == len(columns) and np.ptp(at) > 0.0:
+        if min(float(time.min()) for time in known) >= _EPOCH:
+            return at, ABSOLUTE
+        if _are_apart(known):
+            return at, ORDERED
+    return np.arange(1.0, len(columns) + 1.0), GIVEN
+
+
+def _are_apart(times: Sequence[Array]) -> bool:
+    """Tell whether none begins before another has ended."""
+    spans = sorted((float(time.min()), float(time.max())) for time in times)
+    return all(end < begin for (_, end), (begin, _) in pairwise(spans))

@@ -39,6 +39,7 @@ _TRIED = 40  # time constants to begin with
 _LONGEST = 3  # a share of the record: 1/3; what takes longer is a drift
 _SHORTEST = 2  # blocks
 _USED = 8  # a share of the record: longer averages, of which there are few, tell no law
+_TOGETHER = 1e-13  # of a column: what the others leave of it when it is one with them
 _LEAST = 1e-3  # of a variance that is left where a trend is taken off
 
 
@@ -181,11 +182,7 @@ def _least_squares(
 ) -> _Fit:
     """Fit eq. (1), linear but for the time constant, which takes one step of Gauss and Newton."""
     designs = [_columns(record, names, constant) for record in records]
-    white, logs = [], 0.0
-    for record, design in zip(records, designs, strict=True):
-        rows, log = _whitened(record, np.column_stack([design, record.values]), squares)
-        logs += log + math.log(float(rows[:, 0] @ rows[:, 0]))
-        white.append(rows)
+    white, logs = _all_whitened(records, designs, squares)
     own = [np.asarray(np.linalg.lstsq(r[:, :-1], r[:, -1], rcond=None)[0]) for r in white]
     left: list[Array] = [rows[:, -1] - rows[:, :-1] @ b for rows, b in zip(white, own, strict=True)]
     square = sum(float(r @ r) for r in left)
@@ -204,6 +201,18 @@ def _least_squares(
     )
 
 
+def _all_whitened(
+    records: Sequence[Blocks], designs: Sequence[Array], squares: Array
+) -> tuple[list[Array], float]:
+    """Return designs and values of all records with white noise, and the logarithms of eq. (2)."""
+    white, logs = [], 0.0
+    for record, design in zip(records, designs, strict=True):
+        rows, log = _whitened(record, np.column_stack([design, record.values]), squares)
+        logs += log + math.log(float(rows[:, 0] @ rows[:, 0]))
+        white.append(rows)
+    return white, logs
+
+
 def _step(
     records: Sequence[Blocks],
     constant: float | None,
@@ -213,8 +222,7 @@ def _step(
     left: list[Array],
 ) -> tuple[float, float, list[Array]]:
     """Return the step of ln T_w, its standard uncertainty, and the covariances of all others."""
-    inverses = [np.linalg.inv(np.linalg.qr(rows[:, :-1], mode="r")) for rows in white]
-    covariances = [R @ R.T for R in inverses]
+    covariances = [_covariance_of(rows[:, :-1]) for rows in white]
     if constant is None:
         return 0.0, 0.0, covariances
     upward = weight = 0.0
@@ -231,6 +239,16 @@ def _step(
         return 0.0, math.inf, covariances
     widened = [C + np.outer(a, a) / weight for C, a in zip(covariances, slopes, strict=True)]
     return upward / weight, 1.0 / math.sqrt(weight), widened
+
+
+def _covariance_of(rows: Array) -> Array:
+    """Return the covariance of coefficients; of those that go together it is huge, not infinite."""
+    R: Array = np.array(np.linalg.qr(rows, mode="r"))
+    least = _TOGETHER * np.linalg.norm(R, axis=0)
+    small = np.abs(np.diag(R)) < least
+    R[small, small] = least[small]
+    inverse = np.linalg.inv(R)
+    return np.asarray(inverse @ inverse.T)
 
 
 def _columns(record: Blocks, names: tuple[str, ...], constant: float | None) -> Array:

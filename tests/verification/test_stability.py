@@ -275,6 +275,14 @@ def test_a_text_says_upper_bounds_and_hours(capsys, tmp_path, monkeypatch):
     assert "< " in row
 
 
+def test_a_temperature_that_is_the_time_tells_neither():
+    n = 4096
+    log = {"time": np.arange(n) / RATE, "ax": white(np.random.default_rng(1), n)}
+    log["temperature"] = np.arange(n) / 64.0  # exact in floating point, in every block
+    found = mp.stability(log, unit="g").outputs["ax"]
+    assert found.drift.u > 1e3 * abs(found.drift.value)
+
+
 def short():
     return {"time": np.arange(50) / RATE, "ax": np.arange(50.0)}
 
