@@ -61,15 +61,15 @@ def find_drift(calibrations: Sequence[Calibration], values: Array) -> Drift:
 
 def _clock(calibrations: Sequence[Calibration]) -> tuple[Array, str]:
     """Return when each calibration was made, and by what clock."""
-    columns = [c.readings.environment.get("time") for c in calibrations]
-    known = [time for time in columns if time is not None and np.isfinite(time).all()]
+    nothing = np.array([math.nan])
+    known = [c.readings.environment.get("time", nothing) for c in calibrations]
     at = np.array([time.mean() for time in known])
-    if len(known) == len(columns) and np.ptp(at) > 0.0:
+    if np.isfinite(at).all() and np.ptp(at) > 0.0:
         if min(float(time.min()) for time in known) >= _EPOCH:
             return at, ABSOLUTE
         if _are_apart(known):
             return at, ORDERED
-    return np.arange(1.0, len(columns) + 1.0), GIVEN
+    return np.arange(1.0, len(known) + 1.0), GIVEN
 
 
 def _are_apart(times: Sequence[Array]) -> bool:
