@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_LINES = ("-", "--", "-.", ":")
 _SMALL = 1e4  # µg, or the unit of the outputs: a zero that is written in it
 _HOUR = 7200.0  # seconds, from which time is drawn in hours
 
@@ -59,6 +60,7 @@ def draw_zero(found: Stability, axes: "Axes", *, output: str) -> None:
             record.time / (3600.0 if hours else 1.0),
             factor * (record.zero[output] - middle),
             color=COLOURS[i % len(COLOURS)],
+            linestyle=_LINES[i % len(_LINES)],
             linewidth=0.9,
             label=f"run {i + 1}",
         )
