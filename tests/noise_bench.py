@@ -13,7 +13,7 @@ def flicker(rng, n, instability=1.0):
 
     Its spectrum is B²/(π 2 sin πf) from both sides together, at low frequencies B²/(2π f) on each.
 
-    [1] N. J. Kasdin, Proc. IEEE 83 (1995), 802–827, eq. (104).
+    [1] N. J. Kasdin, Proc. IEEE 83 (1995), 802–827.
     """
     k = np.arange(1, n)
     h = np.concatenate([[1.0], np.cumprod((k - 0.5) / k)])

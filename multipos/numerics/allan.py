@@ -30,7 +30,7 @@ C. A. Greenhall, W. J. Riley, "Uncertainty of stability variances based on finit
 35th PTTI Meeting, 2003: (3) and (4) are its functions s_w and BasicSum for unmodified Allan
 variances (d = 2) with the filter factor F = ∞.
 
-W. J. Riley, *Handbook of Frequency Stability Analysis*, NIST SP 1065, 2008, section 5.2.4 (1).
+W. J. Riley, *Handbook of Frequency Stability Analysis*, NIST SP 1065, 2008: (1).
 """
 
 import tempfile

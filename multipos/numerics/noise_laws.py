@@ -13,7 +13,7 @@ not where it is small. Its U is the wider side of the interval
 
 References
 ----------
-IEEE Std 952-1997, annex C: the laws and their places on the curve.
+IEEE Std 952 and 1293: the laws.
 """
 
 from collections.abc import Sequence

@@ -8,8 +8,8 @@ least four switch-ons, the calibration in place.
 
 References
 ----------
-Song and Qin 2009, section 3 and figure 1. IEEE Std 952-1997, annex C. C. A. Greenhall, W. J. Riley,
-35th PTTI Meeting, 2003 (degrees of freedom of the Allan variance).
+Song and Qin 2009, section 3 and figure 1. IEEE Std 952 and 1293 (the laws). C. A. Greenhall,
+W. J. Riley, 35th PTTI Meeting, 2003 (degrees of freedom of the Allan variance).
 """
 
 import os

@@ -40,6 +40,29 @@ def test_small_sums_by_hand():
     assert_allclose(variances, [341.0 / (2 * 5), (81 + 324 + 1296) / (2 * 4 * 3)], rtol=1e-15)
 
 
+def test_published_deviations_of_the_nbs_and_the_thousand_point_set():
+    """W. J. Riley, *The Calculation of Time Domain Frequency Stability*: its two sets of data."""
+    nbs = np.array([892.0, 809.0, 823.0, 798.0, 671.0, 644.0, 883.0, 903.0, 677.0])
+    numbers = [1234567890]
+    while len(numbers) < 1000:
+        numbers.append(16807 * numbers[-1] % 2147483647)
+    for samples, lengths, published in (
+        (nbs, [1, 2], ["91.22945", "85.95287"]),
+        (
+            np.array(numbers) / 2147483647,
+            [1, 10, 100],
+            ["2.922319e-01", "9.159953e-02", "3.241343e-02"],
+        ),
+    ):
+        with Phases() as phases:
+            phases.feed(samples)
+            sums = phases.sums(lengths)
+        scale = [2.0 * m**2 * starts(len(samples), m) for m in lengths]
+        for found, digits in zip(np.sqrt(sums / scale), published, strict=True):
+            written = f"{found:.6e}" if "e" in digits else f"{found:.5f}"
+            assert written == digits
+
+
 def matrix_covariance(lengths, n, noise):
     """Eq. (4) as sums over all pairs, from the covariance (n, n) of the samples themselves."""
     rows = []
