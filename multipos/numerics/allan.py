@@ -122,6 +122,14 @@ def law_variances(lengths: Array) -> Array:
     return np.column_stack([1.0 / lengths, flat, walk, 3.0 / lengths**2])
 
 
+def flicker_excess(lengths: Array) -> Array:
+    """Return what σ² (T,) has above its law for B² = 1 if flicker noise is sampled unfiltered.
+
+    The integral of 1/sin πf in the place of 1/πf, up to half the sample rate; a filter leaves less.
+    """
+    return np.asarray(FLICKER * (0.42 + 0.27 * np.log(lengths)) / lengths**2)
+
+
 def variance_covariance(theta: Array, lengths: Sequence[int], records: Sequence[int]) -> Array:
     """Return the covariance (T, T) of estimates of eq. (1) by eq. (4).
 

@@ -1,10 +1,12 @@
 """White noise, bias instability and random walk from an Allan curve, by generalised least squares.
 
 The curve (T,) is a linear function of N², B², K² (`multipos.numerics.allan`, eq. (2)), none of them
-negative; its covariance follows from them (eq. (4) there), so both are found in turn. Quantisation
-comes in where it explains more. Where χ² is more than chance allows, the shortest averaging times,
-at which filters and quantisation stand in the way of the laws, are left out as long as each takes
-some χ² with it; where it is still too much, the covariance grows by χ²/dof.
+negative; its covariance follows from them (eq. (4) there), so both are found in turn. Flicker noise
+that is sampled at instants has more than its law at the shortest times, how much depends on what
+filtered it: that excess is taken as uncertain, by all of itself. Quantisation comes in where it
+explains more. Where χ² is more than chance allows, the shortest averaging times, at which filters
+stand in the way of the laws, are left out as long as each takes some χ² with it; where it is still
+too much, the covariance grows by χ²/dof.
 
 The square of a coefficient is normal, with the standard uncertainty s; the coefficient itself is
 not where it is small. Its U is the wider side of the interval
@@ -21,7 +23,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multipos.numerics.allan import law_variances, starts, variance_covariance
+from multipos.numerics.allan import (
+    flicker_excess,
+    law_variances,
+    starts,
+    variance_covariance,
+)
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_tail
 
@@ -139,7 +146,9 @@ def _fit(
         if len(before) and (np.abs(model - before) <= _SAME * model).all():
             break
         noise = squares + _floor(curve, design)
-        factor = np.linalg.cholesky(variance_covariance(noise, used, records))
+        aliased = squares[1] * flicker_excess(np.array(used, dtype=np.float64))
+        covariance = variance_covariance(noise, used, records) + np.outer(aliased, aliased)
+        factor = np.linalg.cholesky(covariance)
     left = rows[:, -1] - rows[:, :-1] @ squares
     information = rows[:, :-1].T @ rows[:, :-1]
     outer = np.outer(scale, scale)

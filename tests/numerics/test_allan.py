@@ -6,7 +6,15 @@ from noise_bench import flicker, walk, white
 from numpy.testing import assert_allclose
 
 from multipos.numerics import allan
-from multipos.numerics.allan import Phases, law_variances, octaves, starts, variance_covariance
+from multipos.numerics.allan import (
+    FLICKER,
+    Phases,
+    flicker_excess,
+    law_variances,
+    octaves,
+    starts,
+    variance_covariance,
+)
 
 
 def curve(samples, *, pieces=1):
@@ -117,6 +125,16 @@ def test_degrees_of_freedom_are_those_of_greenhall_and_riley(law, alpha):
     found = 2.0 * variance**2 / np.diag(variance_covariance(theta, lengths, [n]))
     theirs = [ci.edf_greenhall(alpha, 2, m, n + 1, overlapping=True) for m in lengths]
     assert_allclose(found, theirs, rtol=0.02)  # theirs are fitted tables, good to 1 to 2 %
+
+
+def test_the_excess_of_sampled_flicker_noise_is_that_of_its_spectrum():
+    f = (np.arange(1 << 18) + 0.5) / (1 << 19)
+    for m in (1, 2, 4, 8, 16):
+        window = 2.0 * np.sin(np.pi * m * f) ** 4 / (m * np.sin(np.pi * f)) ** 2
+        whole = float(np.mean(window / (2.0 * np.sin(np.pi * f))))  # B²/2πf, from both sides
+        assert whole / FLICKER - 1.0 == pytest.approx(
+            float(flicker_excess(np.array([m]))[0]) / FLICKER, rel=0.06
+        )
 
 
 def test_records_are_pooled():

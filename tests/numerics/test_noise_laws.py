@@ -58,8 +58,8 @@ def test_u_of_a_coefficient_by_hand():
 
 @pytest.mark.parametrize(
     ("N_", "B", "K"),
-    [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.01), (1.0, 0.1, 0.0)],
-    ids=["white", "walk", "white and walk", "white and flicker"],
+    [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.01), (1.0, 0.1, 0.0)],
+    ids=["white", "flicker", "walk", "white and walk", "white and flicker"],
 )
 def test_u_covers_the_coefficients(N_, B, K):
     rng = np.random.default_rng(7)
@@ -88,9 +88,10 @@ def test_a_curve_that_no_law_is_like_has_wide_ones():
 def test_flicker_noise_gives_its_instability():
     rng = np.random.default_rng(8)
     found = np.array([laws_of(flicker(rng, N)).root(1, 1.0) for _ in range(40)])
-    # Sampled flicker noise has more than its law at short times, which costs 2 % of B.
-    assert abs(found[:, 0].mean() - 1.0) < 0.03
-    assert_allclose(found[:, 0].std(), found[:, 1].mean(), rtol=0.6)
+    # Forty means of 3 % each are good to half a percent; what sampling adds may cost one more.
+    assert abs(found[:, 0].mean() - 1.0) < 0.02
+    # A standard deviation of 40 is known to 11 %.
+    assert_allclose(found[:, 0].std(), found[:, 1].mean(), rtol=0.4)
 
 
 def test_degrees_of_freedom_follow_the_noise_that_is_there():
