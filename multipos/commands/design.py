@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_orientation, numbers
@@ -12,9 +12,6 @@ from multipos.designs.information import nothing_to_weigh
 from multipos.designs.sizes import smaller_designs
 from multipos.errors import UsageError
 from multipos.files.tables import to_json
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 INPUTS = ("candidates", "include", "region")
 OUTPUT = Output(
@@ -94,7 +91,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     )
 
 
-def _figure(designs: Sequence[Design], **setting: Any) -> "Figure":
+def _figure(designs: Sequence[Design], **setting: Any) -> Any:
     # Imported here, for who asks for no figure shall not wait for all of them to be imported.
     from multipos.plots.schemes import design_figure
 

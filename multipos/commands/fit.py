@@ -1,7 +1,7 @@
 """``multipos fit``."""
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, add_model, names, numbers
@@ -9,9 +9,6 @@ from multipos.files.tables import to_json
 from multipos.fitting import fit
 from multipos.reports.summary import text_report
 from multipos.sensor.calibration import Calibration
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 INPUTS = ("readings", "scheme", "budget")
 OUTPUT = Output("CAL.json", "write the calibration to CAL.json", "json", ("text", "figure"))
@@ -75,7 +72,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     )
 
 
-def _figure(calibration: Calibration) -> "Figure":
+def _figure(calibration: Calibration) -> Any:
     # Imported here, for who asks for no figure shall not wait for all of them to be imported.
     from multipos.plots.curves import calibration_figure
 

@@ -1,7 +1,7 @@
 """``multipos schemes``."""
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_orientation
@@ -9,9 +9,6 @@ from multipos.designs.assessment import Schemes, schemes, schemes_text
 from multipos.designs.information import nothing_to_weigh
 from multipos.files.tables import to_json
 from multipos.positions.scheme import SCHEMES
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 INPUTS = ("schemes",)
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))
@@ -53,7 +50,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     )
 
 
-def _figure(found: Schemes, **setting: Any) -> "Figure":
+def _figure(found: Schemes, **setting: Any) -> Any:
     # Imported here, for who asks for no figure shall not wait for all of them to be imported.
     from multipos.plots.schemes import schemes_figure
 
