@@ -28,6 +28,7 @@ _PUBLIC = {
     "Readings": "positions.readings",
     "Regression": "regression.result",
     "Scheme": "positions.scheme",
+    "Stability": "sensor.stability",
     "Tumble": "verification.single_axis",
     "UsageError": "errors",
     "apply": "compensation.applying",
@@ -45,6 +46,7 @@ _PUBLIC = {
     "load": "sensor.calibration_file",
     "load_check": "verification.check_file",
     "load_regression": "regression.regression_file",
+    "load_stability": "sensor.stability_file",
     "normal_gravity": "units",
     "over_temperature": "sensor.temperature",
     "profile_interval": "uncertainty.profiles",
@@ -56,6 +58,7 @@ _PUBLIC = {
     "simulate": "sensor.simulation",
     "simulate_budget": "uncertainty.monte_carlo",
     "simulate_log": "sensor.simulation",
+    "stability": "verification.static_stability",
     "state_bench": "uncertainty.turntable",
     "state_budget": "uncertainty.propagation",
     "table_errors": "uncertainty.turntable",
@@ -97,6 +100,8 @@ if TYPE_CHECKING:
     from multipos.sensor.model import Model as Model
     from multipos.sensor.simulation import simulate as simulate
     from multipos.sensor.simulation import simulate_log as simulate_log
+    from multipos.sensor.stability import Stability as Stability
+    from multipos.sensor.stability_file import load_stability as load_stability
     from multipos.sensor.temperature import over_temperature as over_temperature
     from multipos.song_qin import demo as demo
     from multipos.uncertainty.monte_carlo import simulate_budget as simulate_budget
@@ -112,6 +117,7 @@ if TYPE_CHECKING:
     from multipos.verification.comparison import compare as compare
     from multipos.verification.single_axis import Tumble as Tumble
     from multipos.verification.single_axis import tumble as tumble
+    from multipos.verification.static_stability import stability as stability
     from multipos.verification.verdicts import Check as Check
 
 

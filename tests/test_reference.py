@@ -111,3 +111,27 @@ def test_every_field_of_a_lab_file_is_described():
 def test_every_key_of_a_comparison_is_described(calibration):
     found = mp.compare(calibration, calibration).to_dict()
     assert set(found) | set(found["parameters"][0]) <= NAMES
+
+
+def test_every_key_of_a_stability_result_is_described():
+    page = (Path(__file__).resolve().parents[1] / "docs/reference/stability.md").read_text("utf-8")
+    names = set(re.findall(r"[a-z_A-Z]+", " ".join(re.findall(r"`([^`\n]+)`", page))))
+    t = np.arange(2000) / 10.0
+    noise = 1e-3 * np.random.default_rng(1).standard_normal((2, 2000))
+    logs = [
+        {"time": t, "ax": 1.0 + 0.02 * np.exp(-t / 20.0) + each, "temperature": 20.0 + np.sin(t)}
+        for each in noise
+    ]
+    found = mp.stability(logs, unit="g").to_dict()
+    output = found["outputs"]["ax"]
+    for part in (
+        found,
+        output,
+        output["allan"][0],
+        output["drift"],
+        output["warm_up"],
+        output["temperature_coefficient"],
+        found["run_to_run"]["ax"],
+        found["records"][0],
+    ):
+        assert set(part) - {"schema"} <= names

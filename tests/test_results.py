@@ -111,6 +111,22 @@ def checked():
 
 
 @cache
+def rested():
+    rng = np.random.default_rng(1)
+    t = np.arange(2000) / 10.0
+    warm = 0.02 * np.exp(-t / 20.0)
+    logs = [
+        {
+            "time": t,
+            "ax": warm + 1e-3 * rng.standard_normal(len(t)),
+            "temperature": 20.0 + np.sin(t / 9.0),
+        }
+        for _ in range(2)
+    ]
+    return mp.stability(logs, unit="g")
+
+
+@cache
 def verified():
     with TemporaryDirectory() as folder:
         (file,) = mp.export(sensor(), to="ros-imu-calib").save(Path(folder) / "ros.yaml")
@@ -143,6 +159,7 @@ RESULTS = {
     "Readings": session,
     "Readings with columns": lambda: warmed().readings,
     "Regression": regressed,
+    "Stability": rested,
     "Verification": verified,
     "Scheme": lambda: mp.read_scheme("faces-6"),
     "Term tests": lambda: tuple(judge_terms(calibrated())),

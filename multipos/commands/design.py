@@ -1,16 +1,22 @@
 """``multipos design``."""
 
 import argparse
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_orientation, numbers
-from multipos.designs.designing import design, design_csv, design_text
+from multipos.designs.designing import Design, design, design_csv, design_text
 from multipos.designs.information import nothing_to_weigh
+from multipos.designs.sizes import smaller_designs
 from multipos.errors import UsageError
 from multipos.files.tables import to_json
 
 INPUTS = ("candidates", "include", "region")
-OUTPUT = Output("SCHEME.csv", "write the positions to SCHEME.csv", "table", ("json", "text"))
+OUTPUT = Output(
+    "SCHEME.csv", "write the positions to SCHEME.csv", "table", ("json", "figure", "text")
+)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -51,24 +57,42 @@ def run(arguments: argparse.Namespace) -> Answer:
         raise UsageError("--move-time takes two times of 0 or more: per position, per degree.")
     if arguments.seed < 0:
         raise UsageError(f"--seed must be 0 or more, got {arguments.seed}.")
-    found = design(
+    axes = arguments.axes or ("x", "y", "z")
+    setting = {
+        "inputs": arguments.inputs,
+        "unknown_orientation": arguments.unknown_orientation,
+        "orientation_sd": arguments.orientation_sd,
+        "reading_sd": arguments.reading_sd,
+    }
+    search: Callable[..., Design] = design
+    make = partial(
+        search,
         arguments.model,
-        arguments.positions,
         criterion=arguments.criterion,
-        axes=arguments.axes or ("x", "y", "z"),
-        inputs=arguments.inputs,
+        axes=axes,
         candidates=arguments.candidates,
         include=arguments.include,
         region=arguments.region,
-        unknown_orientation=arguments.unknown_orientation,
-        orientation_sd=arguments.orientation_sd,
-        reading_sd=arguments.reading_sd,
         move_time=move_time,
         seed=arguments.seed,
+        **setting,
     )
+    found = make(arguments.positions)
     return Answer(
         text=lambda: design_text(found),
         json=lambda: to_json(found),
-        forms={"table": lambda: design_csv(found)},
+        forms={
+            "table": lambda: design_csv(found),
+            "figure": lambda: _figure(
+                smaller_designs(make, found), model=arguments.model, sensed=axes, **setting
+            ),
+        },
         warnings=lambda: nothing_to_weigh(arguments.orientation_sd, arguments.reading_sd),
     )
+
+
+def _figure(designs: Sequence[Design], **setting: Any) -> Any:
+    # Imported here, for who asks for no figure shall not wait for all of them to be imported.
+    from multipos.plots.schemes import design_figure
+
+    return design_figure(designs, **setting)

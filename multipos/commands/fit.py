@@ -1,15 +1,17 @@
 """``multipos fit``."""
 
 import argparse
+from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, add_model, names, numbers
 from multipos.files.tables import to_json
 from multipos.fitting import fit
 from multipos.reports.summary import text_report
+from multipos.sensor.calibration import Calibration
 
 INPUTS = ("readings", "scheme", "budget")
-OUTPUT = Output("CAL.json", "write the calibration to CAL.json", "json", ("text",))
+OUTPUT = Output("CAL.json", "write the calibration to CAL.json", "json", ("text", "figure"))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -65,5 +67,13 @@ def run(arguments: argparse.Namespace) -> Answer:
     return Answer(
         text=lambda: text_report(calibration),
         json=lambda: to_json(calibration.to_dict()),
+        forms={"figure": lambda: _figure(calibration)},
         warnings=lambda: calibration.diagnostics.warnings,
     )
+
+
+def _figure(calibration: Calibration) -> Any:
+    # Imported here, for who asks for no figure shall not wait for all of them to be imported.
+    from multipos.plots.curves import calibration_figure
+
+    return calibration_figure(calibration)

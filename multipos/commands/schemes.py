@@ -1,16 +1,17 @@
 """``multipos schemes``."""
 
 import argparse
+from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_orientation
-from multipos.designs.assessment import schemes, schemes_text
+from multipos.designs.assessment import Schemes, schemes, schemes_text
 from multipos.designs.information import nothing_to_weigh
 from multipos.files.tables import to_json
 from multipos.positions.scheme import SCHEMES
 
 INPUTS = ("schemes",)
-OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))
+OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -32,17 +33,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    found = schemes(
-        *arguments.schemes,
-        model=arguments.model,
-        axes=arguments.axes or ("x", "y", "z"),
-        inputs=arguments.inputs,
-        unknown_orientation=arguments.unknown_orientation,
-        orientation_sd=arguments.orientation_sd,
-        reading_sd=arguments.reading_sd,
-    )
+    axes = arguments.axes or ("x", "y", "z")
+    setting = {
+        "model": arguments.model,
+        "inputs": arguments.inputs,
+        "unknown_orientation": arguments.unknown_orientation,
+        "orientation_sd": arguments.orientation_sd,
+        "reading_sd": arguments.reading_sd,
+    }
+    found = schemes(*arguments.schemes, axes=axes, **setting)
     return Answer(
         text=lambda: schemes_text(found),
         json=lambda: to_json(found),
+        forms={"figure": lambda: _figure(found, sensed=axes, **setting)},
         warnings=lambda: nothing_to_weigh(arguments.orientation_sd, arguments.reading_sd),
     )
+
+
+def _figure(found: Schemes, **setting: Any) -> Any:
+    # Imported here, for who asks for no figure shall not wait for all of them to be imported.
+    from multipos.plots.schemes import schemes_figure
+
+    return schemes_figure(found, **setting)

@@ -17,8 +17,10 @@ from multipos.plots.calibration import (
     variance_shares,
 )
 from multipos.plots.check import check_figure, draw_check
+from multipos.plots.curves import calibration_figure
 from multipos.plots.runs import draw_runs, runs_figure
-from multipos.plots.schemes import draw_efficiency, draw_scheme
+from multipos.plots.schemes import design_figure, draw_efficiency, draw_scheme, schemes_figure
+from multipos.plots.stability import draw_allan, draw_zero, stability_figure
 from multipos.plots.style import new_figure, render, to_svg
 from multipos.plots.temperature import draw_correction, draw_curve, draw_path, regression_figure
 from multipos.plots.tumble import (
@@ -30,8 +32,11 @@ from multipos.plots.tumble import (
 )
 
 __all__ = [
+    "calibration_figure",
     "check_figure",
     "compensated_error",
+    "design_figure",
+    "draw_allan",
     "draw_budget",
     "draw_check",
     "draw_correction",
@@ -49,11 +54,14 @@ __all__ = [
     "draw_runs",
     "draw_scheme",
     "draw_signal",
+    "draw_zero",
     "new_figure",
     "nominal_error",
     "regression_figure",
     "render",
     "runs_figure",
+    "schemes_figure",
+    "stability_figure",
     "to_svg",
     "tumble_figure",
     "variance_shares",

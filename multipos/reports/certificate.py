@@ -31,6 +31,7 @@ from multipos.reports.findings import (
 )
 from multipos.reports.fit_checks import checks_section
 from multipos.reports.page import PageTable, Section
+from multipos.reports.temperature_evidence import temperature_sections
 from multipos.reports.translations import Language, Translator
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
@@ -178,6 +179,7 @@ def build_content(
             residuals_section(c, tr),
             errors_section(c, tr),
             *(() if check is None else (check_section(c, check, tr),)),
+            *temperature_sections(c, tr),
             positions_section(c, tr),
             *((rolls_section(c, tr),) if has_rolls(c) else ()),
             correlation_section(c, tr),

@@ -17,6 +17,8 @@ A budget is a small TOML file, one table for each input quantity, all optional:
                  ``scale_per_degC`` [relative/degC] where the model has no temperature terms
 ``third_order``  own-axis third-order coefficient that the positions did not show, relative to
                  the scale factor [1/g²]: what is known beyond ±1 g
+``stability``    zero from switch-on to switch-on: ``file``, a result of `multipos stability` of
+                 several records, or its standard deviations ``u_<output>``, and ``dof``
 ===============  ==========================================================================
 
 How large a quantity is, is said in one of three ways (angles with ``_deg`` behind the name): the
@@ -38,6 +40,7 @@ from multipos.errors import MultiposError
 from multipos.files.tables import read_toml
 from multipos.numerics.arrays import LARGEST
 from multipos.results import Result
+from multipos.uncertainty.stated_stability import resolve
 from multipos.units import normal_gravity
 
 Source = str | os.PathLike[str] | Mapping[str, Any]
@@ -65,12 +68,15 @@ class QuantityKind:
         Whether it is the same at all positions and in every repeated calibration.
     settings : tuple of str
         Keys beside its size.
+    shared : bool
+        Whether it is the same at all positions, but not in repeated calibrations.
     """
 
     text: str
     unit: str
     common: bool
     settings: tuple[str, ...] = ()
+    shared: bool = False
 
 
 KINDS = {
@@ -87,6 +93,9 @@ KINDS = {
         "temperature of the sensor", "degC", True, ("bias_per_degC", "scale_per_degC")
     ),
     "third_order": QuantityKind("third-order term beyond the positions", "1/g^2", True),
+    "stability": QuantityKind(
+        "zero from switch-on to switch-on", "1", False, ("file", "u_<output>"), True
+    ),
 }
 
 
@@ -136,6 +145,9 @@ def read_budget(source: "Source | Budget") -> Budget:
         where, tables = "the budget", source
     else:
         where, tables = str(source), read_toml(source, "budget")
+    if "stability" in tables:
+        stated = resolve(f"{where}, [stability]", tables["stability"], where)
+        tables = {**tables, "stability": stated}
     quantities = {
         name: _quantity(f"{where}, [{name}]", name, table) for name, table in tables.items()
     }
@@ -151,6 +163,8 @@ def _quantity(where: str, name: str, table: Any) -> Quantity:
         raise MultiposError(f"{where}: no such quantity; a budget knows {', '.join(KINDS)}.")
     if not isinstance(table, Mapping):
         raise MultiposError(f"{where}: write it as a table, such as [{name}] and below it u = …")
+    if name == "stability":
+        return Quantity(name, 1.0, KINDS[name].unit, "normal", float(table["dof"]), dict(table))
     kind = KINDS[name]
     suffix = "_deg" if kind.unit == "deg" else ""
     spread, settings = _split(where, table, kind, suffix)

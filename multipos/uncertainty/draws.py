@@ -63,7 +63,7 @@ class Draws:
         """Return readings (trials, n, M) about the fitted model."""
         readings = self._without_noise(trials)
         for quantity in self.quantities:
-            if quantity.name in ("gain", "offset", "temperature"):
+            if quantity.name in ("gain", "offset", "temperature", "stability"):
                 moves = reading_moves(self.c, quantity)
                 drawn = self._law(quantity, (trials, moves.shape[2]))
                 readings = readings + np.einsum("nmq,tq->tnm", moves, drawn)

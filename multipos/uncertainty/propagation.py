@@ -300,7 +300,7 @@ def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
         distribution=quantity.distribution,
         dof=np.full(len(c.parameters), quantity.dof),
         common=kind.common,
-        contained=contained & (not kind.common),
+        contained=contained & (not (kind.common or kind.shared)),
         sensitivity=effects[:, 0] if effects.shape[1] == 1 else np.linalg.norm(effects, axis=1),
         covariance=effects @ effects.T * quantity.u**2,
     )

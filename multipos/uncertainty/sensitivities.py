@@ -17,6 +17,7 @@ orientation   dy_k = J_k (e × f_k), one k alone          e = the case axes
 index         dy = J (a × f) cos mt, … sin mt            a = the shaft, t the angle about it
 gain, offset  dy = y, dy = 1
 temperature   dy = dh/dT
+stability     dy = s, or J e s of compensated force       s = sd of each zero, e its axis
 ============  =========================================  =====================================
 
 References
@@ -35,6 +36,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.budgets import Quantity
+from multipos.uncertainty.stated_stability import zero_moves
 
 _DEGREE = 1e-2  # [degC] of central differences: exact for terms up to the second degree
 
@@ -116,6 +118,8 @@ def reading_moves(calibration: Calibration, quantity: Quantity) -> Array:
     n, m = c.readings.values.shape
     if quantity.name in ("level", "index"):
         return _turned(c, turn_axes(c, quantity))
+    if quantity.name == "stability":
+        return zero_moves(c, quantity.settings)
     if quantity.name == "temperature":
         return _temperature_moves(c, quantity)[:, :, None]
     moved = c.readings.values if quantity.name == "gain" else np.ones((n, m))

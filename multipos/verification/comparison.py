@@ -1,9 +1,9 @@
 """Repeated calibrations of one unit: spread, drift, and whether they agree with what they claim.
 
 Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the
-stability of the biases, and the drift: the slope of the straight line through the repeats, per run,
-or per unit of the readings' `time` where they have it, judged by Student's t on R − 2 degrees of
-freedom.
+stability of the biases, and the drift (`multipos.verification.drift`): the slope of the straight
+line through the repeats, per second where their times are absolute or ordered and else per run in
+the order given, judged by Student's t on R − 2 degrees of freedom.
 
 Several methods on the same readings share their noise, so no test of spread applies: they agree
 where no parameter differs by more than its expanded uncertainty.
@@ -25,15 +25,21 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import spread
 from multipos.files.numbers import number, table, uncertain
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import t_tail
 from multipos.numerics.terms import CONSTANT
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.verification.consistency import Judgement, judge
+from multipos.verification.drift import ABSOLUTE, GIVEN, ORDERED, find_drift
 
 Run = Calibration | str | os.PathLike[str]
 
+_DAY = 86400.0  # s
+_TIMES = {
+    ABSOLUTE: "against the absolute times of the readings",
+    ORDERED: "against the times of the readings, which follow one another",
+    GIVEN: "per run, in the order given; the readings have no common clock",
+}
 _LEAST = 4  # repeats that the six-position paper asks for
 
 
@@ -47,7 +53,7 @@ class Comparison(Result):
     files : tuple of R str
     values : (R, p) array
     mean, sd, range, drift, drift_u : (p,) arrays
-        Over the repeats; drift is the slope per run, or per unit of the readings' `time`.
+        Over the repeats; drift is the slope per second or per run.
     drift_p, chi2, p : (p,) arrays
         `chi2` is Q of eq. (1) of one parameter, against the pooled scatter where estimated.
     dof, scatter_dof : (p,) arrays
@@ -60,7 +66,9 @@ class Comparison(Result):
         In words.
     consistent : bool
     per : str
-        What drift is per: 'run' or 'time'.
+        What drift is per: 'run', or 'time' in seconds.
+    times : str
+        Of the calibrations: 'absolute', 'ordered' or, per run, 'as given'.
     warnings : tuple of str
     """
 
@@ -85,6 +93,7 @@ class Comparison(Result):
     consistent: bool
     moved: tuple[str, ...]
     per: str
+    times: str
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -128,6 +137,7 @@ class Comparison(Result):
                     "name": name,
                     "unit": unit,
                     **dict(zip(names, row, strict=True)),
+                    "drift_unit": f"{unit}/{'s' if self.per == 'time' else 'run'}",
                     "moved": name in self.moved,
                 }
                 for (output, term), name, unit, row in zip(
@@ -141,6 +151,7 @@ class Comparison(Result):
             "test": self.test,
             "consistent": self.consistent,
             "drift_per": self.per,
+            "drift_times": self.times,
             "warnings": self.warnings,
         }
 
@@ -176,7 +187,7 @@ def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> C
     _check_alike(found, files)
     values = np.array([c.parameters for c in found])
     sd = values.std(axis=0, ddof=1)
-    drift, drift_u, drift_p, per = _drift(found, values)
+    drift = find_drift(found, values)
     same = _same_readings(found)
     if same:
         judged = Judgement.of_methods(found, values)
@@ -194,9 +205,9 @@ def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> C
         mean=values.mean(axis=0),
         sd=sd,
         range=np.ptp(values, axis=0),
-        drift=drift,
-        drift_u=drift_u,
-        drift_p=drift_p,
+        drift=drift.slope,
+        drift_u=drift.u,
+        drift_p=drift.p,
         chi2=judged.chi2,
         p=judged.p,
         dof=judged.dof,
@@ -208,7 +219,8 @@ def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> C
         test=judged.test,
         consistent=judged.consistent,
         moved=judged.moved,
-        per=per,
+        per=drift.per,
+        times=drift.times,
         warnings=tuple(warnings),
     )
 
@@ -259,28 +271,6 @@ def _same_readings(found: Sequence[Calibration]) -> bool:
     return several and all(np.array_equal(first, c.readings.values) for c in found[1:])
 
 
-def _drift(found: Sequence[Calibration], values: Array) -> tuple[Array, Array, Array, str]:
-    """Return slope, its standard uncertainty and p of the straight line through the repeats."""
-    nothing = np.array(math.nan)
-    at = np.array([np.mean(c.readings.environment.get("time", nothing)) for c in found])
-    known = bool(np.isfinite(at).all() and np.ptp(at) > 0.0)
-    if not known:
-        at = np.arange(1.0, len(found) + 1.0)
-    centred = at - at.mean()
-    square = float(centred @ centred)
-    slope = centred @ values / square
-    dof = len(found) - 2
-    if dof <= 0:
-        unknown = np.full(values.shape[1], math.nan)
-        return slope, unknown, unknown.copy(), "time" if known else "run"
-    left = values - values.mean(axis=0) - centred[:, None] * slope
-    u = np.sqrt(np.sum(left**2, axis=0) / dof / square)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = slope / u
-    p = np.array([t_tail(value, dof) if math.isfinite(value) else math.nan for value in t.tolist()])
-    return slope, u, p, "time" if known else "run"
-
-
 def comparison_text(found: Comparison) -> str:
     """Return a comparison as text."""
     lines = [
@@ -292,6 +282,7 @@ def comparison_text(found: Comparison) -> str:
     parts = [
         "\n".join(lines),
         _parameter_table(found),
+        *([] if math.isnan(found.p_total) else [f"drift: {_TIMES[found.times]}"]),
         "bias stability\n" + table(["output", f"sd [{model.unit}]"], stability),
         _verdict(found),
         *(f"warning: {warning}" for warning in found.warnings),
@@ -303,7 +294,8 @@ def _parameter_table(found: Comparison) -> str:
     """Return every parameter in every run, their mean and drift."""
     model = found.calibrations[0].model
     runs = [str(i) for i in range(1, len(found.files) + 1)]
-    header = ["parameter", "unit", *runs, "mean(sd)", f"drift per {found.per}", "p", ""]
+    per, factor = ("day", _DAY) if found.per == "time" else ("run", 1.0)
+    header = ["parameter", "unit", *runs, "mean(sd)", f"drift per {per}", "its p", "p", ""]
     rows = []
     for i, name in enumerate(model.names):
         mean, sd = float(found.mean[i]), float(found.sd[i])
@@ -315,7 +307,8 @@ def _parameter_table(found: Comparison) -> str:
                 model.units[i],
                 *(f"{value:.7g}" for value in found.values[:, i].tolist()),
                 uncertain(mean, sd if varies else 0.0),
-                number(float(found.drift[i]) if varies else 0.0, 2),
+                number(factor * float(found.drift[i]) if varies else 0.0, 2),
+                number(float(found.drift_p[i]), 2),
                 number(float(found.p[i]), 2),
                 "moved" if name in found.moved else "",
             ]

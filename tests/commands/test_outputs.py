@@ -60,6 +60,7 @@ COMMANDS = {
     "check": (["cal.json", "six.csv", "--scheme", "faces-6+six.csv"], ["cal.json", "six.csv"]),
     "compare": (["cal.json", "check.json"], ["cal.json", "check.json"]),
     "regress": (["log.csv", "--response", "ax", "--variables", "ay"], ["log.csv"]),
+    "stability": (["log.csv", "--calibration", "cal.json"], ["log.csv", "cal.json"]),
     "tumble": (["tumble.csv", "--scheme", "six.csv"], ["tumble.csv", "six.csv"]),
     "simulate": (["cal.json", "--scheme", "six.csv"], ["cal.json", "six.csv"]),
     "report": (
@@ -130,19 +131,20 @@ def test_stdin_from_a_file_is_an_input(here):
 
 
 WRITTEN = {
-    "fit": {".json", ".txt"},
+    "fit": {".json", ".txt", ".svg", ".png", ".pdf"},
     "average": {".csv", ".json", ".txt"},
     "apply": {".csv", ".json", ".txt"},
     "check": {".json", ".txt", ".svg", ".png", ".pdf"},
     "compare": {".json", ".txt", ".svg", ".png", ".pdf"},
     "regress": {".json", ".txt", ".svg", ".png", ".pdf"},
+    "stability": {".json", ".csv", ".txt", ".svg", ".png", ".pdf"},
     "tumble": {".json", ".txt", ".svg", ".png", ".pdf"},
     "simulate": {".csv", ".json", ".txt"},
     "report": {".html", ".md", ".txt"},
     "export": {".json"},
     "verify-export": {".json", ".txt"},
-    "schemes": {".json", ".txt"},
-    "design": {".csv", ".json", ".txt"},
+    "schemes": {".json", ".txt", ".svg", ".png", ".pdf"},
+    "design": {".csv", ".json", ".txt", ".svg", ".png", ".pdf"},
     "worth": {".json", ".txt"},
     "demo": set(),
 }

@@ -69,6 +69,10 @@ TEXT = """
  6 compare lin.json averaged.json level.json --json
  4 compare uncertain.json auto.json robust.json averaged.json -o o.json
 .5 compare lin.json averaged.json -o o.svg
+.5 stability log.csv --json
+.5 stability log.csv log.csv --calibration lin.json -o o.json
+.3 stability log.csv --outputs ax,ay --unit g -o o.csv
+.1 stability log.csv -o o.svg
  4 report lin.json -o o.md
  3 report stepwise.json -o o.txt
  2 report budget.json -o o.md

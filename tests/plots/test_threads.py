@@ -107,17 +107,19 @@ def results():
     check = mp.check(runs[0], run(), scheme="roll-z-12", limit_g=2e-3, nominal=(0.1, 1.0))
     t = np.linspace(-40.0, 80.0, 40)
     data = {"t": t, "y": 0.3 + 0.02 * t + 0.01 * rng.standard_normal(40)}
-    return runs, check, mp.regress(data, response="y", variables="t", stepwise=True), data
+    rest = mp.stability({"ax": rng.standard_normal(500)}, rate=10.0, unit="g")
+    return runs, check, rest, mp.regress(data, response="y", variables="t", stepwise=True), data
 
 
 def draw():
     """Return a report and every other kind of figure."""
-    runs, check, regression, data = results()
+    runs, check, rest, regression, data = results()
     page = html_report(build_content(runs[0], check=check))
     figures = (
         plots.runs_figure(mp.compare(runs)),
         plots.regression_figure(regression, data),
         plots.check_figure(check),
+        plots.stability_figure(rest),
     )
     return page, *(plots.render(figure, ending) for figure in figures for ending in ENDINGS)
 

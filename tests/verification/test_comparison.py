@@ -162,24 +162,68 @@ def test_a_bias_that_moves_is_found_and_named():
     assert not c.consistent
     assert c.moved == ("bias_ax",)
     assert c.drift[0] == pytest.approx(0.02, abs=1e-3)
-    assert c.per == "run"
+    assert (c.per, c.times) == ("run", "as given")
+    assert c.to_dict()["parameters"][0]["drift_unit"] == "g/run"
     assert c.drift_p[0] < 0.01
     assert c.bias_stability["ax"] == pytest.approx(0.02 * math.sqrt(5 / 3), rel=0.1)
 
 
-def test_drift_is_per_time_where_the_readings_know_it():
+def drifting(begins, duration=600.0, unit="g", shift=3e-4):
+    """Calibrations whose bias moves by `shift` from one to the next, by the times of readings."""
     up = read_scheme("icosahedron-12").up
-    found = [
+    return [
         mp.fit(
-            mp.Readings(up + 3e-4 * hour, unit="g", environment={"time": np.full(12, hour)}),
+            mp.Readings(
+                up + shift * i,
+                unit=unit,
+                environment={"time": begin + np.linspace(0.0, duration, 12)},
+            ),
             scheme="icosahedron-12",
             reading_sd=1e-5,
         )
-        for hour in (0.0, 1.0, 5.0)
+        for i, begin in enumerate(begins)
     ]
+
+
+CLOCKS = {
+    "one that runs on": ((0.0, 1000.0, 2000.0, 3000.0), "ordered", 3e-7),
+    "in another order": ((3000.0, 2000.0, 1000.0, 0.0), "ordered", -3e-7),
+    "absolute, overlapping": ((1.7e9, 1.7e9 + 300, 1.7e9 + 600, 1.7e9 + 900), "absolute", 1e-6),
+    "each its own": ((0.0, 0.1, 0.0, 0.2), "as given", 3e-4),
+    "the same": ((0.0, 0.0, 0.0, 0.0), "as given", 3e-4),
+}
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+def test_drift_is_against_a_common_clock_or_the_order_given(name, tmp_path, capsys):
+    begins, times, slope = CLOCKS[name]
+    found = drifting(begins)
     c = mp.compare(*found)
-    assert c.per == "time"
-    assert c.drift[0] == pytest.approx(3e-4, rel=1e-9)
+    assert (c.per, c.times) == ("run" if times == "as given" else "time", times)
+    assert c.drift[0] == pytest.approx(slope, rel=1e-6)
+    entry = c.to_dict()["parameters"][0]
+    assert entry["drift_unit"] == ("g/run" if times == "as given" else "g/s")
+    assert c.to_dict()["drift_times"] == times
+    files = [str(tmp_path / f"{i}.json") for i in range(4)]
+    for calibration, file in zip(found, files, strict=True):
+        calibration.save(file)
+    assert main(["compare", *files]) == 0
+    shown = capsys.readouterr().out
+    if times == "as given":
+        assert "drift per run" in shown
+        assert "no common clock" in shown
+    else:
+        assert "drift per day" in shown
+        row = next(line for line in shown.splitlines() if line.startswith("bias_ax"))
+        assert f"{86400.0 * slope:.2g}" in row
+
+
+def test_a_calibration_without_times_leaves_the_order_given():
+    found = drifting((0.0, 1000.0, 2000.0))
+    without = mp.fit(
+        mp.Readings(read_scheme("icosahedron-12").up, unit="g"), scheme="icosahedron-12"
+    )
+    assert mp.compare(*found, without).times == "as given"
 
 
 def test_drift_and_spread_of_three_runs_by_hand():

@@ -1,0 +1,59 @@
+"""``multipos stability``."""
+
+import argparse
+
+from multipos.commands.answers import Answer, Output
+from multipos.commands.options import file_progress, names
+from multipos.files.tables import format_csv, to_json
+from multipos.logs.readers import formats_read
+from multipos.plots.stability import stability_figure
+from multipos.verification.stability_text import stability_text
+from multipos.verification.static_stability import stability
+
+INPUTS = ("logs", "calibration")
+OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "table", "figure"))
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add = parser.add_argument
+    add(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help=f"static records, each a switch-on of its own: CSV, white space, {formats_read()}",
+    )
+    add("--calibration", metavar="CAL.json", help="compensate the outputs with it")
+    add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
+    add(
+        "--temperature",
+        metavar="COLUMN",
+        help="column with the temperature [degC] (default temperature)",
+    )
+    add("--columns", type=names, metavar="a,b,c,…", help="names of all columns of the logs")
+    add("--time-column", metavar="T", help="column with the time [s] (default time)")
+    add("--rate", type=float, metavar="HZ", help="sample rate, where no column tells the time")
+    add("--unit", metavar="UNIT", help="unit of raw outputs")
+    add(
+        "--confidence",
+        type=float,
+        default=0.95,
+        metavar="P",
+        help="coverage probability of U (default 0.95)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
+    options = {k: v for k, v in vars(arguments).items() if k not in ("logs", "json", "output")}
+    with file_progress(arguments.logs[0], "reading") as progress:
+        found = stability(*arguments.logs, progress=progress, **options)
+    return Answer(
+        text=lambda: stability_text(found),
+        json=lambda: to_json(found.to_dict()),
+        forms={
+            "table": lambda: format_csv(found.columns()),
+            "figure": lambda: stability_figure(found),
+        },
+        warnings=lambda: found.warnings,
+    )

@@ -1,0 +1,95 @@
+"""Figures of static records: the Allan deviation, and the zero against time."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multipos.numerics.allan import FLICKER
+from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, scale_by_powers, write
+from multipos.sensor.stability import MICRO_G, Stability
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_LINES = ("-", "--", "-.", ":")
+_SMALL = 1e4  # µg, or the unit of the outputs: a zero that is written in it
+_HOUR = 7200.0  # seconds, from which time is drawn in hours
+
+
+def draw_allan(found: Stability, axes: "Axes") -> None:
+    """Draw the overlapping Allan deviation of every output with its u, and the three laws."""
+    factor, unit = _shown(found)
+    for i, (name, each) in enumerate(found.outputs.items()):
+        colour = COLOURS[i % len(COLOURS)]
+        adev, u = factor * each.adev, factor * each.u
+        axes.errorbar(
+            found.tau,
+            adev,
+            [np.minimum(u, 0.9 * adev), u],
+            fmt=MARKERS[i % len(MARKERS)],
+            color=colour,
+            elinewidth=0.8,
+            capsize=0.0,
+            label=name,
+        )
+        N, B, K = (
+            factor * law.value
+            for law in (each.white_noise, each.bias_instability, each.random_walk)
+        )
+        laws = np.sqrt(N**2 / found.tau + FLICKER * B**2 + K**2 * found.tau / 3.0)
+        axes.plot(found.tau, laws, color=colour, linewidth=0.8)
+    scale_by_powers(axes, "x")
+    scale_by_powers(axes, "y")
+    axes.set_xlabel("averaging time [s]")
+    axes.set_ylabel(f"Allan deviation [{unit}]")
+    name_series(axes, len(found.outputs))
+
+
+def draw_zero(found: Stability, axes: "Axes", *, output: str) -> None:
+    """Draw the zero of one output against time, a line each record: figure 1 of the paper.
+
+    Less the mean of the settled zeros, which is written beside the axis.
+    """
+    factor, unit = _shown(found)
+    middle = float(np.mean([record.settled[output] for record in found.records]))
+    longest = max(float(record.time[-1]) for record in found.records)
+    hours = longest > _HOUR
+    for i, record in enumerate(found.records):
+        axes.plot(
+            record.time / (3600.0 if hours else 1.0),
+            factor * (record.zero[output] - middle),
+            color=COLOURS[i % len(COLOURS)],
+            linestyle=_LINES[i % len(_LINES)],
+            linewidth=0.9,
+            label=f"run {i + 1}",
+        )
+    small = abs(factor * middle) < _SMALL
+    about = f"{factor * middle:.4g} {unit}" if small else f"{middle:.6g} {found.unit}"
+    axes.axhline(0.0, color="#999999", linewidth=0.5)
+    axes.set_xlabel("time since switching on [h]" if hours else "time since switching on [s]")
+    axes.set_ylabel(f"{output} [{unit}]")
+    write(
+        axes,
+        0.0,
+        1.02,
+        f"about {about}".replace("-", "−"),
+        transform=axes.transAxes,
+        fontsize=8.0,
+        color="#555555",
+    )
+    if len(found.records) > 1:
+        name_series(axes, min(len(found.records), 8))
+
+
+def stability_figure(found: Stability) -> "Figure":
+    """Return the Allan deviation, and below it the zero of every output against time."""
+    figure, axes = new_figure(1 + len(found.outputs))
+    draw_allan(found, axes[0])
+    for output, one in zip(found.outputs, axes[1:], strict=True):
+        draw_zero(found, one, output=output)
+    return figure
+
+
+def _shown(found: Stability) -> tuple[float, str]:
+    return (MICRO_G[found.unit], "µg") if found.unit in MICRO_G else (1.0, found.unit)
