@@ -59,14 +59,19 @@ def run(arguments: argparse.Namespace) -> Answer:
 
     @cache
     def columns() -> Mapping[str, Column]:
-        with file_progress(arguments.data, "applying") as applied.progress:
+        with file_progress([arguments.data], "applying") as applied.progress:
             return applied.columns()
 
     def table() -> Iterator[str]:
-        with file_progress(arguments.data, "applying") as applied.progress:
+        with file_progress([arguments.data], "applying") as applied.progress:
             yield from applied
 
-    return _answer(arguments, table, columns, lambda: _outside(applied.beyond, applied.rows))
+    return _answer(
+        arguments,
+        table,
+        columns,
+        lambda: (*log.left_out, *_outside(applied.beyond, applied.rows)),
+    )
 
 
 def _correct(arguments: argparse.Namespace) -> Answer:

@@ -1,18 +1,23 @@
-"""Which position of a scheme each rest is: the nearest direction.
+"""Which position of a scheme each rest is: the nearest direction, or the next of the list.
 
 The raw readings of three outputs show a direction once bias and scale factor are roughly known.
 Both follow, output by output, from the readings themselves: first from their range against the
 range of the scheme, then from the least-squares line through the positions found, until the
 positions stay the same. Misalignment and placement remain as the distance, an angle. A rest is
 doubtful where that angle is large, or the second-nearest direction is not twice as far.
+
+Fewer than three outputs read the same of two directions. Their rests are taken as the positions of
+the scheme in order, one each, and are doubtful where they are far from what the scheme makes them.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.logs.rests import Rest
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention
 from multipos.positions.scheme import Scheme
@@ -36,6 +41,82 @@ class Match(NamedTuple):
         return np.asarray(far | (2.0 * self.distance_deg > self.second_deg))
 
 
+def match_rests(
+    means: Array,
+    labels: Sequence[str],
+    rows: Sequence[Rest],
+    scheme: Scheme,
+    convention: Convention,
+) -> Match:
+    """Match rests to the positions of a scheme.
+
+    Parameters
+    ----------
+    means : (n, M) array
+        Mean outputs, on axes x, y, z, or the first of them.
+    labels, rows : sequences
+        What rests are called, and where they are, in messages.
+    scheme : Scheme
+    convention : str
+        'specific-force' or 'gravity'.
+
+    Raises
+    ------
+    MultiposError
+        A rest is far from its position, or as near to another; or rests of fewer than three
+        outputs are not as many as the positions.
+    """
+    if means.shape[1] == 3:
+        match = match_directions(means, scheme, convention)
+    else:
+        match = _match_in_order(means, scheme, convention)
+    bad = np.flatnonzero(match.doubtful).tolist()
+    if not bad:
+        return match
+    known = scheme.labels or [str(i + 1) for i in range(len(scheme))]
+    i = bad[0]
+    second = ""
+    if np.isfinite(match.second_deg[i]):
+        second = f" and {match.second_deg[i]:.1f} from the next"
+    raise MultiposError(
+        f"{len(bad)} of {len(means)} rests match no position of scheme '{scheme.name}': rest "
+        f"'{labels[i]}' (rows {rows[i].start} to {rows[i].end}) lies {match.distance_deg[i]:.1f} "
+        f"degrees from position '{known[match.rows[i]]}'{second} (the nearest must be within "
+        f"{FARTHEST_DEG:g} degrees and twice as near as the next); name the right rests with "
+        "--only, or leave --scheme out and use fit --unknown-orientation."
+    )
+
+
+def _match_in_order(means: Array, scheme: Scheme, convention: Convention) -> Match:
+    """Match rests of fewer than three outputs to all positions of a scheme, in order."""
+    count, outputs = means.shape
+    if count != len(scheme):
+        raise MultiposError(
+            f"{outputs} outputs do not show a direction, so that rests are taken as the positions "
+            f"in order, but {count} rests were found and scheme '{scheme.name}' has "
+            f"{len(scheme)} positions; choose the rests with --only, --min-duration or "
+            "--threshold, or name them with --sections."
+        )
+    targets = (-1.0 if convention == "gravity" else 1.0) * scheme.up[:, :outputs]
+    off = np.zeros(count)
+    for mean, target in zip(means.T, targets.T, strict=True):
+        if np.ptp(target) <= _SPREAD:
+            continue
+        rows = np.column_stack([np.ones(count), target])
+        (bias, scale), *_ = np.linalg.lstsq(rows, mean, rcond=None)
+        if not scale:
+            raise _nothing_moves()
+        off += ((mean - bias) / scale - target) ** 2
+    chord = np.minimum(np.sqrt(off) / 2.0, 1.0)
+    return Match([*range(count)], np.degrees(2.0 * np.arcsin(chord)), np.full(count, np.inf))
+
+
+def _nothing_moves() -> MultiposError:
+    return MultiposError(
+        "the rests do not move any output as the scheme does; check --scheme and --outputs."
+    )
+
+
 def match_directions(means: Array, scheme: Scheme, convention: Convention) -> Match:
     """Match rests to the positions of a scheme by direction.
 
@@ -46,17 +127,7 @@ def match_directions(means: Array, scheme: Scheme, convention: Convention) -> Ma
     scheme : Scheme
     convention : str
         'specific-force' or 'gravity'.
-
-    Raises
-    ------
-    MultiposError
-        Not three outputs.
     """
-    if means.shape[1] != 3:
-        raise MultiposError(
-            f"{means.shape[1]} outputs do not show a direction, three would; "
-            "leave --scheme out and label the rests with --sections."
-        )
     targets = (-1.0 if convention == "gravity" else 1.0) * scheme.up
     bias, scale = _from_ranges(means, targets)
     rows: list[int] = []
@@ -81,9 +152,7 @@ def _from_ranges(means: Array, targets: Array) -> tuple[Array, Array]:
     span, wanted = np.ptp(means, axis=0), np.ptp(targets, axis=0)
     shown = wanted > _SPREAD
     if not shown.any() or not span[shown].all():
-        raise MultiposError(
-            "the rests do not move any output as the scheme does; check --scheme and --outputs."
-        )
+        raise _nothing_moves()
     scale = np.ones(3)
     scale[shown] = span[shown] / wanted[shown]
     scale[~shown] = scale[shown].mean()

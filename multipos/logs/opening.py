@@ -9,6 +9,7 @@ is the exception, because its format holds each array in one piece.
 """
 
 import os
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,13 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.lists import Names, split_names
+from multipos.files.packed import GZIP, unpack_gzip
 from multipos.files.pipes import rereadable
 from multipos.files.tables import Column, Source, read_table
 from multipos.logs.arrays import log_of_columns
-from multipos.logs.readers import READERS
+from multipos.logs.readers import READERS, Reader
 from multipos.logs.table import Log
-from multipos.logs.text import HEAD, open_text, split_rows
+from multipos.logs.text import HEAD, open_text
 
 
 def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
@@ -52,33 +54,38 @@ def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
         return log_of_columns(table.source, table.columns, names)
     path = rereadable(source)
     head = _read_head(path)
-    suffix = Path(str(path)).suffix.lower()
+    if head.startswith(GZIP):
+        path = unpack_gzip(path)
+        head = _read_head(path)
+    reader = _reader_of(path, head)
+    if reader is None:
+        return open_text(path, head, names)
+    return log_of_columns(str(path), reader.columns(path), names)
+
+
+def _reader_of(path: os.PathLike[str], head: bytes) -> Reader | None:
+    """Return what reads a file, by its first bytes or else its suffix; None of a text."""
     by_content = [reader for reader in READERS if head.startswith(reader.magic)]
+    suffix = Path(os.fspath(path)).suffix.lower()
     by_suffix = [reader for reader in READERS if suffix in reader.suffixes]
-    for reader in by_content or (by_suffix if b"\0" in head else ()):
-        return log_of_columns(str(path), reader.columns(path), names)
-    return open_text(path, head, names)
+    return next(iter(by_content or (by_suffix if b"\0" in head else ())), None)
 
 
 def read_log(log: Log) -> dict[str, Column]:
     """Return all columns of a log at once: numbers, NaN where a cell is none, and texts."""
-    columns: dict[str, list[Any]] = {name: [] for name in log.columns}
     texts = [name for name in log.columns if name not in log.numeric]
-    for piece in log.read((), log.numeric):
-        for name in log.numeric:
+    columns: dict[str, list[Any]] = {name: [] for name in log.columns}
+    for piece in log.read((), log.numeric, texts):
+        for name in log.columns:
             columns[name].append(piece.table.columns[name])
-        rows = []
-        if piece.lines and texts:
-            numbers = piece.table.lines or range(1, len(piece.lines) + 1)
-            rows = split_rows(log.source, piece.lines, numbers, log.delimiter)
-        for name in texts:
-            place = log.columns.index(name)
-            columns[name] += [row[place] for row in rows]
-    return {
-        name: np.concatenate(column) if name in log.numeric else column
-        for name, column in columns.items()
-        if column
-    }
+    return {name: _joined(parts) for name, parts in columns.items() if parts}
+
+
+def _joined(parts: list[Any]) -> Column:
+    """Return the column that its pieces make: an array, or a list of texts."""
+    if isinstance(parts[0], np.ndarray):
+        return np.concatenate(parts)
+    return list(chain.from_iterable(parts))
 
 
 def _read_head(path: os.PathLike[str]) -> bytes:

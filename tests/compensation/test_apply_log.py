@@ -152,7 +152,7 @@ def test_rows_outside_are_counted_to_the_end(saved, log, tmp_path, capsys, monke
         ("ax,ay,az,f_x\n1,2,3,4\n", "column 'f_x' is there already"),
         ("ax,ay,az\n1,2,3\n1,,3\n", "row 2 (line 3), column 'ay': the cell is empty"),
         ("ax,ay,az\n1,2,3\n1,-1e308,3\n", "row 2 (line 3), column 'ay': -1e+308 is no number"),
-        ("ax,ay,az\n1,2,3\n1,2\n", "row 2 (line 3) has 2 cells"),
+        ("ax,ay,az\n1,2,3\n1,2\n1,2,3\n", "row 2 (line 3) has 2 cells"),
         ("1,2,3\n1,2,3\n", "the columns are 1, 2, 3"),
         ('ax,ay,az,note\n1,2,3,a\n1,2,3,"b\n1,2,3,c\n', "log.csv: line 3: a quote is not closed"),
         ('ax,ay,az,"note\n1,2,3,a\n', "log.csv: line 1: a quote is not closed"),
