@@ -24,6 +24,7 @@ ORDER = (
     ("designs", "uncertainty"),
     ("doubts",),
     ("fitting", "regressing", "compensation"),
+    ("calibrating",),
     ("verification",),
     ("plots",),
     ("reports",),

@@ -34,6 +34,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("calibration", metavar="CAL.json", help="calibration to export")
     targets = ", ".join(target.name for target in TARGETS)
     add("--to", required=True, metavar="TARGET", help=f"one of {targets}")
+    add_export_options(parser)
+
+
+def add_export_options(parser: argparse.ArgumentParser) -> None:
+    """Add how an export is written."""
+    add = parser.add_argument
     add("--name", default="multipos", help="the C function is NAME_compensate (default multipos)")
     add("--float", action="store_true", help="single precision, in C")
     add(

@@ -14,8 +14,13 @@ OUTPUT = Output("CAL.json", "write the calibration to CAL.json", "json", ("text"
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
+    parser.add_argument("readings", metavar="READINGS", help="CSV file of averaged readings")
+    add_fit_options(parser)
+
+
+def add_fit_options(parser: argparse.ArgumentParser) -> None:
+    """Add what is fitted, and how."""
     add = parser.add_argument
-    add("readings", metavar="READINGS", help="CSV file of averaged readings")
     add(
         "--scheme",
         metavar="S",

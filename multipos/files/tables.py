@@ -155,6 +155,9 @@ def read_table(source: Source, *, what: str = "table") -> Table:
         return source
     if isinstance(source, str | os.PathLike):
         return _read_csv(source, what)
+    own = getattr(source, "columns", None)
+    if callable(own):  # a result that is written as a table
+        return read_table(own(), what=what)
     if isinstance(source, Mapping):
         names: Iterable[Any] = source.keys()
     elif hasattr(source, "columns") and hasattr(source, "__getitem__"):

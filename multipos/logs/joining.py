@@ -27,6 +27,7 @@ class Chosen(NamedTuple):
     label: str
     log: StillLog
     still: Still
+    given: bool  # whether the user named it, or its file
 
     @property
     def where(self) -> str:
@@ -84,10 +85,11 @@ def choose(found: Sequence[StillLog], only: tuple[str, ...] | None) -> list[Chos
 def _labelled(found: Sequence[StillLog]) -> list[Chosen]:
     result: list[Chosen] = []
     for log in found:
-        by_file = len(found) > 1 and len(log.rests) == 1
+        name = Path(log.log.source).name.partition(".")[0]
+        by_file = name if len(found) > 1 and len(log.rests) == 1 else ""
         for still in log.rests:
-            counted = Path(log.log.source).stem if by_file else str(len(result) + 1)
-            result.append(Chosen(still.label or counted, log, still))
+            given = still.label or by_file
+            result.append(Chosen(given or str(len(result) + 1), log, still, bool(given)))
     return result
 
 
@@ -181,7 +183,8 @@ def _matched(
     if scheme is None:
         return None, labels, []
     means = np.array([each.still.found.mean for each in chosen])
-    match = match_rests(means, labels, [each.still.rows for each in chosen], scheme, convention)
+    named = [each.label if each.given else "" for each in chosen]
+    match = match_rests(means, named, [each.where for each in chosen], scheme, convention)
     known = scheme.labels or [str(i + 1) for i in range(len(scheme))]
     missed = [known[i] for i in sorted({*range(len(known))} - {*match.rows})]
     unseen = [f"no rest at position {', '.join(missed)} of scheme '{scheme.name}'"]

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.logs.rests import Rest
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention
 from multipos.positions.scheme import Scheme
@@ -44,18 +43,21 @@ class Match(NamedTuple):
 def match_rests(
     means: Array,
     labels: Sequence[str],
-    rows: Sequence[Rest],
+    where: Sequence[str],
     scheme: Scheme,
     convention: Convention,
 ) -> Match:
-    """Match rests to the positions of a scheme.
+    """Match rests to the positions of a scheme: by label, by direction, or in order.
 
     Parameters
     ----------
     means : (n, M) array
         Mean outputs, on axes x, y, z, or the first of them.
-    labels, rows : sequences
-        What rests are called, and where they are, in messages.
+    labels : sequence of str
+        What the user calls each rest, '' where nothing. Where all are labels of the scheme they
+        tell the positions.
+    where : sequence of str
+        Where the rests are, in messages.
     scheme : Scheme
     convention : str
         'specific-force' or 'gravity'.
@@ -66,24 +68,26 @@ def match_rests(
         A rest is far from its position, or as near to another; or rests of fewer than three
         outputs are not as many as the positions.
     """
-    if means.shape[1] == 3:
+    known = scheme.labels or [str(i + 1) for i in range(len(scheme))]
+    if all(label in known for label in labels):
+        match = _match_rows(means, [known.index(label) for label in labels], scheme, convention)
+    elif means.shape[1] == 3:
         match = match_directions(means, scheme, convention)
     else:
         match = _match_in_order(means, scheme, convention)
     bad = np.flatnonzero(match.doubtful).tolist()
     if not bad:
         return match
-    known = scheme.labels or [str(i + 1) for i in range(len(scheme))]
     i = bad[0]
     second = ""
     if np.isfinite(match.second_deg[i]):
         second = f" and {match.second_deg[i]:.1f} from the next"
     raise MultiposError(
         f"{len(bad)} of {len(means)} rests match no position of scheme '{scheme.name}': rest "
-        f"'{labels[i]}' (rows {rows[i].start} to {rows[i].end}) lies {match.distance_deg[i]:.1f} "
-        f"degrees from position '{known[match.rows[i]]}'{second} (the nearest must be within "
-        f"{FARTHEST_DEG:g} degrees and twice as near as the next); name the right rests with "
-        "--only, or leave --scheme out and use fit --unknown-orientation."
+        f"'{labels[i] or i + 1}' {where[i]} lies {match.distance_deg[i]:.1f} degrees from position "
+        f"'{known[match.rows[i]]}'{second} (the nearest must be within {FARTHEST_DEG:g} degrees "
+        "and twice as near as the next); name the right rests with --only, or leave --scheme out "
+        "and use fit --unknown-orientation."
     )
 
 
@@ -97,18 +101,23 @@ def _match_in_order(means: Array, scheme: Scheme, convention: Convention) -> Mat
             f"{len(scheme)} positions; choose the rests with --only, --min-duration or "
             "--threshold, or name them with --sections."
         )
-    targets = (-1.0 if convention == "gravity" else 1.0) * scheme.up[:, :outputs]
-    off = np.zeros(count)
+    return _match_rows(means, [*range(count)], scheme, convention)
+
+
+def _match_rows(means: Array, rows: list[int], scheme: Scheme, convention: Convention) -> Match:
+    """Return how far rests are from positions that are known, after a line of each output."""
+    targets = (-1.0 if convention == "gravity" else 1.0) * scheme.up[rows, : means.shape[1]]
+    off = np.zeros(len(rows))
     for mean, target in zip(means.T, targets.T, strict=True):
         if np.ptp(target) <= _SPREAD:
             continue
-        rows = np.column_stack([np.ones(count), target])
-        (bias, scale), *_ = np.linalg.lstsq(rows, mean, rcond=None)
+        line = np.column_stack([np.ones(len(rows)), target])
+        (bias, scale), *_ = np.linalg.lstsq(line, mean, rcond=None)
         if not scale:
             raise _nothing_moves()
         off += ((mean - bias) / scale - target) ** 2
     chord = np.minimum(np.sqrt(off) / 2.0, 1.0)
-    return Match([*range(count)], np.degrees(2.0 * np.arcsin(chord)), np.full(count, np.inf))
+    return Match(rows, np.degrees(2.0 * np.arcsin(chord)), np.full(len(rows), np.inf))
 
 
 def _nothing_moves() -> MultiposError:

@@ -43,6 +43,8 @@ def here(tmp_path, monkeypatch):
     log = dict(zip(("time", "ax", "ay", "az"), [np.arange(200) / 100, *samples.T], strict=True))
     write_text("log.csv", format_csv(log))
     (tmp_path / "sections.json").write_text(SECTIONS)
+    session = mp.simulate_log(cal, "faces-6", rate=20.0, rest=3.0, turn=1.0, sample_sd=1e-3, seed=1)
+    write_text("session.csv", format_csv(session))
     (tmp_path / "budget.toml").write_text("[level]\nu_deg = 0.01\n")
     (tmp_path / "lab.toml").write_text("[laboratory]\nname = 'Bench'\n")
     mp.check(cal, "six.csv").save("check.json")
@@ -74,6 +76,10 @@ COMMANDS = {
     "average": (
         ["log.csv", "--sections", "sections.json", "--scheme", "six.csv"],
         ["log.csv", "sections.json", "six.csv"],
+    ),
+    "calibrate": (
+        ["log.csv", "session.csv", "--scheme", "six.csv", "--budget", "budget.toml"],
+        ["log.csv", "session.csv", "six.csv", "budget.toml"],
     ),
     "apply": (["cal.json", "log.csv"], ["cal.json", "log.csv"]),
     "check": (["cal.json", "six.csv", "--scheme", "faces-6+six.csv"], ["cal.json", "six.csv"]),
@@ -151,6 +157,7 @@ def test_stdin_from_a_file_is_an_input(here):
 WRITTEN = {
     "fit": {".json", ".txt"},
     "average": {".csv", ".json", ".txt"},
+    "calibrate": {".json", ".txt"},
     "apply": {".csv", ".json", ".txt"},
     "check": {".json", ".txt", ".svg", ".png", ".pdf"},
     "compare": {".json", ".txt", ".svg", ".png", ".pdf"},
@@ -168,6 +175,7 @@ WRITTEN = {
 RUNS = {
     **{command: [command, *options] for command, (options, _) in COMMANDS.items()},
     "average": ["average", "log.csv", "--sections", "sections.json"],
+    "calibrate": ["calibrate", "session.csv", "--scheme", "faces-6"],
     "check": ["check", "cal.json", "six.csv"],
     "compare": ["compare", "cal.json", "cal.json"],
     "tumble": ["tumble", "tumble.csv"],
@@ -225,6 +233,7 @@ def test_the_same_figure_gives_the_same_bytes(here, capsys):
     [
         ["fit", "six.csv"],
         ["average", "log.csv", "--sections", "sections.json"],
+        ["calibrate", "session.csv", "--scheme", "faces-6"],
         ["simulate", "cal.json", "--scheme", "faces-6"],
         ["apply", "cal.json", "log.csv"],
         ["export", "cal.json", "--to", "c"],

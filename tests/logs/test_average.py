@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from log_bench import sensor, shared, write_csv
+from log_bench import columns_of, sensor, shared, write_csv
 
 import multipos as mp
 from multipos.cli import main
@@ -18,11 +18,6 @@ from multipos.logs.rest_faults import _semi_axes, compare_scales, find_faults
 from multipos.logs.rest_means import RestMean
 
 FERRARIS = ("acc_x", "acc_y", "acc_z")
-
-
-def columns_of(cal=None, scheme="faces-6", **options):
-    options = {"sample_sd": 1e-3, "seed": 1, "rest": 4.0} | options
-    return mp.simulate_log(cal or sensor(), scheme, **options)
 
 
 @pytest.fixture(scope="module")
