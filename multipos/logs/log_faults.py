@@ -90,8 +90,12 @@ def find_second_unit(survey: Survey) -> list[str]:
         return []
     logs = np.log(np.maximum(sizes, np.finfo(float).tiny))
     steps = [float(np.median(logs[at:]) - np.median(logs[:at])) for at in places]
-    best = int(np.argmax(np.abs(steps)))
-    at, ratio = int(places[best]), float(np.exp(steps[best]))
+    at = int(places[int(np.argmax(np.abs(steps)))])
+    before, after = float(np.median(logs[:at])), float(np.median(logs[at:]))
+    # Where the fewest windows lie nearer to the size of the other part.
+    nearer = np.where(np.abs(logs - before) < np.abs(logs - after), 1, -1)
+    at = int(np.argmax(np.cumsum(nearer))) + 1
+    ratio = float(np.exp(after - before))
     if not is_factor(ratio) or not (_alike(sizes[:at]) and _alike(sizes[at:])):
         return []
     row = at * survey.grid.window
@@ -107,6 +111,8 @@ def is_factor(ratio: float) -> bool:
 
 
 def _alike(sizes: Array) -> bool:
+    if not len(sizes):
+        return False
     usual = np.median(sizes)
     return bool((np.abs(sizes - usual) <= _ALIKE * usual).mean() >= _MOST)
 
