@@ -148,14 +148,6 @@ def load_mat(path: os.PathLike[str]) -> Mapping[str, Any]:
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
-def refuse_hdf(path: os.PathLike[str]) -> Mapping[str, Any]:
-    """Say what to do with MATLAB's version 7.3."""
-    raise MultiposError(
-        f"{path}: an HDF5 file (MATLAB writes it with -v7.3), which is not read; "
-        "save it in MATLAB with -v7, or as CSV."
-    )
-
-
 def loaded(path: os.PathLike[str], load: Callable[[], Any]) -> Any:
     """Return what a library's reader gives, and refuse a damaged file by its first line."""
     try:

@@ -25,13 +25,15 @@ from multipos.errors import MultiposError
 _PATIENCE = 30.0  # seconds to start and to read a small file, on a slow machine
 _SLOWEST = 1e6  # bytes per second below which a reader no longer reads but turns in circles
 
-# Isolated from the folder and the environment, until the parent's own path is set.
+# Isolated from the folder and the environment, until the parent's own path is set. It ends without
+# clearing up, because a library that has answered may still stumble over its own threads.
 _CHILD = """
-import json, sys
+import json, os, sys
 task = json.loads(sys.stdin.buffer.read())
 sys.path[:] = task["path"]
 from multipos.logs.isolation import answer
 answer(task["module"], task["reader"], task["file"])
+os._exit(0)
 """
 
 

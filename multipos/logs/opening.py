@@ -3,12 +3,12 @@
 A log is a table of samples, one row a sample. Text comes with commas, semicolons (and decimal
 commas), tabs or white space between the cells, with or without a header; without one the columns
 are called 1, 2, 3, …. Which reader serves a file is decided by its first bytes and then by its
-suffix (`READERS`); whatever is neither is text. Only what was asked for is turned into numbers,
-in pieces of some megabytes, so that the length of a log does not matter; a `.npz` or `.mat` file
-is the exception, because its format holds each array in one piece.
+suffix (`multipos.logs.readers`); whatever is neither is text. Only what was asked for of a text is
+turned into numbers, in pieces of some megabytes, so that its length does not matter.
 """
 
 import os
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,11 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.lists import Names, split_names
-from multipos.files.packed import GZIP, unpack_gzip
 from multipos.files.pipes import rereadable
 from multipos.files.tables import Column, Source, read_table
 from multipos.logs.arrays import log_of_columns
-from multipos.logs.readers import READERS, Reader
+from multipos.logs.extras import Noted
+from multipos.logs.readers import reader_of
 from multipos.logs.table import Log
 from multipos.logs.text import HEAD, open_text
 
@@ -54,21 +54,16 @@ def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
         return log_of_columns(table.source, table.columns, names)
     path = rereadable(source)
     head = _read_head(path)
-    if head.startswith(GZIP):
-        path = unpack_gzip(path)
+    reader = reader_of(path, head)
+    while reader is not None and reader.unpack is not None:
+        path = reader.unpack(path)
         head = _read_head(path)
-    reader = _reader_of(path, head)
-    if reader is None:
+        reader = reader_of(path, head)
+    if reader is None or reader.columns is None:
         return open_text(path, head, names)
-    return log_of_columns(str(path), reader.columns(path), names)
-
-
-def _reader_of(path: os.PathLike[str], head: bytes) -> Reader | None:
-    """Return what reads a file, by its first bytes or else its suffix; None of a text."""
-    by_content = [reader for reader in READERS if head.startswith(reader.magic)]
-    suffix = Path(os.fspath(path)).suffix.lower()
-    by_suffix = [reader for reader in READERS if suffix in reader.suffixes]
-    return next(iter(by_content or (by_suffix if b"\0" in head else ())), None)
+    found = reader.columns(path)
+    log = log_of_columns(str(path), found, names)
+    return replace(log, notes=found.notes) if isinstance(found, Noted) else log
 
 
 def read_log(log: Log) -> dict[str, Column]:

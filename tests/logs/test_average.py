@@ -486,7 +486,6 @@ def test_bad_files(text, message, tmp_path, capsys):
     ("name", "content", "message"),
     [
         ("log.csv", b"ax\n\xff\xfe1\n", "is not UTF-8"),
-        ("log.mat", b"\x89HDF\r\n\x1a\n\0\0", "save it in MATLAB with -v7"),
         ("log.npz", b"PK\x03\x04 broken", "cannot read the log"),
         ("log.npy", b"\x93NUMPY\x01\x00broken", "cannot read the log"),
     ],
