@@ -1,7 +1,6 @@
 """The rests of one or several logs together: their labels, their faults, their positions."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -141,18 +140,14 @@ def complete(
     timed = len(logs) == 1 or _times_follow(stills)
     if not timed:
         unseen = [*unseen, "the times of the logs do not follow each other and are not used"]
-    rests = _rests(chosen, labels, faults, timed=timed)
+    distances = None if match is None else match.distance_deg.tolist()
+    rests = _rests(chosen, labels, faults, distances, timed=timed)
     left = _by_log(logs, lambda log: log.warnings)
-    scheme_up = None
-    if match is not None and scheme is not None:
-        pairs = zip(rests, match.distance_deg.tolist(), strict=True)
-        rests = [replace(rest, distance_deg=distance) for rest, distance in pairs]
-        scheme_up = scheme.up[match.rows]
     return Averages(
         source=", ".join(log.log.source for log in logs),
         outputs=logs[0].outputs,
         rests=tuple(rests),
-        scheme_up=scheme_up,
+        scheme_up=None if match is None or scheme is None else scheme.up[match.rows],
         sample_rate=_common([log.rate for log in logs]),
         threshold=_common([log.threshold for log in logs]),
         warnings=(*left, *wrong, *unseen, *_own(rests), *general),
@@ -182,19 +177,24 @@ def _matched(
     labels = [each.label for each in chosen]
     if scheme is None:
         return None, labels, []
-    means = np.array([each.still.found.mean for each in chosen])
-    named = [each.label if each.given else "" for each in chosen]
-    match = match_rests(means, named, [each.where for each in chosen], scheme, convention)
+    match = match_rests(
+        np.array([each.still.found.mean for each in chosen]),
+        [each.label * each.given for each in chosen],
+        [each.where for each in chosen],
+        scheme,
+        convention,
+    )
     known = scheme.labels or [str(i + 1) for i in range(len(scheme))]
-    missed = [known[i] for i in sorted({*range(len(known))} - {*match.rows})]
-    unseen = [f"no rest at position {', '.join(missed)} of scheme '{scheme.name}'"]
-    return match, [known[row] for row in match.rows], unseen if missed else []
+    missed = sorted({*range(len(known))}.difference(match.rows))
+    said = f"no rest at position {', '.join(known[i] for i in missed)} of scheme '{scheme.name}'"
+    return match, [known[row] for row in match.rows], [said] if missed else []
 
 
 def _rests(
     chosen: Sequence[Chosen],
     labels: Sequence[str],
     faults: Sequence[Sequence[str]],
+    distances: Sequence[float] | None,
     *,
     timed: bool,
 ) -> list[RestAverage]:
@@ -206,11 +206,11 @@ def _rests(
             time=each.still.time if timed else None,
             found=each.still.found,
             environment={n: v for n, v in each.still.environment.items() if n in shared},
-            distance_deg=None,
-            notes=tuple(notes),
+            distance_deg=None if distances is None else distances[i],
+            notes=tuple(faults[i]),
             log=_name(each.log),
         )
-        for each, label, notes in zip(chosen, labels, faults, strict=True)
+        for i, (each, label) in enumerate(zip(chosen, labels, strict=True))
     ]
 
 

@@ -103,8 +103,7 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
     begin = _first_row(rows, shape).number
     above = [line for line in table if line.number < begin]
     shape, header = _headed(source, above, shape)
-    body = _body([line.text for line in rows if line.number >= begin][:_LAST], shape)
-    return _layout(shape, header, body, above, begin)
+    return _layout(shape, header, _body(rows, begin, shape), above, begin)
 
 
 def _layout(
@@ -140,9 +139,10 @@ def _stated(lines: Sequence[str]) -> tuple[str | None, list[Line]]:
     return (None, numbered) if found is None else (found[1].strip(), numbered[1:])
 
 
-def _body(rows: Sequence[str], shape: "_Shape") -> list[list[str]]:
-    """Return the cells of rows, of those that have as many as they should."""
-    cells = [cells_of(row, shape.mark) for row in rows]
+def _body(rows: Sequence[Line], begin: int, shape: "_Shape") -> list[list[str]]:
+    """Return the cells of the first rows, of those that have as many as they should."""
+    first = [line.text for line in rows if line.number >= begin][:_LAST]
+    cells = [cells_of(row, shape.mark) for row in first]
     return [row[: shape.columns] for row in cells if len(row) == shape.cells]
 
 

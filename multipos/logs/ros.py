@@ -30,14 +30,18 @@ def load_bag(path: os.PathLike[str]) -> Mapping[str, Any]:
             kinds = sorted({each.msgtype for each in bag.connections})
             raise ValueError(f"no topic of {_IMU}, but of {', '.join(kinds) or 'nothing'}")
         taken = max(topics, key=lambda each: each.msgcount)
-        rows = []
-        for connection, _, raw in bag.messages(connections=[taken]):
-            message: Any = bag.deserialize(raw, connection.msgtype)
-            stamp = message.header.stamp
-            vectors = [getattr(message, name) for name in _FIELDS]
-            rows.append([stamp.sec, stamp.nanosec, *(v for p in vectors for v in (p.x, p.y, p.z))])
+        messages = bag.messages(connections=[taken])
+        rows = [_row(bag.deserialize(raw, topic.msgtype)) for topic, _, raw in messages]
     data = np.array(rows, dtype=np.float64).T
     columns = {"time (s)": data[0] + 1e-9 * data[1]}
     names = [f"{name}.{axis} ({unit})" for name, unit in _FIELDS.items() for axis in "xyz"]
     columns |= dict(zip(names, data[2:], strict=True))
     return {**columns, NOTES: np.array([f"taken from topic {taken.topic}, of {len(topics)}"])}
+
+
+def _row(message: Any) -> list[float]:
+    stamp, row = message.header.stamp, []
+    for name in _FIELDS:
+        vector = getattr(message, name)
+        row += [vector.x, vector.y, vector.z]
+    return [stamp.sec, stamp.nanosec, *row]
