@@ -3,14 +3,23 @@
 import datetime
 import gzip
 import json
-import zipfile
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 from log_bench import columns_of
-from log_files import write_dataflash, write_ulog
+from log_files import (
+    archive,
+    csv_of,
+    write_actigraph,
+    write_bag,
+    write_dataflash,
+    write_geneactiv,
+    write_phyphox,
+    write_ulog,
+    write_xsens,
+)
 
 import multipos as mp
 from multipos.cli import main
@@ -192,48 +201,10 @@ def test_ardupilot(log, expected, tmp_path, capsys):
 # --- robots
 
 
-def imu(store, i, force, ros2):
-    """One message of sensor_msgs/Imu, a sample every 10 ms."""
-    kinds = store.types
-    vector, quaternion = kinds["geometry_msgs/msg/Vector3"], kinds["geometry_msgs/msg/Quaternion"]
-    stamp = kinds["builtin_interfaces/msg/Time"](sec=5 + i // 100, nanosec=(i % 100) * 10**7)
-    header = kinds["std_msgs/msg/Header"](
-        stamp=stamp, frame_id="imu", **({} if ros2 else {"seq": i})
-    )
-    return kinds["sensor_msgs/msg/Imu"](
-        header=header,
-        orientation=quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
-        orientation_covariance=np.zeros(9),
-        angular_velocity=vector(x=0.0, y=0.0, z=0.0),
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=vector(**dict(zip("xyz", map(float, force), strict=True))),
-        linear_acceleration_covariance=np.zeros(9),
-    )
-
-
 @pytest.mark.parametrize("form", ["bag", "db3", "mcap"])
 def test_ros(form, log, expected, tmp_path, capsys):
     pytest.importorskip("rosbags")
-    from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_typestore
-
-    ros2, kind = form != "bag", "sensor_msgs/msg/Imu"
-    store = get_typestore(Stores.ROS2_HUMBLE if ros2 else Stores.ROS1_NOETIC)
-    path = tmp_path / f"log.{form}"
-    if ros2:
-        plugin = rosbag2.StoragePlugin
-        chosen = plugin.SQLITE3 if form == "db3" else plugin.MCAP
-        bag = rosbag2.Writer(tmp_path / "log", version=9, storage_plugin=chosen)
-        path = tmp_path / "log" / f"log.{form}"
-    else:
-        bag = rosbag1.Writer(path)
-    serialize = store.serialize_cdr if ros2 else store.serialize_ros1
-    with bag:
-        topics = [bag.add_connection(name, kind, typestore=store) for name in ("/few", "/imu")]
-        for i, row in enumerate(force(log)):
-            for topic in topics[0 if i < 5 else 1 :]:
-                stamp = 5 * 10**9 + i * 10**7
-                bag.write(topic, stamp, serialize(imu(store, i, row, ros2), kind))
+    path = write_bag(tmp_path / f"log.{form}", force(log))
     found = mp.average(path)
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.outputs == tuple(f"linear_acceleration.{axis}" for axis in "xyz")
@@ -245,25 +216,8 @@ def test_ros(form, log, expected, tmp_path, capsys):
 # --- phones, as they are downloaded
 
 
-def archive(path, files):
-    with zipfile.ZipFile(path, "w") as target:
-        for name, text in files.items():
-            target.writestr(name, text)
-    return path
-
-
-def csv_of(log, names, header):
-    rows = zip(*(log[name].tolist() for name in names), strict=True)
-    return "\n".join([header, *(",".join(map(repr, row)) for row in rows)]) + "\n"
-
-
 def test_phyphox(log, expected, tmp_path, capsys):
-    size = np.linalg.norm(force(log), axis=1)
-    columns = [f"Acceleration {axis} (m/s^2)" for axis in "xyz"]
-    header = ",".join(f'"{n}"' for n in ("Time (s)", *columns, "Absolute acceleration (m/s^2)"))
-    text = csv_of(log | {"size": size}, ("time", *OUTPUTS, "size"), header)
-    files = {"Raw Data.csv": text, "meta/device.csv": "a,b\n1,2\n", "meta/time.csv": "a\n1\n"}
-    path = archive(tmp_path / "Acceleration 2024-05-01.zip", files)
+    path = write_phyphox(tmp_path / "Acceleration 2024-05-01.zip", log)
     found = mp.average(path)
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.outputs == tuple(f"Acceleration {axis}" for axis in "xyz")
@@ -295,12 +249,7 @@ def test_sensor_logger(log, expected, tmp_path, capsys):
 
 def test_xsens(log, expected, tmp_path, capsys):
     """The text export of MT Manager: a preamble behind //, tabs, a clock in 100 µs."""
-    changed = log | {"n": np.arange(len(log["time"])), "fine": np.round(1e4 * log["time"])}
-    rows = zip(*(changed[name].tolist() for name in ("n", "fine", *OUTPUTS)), strict=True)
-    head = "// Start Time: Unknown\n// Update Rate: 100.0Hz\n// Filter Profile: human (46.1)\n"
-    head += "PacketCounter\tSampleTimeFine\tAcc_X\tAcc_Y\tAcc_Z\n"
-    path = tmp_path / "MT_0001.txt"
-    path.write_text(head + "".join("\t".join(map(repr, row)) + "\t\n" for row in rows))
+    path = write_xsens(tmp_path / "MT_0001.txt", log)
     found = mp.average(path)
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.outputs == ("Acc_X", "Acc_Y", "Acc_Z")
@@ -311,22 +260,7 @@ def test_xsens(log, expected, tmp_path, capsys):
 @pytest.mark.parametrize("header", ["", "Accelerometer X,Accelerometer Y,Accelerometer Z\n"])
 def test_actigraph(header, log, tmp_path):
     """The raw CSV of ActiLife: ten lines of preamble that tell the rate, with or without names."""
-    made = "Data File Created By ActiGraph GT3X+ ActiLife v6.13.3 Firmware v1.9.2"
-    lines = [
-        f"------------ {made} date format M/d/yyyy at 100 Hz  Filter Normal -----------",
-        "Serial Number: TAS1D48140206",
-        "Start Time 16:00:00",
-        "Start Date 7/6/2024",
-        "Epoch Period (hh:mm:ss) 00:00:00",
-        "Download Time 08:37:52",
-        "Download Date 7/8/2024",
-        "Current Memory Address: 0",
-        "Current Battery Voltage: 4.07     Mode = 12",
-        "--------------------------------------------------",
-    ]
-    rows = "\n".join(",".join(map(repr, row)) for row in (force(log) / G).tolist())
-    path = tmp_path / "actigraph.csv"
-    path.write_text("\n".join(lines) + f"\n{header}{rows}\n")
+    path = write_actigraph(tmp_path / "actigraph.csv", force(log) / G, header)
     found = mp.average(path)
     plain = mp.average({name: log[name] / G for name in OUTPUTS}, rate=100.0)
     np.testing.assert_array_equal(found.readings.values, plain.readings.values)
@@ -336,15 +270,7 @@ def test_actigraph(header, log, tmp_path):
 
 def test_geneactiv(log, expected, tmp_path):
     """A hundred lines of keys, then rows that begin with a date, milliseconds behind a colon."""
-    stamps = np.datetime64("2024-05-01T12:00:00.000") + np.round(1e3 * log["time"]).astype(int)
-    keys = [f"Key {i},value {i}" for i in range(99)] + ["Measurement Frequency,100.0 Hz"]
-    cells = [str(stamp).replace("T", " ").replace(".", ":") for stamp in stamps]
-    rows = [
-        f"{cell},{','.join(map(repr, row))},0,0,24.5"
-        for cell, row in zip(cells, force(log).tolist(), strict=True)
-    ]
-    path = tmp_path / "geneactiv.csv"
-    path.write_text("\n".join([*keys, *rows]) + "\n")
+    path = write_geneactiv(tmp_path / "geneactiv.csv", log)
     found = mp.average(path)
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.outputs == ("2", "3", "4")
