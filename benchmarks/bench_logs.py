@@ -13,7 +13,7 @@ import multipos as mp
 from benchmarks.timing import Ratio, paired_ratio
 from multipos.compensation.applying import apply_log
 from multipos.compensation.targets import export
-from multipos.files.tables import write_text
+from multipos.files.whole import write_text
 from multipos.logs.averaging import average
 from multipos.logs.opening import open_log
 from multipos.logs.rests import detect_static

@@ -23,7 +23,7 @@ from multipos.commands.options import warn
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import escaped, visible_lines
 from multipos.files.pipes import STDIN, Pipe, is_pipe
-from multipos.files.tables import Content, written
+from multipos.files.whole import Content, written
 
 STDOUT = "-"
 # Forms of an answer: the endings that ask for them, and what they are in words.

@@ -4,7 +4,8 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import file_progress, names
-from multipos.files.tables import format_csv, to_json
+from multipos.files.tables import format_csv
+from multipos.files.trees import to_json
 from multipos.logs.averages import averages_text
 from multipos.logs.averaging import average
 from multipos.logs.readers import formats_read

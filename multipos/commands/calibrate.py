@@ -13,7 +13,7 @@ from multipos.commands.options import file_progress
 from multipos.compensation.target import Exported, self_test
 from multipos.compensation.targets import TARGETS, beside, export, named_target
 from multipos.errors import MultiposError, UsageError
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.logs.averages import averages_text
 from multipos.logs.averaging import average
 from multipos.reports.summary import text_report

@@ -7,7 +7,7 @@ from multipos.commands.options import add_model, add_orientation, numbers
 from multipos.designs.designing import design, design_csv, design_text
 from multipos.designs.information import nothing_to_weigh
 from multipos.errors import UsageError
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 
 INPUTS = ("candidates", "include", "region")
 OUTPUT = Output("SCHEME.csv", "write the positions to SCHEME.csv", "table", ("json", "text"))

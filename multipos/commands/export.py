@@ -6,7 +6,7 @@ from pathlib import Path
 from multipos.commands.answers import STDOUT, Answer, Output
 from multipos.compensation.target import self_test
 from multipos.compensation.targets import TARGETS, export, named_target
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.sensor.calibration_file import load
 
 

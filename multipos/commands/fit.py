@@ -4,7 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, add_model, names, numbers
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.fitting import fit
 from multipos.reports.summary import text_report
 

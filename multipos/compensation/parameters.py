@@ -23,7 +23,7 @@ from multipos.compensation.target import (
 )
 from multipos.errors import MultiposError
 from multipos.files.characters import visible
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration

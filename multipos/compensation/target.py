@@ -17,7 +17,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.numbers import table
-from multipos.files.tables import written
+from multipos.files.whole import written
 from multipos.numerics.arrays import Array
 from multipos.results import Result, plain
 from multipos.sensor.calibration import Calibration

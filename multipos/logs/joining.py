@@ -127,16 +127,9 @@ def complete(
     wrong: Sequence[str],
 ) -> Averages:
     """Return the averages of the rests, matched to a scheme, with all that is to be said."""
-    stills = [each.still for each in chosen]
     match, labels, unseen = _matched(chosen, scheme, convention)
-    faults, general = find_faults(
-        logs[0].outputs,
-        [still.found for still in stills],
-        np.fmin.reduce([log.survey.resolution for log in logs]),
-        [still.gaps for still in stills],
-        [still.moving for still in stills],
-        labels,
-    )
+    stills = [each.still for each in chosen]
+    faults, general = _faults(logs, stills, labels)
     timed = len(logs) == 1 or _times_follow(stills)
     if not timed:
         unseen = [*unseen, "the times of the logs do not follow each other and are not used"]
@@ -154,6 +147,19 @@ def complete(
         notes=_by_log(logs, lambda log: (*log.notes, *_short_note(log))),
         short=_short(logs),
         unit=_unit(logs),
+    )
+
+
+def _faults(
+    logs: Sequence[StillLog], stills: Sequence[Still], labels: Sequence[str]
+) -> tuple[list[list[str]], list[str]]:
+    return find_faults(
+        logs[0].outputs,
+        [still.found for still in stills],
+        np.fmin.reduce([log.survey.resolution for log in logs]),
+        [still.gaps for still in stills],
+        [still.moving for still in stills],
+        labels,
     )
 
 
@@ -184,7 +190,7 @@ def _matched(
         scheme,
         convention,
     )
-    known = scheme.labels or [str(i + 1) for i in range(len(scheme))]
+    known = scheme.labels or [*map(str, range(1, len(scheme) + 1))]
     missed = sorted({*range(len(known))}.difference(match.rows))
     said = f"no rest at position {', '.join(known[i] for i in missed)} of scheme '{scheme.name}'"
     return match, [known[row] for row in match.rows], [said] if missed else []

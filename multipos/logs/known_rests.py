@@ -7,7 +7,9 @@ from typing import Any
 
 from multipos.errors import MultiposError
 from multipos.files.pipes import rereadable
-from multipos.files.tables import Source, Table, read_bytes, read_json_value, read_table
+from multipos.files.tables import Source, Table, read_table
+from multipos.files.trees import read_json_value
+from multipos.files.whole import read_bytes
 from multipos.logs.rests import Rest
 
 

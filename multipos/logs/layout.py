@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import filterfalse, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -92,7 +92,7 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
         There is no row, or the header does not fit the rows.
     """
     stated, table = _stated(lines)
-    rows = [line for line in table if not is_comment(line.text)]
+    rows = list(filterfalse(lambda line: is_comment(line.text), table))
     if not rows:
         raise MultiposError(f"{source}: no rows in its first lines; a log needs samples.")
     last = [line.text for line in rows[-_LAST:]]

@@ -36,7 +36,7 @@ from multipos.files.records import (
     require,
     require_covariance,
 )
-from multipos.files.tables import read_json
+from multipos.files.trees import read_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.factors import factor_from_list, factor_to_list
 from multipos.numerics.selection import Step, Tested

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.files.tables import to_json, write_text
+from multipos.files.trees import to_json
+from multipos.files.whole import write_text
 from multipos.numerics.arrays import Array
 from multipos.results import Result
 

@@ -15,7 +15,8 @@ import pytest
 import multipos as mp
 from multipos import cli
 from multipos.errors import MultiposError
-from multipos.files.tables import format_csv, write_text, written
+from multipos.files.tables import format_csv
+from multipos.files.whole import write_text, written
 
 MULTIPOS = str(Path(sysconfig.get_path("scripts")) / "multipos")
 SIX = """\

@@ -17,7 +17,8 @@ import multipos as mp
 from multipos import cli
 from multipos.errors import MultiposError
 from multipos.files.pipes import Pipe, rereadable
-from multipos.files.tables import format_csv, read_table, write_text
+from multipos.files.tables import format_csv, read_table
+from multipos.files.whole import write_text
 
 MULTIPOS = str(Path(sysconfig.get_path("scripts")) / "multipos")
 SIX = """\

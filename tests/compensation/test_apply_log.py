@@ -11,7 +11,8 @@ import multipos as mp
 from multipos.cli import main
 from multipos.compensation.applying import apply_log
 from multipos.errors import MultiposError
-from multipos.files.tables import json_table, to_json, write_text
+from multipos.files.trees import json_table, to_json
+from multipos.files.whole import write_text
 from multipos.logs.opening import open_log, read_log
 
 
@@ -106,7 +107,7 @@ def test_json_has_every_column(saved, log, tmp_path, capsys):
 
 def test_json_in_pieces_is_json_in_one(cal, log, tmp_path, monkeypatch):
     monkeypatch.setattr("multipos.logs.text._PIECE", 5000)
-    monkeypatch.setattr("multipos.files.tables._CELLS", 7)
+    monkeypatch.setattr("multipos.files.trees._CELLS", 7)
     far = {name: column.copy() for name, column in log.items()}
     far["az"][[3, -1]] = 1e7
     path = write_csv(tmp_path / "log.csv", far)
