@@ -1,6 +1,8 @@
 """From raw logs to a calibration and its exports, in one go."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -292,3 +294,21 @@ def test_short_stretches_are_listed_with_what_takes_them_in():
     assert len(mp.average(data, rate=100.0, min_duration=taken).rests) == 12
     (note,) = [text for text in mp.average(data).notes if "more stretches" in text]
     assert "less than 192 samples; --rate HZ --min-duration S takes them in" in note
+
+
+# --- start-up
+
+
+def test_no_scipy_on_the_way_from_a_log_to_c(path, tmp_path):
+    """Importing `scipy.special` takes longer than all the rest after NumPy."""
+    code = (
+        "import sys\n"
+        "from multipos.cli import main\n"
+        f"assert main(['calibrate', {str(path)!r}, '--to', 'c', '-o', 'cal.json']) == 0\n"
+        "print([name for name in ('scipy', 'casadi', 'matplotlib') if name in sys.modules])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "[]"
