@@ -1,7 +1,6 @@
 """Files read whole, and written whole or not at all, several together."""
 
 import os
-import secrets
 import shutil
 import stat
 import tempfile
@@ -104,7 +103,7 @@ def _draft(path: str | os.PathLike[str]) -> _Draft:
     # The name is short, because that of the target may be as long as a name can be, and chosen
     # before the file is there, so that a signal in between leaves nothing behind.
     beside = target.parent if regular else Path(tempfile.gettempdir())
-    return _Draft(path, target, beside / f".multipos-{secrets.token_hex(8)}", regular)
+    return _Draft(path, target, beside / f".multipos-{os.urandom(8).hex()}", regular)
 
 
 def _fill(draft: _Draft, content: Content) -> None:

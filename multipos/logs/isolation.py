@@ -10,7 +10,6 @@ start, and one more for a hundred megabytes.
 import importlib
 import json
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -58,6 +57,8 @@ def read_apart(
     MultiposError
         The reader refuses the file, crashes over it, or does not end.
     """
+    import subprocess  # slow to import, and seldom needed
+
     task = {
         "path": [str(place) for place in sys.path],
         "module": reader.__module__,

@@ -114,8 +114,7 @@ def _layout(
     begin: int,
 ) -> Layout:
     mark = shape.mark
-    # The first cell that is not empty tells; a bad one further down is then an error, if used.
-    tell = [next(filter(None, column), "") for column in zip(*body, strict=True)]
+    columns = [list(filter(None, column)) for column in zip(*body, strict=True)]
     return Layout(
         delimiter=mark,
         width=shape.columns,
@@ -123,13 +122,18 @@ def _layout(
         decimal_comma=mark != "," and _decimal_commas(body, shape.numbers),
         header=header.cells,
         units=header.units,
-        numeric=tuple(is_number(cell, mark) for cell in tell),
-        dates=tuple(DATE.fullmatch(cell) is not None for cell in tell),
+        numeric=tuple(_mostly([is_number(cell, mark) for cell in cells]) for cells in columns),
+        dates=tuple(_mostly([DATE.fullmatch(cell) for cell in cells]) for cells in columns),
         first=begin,
         rising=_rises([row[0] for row in body], mark),
         rate=_stated_rate(above),
         notes=_said(above, begin, header),
     )
+
+
+def _mostly(told: Sequence[object]) -> bool:
+    """Tell whether half of the cells are of a kind: a bad one is an error, where it is used."""
+    return any(told) and 2 * sum(map(bool, told)) >= len(told)
 
 
 def _stated(lines: Sequence[str]) -> tuple[str | None, list[Line]]:

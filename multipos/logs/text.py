@@ -89,7 +89,7 @@ def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
     body = block.rstrip(b"\r\n")
     start = body.rfind(b"\n") + 1
     line = body[start:].decode("utf-8", "replace")
-    if body.count(b"\n") < 2 or is_comment(line) or not _is_cut(line, layout, block == body):
+    if body.count(b"\n") < 2 or not _is_row(line) or not _is_cut(line, layout, block == body):
         return _Cut(size, ())
     shown = line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"
     return _Cut(begin + start, (f"the last row, '{shown}', is cut off and left out",))

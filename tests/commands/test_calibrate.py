@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from inspect import signature
 
 import numpy as np
 import pytest
@@ -312,3 +313,12 @@ def test_no_scipy_on_the_way_from_a_log_to_c(path, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_every_keyword_of_average_and_fit_is_one_of_calibrate():
+    theirs = {**signature(mp.average).parameters, **signature(mp.fit).parameters}
+    ours = signature(mp.calibrate).parameters
+    assert set(theirs) - {"readings"} == set(ours)
+    for name, parameter in ours.items():
+        assert parameter.default == theirs[name].default
+        assert parameter.annotation == theirs[name].annotation

@@ -238,6 +238,9 @@ def test_a_last_row_that_is_cut_off_is_left_out(log, tmp_path, capsys):
         found = mp.average(written(tmp_path, text + end))
         assert found.warnings[0] == f"the last row, '{end.strip()}', is cut off and left out"
         assert found.rests[-1].rows == whole.rests[-1].rows
+    for end in ("", "\n\n", "   \n", "# the end\n"):
+        assert mp.average(written(tmp_path, text + end)).warnings == ()
+    written(tmp_path, text + "34.0,0.1")
     sensor().save(tmp_path / "cal.json")
     assert main(["apply", str(tmp_path / "cal.json"), str(tmp_path / "log.txt"), "-o", "-"]) == 0
     out, err = capsys.readouterr()
@@ -264,6 +267,18 @@ def test_bad_rows_are_an_error_or_left_out_and_counted(bad, log, tmp_path, capsy
     by_rows = mp.average(path, drop_bad=True, sections={"a": rows._asdict()})
     np.testing.assert_allclose(by_rows.rests[0].found.mean, found.rests[1].found.mean, rtol=1e-13)
     assert by_rows.rests[0].rows == rows
+
+
+@pytest.mark.parametrize("bad", ["oops", "1e30"])
+def test_a_bad_first_row_is_a_row_all_the_same(bad, log, tmp_path, capsys):
+    rows = rows_of(log).splitlines()
+    rows[0] = f"0.0,{bad},0.1,0.2"
+    path = written(tmp_path, "time,ax,ay,az\n" + "\n".join(rows) + "\n")
+    assert main(["average", str(path)]) == 1
+    assert "row 1 (line 2), column 'ax'" in capsys.readouterr().err
+    found = mp.average(path, drop_bad=True)
+    assert found.warnings == (f"1 bad row is left out of {len(rows)}",)
+    assert found.rests[0].rows.start == 1
 
 
 def test_an_output_that_is_text_is_an_error(log, tmp_path):
