@@ -33,7 +33,7 @@ _NAMES = [
         "sampletimefine",
         "seconds|secs?|millis|millisec(ond)?s|micros|microsec(ond)?s|msec|usec|nanos",
         "(utc[ _]?)?date([ _]?time)?|utc",
-        "timestamp[ _].*|time[ _].*|.*[ _]timestamp|.*[ _]time",
+        "time[ _].*|.*[ _]time|.*timestamp.*",
     )
 ]
 _SINCE_1970 = 1e8  # seconds, in 1973: no log begins so late by its own clock

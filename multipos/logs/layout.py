@@ -31,6 +31,7 @@ _RATE = re.compile(
 DATE = re.compile(
     r"\d{4}[-/]\d\d[-/]\d\d[T ]\d\d:\d\d(:\d\d([.,:]\d+)?)?\s*(Z|UTC|[+-]\d\d:?\d\d)?"
 )
+_UNITLESS = ("", "-", "none", "no_units", "n/a")
 _KNOWN = re.compile(r"(time.*|t|.*acc.*|[a-z_. ]*[xyz])", re.IGNORECASE)
 
 
@@ -140,7 +141,7 @@ def _stated(lines: Sequence[str]) -> tuple[str | None, list[Line]]:
     """Return the separator that a first line ``sep=;`` states, and the lines that are not empty."""
     numbered = [Line(i, line) for i, line in enumerate(lines, start=1) if line.strip()]
     found = _STATED.fullmatch(numbered[0].text) if numbered else None
-    return (None, numbered) if found is None else (found[1].strip(), numbered[1:])
+    return (None, numbered) if found is None else (found[1].strip(" "), numbered[1:])
 
 
 def _body(rows: Sequence[Line], begin: int, shape: "_Shape") -> list[list[str]]:
@@ -335,7 +336,8 @@ def _may_name(cells: Sequence[str], shape: _Shape) -> bool:
 
 def _units(cells: Sequence[str]) -> tuple[str, ...] | None:
     """Return units, where all cells are units."""
-    told = [unit_of(cell.strip("()[]")) if cell.strip("()[]-") else "" for cell in cells]
+    bare = [cell[1:-1] if cell[:1] in ("(", "[") else cell for cell in cells]
+    told = ["" if cell.casefold() in _UNITLESS else unit_of(cell) for cell in bare]
     if None in told or not any(told):
         return None
     return tuple(unit or "" for unit in told)

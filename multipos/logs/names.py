@@ -16,7 +16,7 @@ from multipos.positions.readings import is_environment
 
 # As a header may write a unit, without blanks and in small letters, and as it is called here.
 _WRITTEN = {
-    "m/s^2": "m/s^2 m/s2 m/s² m/s/s m/s**2 ms-2 ms^-2 m*s^-2 m·s⁻² ms⁻² m/sec^2 m_s2 mps2",
+    "m/s^2": "m/s^2 m/(s^2) m/s2 m/s² m/s/s m/s**2 ms-2 ms^-2 m*s^-2 m·s⁻² ms⁻² m/sec^2 m_s2 mps2",
     "g": "g gs gn g0 gee",
     "mg": "mg",
     "ug": "ug µg μg",
@@ -44,7 +44,9 @@ _WRITTEN = {
 }
 UNITS = {written: unit for unit, all_ in _WRITTEN.items() for written in all_.split()}
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]\s*([^\[\]()]+?)\s*[\])]")
-_COMPONENT = re.compile(r"(.*?)([\s_.\-]*)(?:([xyzXYZ])|\[([0-2])\])")
+_COMPONENT = re.compile(
+    r"(.*?)[\s_.\-]*(?:([xyz])|\[([0-2])\])((?:_(?:cal|uncal|raw))?)", re.IGNORECASE
+)
 _ACCELERATION = re.compile(r"a|[a-z ]*acc([^a-z].*|el.*)?|[a-z ]*acceleration.*|acc[a-z]?raw")
 _ELSEWHERE = re.compile(
     r"g|w|m|b|h|omega|[a-z ]*(gyr|mag|rate|rot|angular|velocity|field|gravity|orient|quat).*"
@@ -134,11 +136,11 @@ class _Component(NamedTuple):
 
 def _component(name: str) -> _Component:
     found = _COMPONENT.fullmatch(name)
-    stem, axis = (name, -1) if found is None else (found[1], _axis(found[3] or found[4]))
+    stem, axis = (name, -1) if found is None else (found[1], _axis(found[2] or found[3]))
     plain = re.sub(r"[^a-z]+", " ", stem.casefold()).strip()
     acceleration = _ACCELERATION.fullmatch(plain) is not None
     return _Component(
-        stem,
+        stem if found is None else f"{stem}{found[4]}",
         axis,
         acceleration and axis >= 0 and not _WITHOUT_GRAVITY.fullmatch(plain),
         not acceleration and _ELSEWHERE.fullmatch(plain) is not None,

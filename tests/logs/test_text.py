@@ -53,6 +53,8 @@ LAYOUTS = {
     "a separator behind the header": ("time,ax,ay,az,\n", {}),
     "decimal commas between tabs": ("time\tax\tay\taz\n", {"mark": "\t", "comma": True}),
     "decimal commas between blanks": ("time ax ay az\n", {"mark": "  ", "comma": True}),
+    "sep= and a tab": ('"sep=\t"\ntime\tax\tay\taz\n', {"mark": "\t"}),
+    "a line of units and of none": ("time,ax,ay,az\n(s),-,[no_units],n/a\n", {}),
     "comments of all kinds": ("% a\n// b\n# c\ntime,ax,ay,az\n", {}),
 }
 
@@ -292,22 +294,24 @@ def test_an_output_that_is_text_is_an_error(log, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("header", "outputs"),
+    ("beside", "outputs"),
     [
-        ("time,gx,gy,gz,ax,ay,az", "ax,ay,az"),
-        ("time,gyr_x,gyr_y,gyr_z,acc_z,acc_y,acc_x", "acc_x,acc_y,acc_z"),
-        ("Time,GyroX,GyroY,GyroZ,AccelX,AccelY,AccelZ", "AccelX,AccelY,AccelZ"),
-        ("t,mag.x,mag.y,mag.z,linear_acceleration.x,linear_acceleration.y,linear_acceleration.z",
-         "linear_acceleration.x,linear_acceleration.y,linear_acceleration.z"),
-        ("time,p,q,r,Accelerometer X,Accelerometer Y,Accelerometer Z",
-         "Accelerometer X,Accelerometer Y,Accelerometer Z"),
+        ("g{x}", "a{x}"),
+        ("gyr_{x}", "acc_{x}"),
+        ("Gyro{X}", "Accel{X}"),
+        ("magnetic_field.{x}", "linear_acceleration.{x}"),
+        ("Light {X}", "Accelerometer {X}"),
+        ("Unit_7_Gyro_{X}_CAL", "Unit_7_Accel_LN_{X}_CAL"),
     ],
-)  # fmt: skip
-def test_acceleration_is_told_by_its_name(header, outputs, log, tmp_path):
-    many = log | {name: np.zeros_like(log["ax"]) for name in "pqr"}
-    rows = rows_of(many, ("time", "p", "q", "r", *OUTPUTS))
-    found = mp.average(written(tmp_path, f"{header}\n{rows}"))
-    assert found.outputs == tuple(outputs.split(","))
+)
+@pytest.mark.parametrize("order", ["xyz", "zyx"])
+def test_acceleration_is_told_by_its_name(beside, outputs, order, log, tmp_path):
+    names = [f.format(x=x, X=x.upper()) for f in (beside, outputs) for x in order]
+    many = {"Timestamp": log["time"], **dict.fromkeys(names[:3], np.zeros_like(log["time"]))}
+    many |= {name: log[f"a{x}"] for name, x in zip(names[3:], order, strict=True)}
+    found = mp.average(written(tmp_path, ",".join(many) + "\n" + rows_of(many, tuple(many))))
+    assert found.outputs == tuple(outputs.format(x=x, X=x.upper()) for x in "xyz")
+    assert found.sample_rate == pytest.approx(100.0)
     assert "by their names" in found.notes[-1]
 
 
