@@ -47,11 +47,11 @@ _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]\s*([^\[\]()]+?)\s*[\])]")
 _COMPONENT = re.compile(
     r"(.*?)[\s_.\-]*(?:([xyz])|\[([0-2])\])((?:_(?:cal|uncal|raw))?)", re.IGNORECASE
 )
-_ACCELERATION = re.compile(r"a|[a-z ]*acc([^a-z].*|el.*)?|[a-z ]*acceleration.*|acc[a-z]?raw")
+_ACCELERATION = re.compile(r"(.* )?a|[a-z ]*acc([^a-z].*|el.*)?|[a-z ]*acceleration.*|acc[a-z]?raw")
 _ELSEWHERE = re.compile(
-    r"g|w|m|b|h|omega|[a-z ]*(gyr|mag|rate|rot|angular|velocity|field|gravity|orient|quat).*"
+    r"(.* )?[gwmbh]|omega|[a-z ]*(gyr|mag|rate|rot|angular|velocity|field|gravity|orient|quat).*"
 )
-_WITHOUT_GRAVITY = re.compile(r"free ?acc.*|user ?acc.*")
+_WITHOUT_GRAVITY = re.compile(r".*(free|user) ?acc.*")
 
 
 def unit_of(written: str) -> str | None:

@@ -301,6 +301,8 @@ def test_an_output_that_is_text_is_an_error(log, tmp_path):
         ("Gyro{X}", "Accel{X}"),
         ("magnetic_field.{x}", "linear_acceleration.{x}"),
         ("Light {X}", "Accelerometer {X}"),
+        ("imu0_w{x}", "imu0_a{x}"),
+        ("motionUserAcceleration{X}(G)", "accelerometerAcceleration{X}"),
         ("Unit_7_Gyro_{X}_CAL", "Unit_7_Accel_LN_{X}_CAL"),
     ],
 )
