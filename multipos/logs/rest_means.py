@@ -30,6 +30,7 @@ from multipos.results import Result
 Counts = NDArray[np.signedinteger[Any]]
 
 _BATCHES = 512
+_SMALLEST = np.finfo(np.float64).tiny
 _EDGE = 10  # an edge is a tenth of a rest
 
 
@@ -182,7 +183,7 @@ def zero_density(z: Array, removed: int) -> Array:
     rows = np.atleast_2d(z)
     count = rows.shape[-1]
     highest = min(count // 10, int(10.0 * np.log10(max(count, 1))))
-    lags = [(rows[:, : count - k] * rows[:, k:]).sum(axis=1) for k in range(highest + 1)]
+    lags = [np.einsum("ji,ji->j", rows[:, : count - k], rows[:, k:]) for k in range(highest + 1)]
     lagged = np.array(lags).T / count
     there = lagged[:, 0] > 0.0
     lagged[~there, 0] = 1.0  # equal samples have no density, and are put back to zero below
@@ -195,7 +196,7 @@ def zero_density(z: Array, removed: int) -> Array:
         partial = (lagged[:, order] - ahead) / variance
         phi[:, : order - 1] = before - partial[:, None] * before[:, ::-1]
         phi[:, order - 1] = partial
-        variance = np.maximum(variance * (1.0 - partial**2), np.finfo(float).tiny)
+        variance = np.maximum(variance * (1.0 - partial**2), _SMALLEST)
         criterion = _criterion(variance, order, count)
         better = criterion < best
         best = np.where(better, criterion, best)

@@ -125,7 +125,7 @@ class _Rows(NamedTuple):
 
     lines: list[str]
     numbers: Sequence[int]  # of the lines in the file
-    delimiters: int  # in all of them
+    delimiters: int | None  # in all of them, where they have been counted
     quotes: bool  # whether one of them holds a quote that it does not close
 
 
@@ -148,20 +148,18 @@ def _text_rows(text: _Text) -> Iterator[tuple[_Rows, float]]:
 def _rows_only(layout: Layout, content: str, first: int) -> _Rows:
     if layout.decimal_comma and layout.delimiter != ";":
         content = content.replace(",", ".")
+    above = max(layout.first - first, 0)
+    content = content.split("\n", above)[-1] if above else content
     lines = content.split("\n")
     if not lines[-1]:
         lines.pop()
-    above = max(layout.first - first, 0)
-    rows = _without_comments(lines[above:], first + above, content, layout.width)
+    rows = _without_comments(lines, first + above, content, layout.width)
     if layout.trailing:
         bare = [line.rstrip().removesuffix(layout.delimiter) for line in rows.lines]
-        rows = rows._replace(lines=bare)
-    mark = layout.delimiter or " "
-    if len(rows.lines) == len(lines) and not layout.trailing:
-        delimiters = content.count(mark)
-    else:
-        delimiters = sum(line.count(mark) for line in rows.lines)
-    return rows._replace(delimiters=delimiters)
+        return rows._replace(lines=bare)
+    if len(rows.lines) == len(lines):
+        return rows._replace(delimiters=content.count(layout.delimiter or " "))
+    return rows
 
 
 def _without_comments(lines: list[str], first: int, content: str, width: int) -> _Rows:
@@ -174,7 +172,7 @@ def _without_comments(lines: list[str], first: int, content: str, width: int) ->
         kept = [i for i, line in enumerate(lines) if _is_row(line)]
         numbers = [first + i for i in kept]
         lines = [lines[i] for i in kept]
-    return _Rows(lines, numbers, 0, quotes)
+    return _Rows(lines, numbers, None, quotes)
 
 
 def _is_row(line: str) -> bool:
