@@ -1,8 +1,8 @@
 """The front door of logs: from raw logs to a complete calibration, in one go.
 
 The rests are found and averaged (`multipos.logs.averaging`), and their means fitted
-(`multipos.fitting`). Where no scheme says how the sensor stood, nothing is known of the
-orientations but that gravity has the same size in all of them.
+(`multipos.fitting`), each output along the axis that it names. Where no scheme says how the sensor
+stood, nothing is known of the orientations but that gravity has the same size in all of them.
 """
 
 from collections.abc import Sequence
@@ -19,6 +19,7 @@ from multipos.fitting import fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
+from multipos.logs.names import named_axes
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
 from multipos.numerics.terms import COMPONENTS
@@ -174,6 +175,8 @@ def fit_rests(
 
     Parameters and errors are those of `calibrate`.
     """
+    if axes is None and len(found.outputs) <= len(COMPONENTS):
+        axes = [COMPONENTS[i] for i in named_axes(found.outputs)]
     told = closed_form or orientation_sd is not None or level_sd != 0.0
     return fit(
         readings_of(found, unit),

@@ -11,6 +11,7 @@ from multipos.errors import MultiposError
 from multipos.logs.averages import Averages, RestAverage
 from multipos.logs.log_faults import differ_in_unit
 from multipos.logs.matching import Match, match_rests
+from multipos.logs.names import named_axes
 from multipos.logs.rest_faults import compare_scales, find_faults, find_stuck
 from multipos.logs.rests import Rest
 from multipos.logs.still import Still, StillLog
@@ -185,6 +186,7 @@ def _matched(
         return None, labels, []
     match = match_rests(
         np.array([each.still.found.mean for each in chosen]),
+        named_axes(chosen[0].log.outputs),
         [each.label * each.given for each in chosen],
         [each.where for each in chosen],
         scheme,

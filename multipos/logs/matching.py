@@ -42,6 +42,7 @@ class Match(NamedTuple):
 
 def match_rests(
     means: Array,
+    axes: Sequence[int],
     labels: Sequence[str],
     where: Sequence[str],
     scheme: Scheme,
@@ -52,7 +53,9 @@ def match_rests(
     Parameters
     ----------
     means : (n, M) array
-        Mean outputs, on axes x, y, z, or the first of them.
+        Mean outputs.
+    axes : sequence of M int
+        The axis, 0 to 2, that each senses.
     labels : sequence of str
         What the user calls each rest, '' where nothing. Where all are labels of the scheme they
         tell the positions.
@@ -70,11 +73,12 @@ def match_rests(
     """
     known = scheme.labels or [str(i + 1) for i in range(len(scheme))]
     if all(label in known for label in labels):
-        match = _match_rows(means, [known.index(label) for label in labels], scheme, convention)
+        rows = [known.index(label) for label in labels]
+        match = _match_rows(means, axes, rows, scheme, convention)
     elif means.shape[1] == 3:
-        match = match_directions(means, scheme, convention)
+        match = match_directions(means[:, np.argsort(axes)], scheme, convention)
     else:
-        match = _match_in_order(means, scheme, convention)
+        match = _match_in_order(means, axes, scheme, convention)
     bad = np.flatnonzero(match.doubtful).tolist()
     if not bad:
         return match
@@ -91,7 +95,9 @@ def match_rests(
     )
 
 
-def _match_in_order(means: Array, scheme: Scheme, convention: Convention) -> Match:
+def _match_in_order(
+    means: Array, axes: Sequence[int], scheme: Scheme, convention: Convention
+) -> Match:
     """Match rests of fewer than three outputs to all positions of a scheme, in order."""
     count, outputs = means.shape
     if count != len(scheme):
@@ -101,12 +107,14 @@ def _match_in_order(means: Array, scheme: Scheme, convention: Convention) -> Mat
             f"{len(scheme)} positions; choose the rests with --only, --min-duration or "
             "--threshold, or name them with --sections."
         )
-    return _match_rows(means, [*range(count)], scheme, convention)
+    return _match_rows(means, axes, [*range(count)], scheme, convention)
 
 
-def _match_rows(means: Array, rows: list[int], scheme: Scheme, convention: Convention) -> Match:
+def _match_rows(
+    means: Array, axes: Sequence[int], rows: list[int], scheme: Scheme, convention: Convention
+) -> Match:
     """Return how far rests are from positions that are known, after a line of each output."""
-    targets = (-1.0 if convention == "gravity" else 1.0) * scheme.up[rows, : means.shape[1]]
+    targets = (-1.0 if convention == "gravity" else 1.0) * scheme.up[rows][:, list(axes)]
     off = np.zeros(len(rows))
     for mean, target in zip(means.T, targets.T, strict=True):
         if np.ptp(target) <= _SPREAD:

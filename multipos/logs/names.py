@@ -151,6 +151,16 @@ def _axis(written: str) -> int:
     return int(written) if written.isdigit() else "xyz".index(written.casefold())
 
 
+def named_axes(outputs: Sequence[str]) -> list[int]:
+    """Return the axis, 0 to 2, that each output names, where all do and alike; else in order."""
+    found = [_component(name) for name in outputs]
+    axes = [each.axis for each in found]
+    alike = len({each.stem.casefold() for each in found}) == 1
+    if alike and min(axes) >= 0 and len(set(axes)) == len(axes):
+        return axes
+    return list(range(len(outputs)))
+
+
 class Outputs(NamedTuple):
     """The columns that are outputs, and what is to be said of the choice."""
 

@@ -41,6 +41,18 @@ def test_it_is_average_and_fit_in_one(log):
     assert np.abs((linear.parameters - sensor().parameters) / linear.u).max() < 4.5  # 12 of them
 
 
+def test_outputs_sense_the_axes_they_name(log):
+    expected = mp.calibrate(log, scheme="faces-corners-14")
+    turned = mp.calibrate(log, scheme="faces-corners-14", outputs="az,ax,ay")
+    for output, axis in zip(OUTPUTS, "xyz", strict=True):
+        assert turned[output, axis].value == pytest.approx(expected[output, axis].value, rel=1e-9)
+    pair = {name: log[name] for name in ("time", "ay", "az")}
+    cal = mp.calibrate(pair, scheme="faces-corners-14")
+    assert cal.model.axes == ("y", "z")
+    same = expected["az", "z"]  # of rests that end a little elsewhere
+    assert cal["az", "z"].value == pytest.approx(same.value, abs=5.0 * same.u)
+
+
 def test_the_means_are_taken_wherever_readings_are(log):
     found = mp.average(log, scheme="faces-corners-14")
     np.testing.assert_array_equal(mp.fit(found).parameters, mp.fit(found.readings).parameters)

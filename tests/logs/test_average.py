@@ -557,6 +557,19 @@ def test_two_outputs_are_matched_in_order(log, tmp_path, capsys):
     assert "6 of 6 rests match no position" in error
 
 
+@pytest.mark.parametrize(("names", "scheme"), [("ay az", "roll-x-12"), ("az ax", "roll-y-12")])
+def test_two_outputs_sense_the_axes_they_name(names, scheme):
+    log = columns_of(scheme=scheme)
+    found = average({n: log[n] for n in ("time", *names.split())}, scheme=scheme)
+    assert [rest.position for rest in found.rests] == [str(i + 1) for i in range(12)]
+    assert max(rest.distance_deg for rest in found.rests) < 3.0
+
+
+def test_three_outputs_in_another_order_are_matched_by_their_names(log):
+    found = average(log, outputs="az,ax,ay", scheme="faces-6")
+    assert [rest.position for rest in found.rests] == list("123456")
+
+
 def test_a_log_of_rolls_is_matched_by_two_outputs():
     """The 48 rolls of a dual-axis inclinometer, of which half read the same as another."""
     found = average(
