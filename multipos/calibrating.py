@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from multipos.errors import RankError
 from multipos.estimation.losses import Loss
 from multipos.files.lists import Names
 from multipos.files.tables import Source
@@ -178,29 +179,40 @@ def fit_rests(
     if axes is None and len(found.outputs) <= len(COMPONENTS):
         axes = [COMPONENTS[i] for i in named_axes(found.outputs)]
     told = closed_form or orientation_sd is not None or level_sd != 0.0
-    return fit(
-        readings_of(found, unit),
-        model=model,
-        convention=convention,
-        axes=axes,
-        inputs=inputs,
-        closed_form=closed_form,
-        unknown_orientation=unknown_orientation or (found.scheme_up is None and not told),
-        orientation_sd=orientation_sd,
-        gauge=gauge,
-        robust=robust,
-        pool=pool,
-        stepwise=stepwise,
-        reading_sd=reading_sd,
-        gravity=gravity,
-        gravity_u=gravity_u,
-        latitude=latitude,
-        height=height,
-        level_sd=level_sd,
-        budget=budget,
-        range=range,
-        confidence=confidence,
-    )
+    assumed = found.scheme_up is None and not told
+    try:
+        return fit(
+            readings_of(found, unit),
+            model=model,
+            convention=convention,
+            axes=axes,
+            inputs=inputs,
+            closed_form=closed_form,
+            unknown_orientation=unknown_orientation or assumed,
+            orientation_sd=orientation_sd,
+            gauge=gauge,
+            robust=robust,
+            pool=pool,
+            stepwise=stepwise,
+            reading_sd=reading_sd,
+            gravity=gravity,
+            gravity_u=gravity_u,
+            latitude=latitude,
+            height=height,
+            level_sd=level_sd,
+            budget=budget,
+            range=range,
+            confidence=confidence,
+        )
+    except RankError as error:
+        if unknown_orientation or not assumed:
+            raise
+        raise RankError(
+            f"{error} Where you know how the sensor stood, say so with --scheme.",
+            rank=error.rank,
+            parameters=error.parameters,
+            combinations=error.combinations,
+        ) from None
 
 
 def readings_of(found: Averages, unit: str | None) -> Readings:

@@ -147,6 +147,17 @@ def test_the_unit_is_what_gravity_shows(size, unit, log):
     assert mp.calibrate(counts).model.unit == "reading"
 
 
+def test_positions_that_cannot_tell_everything_ask_for_a_scheme():
+    faces = columns_of(scheme="faces-6")
+    with pytest.raises(mp.RankError, match="how the sensor stood, say so with --scheme") as raised:
+        mp.calibrate(faces)
+    assert raised.value.parameters == 9
+    assert mp.calibrate(faces, scheme="faces-6").estimator == "linear"
+    with pytest.raises(mp.RankError) as raised:
+        mp.calibrate(faces, unknown_orientation=True)
+    assert "say so with --scheme" not in str(raised.value)
+
+
 def test_what_averaging_says_is_among_the_warnings(log):
     plain = {name: column for name, column in log.items() if name != "time"}
     assert any("nothing tells the time" in w for w in mp.calibrate(plain).diagnostics.warnings)
