@@ -142,7 +142,14 @@ def _known(samples: Samples, wish: Wish) -> list[tuple[str, Rest]] | None:
     """Return the rests that the user knows, with their labels."""
     if wish.sections is not None:
         inside = wish.sections.inside(samples.log_rows)
-        return [(label, samples.among_kept(rest)) for label, rest in inside.items()]
+        kept = [(label, samples.among_kept(rest)) for label, rest in inside.items()]
+        empty = next((label for label, rest in kept if rest.end - rest.start < 2), None)
+        if empty is not None:
+            raise MultiposError(
+                f"{samples.log.source}: of section '{empty}' fewer than two rows are not bad; "
+                "correct the log, or leave the section out."
+            )
+        return kept
     return None if samples.labels is None else samples.labels.rests()
 
 

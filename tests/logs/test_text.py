@@ -269,6 +269,8 @@ def test_bad_rows_are_an_error_or_left_out_and_counted(bad, log, tmp_path, capsy
     by_rows = mp.average(path, drop_bad=True, sections={"a": rows._asdict()})
     np.testing.assert_allclose(by_rows.rests[0].found.mean, found.rests[1].found.mean, rtol=1e-13)
     assert by_rows.rests[0].rows == rows
+    with pytest.raises(mp.MultiposError, match="of section 'b' fewer than two rows are not bad"):
+        mp.average(path, drop_bad=True, sections={"b": {"start": 698, "end": 700}})
 
 
 @pytest.mark.parametrize("bad", ["oops", "1e30"])
