@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import filterfalse, pairwise
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -93,9 +93,7 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
         There is no row, or the header does not fit the rows.
     """
     stated, table = _stated(lines)
-    rows = list(filterfalse(lambda line: is_comment(line.text), table))
-    if not rows:
-        raise MultiposError(f"{source}: no rows in its first lines; a log needs samples.")
+    rows = _rows(source, table)
     last = [line.text for line in rows[-_LAST:]]
     mark = _separator(last) if stated is None else stated
     shape = _shape([cells_of(line, mark) for line in last], mark)
@@ -104,7 +102,17 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
     begin = _first_row(rows, shape).number
     above = [line for line in table if line.number < begin]
     shape, header = _headed(source, above, shape)
-    return _layout(shape, header, _body(rows, begin, shape), above, begin)
+    body = _body(rows, begin, shape)
+    if not body:
+        raise MultiposError(f"{source}: no row has all its numbers; a log needs samples.")
+    return _layout(shape, header, body, above, begin)
+
+
+def _rows(source: str, lines: Sequence[Line]) -> list[Line]:
+    rows = [line for line in lines if not is_comment(line.text)]
+    if not rows:
+        raise MultiposError(f"{source}: no rows in its first lines; a log needs samples.")
+    return rows
 
 
 def _layout(

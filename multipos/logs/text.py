@@ -14,7 +14,15 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Table
-from multipos.logs.layout import COMMENTS, Layout, cells_of, find_layout, is_comment, is_number
+from multipos.logs.layout import (
+    COMMENTS,
+    DATE,
+    Layout,
+    cells_of,
+    find_layout,
+    is_comment,
+    is_number,
+)
 from multipos.logs.names import name_header
 from multipos.logs.readers import formats_read
 from multipos.logs.table import Log, Piece
@@ -23,7 +31,7 @@ from multipos.numerics.arrays import Array
 HEAD = 1 << 16  # bytes that must hold what stands above the table, and its first row
 _PIECE = 1 << 22  # bytes read at a time
 _SHOWN = 40  # characters of a line in a message
-_ZONE = re.compile(r"\s*(?:Z|UTC|(?<=\d)[+-]\d\d:?\d\d)?$", re.MULTILINE)
+_ZONE = re.compile(r"[ \t]*(?:Z|UTC|(?<=\d)[+-]\d\d:?\d\d)?$", re.MULTILINE)
 _MILLISECONDS = re.compile(r":(\d{3})$", re.MULTILINE)  # behind a colon, as a wearable writes them
 
 
@@ -229,10 +237,10 @@ def _parse_slowly(text: _Text, rows: _Rows, table: Table, wanted: _Wanted) -> Ta
             mark = text.layout.delimiter
             parsed[name] = _seconds(column(name)) if is_date else _lenient(column(name), mark)
     for name in wanted.names:
-        found: Column = column(name)
         if name in text.dates:
-            found = _required(_seconds(column(name)), column(name))
-        parsed[name] = replace(table, columns={name: found}).number(name)
+            parsed[name] = _required(table, name, column(name))
+        else:
+            parsed[name] = replace(table, columns={name: column(name)}).number(name)
     return replace(table, columns=parsed)
 
 
@@ -265,7 +273,8 @@ def _number(cell: str, mark: str) -> float:
 
 def _seconds(dates: Sequence[str]) -> Array:
     """Return dates as seconds since 1970, NaN where a cell is none; zones are not looked at."""
-    plain = _ZONE.sub("", "\n".join(dates).replace(",", ".").replace("/", "-"))
+    told = [cell if DATE.fullmatch(cell) else "NaT" for cell in dates]
+    plain = _ZONE.sub("", "\n".join(told).replace(",", ".").replace("/", "-"))
     plain = _MILLISECONDS.sub(r".\1", plain)
     try:
         times = np.array(plain.split("\n"), dtype="datetime64[ns]")
@@ -282,9 +291,17 @@ def _date(cell: str) -> np.datetime64:
         return np.datetime64("NaT")
 
 
-def _required(seconds: Array, cells: list[str]) -> Column:
-    """Return seconds, or the cells where one of them is no date and is to be named."""
-    return seconds if np.isfinite(seconds).all() else cells
+def _required(table: Table, name: str, cells: Sequence[str]) -> Array:
+    """Return dates as seconds since 1970, and refuse a cell that is none."""
+    seconds = _seconds(cells)
+    bad = np.flatnonzero(np.isnan(seconds))
+    if len(bad):
+        row = int(bad[0])
+        raise MultiposError(
+            f"{table.where(row, name)}: '{cells[row]}' is no date; correct it, or give --drop-bad "
+            "to leave such rows out."
+        )
+    return seconds
 
 
 def _fast(text: _Text, rows: _Rows, index: list[int]) -> Array:

@@ -209,6 +209,26 @@ def test_dates_tell_the_time(pattern, log, expected, tmp_path):
     assert found.rests[0].time[0] == pytest.approx(1709164798.0, abs=1e-6)  # date -u +%s
 
 
+@pytest.mark.parametrize("bad", ["", "2024-02-28", "2024-13-28T00:00:00", "0.5", "12:00 Z", "now"])
+def test_a_bad_date_is_an_error_or_left_out(bad, log, tmp_path):
+    stamps = np.datetime64("2024-02-28T23:59:58.000") + np.round(1e3 * log["time"]).astype(int)
+    cells = [str(stamp) for stamp in stamps]
+    cells[700] = bad
+    rows = rows_of(log, OUTPUTS).splitlines()
+    text = "\n".join(f"{cell},{row}" for cell, row in zip(cells, rows, strict=True))
+    path = written(tmp_path, f"time,ax,ay,az\n{text}\n")
+    with pytest.raises(mp.MultiposError, match=r"row 701 \(line 702\), column 'time'"):
+        mp.average(path)
+    assert mp.average(path, drop_bad=True).warnings == (f"1 bad row is left out of {len(rows)}",)
+
+
+def test_a_log_without_a_whole_row_is_refused(tmp_path):
+    """Every column holds numbers, but no row does in most of them."""
+    path = written(tmp_path, "1,x,y\nx,2,y\nx,y,3\nz\n")
+    with pytest.raises(mp.MultiposError, match="no row has all its numbers"):
+        mp.average(path)
+
+
 def test_time_unit_decides(log, tmp_path):
     path = written(tmp_path, f"t_ms,ax,ay,az\n{rows_of(log | {'time': 1e4 * log['time']})}")
     assert mp.average(path, time_unit="ms").sample_rate == pytest.approx(10.0)
