@@ -50,7 +50,7 @@ OLDEST, NEWEST = min(PYTHONS), max(PYTHONS)
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    session.install("-e", ".[test,oracles]")
+    session.install("-e", ".[logs,test,oracles]")
     session.run("pytest", "-n", "auto", *session.posargs)
 
 

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 import multipos as mp
+from benchmarks.bench_startup import write_session
 from benchmarks.timing import Ratio, paired_ratio
 from multipos.compensation.applying import apply_log
 from multipos.compensation.targets import export
-from multipos.files.tables import write_text
+from multipos.files.whole import write_text
 from multipos.logs.averaging import average
 from multipos.logs.opening import open_log
 from multipos.logs.rests import detect_static
@@ -30,6 +31,7 @@ def run() -> list[Ratio]:
         write_csv(path, log)
         ratios = [
             average_csv(path),
+            average_and_fit(Path(folder)),
             detection(log),
             apply_csv(cal, path, Path(folder)),
             apply_memory(cal, log),
@@ -73,6 +75,19 @@ def average_csv(path: Path) -> Ratio:
         inner=1,
     )
     return Ratio("average, CSV of 1e6 rows", "numpy.loadtxt", pairs, 1.5)
+
+
+def average_and_fit(folder: Path) -> Ratio:
+    """A log of 51,000 rows and 38 rests, warm; to read its numbers is what nothing can avoid."""
+    path = folder / "session.txt"
+    write_session(path)
+    pairs = paired_ratio(
+        lambda: mp.fit(average(path).readings, unknown_orientation=True),
+        lambda: np.loadtxt(path),
+        repeats=9,
+        inner=1,
+    )
+    return Ratio("average and fit, 51,000 rows", "numpy.loadtxt", pairs, 5)
 
 
 def detection(log: dict[str, np.ndarray]) -> Ratio:

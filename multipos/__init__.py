@@ -33,6 +33,7 @@ _PUBLIC = {
     "UsageError": "errors",
     "apply": "compensation.applying",
     "average": "logs.averaging",
+    "calibrate": "calibrating",
     "check": "verification.checks",
     "compare": "verification.comparison",
     "correct": "compensation.correction",
@@ -71,6 +72,7 @@ _PUBLIC = {
 __all__ = sorted([*_PUBLIC, "__version__"])
 
 if TYPE_CHECKING:
+    from multipos.calibrating import calibrate as calibrate
     from multipos.compensation.applying import apply as apply
     from multipos.compensation.correction import correct as correct
     from multipos.compensation.reading_back import verify_export as verify_export

@@ -29,6 +29,7 @@ from multipos.files.characters import one_line
 
 COMMANDS = {
     "demo": "calibrate the six-position paper's own readings, end to end",
+    "calibrate": "calibrate from raw logs, and export, in one go",
     "fit": "calibrate from readings at static positions",
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",

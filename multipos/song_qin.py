@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.numbers import number, table
-from multipos.files.tables import Column, to_json, write_table, write_text
+from multipos.files.tables import Column, write_table
+from multipos.files.trees import to_json
+from multipos.files.whole import write_text
 from multipos.fitting import fit
 from multipos.positions.readings import Readings
 from multipos.reports.summary import text_report

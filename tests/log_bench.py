@@ -44,6 +44,12 @@ def sensor(model="linear", *, bias=0.05, cross=0.01, size=1e-3, unit="g"):
     )
 
 
+def columns_of(cal=None, scheme="faces-6", **options):
+    """A session of rests at the positions of a scheme: its columns."""
+    options = {"sample_sd": 1e-3, "seed": 1, "rest": 4.0} | options
+    return mp.simulate_log(cal or sensor(), scheme, **options)
+
+
 def ar1(rng, shape, phi):
     """Stationary noise with y_i = φ y_{i-1} + …, of standard deviation 1, along the last axis."""
     white = rng.normal(size=shape)

@@ -18,7 +18,7 @@ import pytest
 import multipos as mp
 from multipos.doubts.criticism import find_influence, judge_terms
 from multipos.doubts.joint_tests import judge_terms_jointly
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.results import Columns, Frozen, Keyed
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.monte_carlo import simulate_budget

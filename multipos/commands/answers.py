@@ -23,7 +23,7 @@ from multipos.commands.options import warn
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import escaped, visible_lines
 from multipos.files.pipes import STDIN, Pipe, is_pipe
-from multipos.files.tables import Content, written
+from multipos.files.whole import Content, written
 
 STDOUT = "-"
 # Forms of an answer: the endings that ask for them, and what they are in words.
@@ -129,6 +129,8 @@ class Answer:
         figure, or several files by name.
     warnings : callable
         Asked when all else has been made.
+    failure : str
+        What could not be done; the rest is written, nothing is printed, and it is an error.
     verbatim : bool
         What is printed is a table for other programs: only a terminal gets escapes.
     """
@@ -137,6 +139,7 @@ class Answer:
     json: Callable[[], Content]
     forms: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
     warnings: Callable[[], Sequence[str]] = tuple
+    failure: str = ""
     verbatim: bool = False
 
     def make(self, form: str, ending: str) -> Any:
@@ -254,7 +257,8 @@ def deliver(answer: Answer, arguments: argparse.Namespace, order: Order) -> None
     Raises
     ------
     MultiposError
-        A file or stdout cannot be written; no file has been touched.
+        A file or stdout cannot be written, and no file has been touched; or something could not
+        be done, and the rest is written.
     """
     path: str | None = arguments.output
     with ExitStack() as stack:
@@ -265,10 +269,14 @@ def deliver(answer: Answer, arguments: argparse.Namespace, order: Order) -> None
             if path is not None and made is not None:
                 stack.enter_context(written(made if isinstance(made, Mapping) else {path: made}))
             made = answer.json() if arguments.json else answer.text()
+        if answer.failure:
+            made = ""
         pieces = _complete(made, stack)
         warn(answer.warnings())
         verbatim = path == STDOUT or (answer.verbatim and not arguments.json)
         print_out(pieces, verbatim=verbatim)
+    if answer.failure:
+        raise MultiposError(answer.failure)
 
 
 def _complete(made: Content, stack: ExitStack) -> Iterable[str | bytes]:

@@ -9,14 +9,9 @@ from multipos.commands.options import file_progress, names
 from multipos.compensation.applying import apply_log
 from multipos.compensation.correction import correct
 from multipos.errors import UsageError
-from multipos.files.tables import (
-    Column,
-    Content,
-    format_csv,
-    json_table,
-    read_schema,
-    read_table,
-)
+from multipos.files.tables import Column, format_csv, read_table
+from multipos.files.trees import json_table, read_schema
+from multipos.files.whole import Content
 from multipos.logs.opening import open_log
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.sensor.calibration_file import load
@@ -59,14 +54,19 @@ def run(arguments: argparse.Namespace) -> Answer:
 
     @cache
     def columns() -> Mapping[str, Column]:
-        with file_progress(arguments.data, "applying") as applied.progress:
+        with file_progress([arguments.data], "applying") as applied.progress:
             return applied.columns()
 
     def table() -> Iterator[str]:
-        with file_progress(arguments.data, "applying") as applied.progress:
+        with file_progress([arguments.data], "applying") as applied.progress:
             yield from applied
 
-    return _answer(arguments, table, columns, lambda: _outside(applied.beyond, applied.rows))
+    return _answer(
+        arguments,
+        table,
+        columns,
+        lambda: (*log.left_out, *_outside(applied.beyond, applied.rows)),
+    )
 
 
 def _correct(arguments: argparse.Namespace) -> Answer:

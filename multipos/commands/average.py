@@ -4,32 +4,22 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import file_progress, names
-from multipos.files.tables import format_csv, to_json
+from multipos.files.tables import format_csv
+from multipos.files.trees import to_json
 from multipos.logs.averages import averages_text
 from multipos.logs.averaging import average
 from multipos.logs.readers import formats_read
 
-INPUTS = ("log", "sections", "scheme")
+INPUTS = ("logs", "sections", "scheme")
 OUTPUT = Output("READINGS.csv", "write the readings to READINGS.csv", "table", ("json", "text"))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
+    add_logs(parser)
+    add_log_options(parser)
     add = parser.add_argument
-    add("log", metavar="LOG", help=f"raw log: CSV, white space, {formats_read()}")
     add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
-    add("--columns", type=names, metavar="a,b,c,…", help="names of all columns of the log")
-    add("--time-column", metavar="T", help="column with the time [s] (default time)")
-    add("--rate", type=float, metavar="HZ", help="sample rate, where no column tells the time")
-    add("--min-duration", type=float, metavar="S", help="shortest rest [s] (default 2)")
-    add(
-        "--threshold",
-        type=float,
-        metavar="V",
-        help="standard deviation above which it moves (default: learnt from the log)",
-    )
-    add("--sections", metavar="FILE", help="JSON or CSV of the rows where rests begin and end")
-    add("--only", type=names, metavar="LABEL,…", help="rests to average")
     add("--scheme", metavar="S", help="match the rests to a scheme, by direction")
     add(
         "--convention",
@@ -39,11 +29,54 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_logs(parser: argparse.ArgumentParser) -> None:
+    """Add the logs, one or more."""
+    parser.add_argument(
+        "logs",
+        metavar="LOG",
+        nargs="+",
+        help=f"raw log: text, {formats_read()}; of several, each with one rest is a position",
+    )
+
+
+def add_log_options(parser: argparse.ArgumentParser) -> None:
+    """Add how a log is read, and which of its rests are averaged."""
+    add = parser.add_argument
+    add("--columns", type=names, metavar="a,b,c,…", help="names of all columns of the log")
+    add("--time-column", metavar="T", help="column with the time (default: by its name)")
+    add(
+        "--time-unit",
+        metavar="s|ms|us|ns",
+        help="unit of the time (default: by the column's name or steps)",
+    )
+    add("--rate", type=float, metavar="HZ", help="sample rate, where no column tells the time")
+    add("--min-duration", type=float, metavar="S", help="shortest rest [s] (default 2)")
+    add(
+        "--threshold",
+        type=float,
+        metavar="V",
+        help="standard deviation above which it moves (default: learnt from the log)",
+    )
+    add("--sections", metavar="FILE", help="JSON or CSV of the rows where rests begin and end")
+    add("--label-column", metavar="L", help="column that names the position of each row")
+    add("--only", type=names, metavar="LABEL,…", help="rests to average")
+    add(
+        "--drop-bad",
+        action="store_true",
+        help="leave out rows with a cell that is no number, or a million times the median",
+    )
+    add(
+        "--accept-faults",
+        action="store_true",
+        help="go on where outputs look saturated, stuck, wrapped around or of two units",
+    )
+
+
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    options = {k: v for k, v in vars(arguments).items() if k not in ("log", "json", "output")}
-    with file_progress(arguments.log, "reading") as progress:
-        found = average(arguments.log, progress=progress, **options)
+    options = {k: v for k, v in vars(arguments).items() if k not in ("logs", "json", "output")}
+    with file_progress(arguments.logs, "reading") as progress:
+        found = average(*arguments.logs, progress=progress, **options)
     return Answer(
         text=lambda: averages_text(found),
         json=lambda: to_json(found.to_dict()),

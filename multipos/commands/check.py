@@ -4,7 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_range, numbers
-from multipos.files.tables import read_schema, to_json
+from multipos.files.trees import read_schema, to_json
 from multipos.plots.check import check_figure
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.reports.sheets import check_text

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure
 from multipos.verification.comparison import compare, comparison_text
 

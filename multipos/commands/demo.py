@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.song_qin import demo, demo_dict, demo_text
 
 INPUTS = ()

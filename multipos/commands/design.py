@@ -11,7 +11,7 @@ from multipos.designs.designing import Design, design, design_csv, design_text
 from multipos.designs.information import nothing_to_weigh
 from multipos.designs.sizes import smaller_designs
 from multipos.errors import UsageError
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 
 INPUTS = ("candidates", "include", "region")
 OUTPUT = Output(

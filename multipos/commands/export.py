@@ -6,7 +6,7 @@ from pathlib import Path
 from multipos.commands.answers import STDOUT, Answer, Output
 from multipos.compensation.target import self_test
 from multipos.compensation.targets import TARGETS, export, named_target
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.sensor.calibration_file import load
 
 
@@ -34,6 +34,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("calibration", metavar="CAL.json", help="calibration to export")
     targets = ", ".join(target.name for target in TARGETS)
     add("--to", required=True, metavar="TARGET", help=f"one of {targets}")
+    add_export_options(parser)
+
+
+def add_export_options(parser: argparse.ArgumentParser) -> None:
+    """Add how an export is written."""
+    add = parser.add_argument
     add("--name", default="multipos", help="the C function is NAME_compensate (default multipos)")
     add("--float", action="store_true", help="single precision, in C")
     add(

@@ -5,7 +5,7 @@ from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, add_model, names, numbers
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.fitting import fit
 from multipos.reports.summary import text_report
 from multipos.sensor.calibration import Calibration
@@ -16,8 +16,13 @@ OUTPUT = Output("CAL.json", "write the calibration to CAL.json", "json", ("text"
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
+    parser.add_argument("readings", metavar="READINGS", help="CSV file of averaged readings")
+    add_fit_options(parser)
+
+
+def add_fit_options(parser: argparse.ArgumentParser) -> None:
+    """Add what is fitted, and how."""
     add = parser.add_argument
-    add("readings", metavar="READINGS", help="CSV file of averaged readings")
     add(
         "--scheme",
         metavar="S",

@@ -132,13 +132,14 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[int], object]]:
 
 @contextmanager
 def file_progress(
-    path: str | os.PathLike[str], what: str
+    paths: Sequence[str | os.PathLike[str]], what: str
 ) -> Iterator[Callable[[float], object] | None]:
-    """Show how much of a large file is read, a share from 0 to 1; yield who is told, or None."""
-    large = False
-    with suppress(OSError):  # what cannot be looked at is refused where it is read
-        large = Path(path).stat().st_size > _LARGE
-    if not large:
+    """Show how much of large files is read, a share from 0 to 1; yield who is told, or None."""
+    size = 0
+    for path in paths:
+        with suppress(OSError):  # what cannot be looked at is refused where it is read
+            size += Path(path).stat().st_size
+    if size <= _LARGE:
         yield None
         return
     with progress_bar(what, 1000) as told:

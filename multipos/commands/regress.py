@@ -4,7 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import names
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.plots.temperature import regression_figure
 from multipos.regressing import regress
 

@@ -4,7 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import progress_bar
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report
 from multipos.sensor.calibration_file import load

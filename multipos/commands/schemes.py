@@ -7,7 +7,7 @@ from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_orientation
 from multipos.designs.assessment import Schemes, schemes, schemes_text
 from multipos.designs.information import nothing_to_weigh
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.positions.scheme import SCHEMES
 
 INPUTS = ("schemes",)

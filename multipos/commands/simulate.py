@@ -5,7 +5,8 @@ import argparse
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import numbers
 from multipos.errors import UsageError
-from multipos.files.tables import format_csv, to_json
+from multipos.files.tables import format_csv
+from multipos.files.trees import to_json
 from multipos.sensor.calibration_file import load
 from multipos.sensor.simulation import simulate, simulate_log
 

@@ -4,7 +4,8 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import file_progress, names
-from multipos.files.tables import format_csv, to_json
+from multipos.files.tables import format_csv
+from multipos.files.trees import to_json
 from multipos.logs.readers import formats_read
 from multipos.plots.stability import stability_figure
 from multipos.verification.stability_text import stability_text
@@ -31,8 +32,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="column with the temperature [degC] (default temperature)",
     )
     add("--columns", type=names, metavar="a,b,c,…", help="names of all columns of the logs")
-    add("--time-column", metavar="T", help="column with the time [s] (default time)")
+    add("--time-column", metavar="T", help="column with the time (default: by its name)")
+    add(
+        "--time-unit",
+        metavar="s|ms|us|ns",
+        help="unit of the time (default: by the column's name or steps)",
+    )
     add("--rate", type=float, metavar="HZ", help="sample rate, where no column tells the time")
+    add("--drop-bad", action="store_true", help="leave out rows with a bad cell, and count them")
     add("--unit", metavar="UNIT", help="unit of raw outputs")
     add(
         "--confidence",
@@ -46,7 +53,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     options = {k: v for k, v in vars(arguments).items() if k not in ("logs", "json", "output")}
-    with file_progress(arguments.logs[0], "reading") as progress:
+    with file_progress(arguments.logs, "reading") as progress:
         found = stability(*arguments.logs, progress=progress, **options)
     return Answer(
         text=lambda: stability_text(found),

@@ -4,7 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, names, numbers
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.plots.tumble import tumble_figure
 from multipos.reports.sheets import tumble_text
 from multipos.verification.single_axis import tumble

@@ -4,7 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.compensation.reading_back import verify_export
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.sensor.calibration_file import load
 
 INPUTS = ("file", "calibration")

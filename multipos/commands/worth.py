@@ -4,7 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.designs.prospects import worth, worth_text
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.sensor.calibration_file import load
 
 INPUTS = ("calibration", "candidates")

@@ -133,10 +133,11 @@ class AppliedLog:
     def __iter__(self) -> Iterator[str]:
         """Yield header and rows; under 'refuse' the error comes when all rows have been seen."""
         carried = () if self.log.text else self.log.numeric  # rows of text are written as they are
+        header = self.log.header if self.log.text else self.log.numeric
         begun = False
         for piece, added in self._applied(carried):
             if not begun:
-                yield format_csv(dict.fromkeys((*self._kept, *added), ()), self._delimiter)
+                yield format_csv(dict.fromkeys((*header, *added), ()), self._delimiter)
             begun = True
             if not self.beyond or self.outside != "refuse":
                 yield self._text(piece, added)
@@ -180,16 +181,12 @@ class AppliedLog:
         return (*self.calibration.outputs, *self.calibration.model.environment)
 
     @property
-    def _kept(self) -> tuple[str, ...]:
-        return self.log.columns if self.log.text else self.log.numeric
-
-    @property
     def _delimiter(self) -> str:
         return self.log.delimiter or ","
 
     def _text(self, piece: Piece, added: Mapping[str, Array]) -> str:
         if piece.lines is None:
-            columns = {name: piece.table.columns[name] for name in self._kept}
+            columns = {name: piece.table.columns[name] for name in self.log.numeric}
             return format_csv({**columns, **added}).partition("\n")[2]
         lines = piece.lines
         if not self.log.delimiter:

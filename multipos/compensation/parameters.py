@@ -23,7 +23,7 @@ from multipos.compensation.target import (
 )
 from multipos.errors import MultiposError
 from multipos.files.characters import visible
-from multipos.files.tables import to_json
+from multipos.files.trees import to_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
@@ -39,6 +39,7 @@ def parameter_target(
     write: Callable[[Calibration, Law], tuple[str, list[str]]],
     recognises: Callable[[str], bool],
     read: Callable[[str, str], tuple[Array, Array]],
+    suffix: str,
 ) -> Target:
     """Return a target whose consumer applies a matrix and an offset.
 
@@ -55,6 +56,8 @@ def parameter_target(
         Tell from its text whether a file is one of this target.
     read : function
         Return T (3, 3) and o (3,) in the consumer's unit from the path and the text of a file.
+    suffix : str
+        Of its files.
     """
 
     def write_file(calibration: Calibration, wish: Wish) -> Exported:
@@ -86,7 +89,7 @@ def parameter_target(
             difference=None,
         )
 
-    return Target(name, write_file, recognises, read_file)
+    return Target(name, write_file, recognises, read_file, suffix)
 
 
 def diagonal_values(calibration: Calibration, law: Law, names: tuple[str, ...]) -> list[float]:

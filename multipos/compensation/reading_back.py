@@ -5,7 +5,7 @@ import os
 from multipos.compensation.target import GivenFile, Verification
 from multipos.compensation.targets import recognised_target
 from multipos.errors import MultiposError
-from multipos.files.tables import read_bytes
+from multipos.files.whole import read_bytes
 from multipos.sensor.calibration import Calibration
 
 _LONGEST = 10 << 20  # [byte], far above any file that export writes

@@ -17,7 +17,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.numbers import table
-from multipos.files.tables import written
+from multipos.files.whole import written
 from multipos.numerics.arrays import Array
 from multipos.results import Result, plain
 from multipos.sensor.calibration import Calibration
@@ -170,6 +170,8 @@ class Target:
         Tell from its text whether a file is one of this target.
     read_back : function
         Return what the consumer makes of the calibration's own readings with a file.
+    suffix : str
+        Of its files.
     is_code : bool
         Whether it is a function with a name, a precision and a self-test beside it.
     """
@@ -178,6 +180,7 @@ class Target:
     write: Callable[[Calibration, Wish], Exported]
     recognises: Callable[[str], bool]
     read_back: Callable[[GivenFile, Calibration], Verification]
+    suffix: str
     is_code: bool = False
 
 

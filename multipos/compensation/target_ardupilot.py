@@ -45,4 +45,5 @@ ARDUPILOT = parameter_target(
     write=_write,
     recognises=partial(gives, "INS_ACC"),
     read=partial(read_diagonal, _NAMES),
+    suffix=".parm",
 )

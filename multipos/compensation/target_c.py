@@ -121,5 +121,6 @@ C = Target(
     write=_write,
     recognises=lambda text: SIGNATURE.search(text) is not None,
     read_back=_read_back,
+    suffix=".c",
     is_code=True,
 )

@@ -42,4 +42,5 @@ PX4 = parameter_target(
     write=_write,
     recognises=partial(gives, "CAL_ACC0_"),
     read=partial(read_diagonal, _NAMES),
+    suffix=".params",
 )

@@ -65,4 +65,5 @@ ROS = parameter_target(
     write=_write,
     recognises=_recognises,
     read=_read,
+    suffix=".yaml",
 )

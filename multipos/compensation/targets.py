@@ -1,5 +1,7 @@
 """Write a calibration in the form that a target takes."""
 
+import os
+from pathlib import Path
 from typing import Literal
 
 from multipos.compensation.target import Exported, Target, Wish
@@ -61,6 +63,13 @@ def export(
 def named_target(name: str) -> Target | None:
     """Return the target of a name, None where there is none."""
     return next((target for target in TARGETS if target.name == name), None)
+
+
+def beside(calibration: str | os.PathLike[str], target: Target) -> Path:
+    """Return where an export goes beside the file of its calibration: CAL.c, CAL_px4.params, …."""
+    path = Path(calibration)
+    ending = target.suffix if target.is_code else f"_{target.name}{target.suffix}"
+    return path.with_name(f"{path.stem}{ending}")
 
 
 def recognised_target(text: str) -> Target | None:

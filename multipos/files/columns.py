@@ -105,35 +105,60 @@ def read_plain(raw: bytes) -> Plain | None:
     raw = raw.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in raw:
         raw = raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    pieces: list[_Piece] = []
-    numbers: list[Sequence[int]] = []
-    header: list[str] = []
-    mark, start, line, rows = ",", 0, 1, 0
+    found = _Pieces(raw)
+    start = 0
     while start < len(raw):
         end = raw.find(b"\n", start + _PIECE) + 1 or len(raw)
-        try:
-            text = raw[start:end].decode("utf-8")
-        except UnicodeDecodeError:
+        if not found.take(start, end):
             return None
+        start = end
+    return found.plain() if found.rows else None
+
+
+class _Pieces:
+    """Take up the text piece by piece: its header, and where the rows are."""
+
+    def __init__(self, raw: bytes) -> None:
+        self._raw = raw
+        self._header: list[str] = []
+        self._mark, self._line = ",", 1
+        self._pieces: list[_Piece] = []
+        self._numbers: list[Sequence[int]] = []
+        self.rows = 0
+
+    def take(self, start: int, end: int) -> bool:
+        """Take up a piece; tell whether it is UTF-8 and all its rows have all their cells."""
+        try:
+            text = self._raw[start:end].decode("utf-8")
+        except UnicodeDecodeError:
+            return False
         kept, places = _kept(text)
-        if kept and not header:
-            mark = next((mark for mark in ";\t" if mark in kept[0]), ",")
-            header = [cell.strip() for cell in kept[0].split(mark)]
-            below = text.split("\n", places[0] + 1)[places[0] + 1 :]
-            start = end - sum(len(each.encode()) for each in below)
+        if kept and not self._header:
+            start = end - self._take_header(text, kept[0], places[0])
             kept, places = kept[1:], places[1:]
         if kept:
-            if set(map(methodcaller("count", mark), kept)) != {len(header) - 1}:
-                return None
-            pieces.append(_Piece(start, end, rows))
-            numbers.append(_shifted(places, line))
-            rows += len(kept)
-        line += text.count("\n")
-        start = end
-    if not rows:
-        return None
-    columns = [Cells(raw, pieces, rows, place, mark) for place in range(len(header))]
-    return Plain(header, columns, _joined(numbers), mark)
+            if set(map(methodcaller("count", self._mark), kept)) != {len(self._header) - 1}:
+                return False
+            self._pieces.append(_Piece(start, end, self.rows))
+            self._numbers.append(_shifted(places, self._line))
+            self.rows += len(kept)
+        self._line += text.count("\n")
+        return True
+
+    def _take_header(self, text: str, line: str, place: int) -> int:
+        """Take the header from the line at a place; return how many bytes stand below it."""
+        self._mark = next((mark for mark in ";\t" if mark in line), ",")
+        self._header = [cell.strip() for cell in line.split(self._mark)]
+        below = text.split("\n", place + 1)[place + 1 :]
+        return sum(len(each.encode()) for each in below)
+
+    def plain(self) -> Plain:
+        """Return the table."""
+        columns = [
+            Cells(self._raw, self._pieces, self.rows, place, self._mark)
+            for place in range(len(self._header))
+        ]
+        return Plain(self._header, columns, _joined(self._numbers), self._mark)
 
 
 def _rows_of(raw: bytes, piece: _Piece) -> list[str]:

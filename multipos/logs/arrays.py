@@ -10,26 +10,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files.tables import Table
+from multipos.files.tables import Column, Table
 from multipos.logs.isolation import first_line, read_apart
-from multipos.logs.table import Log, Piece, name_columns
+from multipos.logs.names import name_header, split_unit
+from multipos.logs.table import Log, Piece
+from multipos.numerics.arrays import Array
 
 _ROWS = 1 << 16  # at a time
 
 
 def log_of_columns(source: str, found: Mapping[str, Any], names: Sequence[str] | None) -> Log:
     """Return a log of arrays by name; shorter ones than the longest are left out."""
-    arrays = {name: np.asarray(column) for name, column in _flat(found).items()}
-    lengths = {len(column) for column in arrays.values()}
-    rows = max(lengths, default=0)
-    columns = {name: column for name, column in arrays.items() if len(column) == rows}
-    if not rows or not columns:
+    flat = _flat(found)
+    rows = max(map(len, flat.values()), default=0)
+    whole = {name: column for name, column in flat.items() if len(column) == rows}
+    if not rows or not whole:
         raise MultiposError(f"{source}: no arrays of samples; a log needs rows.")
-    given = name_columns(source, list(columns), len(columns), names)
-    columns = dict(zip(given, columns.values(), strict=True))
-    numeric = tuple(name for name, column in columns.items() if column.dtype.kind in "fiub")
-    read = partial(_read_arrays, source, columns, rows)
-    return Log(source, given, numeric, ",", False, read)
+    header = None if all(map(str.isdigit, whole)) else list(whole)
+    named = name_header(source, header, len(whole), names)
+    arrays = dict(zip(named.columns, whole.values(), strict=True))
+    told = zip(named.columns, map(split_unit, whole), strict=True)
+    return Log(
+        source=source,
+        columns=named.columns,
+        numeric=_of_kind(arrays, "fiubM"),
+        delimiter=",",
+        text=False,
+        read=partial(_read_arrays, source, arrays, rows),
+        header=named.header,
+        units={name: unit for name, (_, unit) in told if unit},
+        headless=named.headless,
+        nameless=named.nameless,
+        dates=frozenset(_of_kind(arrays, "M")),
+    )
+
+
+def _of_kind(arrays: Mapping[str, NDArray[Any]], kinds: str) -> tuple[str, ...]:
+    return tuple(name for name, column in arrays.items() if column.dtype.kind in kinds)
 
 
 def _read_arrays(
@@ -37,38 +54,59 @@ def _read_arrays(
     columns: Mapping[str, NDArray[Any]],
     rows: int,
     names: Sequence[str],
-    optional: Sequence[str],
+    optional: Sequence[str] = (),
+    texts: Sequence[str] = (),
+    *,
+    lenient: bool = False,
 ) -> Iterator[Piece]:
-    step = _ROWS
-    for start in range(0, rows, step):
-        part = {
-            name: np.array(columns[name][start : start + step], dtype=np.float64)
-            for name in dict.fromkeys((*names, *optional))
+    del lenient  # arrays have all their cells
+    for start in range(0, rows, _ROWS):
+        end = min(start + _ROWS, rows)
+        part: dict[str, Column] = {
+            name: _numbers(columns[name][start:end]) for name in dict.fromkeys((*names, *optional))
         }
-        end = min(start + step, rows)
+        plain = Table(source, {name: columns[name][start:end] for name in texts}, rows=end - start)
+        part |= {name: list(plain.text(name)) for name in texts}
         table = Table(source, part, rows=end - start, first=start)
         for name in names:
             table.number(name)
         yield Piece(table, None, end / rows)
 
 
+def _numbers(column: NDArray[Any]) -> Array:
+    if column.dtype.kind != "M":
+        return np.array(column, dtype=np.float64)
+    seconds = column.astype("datetime64[ns]").astype(np.int64) * 1e-9
+    return np.where(np.isnat(column), np.nan, seconds)
+
+
 def _flat(found: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     """Return arrays as columns: acc (n, 3) as acc_x, acc_y, acc_z, wider ones by number."""
     columns: dict[str, NDArray[Any]] = {}
     for name, value in found.items():
-        array = np.asarray(value)
-        if array.dtype.kind not in "fiubUS" or array.size < 2:
-            continue  # structures, and scalars such as a sample rate
-        if array.ndim == 2 and min(array.shape) == 1:
-            array = array.ravel()
-        if array.ndim == 1:
+        array = _plain(value)
+        if array.ndim == 1 and array.size:
             columns[name] = array
         elif array.ndim == 2:
-            width = array.shape[1]
-            ends = "xyz" if width == 3 else [str(i + 1) for i in range(width)]
-            stem = f"{name}_" if name else ""
-            columns |= {f"{stem}{end}": array[:, i] for i, end in enumerate(ends)}
+            columns |= _split_columns(name, array)
     return columns
+
+
+def _plain(value: Any) -> NDArray[Any]:
+    """Return an array of numbers, dates or texts; an empty one for structures, and for scalars."""
+    array = np.asarray(value)
+    if array.dtype.kind == "O" and array.size and isinstance(array.flat[0], str):
+        array = array.astype(np.str_)  # texts of a data frame
+    if array.dtype.kind not in "fiubUSM" or array.size < 2:
+        return np.empty(0)
+    return array.ravel() if array.ndim == 2 and min(array.shape) == 1 else array
+
+
+def _split_columns(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    width = array.shape[1]
+    ends = "xyz" if width == 3 else [str(i + 1) for i in range(width)]
+    stem = f"{name}_" if name else ""
+    return {f"{stem}{end}": array[:, i] for i, end in enumerate(ends)}
 
 
 def read_npy(path: os.PathLike[str]) -> Mapping[str, Any]:
@@ -108,14 +146,6 @@ def load_mat(path: os.PathLike[str]) -> Mapping[str, Any]:
 
     found: dict[str, Any] = loadmat(path, squeeze_me=False)
     return {name: value for name, value in found.items() if not name.startswith("__")}
-
-
-def refuse_hdf(path: os.PathLike[str]) -> Mapping[str, Any]:
-    """Say what to do with MATLAB's version 7.3."""
-    raise MultiposError(
-        f"{path}: an HDF5 file (MATLAB writes it with -v7.3), which is not read; "
-        "save it in MATLAB with -v7, or as CSV."
-    )
 
 
 def loaded(path: os.PathLike[str], load: Callable[[], Any]) -> Any:

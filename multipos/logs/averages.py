@@ -35,6 +35,8 @@ class RestAverage(Result):
         Angle to the position of the scheme.
     notes : tuple of str
         What is wrong with the rest, in words.
+    log : str
+        Name of the log, without its folder.
     """
 
     position: str
@@ -44,6 +46,7 @@ class RestAverage(Result):
     environment: Mapping[str, float]
     distance_deg: float | None
     notes: tuple[str, ...]
+    log: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,12 @@ class Averages(Result):
     threshold : float or None
         Standard deviation of a window above which it moves; None where the log shows none.
     warnings : tuple of str
+    notes : tuple of str
+        What was found and chosen on reading, in words.
+    short : tuple of (str, Rest)
+        Stretches that stood still for less than a rest: the name of the log, and its rows.
+    unit : str or None
+        Of the outputs, where the log tells it.
     """
 
     source: str = field(compare=False)
@@ -70,6 +79,9 @@ class Averages(Result):
     sample_rate: float | None
     threshold: float | None
     warnings: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    short: tuple[tuple[str, Rest], ...] = field(default=(), compare=False)
+    unit: str | None = None
 
     def _stack(self, name: str) -> Array:
         return np.array([getattr(rest.found, name) for rest in self.rests])
@@ -96,6 +108,7 @@ class Averages(Result):
             sd=self._stack("sd"),
             samples=self._stack("n"),
             environment=columns,
+            unit=self.unit or "reading",
             source=self.source,
         )
 
@@ -126,6 +139,7 @@ class Averages(Result):
         positions = [
             {
                 "position": rest.position,
+                "log": rest.log,
                 "t_start": None if rest.time is None else rest.time[0],
                 "t_end": None if rest.time is None else rest.time[1],
                 "start": rest.rows.start,
@@ -148,6 +162,9 @@ class Averages(Result):
                 "sample_rate": self.sample_rate,
                 "threshold": self.threshold,
                 "warnings": self.warnings,
+                "found": self.notes,
+                "short": [{"log": log, "start": a, "end": b} for log, (a, b) in self.short],
+                "unit": self.unit,
             }
         )
         return result
@@ -181,4 +198,5 @@ def averages_text(found: Averages) -> str:
         )
     rate = "" if found.sample_rate is None else f", {found.sample_rate:.6g} Hz"
     level = "" if found.threshold is None else f", threshold {found.threshold:.3g}"
-    return f"{found.source}: {len(found.rests)} rests{rate}{level}\n\n{table(header, rows)}\n"
+    head = [f"{found.source}: {len(found.rests)} rests{rate}{level}", *found.notes]
+    return "\n".join([*head, "", table(header, rows), ""])

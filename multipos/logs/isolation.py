@@ -10,7 +10,6 @@ start, and one more for a hundred megabytes.
 import importlib
 import json
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -25,13 +24,15 @@ from multipos.errors import MultiposError
 _PATIENCE = 30.0  # seconds to start and to read a small file, on a slow machine
 _SLOWEST = 1e6  # bytes per second below which a reader no longer reads but turns in circles
 
-# Isolated from the folder and the environment, until the parent's own path is set.
+# Isolated from the folder and the environment, until the parent's own path is set. It ends without
+# clearing up, because a library that has answered may still stumble over its own threads.
 _CHILD = """
-import json, sys
+import json, os, sys
 task = json.loads(sys.stdin.buffer.read())
 sys.path[:] = task["path"]
 from multipos.logs.isolation import answer
 answer(task["module"], task["reader"], task["file"])
+os._exit(0)
 """
 
 
@@ -56,6 +57,8 @@ def read_apart(
     MultiposError
         The reader refuses the file, crashes over it, or does not end.
     """
+    import subprocess  # slow to import, and seldom needed
+
     task = {
         "path": [str(place) for place in sys.path],
         "module": reader.__module__,

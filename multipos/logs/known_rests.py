@@ -7,7 +7,9 @@ from typing import Any
 
 from multipos.errors import MultiposError
 from multipos.files.pipes import rereadable
-from multipos.files.tables import Source, read_bytes, read_json_value, read_table
+from multipos.files.tables import Source, Table, read_table
+from multipos.files.trees import read_json_value
+from multipos.files.whole import read_bytes
 from multipos.logs.rests import Rest
 
 
@@ -49,27 +51,30 @@ def read_sections(source: Source) -> Sections:
     elif isinstance(source, Mapping) and "position" not in source:
         where, found = "sections", source
     else:
-        table = read_table(source, what="sections")
-        where = table.source
-        missing = [name for name in ("position", "start", "end") if name not in table]
-        if missing:
-            raise MultiposError(
-                f"{where}: no column '{missing[0]}'; sections need position, start, end."
-            )
-        ends = zip(table.number("start").tolist(), table.number("end").tolist(), strict=True)
-        labels = table.text("position")
-        twice = next((label for label in labels if labels.count(label) > 1), None)
-        if twice is not None:
-            raise MultiposError(f"{where}: section '{twice}' appears twice; give each its label.")
-        found = {
-            label: {"start": start, "end": end}
-            for label, (start, end) in zip(labels, ends, strict=True)
-        }
+        where, found = _from_table(read_table(source, what="sections"))
     if not found:
         raise MultiposError(f"{where}: no sections; give a start and an end for each position.")
     return Sections(
         where, {str(label): _section(where, label, each) for label, each in found.items()}
     )
+
+
+def _from_table(table: Table) -> tuple[str, Mapping[str, Any]]:
+    where = table.source
+    missing = [name for name in ("position", "start", "end") if name not in table]
+    if missing:
+        raise MultiposError(
+            f"{where}: no column '{missing[0]}'; sections need position, start, end."
+        )
+    ends = zip(table.number("start").tolist(), table.number("end").tolist(), strict=True)
+    labels = table.text("position")
+    twice = next((label for label in labels if labels.count(label) > 1), None)
+    if twice is not None:
+        raise MultiposError(f"{where}: section '{twice}' appears twice; give each its label.")
+    return where, {
+        label: {"start": start, "end": end}
+        for label, (start, end) in zip(labels, ends, strict=True)
+    }
 
 
 def _is_json(path: os.PathLike[str]) -> bool:

@@ -3,12 +3,13 @@
 A log is a table of samples, one row a sample. Text comes with commas, semicolons (and decimal
 commas), tabs or white space between the cells, with or without a header; without one the columns
 are called 1, 2, 3, …. Which reader serves a file is decided by its first bytes and then by its
-suffix (`READERS`); whatever is neither is text. Only what was asked for is turned into numbers,
-in pieces of some megabytes, so that the length of a log does not matter; a `.npz` or `.mat` file
-is the exception, because its format holds each array in one piece.
+suffix (`multipos.logs.readers`); whatever is neither is text. Only what was asked for of a text is
+turned into numbers, in pieces of some megabytes, so that its length does not matter.
 """
 
 import os
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,10 @@ from multipos.files.lists import Names, split_names
 from multipos.files.pipes import rereadable
 from multipos.files.tables import Column, Source, read_table
 from multipos.logs.arrays import log_of_columns
-from multipos.logs.readers import READERS
+from multipos.logs.extras import Noted
+from multipos.logs.readers import reader_of
 from multipos.logs.table import Log
-from multipos.logs.text import HEAD, open_text, split_rows
+from multipos.logs.text import HEAD, open_text
 
 
 def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
@@ -52,33 +54,33 @@ def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
         return log_of_columns(table.source, table.columns, names)
     path = rereadable(source)
     head = _read_head(path)
-    suffix = Path(str(path)).suffix.lower()
-    by_content = [reader for reader in READERS if head.startswith(reader.magic)]
-    by_suffix = [reader for reader in READERS if suffix in reader.suffixes]
-    for reader in by_content or (by_suffix if b"\0" in head else ()):
-        return log_of_columns(str(path), reader.columns(path), names)
-    return open_text(path, head, names)
+    reader = reader_of(path, head)
+    while reader is not None and reader.unpack is not None:
+        path = reader.unpack(path)
+        head = _read_head(path)
+        reader = reader_of(path, head)
+    if reader is None or reader.columns is None:
+        return open_text(path, head, names)
+    found = reader.columns(path)
+    log = log_of_columns(str(path), found, names)
+    return replace(log, notes=found.notes) if isinstance(found, Noted) else log
 
 
 def read_log(log: Log) -> dict[str, Column]:
     """Return all columns of a log at once: numbers, NaN where a cell is none, and texts."""
-    columns: dict[str, list[Any]] = {name: [] for name in log.columns}
     texts = [name for name in log.columns if name not in log.numeric]
-    for piece in log.read((), log.numeric):
-        for name in log.numeric:
+    columns: dict[str, list[Any]] = {name: [] for name in log.columns}
+    for piece in log.read((), log.numeric, texts):
+        for name in log.columns:
             columns[name].append(piece.table.columns[name])
-        rows = []
-        if piece.lines and texts:
-            numbers = piece.table.lines or range(1, len(piece.lines) + 1)
-            rows = split_rows(log.source, piece.lines, numbers, log.delimiter)
-        for name in texts:
-            place = log.columns.index(name)
-            columns[name] += [row[place] for row in rows]
-    return {
-        name: np.concatenate(column) if name in log.numeric else column
-        for name, column in columns.items()
-        if column
-    }
+    return {name: _joined(parts) for name, parts in columns.items() if parts}
+
+
+def _joined(parts: list[Any]) -> Column:
+    """Return the column that its pieces make: an array, or a list of texts."""
+    if isinstance(parts[0], np.ndarray):
+        return np.concatenate(parts)
+    return list(chain.from_iterable(parts))
 
 
 def _read_head(path: os.PathLike[str]) -> bytes:

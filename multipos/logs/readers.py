@@ -2,28 +2,90 @@
 
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from multipos.logs.arrays import read_mat, read_npy, read_npz, refuse_hdf
+from multipos.files.packed import GZIP, unpack_gzip
+from multipos.logs.ardupilot import load_dataflash
+from multipos.logs.arrays import read_mat, read_npy, read_npz
+from multipos.logs.excel import unpack_workbook
+from multipos.logs.extras import reader_with_extra
+from multipos.logs.hdf5 import load_hdf
+from multipos.logs.parquet import load_arrow
+from multipos.logs.phone import unpack_phone
+from multipos.logs.px4 import load_ulog
+from multipos.logs.ros import load_bag
+
+_ZIP = b"PK\x03\x04"
 
 
 class Reader(NamedTuple):
-    """How one kind of file is told from others, and opened."""
+    """How one kind of file is told from others, and opened.
 
-    listed: str  # what users are told is read, '' for what is refused
+    One of `columns` and `unpack` is there.
+    """
+
+    listed: str  # what users are told is read
     suffixes: tuple[str, ...]
     magic: bytes
-    columns: Callable[[os.PathLike[str]], Mapping[str, Any]]
+    columns: Callable[[os.PathLike[str]], Mapping[str, Any]] | None
+    unpack: Callable[[os.PathLike[str]], os.PathLike[str]] | None = None  # to a file of a kind
+    member: str = ""  # the ending of a name in a zip archive that tells this kind
+
+    def takes(self, path: os.PathLike[str], head: bytes) -> bool:
+        """Tell by its first bytes whether a file is of this kind."""
+        if not head.startswith(self.magic):
+            return False
+        return not self.member or any(name.endswith(self.member) for name in _members(path))
 
 
-READERS = (
-    Reader(".npy", (".npy",), b"\x93NUMPY", read_npy),
-    Reader(".npz", (".npz",), b"PK\x03\x04", read_npz),
-    Reader(".mat up to v7", (".mat",), b"MATLAB 5.0 MAT-file", read_mat),
-    Reader("", (".h5", ".hdf5"), b"\x89HDF", refuse_hdf),
+def _members(path: os.PathLike[str]) -> list[str]:
+    from zipfile import BadZipFile, ZipFile
+
+    with suppress(BadZipFile, OSError, NotImplementedError), ZipFile(path) as archive:
+        return archive.namelist()
+    return []
+
+
+_read_hdf = reader_with_extra("an HDF5 file", "h5py", "hdf5", load_hdf)
+_read_mat73 = reader_with_extra("a MATLAB 7.3 file", "h5py", "hdf5", load_hdf)
+_read_parquet = reader_with_extra("a Parquet file", "pyarrow", "parquet", load_arrow)
+_read_feather = reader_with_extra("a Feather file", "pyarrow", "parquet", load_arrow)
+_read_bag = reader_with_extra("a ROS bag", "rosbags", "ros", load_bag)
+_read_ulog = reader_with_extra("a ULog of PX4", "pyulog", "px4", load_ulog)
+_read_dataflash = reader_with_extra(
+    "a DataFlash log of ArduPilot", "pymavlink", "ardupilot", load_dataflash
 )
+
+# The first that takes a file reads it.
+READERS = (
+    Reader(".gz", (".gz",), GZIP, None, unpack_gzip),
+    Reader(".npy", (".npy",), b"\x93NUMPY", read_npy),
+    Reader(".xlsx", (".xlsx",), _ZIP, None, unpack_workbook, "xl/workbook.xml"),
+    Reader(".zip of a phone", (".zip",), _ZIP, None, unpack_phone, ".csv"),
+    Reader(".npz", (".npz",), _ZIP, read_npz),
+    Reader(".mat", (".mat",), b"MATLAB 5.0 MAT-file", read_mat),
+    Reader(".mat 7.3", (".mat",), b"MATLAB 7.3 MAT-file", _read_mat73),
+    Reader(".h5", (".h5", ".hdf5"), b"\x89HDF", _read_hdf),
+    Reader(".parquet", (".parquet",), b"PAR1", _read_parquet),
+    Reader(".feather", (".feather", ".arrow"), b"ARROW1", _read_feather),
+    Reader(".ulg", (".ulg",), b"ULog\x01\x12\x35", _read_ulog),
+    Reader(".bin of ArduPilot", (".bin",), b"\xa3\x95\x80", _read_dataflash),
+    Reader(".bag", (".bag",), b"#ROSBAG V2.0", _read_bag),
+    Reader(".db3", (".db3",), b"SQLite format 3\0", _read_bag),
+    Reader(".mcap", (".mcap",), b"\x89MCAP0\r\n", _read_bag),
+)
+
+
+def reader_of(path: os.PathLike[str], head: bytes) -> Reader | None:
+    """Return what reads a file, by its first bytes or else its suffix; None of a text."""
+    by_content = [reader for reader in READERS if reader.takes(path, head)]
+    suffix = Path(os.fspath(path)).suffix.lower()
+    by_suffix = [reader for reader in READERS if suffix in reader.suffixes]
+    return next(iter(by_content or (by_suffix if b"\0" in head else ())), None)
 
 
 def formats_read() -> str:
     """Return the formats that are read besides text, for messages and help."""
-    return ", ".join(reader.listed for reader in READERS if reader.listed)
+    return ", ".join(reader.listed for reader in READERS)

@@ -1,18 +1,19 @@
 """What is wrong with rests: saturated or stuck outputs, mixed units, motion, drift, gaps, twins."""
 
-import re
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
-from multipos.errors import MultiposError
 from multipos.logs.rest_means import RestMean
-from multipos.logs.rests import Rest, Survey
+from multipos.logs.rests import Survey
 from multipos.numerics.arrays import Array
 
 # A share of the samples at one value, the extreme of the log, that noise does not explain.
 _SATURATED = 0.01
 _SATURATED_SAMPLES = 5
+_BESIDE = 3  # values beside an extreme whose counts are compared with its own
+_HEAP = 1.5  # times as many samples as at the values beside it
 _NOISY = 1.5  # steps of resolution: with less noise many samples share one value anyway
 _STUCK = 20  # equal samples in a row
 _UNITS = 3.0  # times the scale factor of another output: no pair of one unit differs so much
@@ -23,26 +24,16 @@ _TWIN_DEG = 2.0
 _EDGE = 0.1  # of the windows of a section may be its edges
 
 
-def check_units(outputs: Sequence[str], means: Array | None) -> None:
-    """Refuse outputs of different units, by their names or by the ellipsoid of their means.
-
-    Raises
-    ------
-    MultiposError
-        Two outputs are named with different units, or one spans several times what another does.
-    """
-    units = {name: found[1] for name in outputs if (found := re.search(r"[\[(](.+?)[\])]", name))}
-    if len(set(units.values())) > 1:
-        listed = ", ".join(f"'{name}'" for name in units)
-        raise MultiposError(f"the outputs {listed} have mixed units; convert them to one.")
-    scale = None if means is None else _semi_axes(means)
-    if scale is not None and scale.max() > _UNITS * scale.min():
-        large, small = outputs[int(np.argmax(scale))], outputs[int(np.argmin(scale))]
-        raise MultiposError(
-            f"1 g moves '{large}' {scale.max() / scale.min():.3g} times as far as '{small}': "
-            "mixed units? Convert the outputs to one unit, or average them one at a time "
-            "with --outputs."
-        )
+def compare_scales(outputs: Sequence[str], means: Array) -> str | None:
+    """Return what is said of outputs of different units, by the ellipsoid of their means (n, 3)."""
+    scale = _semi_axes(means)
+    if scale is None or scale.max() <= _UNITS * scale.min():
+        return None
+    large, small = outputs[int(np.argmax(scale))], outputs[int(np.argmin(scale))]
+    return (
+        f"1 g moves '{large}' {scale.max() / scale.min():.3g} times as far as '{small}': mixed "
+        "units? Convert the outputs to one unit, average them one at a time with --outputs"
+    )
 
 
 def _semi_axes(means: Array) -> Array | None:
@@ -62,40 +53,57 @@ def _semi_axes(means: Array) -> Array | None:
     return np.asarray(half / np.sqrt(a / (1.0 + float((b**2 / (4.0 * a)).sum()))))
 
 
-def refuse_saturated(
-    outputs: Sequence[str],
-    rests: Sequence[tuple[str, Rest]],
-    found: Sequence[RestMean],
-    survey: Survey,
-) -> None:
-    """Refuse rests in which an output is saturated or stuck.
+def find_stuck(
+    outputs: Sequence[str], found: Sequence[RestMean], surveys: Sequence[Survey]
+) -> list[list[str]]:
+    """Return what is said of each rest in which an output never changes.
 
-    Raises
-    ------
-    MultiposError
-        Names the rest, the output, the value and how many samples are there.
+    At an extreme of its log it is saturated, elsewhere stuck.
     """
     usual = np.median([each.sd for each in found], axis=0)
-    resolution = np.nan_to_num(survey.resolution)
-    for (label, rest), each in zip(rests, found, strict=True):
-        for j, output in enumerate(outputs):
-            value, count, fault = None, 0, "saturated"
-            noisy = each.sd[j] >= _NOISY * resolution[j] > 0.0
-            enough = max(_SATURATED_SAMPLES, _SATURATED * each.n)
-            if each.sd[j] == 0.0 and usual[j] > 0.5 * resolution[j]:
-                value, count = each.low[j], each.n
-                if value not in (survey.lowest[j], survey.highest[j]):
-                    fault = "stuck"
-            elif noisy and each.high[j] == survey.highest[j] and each.at_high[j] >= enough:
-                value, count = each.high[j], each.at_high[j]
-            elif noisy and each.low[j] == survey.lowest[j] and each.at_low[j] >= enough:
-                value, count = each.low[j], each.at_low[j]
-            if value is not None:
-                raise MultiposError(
-                    f"rest '{label}' (rows {rest.start} to {rest.end}): output '{output}' is "
-                    f"{fault} at {value:.10g} ({count} of {each.n} samples), so its mean is "
-                    "wrong; record it with a larger range, or leave the rest out with --only."
+    said = []
+    for each, survey in zip(found, surveys, strict=True):
+        constant = (each.sd == 0.0) & (usual > 0.5 * np.nan_to_num(survey.resolution))
+        extreme = (each.low == survey.lowest) | (each.low == survey.highest)
+        said.append(
+            [
+                at_one_value(
+                    outputs[j],
+                    "saturated" if extreme[j] else "stuck",
+                    float(each.low[j]),
+                    each.n,
+                    each.n,
                 )
+                for j in np.flatnonzero(constant).tolist()
+            ]
+        )
+    return said
+
+
+def at_one_value(output: str, fault: str, value: float, count: int, n: int) -> str:
+    """Return how an output is said to be at one value too often."""
+    return f"output '{output}' is {fault} at {value:.10g} ({count} of {n} samples)"
+
+
+def suspects(each: RestMean, survey: Survey) -> list[tuple[int, bool]]:
+    """Return the outputs that are often at an extreme of the whole log, and whether the upper."""
+    noisy = (each.sd >= _NOISY * survey.resolution) & (survey.resolution > 0.0)
+    enough = max(_SATURATED_SAMPLES, _SATURATED * each.n)
+    high = noisy & (each.high == survey.highest) & (each.at_high >= enough)
+    low = noisy & (each.low == survey.lowest) & (each.at_low >= enough)
+    found = [(j, True) for j in np.flatnonzero(high).tolist()]
+    return found + [(j, False) for j in np.flatnonzero(low & ~high).tolist()]
+
+
+def is_saturated(counts: Sequence[int]) -> bool:
+    """Tell from how many samples have each value, from the extreme inward.
+
+    Noise has fewer samples at its extreme than beside it, or as many where codes differ in
+    width; what was cut off has all of its tail there.
+    """
+    beside = max(counts[1 : 1 + _BESIDE], default=0)
+    more = counts[0] - beside
+    return more > _SIGNIFICANT * (counts[0] + beside) ** 0.5 and counts[0] > _HEAP * beside
 
 
 def find_faults(
@@ -108,20 +116,34 @@ def find_faults(
 ) -> tuple[list[list[str]], list[str]]:
     """Return what is to be said of each rest, and of all of them together."""
     usual = np.median([each.sd for each in found], axis=0)
-    faults: list[list[str]] = []
+    faults = []
     for each, gap, moved in zip(found, gaps, moving, strict=True):
-        notes = []
-        if moved is not None and moved > _EDGE:
-            notes.append(f"in motion during {100 * moved:.0f} % of the time")
-        elif moved:
-            notes.append("motion at its edges; give fewer rows")
-        if gap:
-            notes.append(f"{gap} gaps in the time" if gap > 1 else "a gap in the time")
-        for j, output in enumerate(outputs if not moved else ()):
-            notes += _output_faults(output, j, each, usual[j], float(resolution[j]))
-        faults.append(notes)
+        own = [] if moved else _rest_faults(outputs, each, usual, resolution)
+        faults.append([*_moved(moved), *_gaps(gap), *own])
     still = [i for i, moved in enumerate(moving) if not moved]
     return faults, _twins([found[i] for i in still], [labels[i] for i in still])
+
+
+def _moved(share: float | None) -> list[str]:
+    if share is not None and share > _EDGE:
+        return [f"in motion during {100 * share:.0f} % of the time"]
+    return ["motion at its edges; give fewer rows"] if share else []
+
+
+def _gaps(count: int) -> list[str]:
+    if not count:
+        return []
+    return ["a gap in the time" if count == 1 else f"{count} gaps in the time"]
+
+
+def _rest_faults(
+    outputs: Sequence[str], each: RestMean, usual: Array, resolution: Array
+) -> list[str]:
+    return [
+        note
+        for j, output in enumerate(outputs)
+        for note in _output_faults(output, j, each, float(usual[j]), float(resolution[j]))
+    ]
 
 
 def _output_faults(
@@ -141,17 +163,14 @@ def _output_faults(
 
 
 def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[str]:
-    if len(found) < 3:
+    if len(found) < 3 or len(found[0].mean) == 2:  # two axes read the same of two directions
         return []
     means = np.array([each.mean for each in found])
     half_range = float(np.ptp(means, axis=0).max()) / 2.0
-    if not half_range:
-        return []
     near = np.radians(_TWIN_DEG) * half_range
     pairs = [
         f"{labels[i]} and {labels[k]}"
-        for i in range(len(means))
-        for k in range(i + 1, len(means))
+        for i, k in combinations(range(len(means)), 2)
         if labels[i] != labels[k] and np.linalg.norm(means[i] - means[k]) < near
     ]
     if not pairs:

@@ -30,6 +30,7 @@ from multipos.results import Result
 Counts = NDArray[np.signedinteger[Any]]
 
 _BATCHES = 512
+_SMALLEST = np.finfo(np.float64).tiny
 _EDGE = 10  # an edge is a tenth of a rest
 
 
@@ -118,9 +119,9 @@ class RestSum:
         mean = self._sum / n
         variance = np.maximum(self._square - n * mean**2, 0.0) / max(n - 1, 1)
         variance[self._longest == n] = 0.0  # what rounding leaves of equal samples
-        density = np.array([zero_density(z - z.mean(), 1) for z in batches])
-        lines = [_line(z) for z in batches]
-        around = np.array([zero_density(left, 2) for _, left in lines])
+        density = zero_density(batches - batches.mean(axis=1, keepdims=True), 1)
+        rise, left = _lines(batches)
+        around = zero_density(left, 2)
         count = batches.shape[1]
         low, high = self._ends
         return RestMean(
@@ -129,7 +130,7 @@ class RestSum:
             sd=np.sqrt(variance),
             # Less than white noise would say is luck, or a hum that fits into the rest.
             u=np.sqrt(np.maximum(np.where(variance > 0.0, density / count, 0.0), variance / n)),
-            drift=np.array([rise for rise, _ in lines]),
+            drift=rise,
             drift_u=np.sqrt(12.0 * around / count),
             edge=_edge(batches, around),
             low=low.value,
@@ -169,45 +170,56 @@ class _End:
         self.value = np.where(beyond > 0.0, here, self.value)
 
 
-def zero_density(z: Array, removed: int) -> float:
-    """Return b u² of eq. (1): the spectral density at zero of b batch means.
+def zero_density(z: Array, removed: int) -> Array:
+    """Return b u² of eq. (1): the spectral density at zero of b batch means, of each row.
 
     Parameters
     ----------
-    z : (b,) array
+    z : (..., b) array
         Batch means less their mean or their line.
     removed : int
         How many parameters that took, m of eq. (1).
     """
-    count = len(z)
+    rows = np.atleast_2d(z)
+    count = rows.shape[-1]
     highest = min(count // 10, int(10.0 * np.log10(max(count, 1))))
-    lagged = np.array([z[: count - k] @ z[k:] for k in range(highest + 1)]) / count
-    if lagged[0] <= 0.0:
-        return 0.0
-    phi, variance = np.zeros(0), float(lagged[0])
-    best, density = np.inf, variance
-    for order in range(highest + 1):
-        if order:  # Levinson's recursion for the Yule–Walker equations
-            partial = (lagged[order] - phi @ lagged[order - 1 : 0 : -1]) / variance
-            phi = np.append(phi - partial * phi[::-1], partial)
-            variance *= 1.0 - partial**2
-        if variance <= 0.0:
-            break
-        free = count - order - 2
-        criterion = count * np.log(variance) + 2.0 * (order + 1) * count / max(free, 1)
-        if criterion < best:
-            best, density = criterion, variance / (1.0 - phi.sum()) ** 2
-    lost = removed * density / lagged[0] / count  # m / n_eff
-    return float(density / (1.0 - min(lost, 0.5)))
+    lags = [np.einsum("ji,ji->j", rows[:, : count - k], rows[:, k:]) for k in range(highest + 1)]
+    lagged = np.array(lags).T / count
+    there = lagged[:, 0] > 0.0
+    lagged[~there, 0] = 1.0  # equal samples have no density, and are put back to zero below
+    variance, phi = lagged[:, 0].copy(), np.zeros((len(rows), highest))
+    best, density = _criterion(variance, 0, count), variance.copy()
+    for order in range(1, highest + 1):
+        # Levinson's recursion for the Yule–Walker equations
+        before = phi[:, : order - 1]
+        ahead = (before * lagged[:, order - 1 : 0 : -1]).sum(axis=1)
+        partial = (lagged[:, order] - ahead) / variance
+        phi[:, : order - 1] = before - partial[:, None] * before[:, ::-1]
+        phi[:, order - 1] = partial
+        variance = np.maximum(variance * (1.0 - partial**2), _SMALLEST)
+        criterion = _criterion(variance, order, count)
+        better = criterion < best
+        best = np.where(better, criterion, best)
+        whole = variance / (1.0 - phi[:, :order].sum(axis=1)) ** 2
+        density = np.where(better, whole, density)
+    lost = removed * density / lagged[:, 0] / count  # m / n_eff
+    found = np.where(there, density / (1.0 - np.minimum(lost, 0.5)), 0.0)
+    return found.reshape(z.shape[:-1])
 
 
-def _line(z: Array) -> tuple[float, Array]:
-    """Return the rise of the least-squares line from begin to end, and what is left."""
-    count = len(z)
+def _criterion(variance: Array, order: int, count: int) -> Array:
+    """Return Akaike's corrected criterion of an autoregression."""
+    free = max(count - order - 2, 1)
+    return np.asarray(count * np.log(variance) + 2.0 * (order + 1) * count / free)
+
+
+def _lines(z: Array) -> tuple[Array, Array]:
+    """Return the rise of each least-squares line from begin to end, and what it leaves of z."""
+    count = z.shape[1]
     time = np.arange(count) - (count - 1) / 2.0
     square = float(time @ time)
-    slope = float(time @ z) / square if square else 0.0
-    return slope * count, z - z.mean() - slope * time
+    slope = z @ time / square if square else np.zeros(len(z))
+    return slope * count, z - z.mean(axis=1, keepdims=True) - slope[:, None] * time
 
 
 def _edge(batches: Array, density: Array) -> Array:

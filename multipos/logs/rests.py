@@ -168,6 +168,7 @@ class Survey:
         self.resolution = np.full(outputs, np.nan)
         self._counts = np.zeros((_HIGHEST - _LOWEST) * _BINS_PER_DECADE, dtype=np.int64)
         self._mean_range = np.array([self.lowest, self.highest])
+        self._sizes: list[Array] = []
 
     def add(self, samples: Array, mean: Array, sd: Array) -> None:
         """Add samples (M, n), and means (M, k) and s (k,) of the windows they completed."""
@@ -181,6 +182,8 @@ class Survey:
             steps = steps[steps > 4.0 * np.finfo(float).eps * np.abs(samples[j]).max()]
             self.resolution[j] = steps.min() if len(steps) else np.nan
         if len(sd):
+            every = mean[:, -self.windows % BLOCKS :: BLOCKS]
+            self._sizes.append(np.linalg.norm(every, axis=0))
             self.windows += len(sd)
             low, high = self._mean_range
             low, high = np.minimum(low, mean.min(axis=1)), np.maximum(high, mean.max(axis=1))
@@ -188,6 +191,12 @@ class Survey:
             size = np.maximum(sd, 10.0**_LOWEST)
             place = ((np.log10(size) - _LOWEST) * _BINS_PER_DECADE).astype(np.intp)
             self._counts += np.bincount(place, minlength=len(self._counts))
+
+    def sizes(self) -> Array:
+        """Return the size of every eighth window's mean, of three outputs: no samples in two."""
+        if len(self.lowest) != 3 or not self._sizes:
+            return np.empty(0)
+        return np.concatenate(self._sizes)
 
     def threshold(self) -> float:
         """Return the standard deviation of a window above which it moves, from the log itself.
@@ -269,21 +278,34 @@ class Finder:
 
     def rests(self, rows: int) -> list[Rest]:
         """Return the rests of a log of so many rows, their ends cut."""
+        return [
+            self._cut(first, last, rows)
+            for first, last in self._runs()
+            if (last - first) * self._grid.block >= self._grid.shortest
+        ]
+
+    def short(self) -> list[Rest]:
+        """Return the stretches that stood still, but not for so long as a rest does."""
+        block = self._grid.block
+        return [
+            Rest(first * block, last * block)
+            for first, last in self._runs()
+            if (last - first) * block < self._grid.shortest
+        ]
+
+    def _runs(self) -> list[list[int]]:
+        """Return the first block of each run below the threshold, and the one after its last."""
         edges = [*self._edges, self._count] if self._still else self._edges
         runs: list[list[int]] = []
         for first, after in zip(edges[::2], edges[1::2], strict=True):
-            last = after - 1 + BLOCKS  # the first block after the run
+            last = after - 1 + BLOCKS
             # Runs that share blocks are one rest with a window in between that was near the
             # threshold; runs that only touch have a step between them.
             if runs and first < runs[-1][1]:
                 runs[-1][1] = last
             else:
                 runs.append([first, last])
-        return [
-            self._cut(first, last, rows)
-            for first, last in runs
-            if (last - first) * self._grid.block >= self._grid.shortest
-        ]
+        return runs
 
     def _cut(self, first: int, last: int, rows: int) -> Rest:
         """Cut half a window at each end, an eighth of a short rest; not where the log ends."""

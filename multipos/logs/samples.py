@@ -1,66 +1,79 @@
 """The numbers of a log, read once and kept: in memory while few, in a temporary file when many."""
 
 import tempfile
-from collections.abc import Callable, Iterator
-from typing import IO, Self
+from collections.abc import Callable, Iterator, Sequence
+from typing import IO, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.logs.rests import (
-    FASTEST,
-    LARGEST_SAMPLE,
-    PIECE,
-    SLOWEST,
-    Grid,
-    Rest,
-    Survey,
-    Windows,
-    choose_grid,
-)
-from multipos.logs.table import Log
+from multipos.files.tables import Table
+from multipos.logs.clock import Clock, TimeUnit, read_clock, sample_rate, time_columns
+from multipos.logs.labels import Runs
+from multipos.logs.rests import LARGEST_SAMPLE, PIECE, Rest, Survey, Windows, choose_grid
+from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import Array
 
 Progress = Callable[[float], object]  # is told how much of the log has been read, 0 to 1
 
 _IN_MEMORY = 1 << 22  # bytes
 _LATEST = 1e25  # of the other columns: no clock counts so far, in picoseconds neither
+_FAR = 1e6  # times the median of a column: no sensor reads so much, a damaged number does
+
+
+class Timing(NamedTuple):
+    """What the user says of the time: a column, its unit, or the sample rate [Hz]."""
+
+    column: str | None = None
+    unit: TimeUnit | None = None
+    rate: float | None = None
 
 
 class Samples:
     """Outputs, other columns and time of a log, in pieces that can be gone through again.
 
+    Rows are counted without those that were left out; `in_log` says where they stand in the log.
+
     Attributes
     ----------
     log : Log
-    outputs : int
-        Number of outputs; they come first in each piece.
+    outputs : tuple of str
+        They come first in each piece.
     others : tuple of str
         Numeric columns that are no outputs; empty cells are NaN.
-    time_column : str or None
-        Comes last in each piece.
+    clock : Clock or None
+        Its column comes last in each piece, in seconds.
+    rate : float or None [Hz]
     rows : int
     step : float [s]
         Usual step of the time.
-    notes : list of str
-        What was left out, in words.
+    labels : Runs or None
+        Where a label column has which label.
     """
 
-    def __init__(self, log: Log, outputs: tuple[str, ...], time_column: str | None) -> None:
-        self.log = log
-        self.outputs = len(outputs)
-        self.time_column = time_column
-        taken = {*outputs, time_column}
-        self.others = tuple(name for name in log.numeric if name not in taken)
-        self.notes = [
-            f"column '{name}' holds text and is not used"
-            for name in log.columns
-            if name not in log.numeric and name not in taken
-        ]
+    def __init__(
+        self,
+        log: Log,
+        outputs: tuple[str, ...],
+        timing: Timing,
+        *,
+        label_column: str | None = None,
+        drop_bad: bool = False,
+    ) -> None:
+        self.log, self.outputs = log, outputs
+        self.clock: Clock | None = None
+        self.rate = timing.rate
         self.rows = 0
         self.step = np.nan
-        self._names = outputs
-        self._rate: float | None = None
+        self.labels = None if label_column is None else Runs(log.source, label_column)
+        self._timing, self._drop_bad = timing, drop_bad
+        taken = {*outputs, label_column, *log.nameless}
+        self.others = tuple(name for name in log.numeric if name not in taken)
+        self._texts = () if label_column is None else (label_column,)
+        self._seen = 0  # rows of the log
+        self._dropped: list[int] = []
+        self._last = -np.inf
         self._sizes: list[int] = []
         self._kept: IO[bytes] = tempfile.SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115
 
@@ -70,53 +83,33 @@ class Samples:
     def __exit__(self, *_: object) -> None:
         self._kept.close()
 
-    def survey(
-        self, rate: float | None, min_duration: float | None, progress: Progress | None
-    ) -> tuple[Survey, Grid, float | None]:
-        """Read the log; return what it is like, the sizes to use, and its sample rate [Hz]."""
-        grid = scan = found = None
-        last = -np.inf
-        time_column = [] if self.time_column is None else [self.time_column]
-        for piece in self.log.read((*self._names, *time_column), self.others):
-            table = piece.table
-            if time_column:
-                time = table.number(time_column[0])
-                back = np.flatnonzero(np.diff(time, prepend=last) < 0.0)
-                if len(back):
-                    row = int(back[0])
-                    raise MultiposError(
-                        f"{table.where(row, time_column[0])}: the time runs backwards, to "
-                        f"{time[row]:.10g} s; sort the rows, or give --rate instead."
-                    )
-                last = time[-1]
-            if grid is None:
-                if time_column:
-                    rate, self.step = self._rate_of(time)
-                self._rate = rate
-                grid = choose_grid(rate, min_duration)
-                scan, found = Windows(grid.block), Survey(self.outputs, grid)
-            assert scan is not None
-            assert found is not None
-            data = np.array(
-                [table.number(name, largest=LARGEST_SAMPLE) for name in self._names]
-                + [table.number(name, empty=True, largest=_LATEST) for name in self.others]
-                + [table.number(name, largest=_LATEST) for name in time_column]
-            )
-            self._kept.write(data.tobytes())
-            self._sizes.append(table.rows)
-            self.rows += table.rows
-            for small in small_pieces(data[: self.outputs]):
-                found.add(small, *scan.feed(small))
+    def survey(self, min_duration: float | None, progress: Progress | None = None) -> Survey:
+        """Read the log; return what it is like."""
+        survey: Survey | None = None
+        for piece in self._read():
+            if survey is None:
+                self._read_clock(piece.table)
+                survey = Survey(len(self.outputs), choose_grid(self.rate, min_duration))
+                windows = Windows(survey.grid.block)
+            data = self._take(piece.table)
+            for small in small_pieces(data[: len(self.outputs)]):
+                survey.add(small, *windows.feed(small))
             if progress is not None:
                 progress(piece.done)
-        if grid is None or found is None:
+        if survey is None or not self.rows:
             raise MultiposError(f"{self.log.source}: no rows; a log needs samples.")
-        return found, grid, rate
+        return survey
+
+    def _read(self) -> Iterator[Piece]:
+        """Read the log: outputs and a clock that is sure must be numbers, unless rows may go."""
+        sure = (*self.outputs, *self._named_clock())
+        required, optional = ((), (*sure, *self.others)) if self._drop_bad else (sure, self.others)
+        return self.log.read(required, optional, self._texts, lenient=self._drop_bad)
 
     def pieces(self) -> Iterator[tuple[int, Array]]:
         """Yield the first row and the numbers (columns, rows) of each piece, in order."""
         self._kept.seek(0)
-        width = self.outputs + len(self.others) + (self.time_column is not None)
+        width = len(self.outputs) + len(self.others) + (self.clock is not None)
         first = 0
         for rows in self._sizes:
             numbers = np.frombuffer(self._kept.read(8 * width * rows))
@@ -125,32 +118,114 @@ class Samples:
 
     def time(self, rest: Rest) -> tuple[float, float] | None:
         """Return when a rest begins and ends by the sample rate; None where there is none."""
-        if self._rate is None:
+        if self.rate is None:
             return None
-        return rest.start / self._rate, (rest.end - 1) / self._rate
+        return rest.start / self.rate, (rest.end - 1) / self.rate
 
-    def _rate_of(self, time: Array) -> tuple[float, float]:
-        """Return the sample rate and the usual step of the time; stamps may come in bursts."""
-        steps = np.diff(time)
-        usual = float(np.median(steps)) if len(steps) else 0.0
-        if usual <= 0.0:
-            usual = float(np.mean(steps)) if len(steps) else 0.0
-        if usual <= 0.0:
+    @property
+    def dropped(self) -> int:
+        """How many rows were left out."""
+        return len(self._dropped)
+
+    def in_log(self, rest: Rest) -> Rest:
+        """Return the rows of the log that a rest is."""
+        before = np.array(self._dropped) - np.arange(len(self._dropped))
+        start, last = np.searchsorted(before, [rest.start, rest.end - 1], side="right").tolist()
+        return Rest(rest.start + start, rest.end + last)
+
+    def among_kept(self, rest: Rest) -> Rest:
+        """Return where rows of the log are among those that were not left out."""
+        start, end = np.searchsorted(self._dropped, [*rest]).tolist()
+        return Rest(rest.start - start, rest.end - end)
+
+    @property
+    def log_rows(self) -> int:
+        """Rows of the log, with those that were left out."""
+        return self._seen
+
+    def _named_clock(self) -> tuple[str, ...]:
+        """Return the column that surely tells the time: the one named, or ``time``."""
+        if self._timing.column is not None:
+            return (self._timing.column,)
+        sure = self._timing.rate is None and time_columns(self.log)[:1] == ["time"]
+        return ("time",) if sure else ()
+
+    def _read_clock(self, table: Table) -> None:
+        """Find the time: in the column that was named, or in one whose name says so."""
+        likely = time_columns(self.log) if self._timing.rate is None else []
+        rising = (name for name in likely if name in self.others and _rises(table, name))
+        column = next(iter(self._named_clock()), None) or next(rising, None)
+        if column is None:
+            self.rate = self._timing.rate or self.log.rate
+            return
+        time = self._column(table, column, _LATEST)
+        time = time[np.isfinite(time)]
+        self.clock = read_clock(self.log, column, time, self._timing.unit)
+        self.others = tuple(name for name in self.others if name != column)
+        self.rate = sample_rate(self.log.source, column, time * self.clock.seconds)
+        self.step = 1.0 / self.rate
+
+    def _column(self, table: Table, name: str, largest: float, *, empty: bool = False) -> Array:
+        """Return a column; where bad rows are left out, whatever it holds."""
+        if self._drop_bad:
+            return np.asarray(table.columns[name], dtype=np.float64)
+        return table.number(name, empty=empty, largest=largest)
+
+    def _take(self, table: Table) -> Array:
+        """Take up a piece of the log, without the rows to be left out; return its numbers."""
+        rows = [self._column(table, name, LARGEST_SAMPLE) for name in self.outputs]
+        rows += [self._column(table, name, _LATEST, empty=True) for name in self.others]
+        if self.clock is not None:
+            seconds = self._column(table, self.clock.column, _LATEST)
+            rows.append(seconds * self.clock.seconds)
+        data = np.array(rows)
+        good = self._good(data) if self._drop_bad else np.ones(table.rows, dtype=np.bool_)
+        kept: list[int] = np.flatnonzero(good).tolist()
+        if len(kept) < table.rows:
+            self._dropped += (self._seen + np.flatnonzero(~good)).tolist()
+            data = np.ascontiguousarray(data[:, kept])
+        if self.clock is not None:
+            self._check_time(table, data[-1], kept)
+        if self.labels is not None:
+            labels = table.text(self.labels.column)
+            self.labels.feed([labels[i] for i in kept])
+        self._kept.write(data.tobytes())
+        self._sizes.append(data.shape[1])
+        self._seen += table.rows
+        self.rows += data.shape[1]
+        return data
+
+    def _good(self, data: Array) -> NDArray[np.bool_]:
+        """Return which rows (n,) have a time and outputs, and nothing beyond what sensors read."""
+        outputs = len(self.outputs)
+        required = [*range(outputs), *([len(data) - 1] if self.clock is not None else [])]
+        size = np.abs(data)
+        good: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(data[required]))
+        good &= ~(size > _LATEST).any(axis=0)
+        good &= (size[:outputs] <= LARGEST_SAMPLE).all(axis=0)
+        for row in size:
+            there = row[np.isfinite(row)]
+            usual = float(np.median(there)) if len(there) else 0.0
+            good &= ~((row > _FAR * usual) & (usual > 0.0))
+        return good
+
+    def _check_time(self, table: Table, time: Array, rows: Sequence[int]) -> None:
+        assert self.clock is not None
+        back = np.flatnonzero(np.diff(time, prepend=self._last) < 0.0)
+        if len(back):
+            row = int(back[0])
             raise MultiposError(
-                f"{self.log.source}: column '{self.time_column}' does not move on; "
-                "it must hold the time in seconds, or give --rate."
+                f"{table.where(rows[row], self.clock.column)}: the time runs backwards, to "
+                f"{time[row]:.10g} s; sort the rows, or give --rate instead."
             )
-        if not SLOWEST <= 1.0 / usual <= FASTEST:
-            raise MultiposError(
-                f"{self.log.source}: column '{self.time_column}' steps by {usual:g}, no time "
-                f"between samples in seconds ({1.0 / FASTEST:g} to {1.0 / SLOWEST:g}); correct it, "
-                "or give --rate."
-            )
-        if usual >= 10.0:
-            self.notes.append(
-                f"column '{self.time_column}' steps by {usual:g}; it must be in seconds"
-            )
-        return 1.0 / usual, usual
+        self._last = time[-1] if len(time) else self._last
+
+
+def _rises(table: Table, name: str) -> bool:
+    """Tell whether a column goes up, as a time does."""
+    time = np.asarray(table.columns[name], dtype=np.float64)
+    time = time[np.isfinite(time)]
+    return len(time) > 1 and bool((np.diff(time) >= 0.0).all()) and time[-1] > time[0]
 
 
 def small_pieces(samples: Array) -> Iterator[Array]:

@@ -1,19 +1,34 @@
 """What every reader gives: a table of samples that comes in pieces."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
 
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import MultiposError
+from multipos.files.lists import near
 from multipos.files.tables import Table
 
 
 class Piece(NamedTuple):
     """Consecutive rows of a log."""
 
-    table: Table  # the columns that were asked for, as numbers
+    table: Table  # the columns that were asked for: numbers, and texts
     lines: list[str] | None  # the rows as they stand in a text file
     done: float  # how much of the log has been read, 0 to 1
+
+
+class ReadPieces(Protocol):
+    """How a log is read, from its beginning."""
+
+    def __call__(
+        self,
+        names: Sequence[str],
+        optional: Sequence[str] = (),
+        texts: Sequence[str] = (),
+        *,
+        lenient: bool = False,
+    ) -> Iterator[Piece]:
+        """Yield pieces with the columns of these names."""
 
 
 @dataclass(frozen=True)
@@ -24,15 +39,35 @@ class Log:
     ----------
     source : str
     columns : tuple of str
+        Their names, without the units behind them.
     numeric : tuple of str
-        Columns whose first rows hold numbers.
+        Columns whose first rows hold numbers, or dates, which are read as seconds since 1970.
     delimiter : str
         What stands between the cells of the text; '' is white space; ',' where it is no text.
     text : bool
         Whether pieces have rows of text.
     read : callable
-        ``read(names, optional)`` yields pieces with those columns. A cell of `names` that is no
-        finite number is an error, in `optional` it is NaN.
+        ``read(names, optional, texts, lenient=…)`` yields pieces with those columns. A cell of
+        `names` that is no finite number is an error, in `optional` it is NaN; `texts` stay text.
+        Where it is lenient, a row with too few or too many cells has no numbers and no texts.
+    header : tuple of str
+        The names as they stand in the log.
+    units : mapping of str to str
+        Of the columns whose unit the header tells.
+    rising : bool
+        Whether the first of columns without names goes up, and not by ones, as a time does.
+    headless : bool
+        Whether nothing names the columns, which have their numbers.
+    nameless : frozenset of str
+        Columns that the header leaves without a name; here they have their number.
+    dates : frozenset of str
+        Columns of dates.
+    rate : float or None [Hz]
+        Sample rate that the log states of itself.
+    notes : tuple of str
+        How the table was found, in words.
+    left_out : tuple of str
+        What of it is not read, in words.
     """
 
     source: str
@@ -40,28 +75,33 @@ class Log:
     numeric: tuple[str, ...]
     delimiter: str
     text: bool
-    read: Callable[[Sequence[str], Sequence[str]], Iterator[Piece]]
+    read: ReadPieces
+    header: tuple[str, ...]
+    units: Mapping[str, str] = field(default_factory=dict)
+    rising: bool = False
+    headless: bool = False
+    nameless: frozenset[str] = frozenset()
+    dates: frozenset[str] = frozenset()
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
+    def find(self, name: str) -> str:
+        """Return the column of a name, given with or without its unit, in letters of any case.
 
-def name_columns(
-    source: str, header: list[str] | None, width: int, given: Sequence[str] | None
-) -> tuple[str, ...]:
-    """Return the names of the columns: as given, by the header, or 1, 2, 3, …."""
-    if given is not None:
-        if len(given) != width:
-            raise UsageError(
-                f"--columns names {len(given)} columns, but {source} has {width}; name each."
-            )
-        header = list(given)
-    if header is None:
-        return tuple(str(i + 1) for i in range(width))
-    seen = set()
-    for i, name in enumerate(header):
-        if not name:
-            raise MultiposError(f"{source}: column {i + 1} has no name; name it or give --columns.")
-        if name in seen:
-            raise MultiposError(
-                f"{source}: column '{name}' appears twice; rename one or give --columns."
-            )
-        seen.add(name)
-    return tuple(header)
+        Raises
+        ------
+        MultiposError
+            There is none.
+        """
+        if name in self.columns:
+            return name
+        folded = name.casefold()
+        for known in (self.header, self.columns):
+            found = [i for i, other in enumerate(known) if folded == other.casefold()]
+            if len(found) == 1:
+                return self.columns[found[0]]
+        raise MultiposError(
+            f"{self.source}: no column '{name}'{near(name, self.columns)} The columns are "
+            f"{', '.join(self.columns)}."
+        )

@@ -1,8 +1,10 @@
-"""Logs that are text, with or without a header."""
+"""Logs that are text, read in pieces of some megabytes."""
 
 import csv
 import os
+import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from operator import methodcaller
 from pathlib import Path
@@ -11,61 +13,118 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.tables import Table
+from multipos.files.tables import Column, Table
+from multipos.logs.layout import (
+    COMMENTS,
+    DATE,
+    Layout,
+    cells_of,
+    find_layout,
+    is_comment,
+    is_number,
+)
+from multipos.logs.names import name_header
 from multipos.logs.readers import formats_read
-from multipos.logs.table import Log, Piece, name_columns
+from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import Array
 
-HEAD = 1 << 16  # bytes that must hold the header and the first row
+HEAD = 1 << 16  # bytes that must hold what stands above the table, and its first row
 _PIECE = 1 << 22  # bytes read at a time
-_SAMPLE = 50  # first rows, which tell numbers from text
+_SHOWN = 40  # characters of a line in a message
+_ZONE = re.compile(r"[ \t]*(?:Z|UTC|(?<=\d)[+-]\d\d:?\d\d)?$", re.MULTILINE)
+_MILLISECONDS = re.compile(r":(\d{3})$", re.MULTILINE)  # behind a colon, as a wearable writes them
 
 
-class _Text(NamedTuple):
-    """How the rows of a text file are laid out."""
+@dataclass(frozen=True)
+class _Text:
+    """A text file, and how its rows are laid out."""
 
     path: os.PathLike[str]
     columns: tuple[str, ...]
-    numeric: tuple[str, ...]
-    delimiter: str
-    header_line: int  # 0 where the first row is a sample
+    layout: Layout
+    end: int  # bytes of the file, without a row that is cut off
+
+    @property
+    def dates(self) -> frozenset[str]:
+        """Names of the columns of dates."""
+        flags = zip(self.columns, self.layout.dates, strict=True)
+        return frozenset(name for name, is_date in flags if is_date)
 
 
-def open_text(path: os.PathLike[str], head: bytes, columns: Sequence[str] | None) -> Log:
+def open_text(path: os.PathLike[str], head: bytes, given: Sequence[str] | None) -> Log:
     """Return a log of text, whose first bytes are given."""
-    first = [
-        (number, line)
-        for number, line in enumerate(_decode(path, head).split("\n"), start=1)
-        if _is_row(line)
-    ]
-    if len(head) == HEAD:
-        first = first[:-1]  # its last line may be cut
-    if not first:
-        raise MultiposError(f"{path}: no rows in the first {HEAD} bytes; a log needs samples.")
-    line_number, line = first[0]
-    delimiter = next((mark for mark in ";\t," if mark in line), "")
-    cells = split_rows(str(path), [line], [line_number], delimiter)[0]
-    headless = all(_is_number(cell, delimiter) or not cell for cell in cells)
-    samples = dict((first if headless else first[1:])[:_SAMPLE])
-    if not samples:
-        raise MultiposError(f"{path}: only a header, no rows; a log needs samples.")
-    names = name_columns(str(path), None if headless else cells, len(cells), columns)
-    found = split_rows(str(path), list(samples.values()), list(samples), delimiter)
-    rows = [row for row in found if len(row) == len(names)]
-    # The first cell that is not empty tells; a bad one further down is then an error, if used.
-    first_cells = [next((row[i] for row in rows if row[i]), "") for i in range(len(names))]
-    numeric = tuple(
-        name for name, cell in zip(names, first_cells, strict=True) if _is_number(cell, delimiter)
+    lines = _decode(path, head).split("\n")
+    if len(head) == HEAD and len(lines) > 1:
+        lines = lines[:-1]  # its last line may be cut
+    layout = find_layout(str(path), lines)
+    named = name_header(str(path), layout.header, layout.width, given)
+    cut = _cut_row(path, layout)
+    text = _Text(path, named.columns, layout, cut.end)
+    numbers = zip(named.columns, layout.numeric, layout.dates, strict=True)
+    told = zip(named.columns, layout.units, strict=True)
+    return Log(
+        source=str(path),
+        columns=named.columns,
+        numeric=tuple(name for name, number, date in numbers if number or date),
+        delimiter=layout.delimiter,
+        text=True,
+        read=partial(_read_text, text),
+        header=named.header,
+        units={name: unit for name, unit in told if unit},
+        rising=named.headless and layout.rising,
+        headless=named.headless,
+        nameless=named.nameless,
+        dates=text.dates,
+        rate=layout.rate,
+        notes=layout.notes,
+        left_out=cut.said,
     )
-    text = _Text(path, names, numeric, delimiter, 0 if headless else line_number)
-    return Log(str(path), names, numeric, delimiter, True, partial(_read_text, text))
 
 
-def _read_text(text: _Text, names: Sequence[str], optional: Sequence[str]) -> Iterator[Piece]:
+class _Cut(NamedTuple):
+    """Where the last whole row ends, and what is said of the one after it."""
+
+    end: int
+    said: tuple[str, ...]
+
+
+def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
+    """Find a last row that is cut off: with fewer cells than there are, or half a number."""
+    with Path(path).open("rb") as stream:
+        size = os.fstat(stream.fileno()).st_size
+        begin = stream.seek(max(size - HEAD, 0))
+        block = stream.read(size - begin)
+    body = block.rstrip(b"\r\n")
+    start = body.rfind(b"\n") + 1
+    line = body[start:].decode("utf-8", "replace")
+    if body.count(b"\n") < 2 or not _is_row(line) or not _is_cut(line, layout, block == body):
+        return _Cut(size, ())
+    shown = line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"
+    return _Cut(begin + start, (f"the last row, '{shown}', is cut off and left out",))
+
+
+def _is_cut(line: str, layout: Layout, unended: bool) -> bool:
+    """Tell whether a row has too few cells, or ends in what is no number without a line end."""
+    cells = cells_of(line, layout.delimiter)[: layout.width]
+    if len(cells) < layout.width:
+        return True
+    held = [cell for cell, numeric in zip(cells, layout.numeric, strict=True) if numeric]
+    return unended and any(cell and not is_number(cell, layout.delimiter) for cell in held)
+
+
+def _read_text(
+    text: _Text,
+    names: Sequence[str],
+    optional: Sequence[str] = (),
+    texts: Sequence[str] = (),
+    *,
+    lenient: bool = False,
+) -> Iterator[Piece]:
     first = 0
+    wanted = _Wanted(tuple(names), tuple(optional), tuple(texts), lenient)
     for rows, done in _text_rows(text):
         if rows.lines:
-            yield Piece(_parse(text, rows, first, names, optional), rows.lines, done)
+            yield Piece(_parse(text, rows, first, wanted), rows.lines, done)
             first += len(rows.lines)
 
 
@@ -74,87 +133,181 @@ class _Rows(NamedTuple):
 
     lines: list[str]
     numbers: Sequence[int]  # of the lines in the file
-    delimiters: int  # in all of them
+    delimiters: int | None  # in all of them, where they have been counted
     quotes: bool  # whether one of them holds a quote that it does not close
 
 
 def _text_rows(text: _Text) -> Iterator[tuple[_Rows, float]]:
     line, rest = 1, b""
+    size = max(text.end, 1)
     with Path(text.path).open("rb") as stream:
-        size = max(os.fstat(stream.fileno()).st_size, 1)
-        while block := stream.read(_PIECE):
+        while block := stream.read(min(_PIECE, text.end - stream.tell())):
             block = rest + block
             end = max(block.rfind(b"\n"), block.rfind(b"\r", 0, -1)) + 1
             block, rest = block[:end], block[end:]
             if block:
                 content = _decode(text.path, block)
-                yield _rows_only(text, content, line), min(stream.tell() / size, 1.0)
+                yield _rows_only(text.layout, content, line), min(stream.tell() / size, 1.0)
                 line += content.count("\n")
         if rest:
-            yield _rows_only(text, _decode(text.path, rest), line), 1.0
+            yield _rows_only(text.layout, _decode(text.path, rest), line), 1.0
 
 
-def _rows_only(text: _Text, content: str, first: int) -> _Rows:
+def _rows_only(layout: Layout, content: str, first: int) -> _Rows:
+    if layout.decimal_comma and layout.delimiter != ";":
+        content = content.replace(",", ".")
+    above = max(layout.first - first, 0)
+    content = content.split("\n", above)[-1] if above else content
     lines = content.split("\n")
     if not lines[-1]:
         lines.pop()
-    skipped = max(text.header_line - first + 1, 0)
-    numbers: Sequence[int] = range(first + skipped, first + len(lines))
-    gone, lines = lines[:skipped], lines[skipped:]
-    # A row has a character for every cell and separator; shorter ones may be empty lines.
-    if "#" in content or min(map(len, lines), default=0) < 2 * len(text.columns) - 1:
-        rows = [_is_row(line) for line in lines]
-        gone += [line for line, row in zip(lines, rows, strict=True) if not row]
-        numbers = [i for i, row in zip(numbers, rows, strict=True) if row]
-        lines = [line for line, row in zip(lines, rows, strict=True) if row]
-    mark = text.delimiter or " "
-    delimiters = content.count(mark) - sum(line.count(mark) for line in gone)
+    rows = _without_comments(lines, first + above, content, layout.width)
+    if layout.trailing:
+        bare = [line.rstrip().removesuffix(layout.delimiter) for line in rows.lines]
+        return rows._replace(lines=bare)
+    if len(rows.lines) == len(lines):
+        return rows._replace(delimiters=content.count(layout.delimiter or " "))
+    return rows
+
+
+def _without_comments(lines: list[str], first: int, content: str, width: int) -> _Rows:
+    """Return the lines that are rows, and their numbers, the first of which is given."""
+    numbers: Sequence[int] = range(first, first + len(lines))
     quotes = '"' in content and any(line.count('"') % 2 for line in lines)
-    return _Rows(lines, numbers, delimiters, quotes)
+    # A row has a character for every cell and separator; shorter ones may be empty lines.
+    short = min(map(len, lines), default=0) < 2 * width - 1
+    if short or any(mark in content for mark in COMMENTS):
+        kept = [i for i, line in enumerate(lines) if _is_row(line)]
+        numbers = [first + i for i in kept]
+        lines = [lines[i] for i in kept]
+    return _Rows(lines, numbers, None, quotes)
 
 
-def _parse(
-    text: _Text, rows: _Rows, first: int, names: Sequence[str], optional: Sequence[str]
-) -> Table:
-    """Return the named columns of rows of text: by NumPy's reader, by ours where it stumbles."""
-    wanted = list(dict.fromkeys((*names, *optional)))
-    index = [text.columns.index(name) for name in wanted]
-    table = partial(
-        Table,
+def _is_row(line: str) -> bool:
+    return bool(line.strip()) and not is_comment(line)
+
+
+class _Wanted(NamedTuple):
+    """What is read of rows, as `Log.read` is told."""
+
+    names: tuple[str, ...]
+    optional: tuple[str, ...]
+    texts: tuple[str, ...]
+    lenient: bool
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.names, *self.optional)))
+
+
+def _parse(text: _Text, rows: _Rows, first: int, wanted: _Wanted) -> Table:
+    """Return the wanted columns of rows of text: by NumPy's reader, by ours where it stumbles."""
+    table = Table(
         str(text.path),
+        {},
         rows=len(rows.lines),
         lines=rows.numbers,
         first=first,
-        delimiter=text.delimiter or " ",
+        delimiter=text.layout.delimiter or " ",
     )
+    if not text.dates.isdisjoint(wanted.numbers) or wanted.texts:
+        return _parse_slowly(text, rows, table, wanted)
     try:
-        columns = dict(zip(wanted, _fast(text, rows, index), strict=True))
-        if all(np.isfinite(columns[name]).all() for name in names):
-            return table(columns)
+        index = [text.columns.index(name) for name in wanted.numbers]
+        columns = dict(zip(wanted.numbers, _fast(text, rows, index), strict=True))
+        if all(np.isfinite(columns[name]).all() for name in wanted.names):
+            return replace(table, columns=columns)
     except ValueError:
         pass
-    cells = split_rows(str(text.path), rows.lines, rows.numbers, text.delimiter)
+    return _parse_slowly(text, rows, table, wanted)
+
+
+def _parse_slowly(text: _Text, rows: _Rows, table: Table, wanted: _Wanted) -> Table:
+    """Return columns cell by cell: what is bad is named, or not a number where it may be."""
+    cells = _cells(text, rows, table.first, lenient=wanted.lenient)
+
+    def column(name: str) -> list[str]:
+        place = text.columns.index(name)
+        return [row[place] for row in cells]
+
+    parsed: dict[str, Column] = {name: column(name) for name in wanted.texts}
+    for name in wanted.optional:
+        if name not in wanted.names:
+            is_date = name in text.dates
+            mark = text.layout.delimiter
+            parsed[name] = _seconds(column(name)) if is_date else _lenient(column(name), mark)
+    for name in wanted.names:
+        if name in text.dates:
+            parsed[name] = _required(table, name, column(name))
+        else:
+            parsed[name] = replace(table, columns={name: column(name)}).number(name)
+    return replace(table, columns=parsed)
+
+
+def _cells(text: _Text, rows: _Rows, first: int, *, lenient: bool) -> list[list[str]]:
+    """Return the cells of rows; empty ones where a row has too few or too many and that is fine."""
+    cells = split_rows(str(text.path), rows.lines, rows.numbers, text.layout.delimiter)
     width = len(text.columns)
     for i, row in enumerate(cells):
-        if len(row) != width:
+        if len(row) == width:
+            continue
+        if not lenient:
             raise MultiposError(
                 f"{text.path}: row {first + i + 1} (line {rows.numbers[i]}) has {len(row)} cells "
-                f"where there are {width} columns, the last '{text.columns[-1]}'; a log that was "
-                "cut off may end in half a row, remove it."
+                f"where there are {width} columns, the last '{text.columns[-1]}'; correct it, or "
+                "give --drop-bad to leave such rows out."
             )
-    texts = table({name: [row[i] for row in cells] for name, i in zip(wanted, index, strict=True)})
-    parsed = {name: texts.number(name) for name in names}
-    for name in optional:
-        if name not in parsed:
-            column = [_lenient(cell, text.delimiter) for cell in texts.columns[name]]
-            parsed[name] = np.array(column)
-    return table(parsed)
+        cells[i] = [""] * width
+    return cells
+
+
+def _lenient(cells: Sequence[str], mark: str) -> Array:
+    return np.array([_number(cell, mark) for cell in cells], dtype=np.float64)
+
+
+def _number(cell: str, mark: str) -> float:
+    if not is_number(cell, mark):
+        return np.nan
+    return float(cell if mark == "," else cell.replace(",", "."))
+
+
+def _seconds(dates: Sequence[str]) -> Array:
+    """Return dates as seconds since 1970, NaN where a cell is none; zones are not looked at."""
+    told = [cell if DATE.fullmatch(cell) else "NaT" for cell in dates]
+    plain = _ZONE.sub("", "\n".join(told).replace(",", ".").replace("/", "-"))
+    plain = _MILLISECONDS.sub(r".\1", plain)
+    try:
+        times = np.array(plain.split("\n"), dtype="datetime64[ns]")
+    except ValueError:
+        times = np.array([_date(each) for each in plain.split("\n")], dtype="datetime64[ns]")
+    seconds = times.astype(np.int64) * 1e-9
+    return np.where(np.isnat(times), np.nan, seconds)
+
+
+def _date(cell: str) -> np.datetime64:
+    try:
+        return np.datetime64(cell, "ns")
+    except ValueError:
+        return np.datetime64("NaT")
+
+
+def _required(table: Table, name: str, cells: Sequence[str]) -> Array:
+    """Return dates as seconds since 1970, and refuse a cell that is none."""
+    seconds = _seconds(cells)
+    bad = np.flatnonzero(np.isnan(seconds))
+    if len(bad):
+        row = int(bad[0])
+        raise MultiposError(
+            f"{table.where(row, name)}: '{cells[row]}' is no date; correct it, or give --drop-bad "
+            "to leave such rows out."
+        )
+    return seconds
 
 
 def _fast(text: _Text, rows: _Rows, index: list[int]) -> Array:
     if rows.quotes:
         raise ValueError
-    mark, width = text.delimiter, len(text.columns)
+    mark, width = text.layout.delimiter, len(text.columns)
     lines = [line.replace(",", ".") for line in rows.lines] if mark == ";" else rows.lines
     if not mark:
         # White space may come in any amount, so here NumPy counts the cells of every row.
@@ -213,19 +366,3 @@ def split_rows(
             "quotes of that line."
         )
     return rows
-
-
-def _is_row(line: str) -> bool:
-    stripped = line.lstrip()
-    return bool(stripped) and not stripped.startswith("#")
-
-
-def _is_number(cell: str, delimiter: str) -> bool:
-    return not np.isnan(_lenient(cell, delimiter)) or cell.lower() == "nan"
-
-
-def _lenient(cell: str, delimiter: str) -> float:
-    try:
-        return float(cell.replace(",", ".") if delimiter == ";" else cell)
-    except ValueError:
-        return float("nan")

@@ -19,12 +19,16 @@ Degrees of freedom may be fractional (Welch–Satterthwaite) and infinite; where
 the question has no answer, and nan is returned. Scalars in, float out: a fit asks for a handful.
 
 The short tail is used throughout: 1 − p keeps no digits below 1e-16, so a two-sided factor is
-computed from (1 − confidence)/2 and not from 1 − (1 − confidence)/2.
+computed from (1 − confidence)/2 and not from 1 − (1 − confidence)/2. Up to a thousand degrees of
+freedom the functions are those of `multipos.numerics.incomplete`, beyond SciPy's.
 """
 
-from __future__ import annotations
-
 import math
+from functools import lru_cache
+
+from multipos.numerics.incomplete import LARGEST, beta_tails, gamma_tails, solve
+
+_KEPT = 256  # quantiles: a fit asks for the same one of each of its parameters
 
 
 def coverage_factor(confidence: float, dof: float) -> float:
@@ -35,42 +39,72 @@ def coverage_factor(confidence: float, dof: float) -> float:
     return -t_quantile((1.0 - confidence) / 2.0, dof)
 
 
+@lru_cache(_KEPT)
 def t_quantile(p: float, dof: float) -> float:
     """Student's t that is not exceeded with probability `p`; normal at infinite `dof`."""
     if not dof > 0.0:
         return math.nan
     if math.isinf(dof):
         return normal_quantile(p)
-    from scipy.special import stdtrit
+    if not 0.0 < p < 1.0 or dof > 2.0 * LARGEST:
+        from scipy.special import stdtrit
 
-    return float(stdtrit(dof, p))
+        return float(stdtrit(dof, p))
+    if p > 0.5:
+        return -t_quantile(1.0 - p, dof)
+    central = 1.0 - 2.0 * p
+    if central == 0.0:
+        return 0.0
+    if central < 0.5:
+        return -solve(lambda t: _t_tails(t, dof)[1], central, 1.0)
+    return -solve(lambda t: _t_tails(t, dof)[0], 2.0 * p, 1.0)
 
 
 def t_tail(t: float, dof: float) -> float:
     """Probability that a Student t is farther from zero than `t`, both sides together."""
     if not dof > 0.0:
         return math.nan
-    from scipy.special import ndtr, stdtr
+    if math.isinf(dof):
+        return math.erfc(abs(t) / math.sqrt(2.0))
+    if not math.isfinite(t) or dof > 2.0 * LARGEST:
+        from scipy.special import stdtr
 
-    return 2.0 * float(ndtr(-abs(t)) if math.isinf(dof) else stdtr(dof, -abs(t)))
+        return 2.0 * float(stdtr(dof, -abs(t)))
+    return _t_tails(abs(float(t)), float(dof))[0]
 
 
+def _t_tails(t: float, dof: float) -> tuple[float, float]:
+    """Return the probabilities beyond ±t and between."""
+    root = math.hypot(t, math.sqrt(dof))
+    return beta_tails(dof / root / root, (t / root) ** 2, dof / 2.0, 0.5)
+
+
+@lru_cache(_KEPT)
 def normal_quantile(p: float) -> float:
     """Standard normal value that is not exceeded with probability `p`."""
-    from scipy.special import ndtri
+    if not 0.0 < p < 1.0:
+        return {0.0: -math.inf, 1.0: math.inf}.get(p, math.nan)
+    if p >= 0.5:
+        return 0.0 if p == 0.5 else -normal_quantile(1.0 - p)
+    if p > 0.25:
+        return -solve(lambda z: math.erf(z / math.sqrt(2.0)), 1.0 - 2.0 * p, 1.0)
+    return -solve(lambda z: math.erfc(z / math.sqrt(2.0)), 2.0 * p, 1.0)
 
-    return float(ndtri(p))
 
-
+@lru_cache(_KEPT)
 def f_quantile(p: float, k: float, dof: float) -> float:
     """Ratio of variances on `k` and `dof` degrees of freedom not exceeded with probability `p`."""
     if not (k > 0.0 and dof > 0.0):
         return math.nan
     if math.isinf(dof):
         return chi2_quantile(p, k) / k
-    from scipy.special import fdtri
+    if not 0.0 < p < 1.0 or max(k, dof) > 2.0 * LARGEST:
+        from scipy.special import fdtri
 
-    return float(fdtri(k, dof, p))
+        return float(fdtri(k, dof, p))
+    if p < 0.5:
+        return solve(lambda f: _f_tails(f, k, dof)[1], p, 1.0)
+    return solve(lambda f: _f_tails(f, k, dof)[0], 1.0 - p, 1.0)
 
 
 def f_tail(f: float, k: float, dof: float) -> float:
@@ -79,24 +113,39 @@ def f_tail(f: float, k: float, dof: float) -> float:
         return math.nan
     if math.isinf(dof):
         return chi2_tail(k * f, k)
-    from scipy.special import fdtrc
+    if not math.isfinite(f) or max(k, dof) > 2.0 * LARGEST:
+        from scipy.special import fdtrc
 
-    return float(fdtrc(k, dof, f))
+        return float(fdtrc(k, dof, f))
+    return _f_tails(float(f), float(k), float(dof))[0]
 
 
+def _f_tails(f: float, k: float, dof: float) -> tuple[float, float]:
+    """Return the probabilities above and below a ratio of variances."""
+    whole = k * f + dof
+    return beta_tails(dof / whole, k * f / whole, dof / 2.0, k / 2.0)
+
+
+@lru_cache(_KEPT)
 def chi2_quantile(p: float, dof: float) -> float:
     """Sum of `dof` squared standard normals that is not exceeded with probability `p`."""
     if not dof > 0.0:
         return math.nan
-    from scipy.special import gammaincinv  # chdtri wants 1 − p, which loses a small p
+    if not 0.0 < p < 1.0 or dof > 2.0 * LARGEST:
+        from scipy.special import gammaincinv  # chdtri wants 1 − p, which loses a small p
 
-    return 2.0 * float(gammaincinv(dof / 2.0, p))
+        return 2.0 * float(gammaincinv(dof / 2.0, p))
+    if p < 0.5:
+        return 2.0 * solve(lambda x: gamma_tails(dof / 2.0, x)[0], p, dof / 2.0)
+    return 2.0 * solve(lambda x: gamma_tails(dof / 2.0, x)[1], 1.0 - p, dof / 2.0)
 
 
 def chi2_tail(x: float, dof: float) -> float:
     """Probability that the sum of `dof` squared standard normals exceeds `x`."""
     if not dof > 0.0:
         return math.nan
-    from scipy.special import chdtrc
+    if not math.isfinite(x) or dof > 2.0 * LARGEST:
+        from scipy.special import chdtrc
 
-    return float(chdtrc(dof, x))
+        return float(chdtrc(dof, x))
+    return gamma_tails(float(dof) / 2.0, float(x) / 2.0)[1]

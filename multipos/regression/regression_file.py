@@ -28,7 +28,7 @@ from multipos.files.records import (
     Whole,
     restore,
 )
-from multipos.files.tables import read_json
+from multipos.files.trees import read_json
 from multipos.regression.hysteresis import BRANCHES
 from multipos.regression.result import Regression
 from multipos.regression.segment_file import SEGMENT, segment_from_dict, segment_to_dict

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.files.numbers import number, table, uncertain
-from multipos.files.tables import to_json, write_text
+from multipos.files.trees import to_json
+from multipos.files.whole import write_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Tested
 from multipos.regression.hysteresis import branch_of

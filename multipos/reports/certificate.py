@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.tables import read_toml
+from multipos.files.trees import read_toml
 from multipos.reports.evidence import (
     check_section,
     correlation_section,

@@ -18,7 +18,7 @@ from typing import Any
 from multipos.errors import UsageError
 from multipos.files.characters import visible
 from multipos.files.numbers import markdown_line, markdown_table, markdown_text
-from multipos.files.tables import write_text
+from multipos.files.whole import write_text
 from multipos.plots.style import COLOURS
 from multipos.reports.certificate import Content, build_content
 from multipos.reports.page import Figure, PageTable

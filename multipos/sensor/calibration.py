@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
 from multipos.files.numbers import number, table, uncertain
-from multipos.files.tables import to_json, write_text
+from multipos.files.trees import to_json
+from multipos.files.whole import write_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.positions.attitudes import Convention

@@ -38,7 +38,7 @@ from multipos.files.records import (
     require,
     require_covariance,
 )
-from multipos.files.tables import read_json
+from multipos.files.trees import read_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings

@@ -14,7 +14,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from multipos.files.tables import Column, to_json, write_text
+from multipos.files.tables import Column
+from multipos.files.trees import to_json
+from multipos.files.whole import write_text
 from multipos.numerics.arrays import Array
 from multipos.results import Result, data_frame
 from multipos.units import STANDARD_GRAVITY

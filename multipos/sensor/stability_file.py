@@ -25,7 +25,7 @@ from multipos.files.records import (
     Whole,
     require,
 )
-from multipos.files.tables import read_json
+from multipos.files.trees import read_json
 from multipos.results import plain
 from multipos.sensor.stability import (
     Estimate,

@@ -37,7 +37,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from multipos.errors import MultiposError
-from multipos.files.tables import read_toml
+from multipos.files.trees import read_toml
 from multipos.numerics.arrays import LARGEST
 from multipos.results import Result
 from multipos.uncertainty.stated_stability import resolve

@@ -28,7 +28,7 @@ from multipos.files.records import (
     Text,
     restore,
 )
-from multipos.files.tables import read_json
+from multipos.files.trees import read_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.verification.verdicts import Check, judge, worst

@@ -1,19 +1,18 @@
 """A static record, read once: its phases to the disk, its blocks to memory."""
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
 
-from multipos.errors import MultiposError, UsageError
-from multipos.files.lists import near
-from multipos.logs.samples import Progress, Samples
+from multipos.errors import MultiposError
+from multipos.logs.clock import time_columns
+from multipos.logs.names import Outputs, choose_outputs
+from multipos.logs.samples import Progress, Samples, Timing
 from multipos.logs.table import Log
 from multipos.numerics.allan import Phases, octaves
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.reading_tables import is_environment
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 
@@ -34,15 +33,15 @@ class Source:
         Compensates the outputs.
     temperature : str or None
         Named column; None for `temperature` where there is one.
-    time_column : str or None
-    rate : float or None [Hz]
+    timing : Timing
+    drop_bad : bool
     """
 
     outputs: tuple[str, ...] | None
     calibration: Calibration | None
     temperature: str | None
-    time_column: str | None
-    rate: float | None
+    timing: Timing
+    drop_bad: bool
 
 
 @dataclass(frozen=True)
@@ -71,18 +70,17 @@ def read_record(log: Log, wanted: Source, progress: Progress | None) -> RawRecor
     UsageError
         More than three columns could be outputs.
     """
-    time_column = _time_column(log, wanted)
-    raw = _outputs(log, wanted, time_column)
-    _require(log, [c for c in (time_column, wanted.temperature) if c is not None])
-    with Samples(log, raw, time_column) as samples, ExitStack() as stack:
-        rate = samples.survey(wanted.rate, None, progress)[2]
-        assert rate is not None
-        if samples.rows < _FEWEST:
-            raise MultiposError(
-                f"{log.source}: {samples.rows} samples say nothing about stability; a record needs "
-                f"at least {_FEWEST}, and hours for its slow part."
-            )
-        names = _names(raw, wanted.calibration)
+    timing = wanted.timing
+    if timing.column is not None:
+        timing = timing._replace(column=log.find(timing.column))
+    raw = _outputs(log, wanted, timing.column)
+    with (
+        Samples(log, raw.names, timing, drop_bad=wanted.drop_bad) as samples,
+        ExitStack() as stack,
+    ):
+        samples.survey(None, progress)
+        rate = _rate(samples)
+        names = _names(raw.names, wanted.calibration)
         length = 1 << max(samples.rows // _BLOCKS, 1).bit_length() - 1
         blocks, gaps = _Blocks(length), _Gaps(samples)
         warmth = _temperature(log, wanted, samples)
@@ -103,47 +101,42 @@ def read_record(log: Log, wanted: Source, progress: Progress | None) -> RawRecor
             blocks=means[: len(names)],
             temperature=_measured(log.source, means[len(names) :]),
             sums=np.array([each.sums(lengths) for each in phases]),
-            notes=tuple(f"{log.source}: {note}" for note in (*samples.notes, *gaps.notes())),
+            notes=tuple(
+                f"{log.source}: {note}"
+                for note in (*log.left_out, *raw.notes, *_dropped(samples), *gaps.notes())
+            ),
         )
 
 
-def _time_column(log: Log, wanted: Source) -> str | None:
-    """Return the column of the time, or None where the rate is given."""
-    if wanted.time_column is not None or wanted.rate is not None:
-        return wanted.time_column
-    if "time" not in log.numeric:
+def _rate(samples: Samples) -> float:
+    if samples.rate is None:
         raise MultiposError(
-            f"{log.source}: no column 'time', so nothing tells how long a sample takes; name it "
-            "with --time-column, or give --rate."
+            f"{samples.log.source}: no column tells the time, so nothing tells how long a sample "
+            "takes; name it with --time-column, or give --rate."
         )
-    return "time"
+    if samples.rows < _FEWEST:
+        raise MultiposError(
+            f"{samples.log.source}: {samples.rows} samples say nothing about stability; a record "
+            f"needs at least {_FEWEST}, and hours for its slow part."
+        )
+    return samples.rate
 
 
-def _require(log: Log, columns: Sequence[str]) -> None:
-    for name in columns:
-        if name not in log.columns:
-            raise MultiposError(
-                f"{log.source}: no column '{name}'; the columns are {', '.join(log.columns)}"
-                f"{near(name, log.columns)}"
-            )
+def _dropped(samples: Samples) -> list[str]:
+    if not samples.dropped:
+        return []
+    return [f"{samples.dropped} of {samples.log_rows} rows are bad and left out"]
 
 
-def _outputs(log: Log, wanted: Source, time_column: str | None) -> tuple[str, ...]:
+def _outputs(log: Log, wanted: Source, time_column: str | None) -> Outputs:
     if wanted.calibration is not None:
-        _require(log, [*wanted.calibration.outputs, *wanted.calibration.model.environment])
-        return wanted.calibration.outputs
-    if wanted.outputs is not None:
-        _require(log, wanted.outputs)
-        return wanted.outputs
-    others = (time_column, wanted.temperature)
-    names = tuple(n for n in log.numeric if n not in others and not is_environment(n))
-    if not names:
-        raise MultiposError(f"{log.source}: no numeric column can be an output; see --outputs.")
-    if len(names) > len(COMPONENTS):
-        raise UsageError(
-            f"{len(names)} columns could be outputs: {', '.join(names)}; name them with --outputs."
-        )
-    return names
+        needed = (*wanted.calibration.outputs, *wanted.calibration.model.environment)
+        for name in needed:
+            log.find(name)
+        return Outputs(wanted.calibration.outputs, ())
+    temperature = None if wanted.temperature is None else log.find(wanted.temperature)
+    taken = [*time_columns(log), *filter(None, (time_column, temperature))]
+    return choose_outputs(log, wanted.outputs, taken)
 
 
 def _names(raw: tuple[str, ...], calibration: Calibration | None) -> tuple[str, ...]:
@@ -154,7 +147,7 @@ def _names(raw: tuple[str, ...], calibration: Calibration | None) -> tuple[str, 
 
 def _temperature(log: Log, wanted: Source, samples: Samples) -> slice:
     """Return the row of the temperature in the pieces, none where it was not measured."""
-    name = "temperature" if wanted.temperature is None else wanted.temperature
+    name = "temperature" if wanted.temperature is None else log.find(wanted.temperature)
     if name not in samples.others:
         if wanted.temperature is not None:
             raise MultiposError(
@@ -162,7 +155,7 @@ def _temperature(log: Log, wanted: Source, samples: Samples) -> slice:
                 "name another with --temperature."
             )
         return slice(0)
-    row = samples.outputs + samples.others.index(name)
+    row = len(samples.outputs) + samples.others.index(name)
     return slice(row, row + 1)
 
 
@@ -170,10 +163,10 @@ def _compensated(
     calibration: Calibration | None, samples: Samples, piece: Array, first: int
 ) -> Array:
     """Return the outputs (K, k) of a piece, compensated where a calibration was given."""
-    raw = piece[: samples.outputs]
+    raw = piece[: len(samples.outputs)]
     if calibration is None:
         return raw
-    columns = dict(zip(samples.others, piece[samples.outputs :], strict=False))
+    columns = dict(zip(samples.others, piece[len(samples.outputs) :], strict=False))
     environment = {name: columns[name] for name in calibration.model.environment}
     force = calibration.compensate(raw.T, environment).T
     unknown = ~np.isfinite(force).all(axis=0)
@@ -227,7 +220,7 @@ class _Gaps:
     """Count the steps of the time that are far longer than usual."""
 
     def __init__(self, samples: Samples) -> None:
-        self._timed = samples.time_column is not None
+        self._timed = samples.clock is not None
         self._longest = _GAP * samples.step
         self._last = np.empty(0)
         self._count = 0

@@ -21,8 +21,9 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import Names, split_names, spread
 from multipos.files.tables import Source
+from multipos.logs.clock import TimeUnit, check_time_unit
 from multipos.logs.opening import open_log
-from multipos.logs.samples import Progress
+from multipos.logs.samples import Progress, Timing
 from multipos.logs.table import Log
 from multipos.numerics.allan import octaves
 from multipos.numerics.arrays import Array
@@ -46,7 +47,9 @@ def stability(
     temperature: str | None = None,
     columns: Names | None = None,
     time_column: str | None = None,
+    time_unit: TimeUnit | None = None,
     rate: float | None = None,
+    drop_bad: bool = False,
     unit: str | None = None,
     confidence: float = 0.95,
     progress: Progress | None = None,
@@ -66,9 +69,13 @@ def stability(
     columns : names, optional
         Names of all columns of the logs, where they have no header or others are wanted.
     time_column : str, optional
-        Column with the time [s]; ``time`` where there is one.
+        Column with the time; otherwise the one that is named so.
+    time_unit : str, optional
+        's', 'ms', 'us' or 'ns'; otherwise by the column's name, or its steps.
     rate : float, optional [Hz]
         Sample rate, where no column tells the time.
+    drop_bad : bool
+        Leave out rows with a bad cell; how many is said.
     unit : str, optional
         Of raw outputs, such as 'g' or 'V'.
     confidence : float
@@ -92,6 +99,7 @@ def stability(
     if not given:
         raise UsageError("stability needs one static record or more.")
     _check_options(calibration, outputs, unit, time_column, rate, confidence)
+    check_time_unit(time_unit)
     model = calibration
     if model is not None and not isinstance(model, Calibration):
         model = load(model)
@@ -99,8 +107,8 @@ def stability(
         outputs=None if outputs is None else split_names(outputs, "--outputs"),
         calibration=model,
         temperature=temperature,
-        time_column=time_column,
-        rate=rate,
+        timing=Timing(time_column, time_unit, rate),
+        drop_bad=drop_bad,
     )
     raw = []
     for i, each in enumerate(given):

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import UsageError
-from multipos.files.tables import to_json, write_text
+from multipos.files.trees import to_json
+from multipos.files.whole import write_text
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.results import Result
 

@@ -15,7 +15,8 @@ from cli_bench import MULTIPOS, SIX, run, snapshot
 import multipos as mp
 from multipos import cli
 from multipos.errors import MultiposError
-from multipos.files.tables import format_csv, write_text, written
+from multipos.files.tables import format_csv
+from multipos.files.whole import write_text, written
 
 SECTIONS = '{"a": {"start": 0, "end": 90}, "b": {"start": 100, "end": 190}}'
 
@@ -33,6 +34,8 @@ def here(tmp_path, monkeypatch):
     log = dict(zip(("time", "ax", "ay", "az"), [np.arange(200) / 100, *samples.T], strict=True))
     write_text("log.csv", format_csv(log))
     (tmp_path / "sections.json").write_text(SECTIONS)
+    session = mp.simulate_log(cal, "faces-6", rate=20.0, rest=3.0, turn=1.0, sample_sd=1e-3, seed=1)
+    write_text("session.csv", format_csv(session))
     (tmp_path / "budget.toml").write_text("[level]\nu_deg = 0.01\n")
     (tmp_path / "lab.toml").write_text("[laboratory]\nname = 'Bench'\n")
     mp.check(cal, "six.csv").save("check.json")
@@ -55,6 +58,10 @@ COMMANDS = {
     "average": (
         ["log.csv", "--sections", "sections.json", "--scheme", "six.csv"],
         ["log.csv", "sections.json", "six.csv"],
+    ),
+    "calibrate": (
+        ["log.csv", "session.csv", "--scheme", "six.csv", "--budget", "budget.toml"],
+        ["log.csv", "session.csv", "six.csv", "budget.toml"],
     ),
     "apply": (["cal.json", "log.csv"], ["cal.json", "log.csv"]),
     "check": (["cal.json", "six.csv", "--scheme", "faces-6+six.csv"], ["cal.json", "six.csv"]),
@@ -133,6 +140,7 @@ def test_stdin_from_a_file_is_an_input(here):
 WRITTEN = {
     "fit": {".json", ".txt", ".svg", ".png", ".pdf"},
     "average": {".csv", ".json", ".txt"},
+    "calibrate": {".json", ".txt"},
     "apply": {".csv", ".json", ".txt"},
     "check": {".json", ".txt", ".svg", ".png", ".pdf"},
     "compare": {".json", ".txt", ".svg", ".png", ".pdf"},
@@ -151,6 +159,7 @@ WRITTEN = {
 RUNS = {
     **{command: [command, *options] for command, (options, _) in COMMANDS.items()},
     "average": ["average", "log.csv", "--sections", "sections.json"],
+    "calibrate": ["calibrate", "session.csv", "--scheme", "faces-6"],
     "check": ["check", "cal.json", "six.csv"],
     "compare": ["compare", "cal.json", "cal.json"],
     "tumble": ["tumble", "tumble.csv"],
@@ -208,6 +217,7 @@ def test_the_same_figure_gives_the_same_bytes(here, capsys):
     [
         ["fit", "six.csv"],
         ["average", "log.csv", "--sections", "sections.json"],
+        ["calibrate", "session.csv", "--scheme", "faces-6"],
         ["simulate", "cal.json", "--scheme", "faces-6"],
         ["apply", "cal.json", "log.csv"],
         ["export", "cal.json", "--to", "c"],

@@ -16,7 +16,8 @@ from numpy.testing import assert_array_equal
 import multipos as mp
 from multipos.errors import MultiposError
 from multipos.files.pipes import Pipe, rereadable
-from multipos.files.tables import format_csv, read_table, write_text
+from multipos.files.tables import format_csv, read_table
+from multipos.files.whole import write_text
 
 
 @pytest.fixture

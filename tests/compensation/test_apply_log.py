@@ -11,7 +11,8 @@ import multipos as mp
 from multipos.cli import main
 from multipos.compensation.applying import apply_log
 from multipos.errors import MultiposError
-from multipos.files.tables import json_table, to_json, write_text
+from multipos.files.trees import json_table, to_json
+from multipos.files.whole import write_text
 from multipos.logs.opening import open_log, read_log
 
 
@@ -106,7 +107,7 @@ def test_json_has_every_column(saved, log, tmp_path, capsys):
 
 def test_json_in_pieces_is_json_in_one(cal, log, tmp_path, monkeypatch):
     monkeypatch.setattr("multipos.logs.text._PIECE", 5000)
-    monkeypatch.setattr("multipos.files.tables._CELLS", 7)
+    monkeypatch.setattr("multipos.files.trees._CELLS", 7)
     far = {name: column.copy() for name, column in log.items()}
     far["az"][[3, -1]] = 1e7
     path = write_csv(tmp_path / "log.csv", far)
@@ -152,7 +153,7 @@ def test_rows_outside_are_counted_to_the_end(saved, log, tmp_path, capsys, monke
         ("ax,ay,az,f_x\n1,2,3,4\n", "column 'f_x' is there already"),
         ("ax,ay,az\n1,2,3\n1,,3\n", "row 2 (line 3), column 'ay': the cell is empty"),
         ("ax,ay,az\n1,2,3\n1,-1e308,3\n", "row 2 (line 3), column 'ay': -1e+308 is no number"),
-        ("ax,ay,az\n1,2,3\n1,2\n", "row 2 (line 3) has 2 cells"),
+        ("ax,ay,az\n1,2,3\n1,2\n1,2,3\n", "row 2 (line 3) has 2 cells"),
         ("1,2,3\n1,2,3\n", "the columns are 1, 2, 3"),
         ('ax,ay,az,note\n1,2,3,a\n1,2,3,"b\n1,2,3,c\n', "log.csv: line 3: a quote is not closed"),
         ('ax,ay,az,"note\n1,2,3,a\n', "log.csv: line 1: a quote is not closed"),

@@ -41,6 +41,7 @@ PLAIN = parameter_target(
     ),
     recognises=lambda text: '"plain T"' in text,
     read=read_plain,
+    suffix=".txt",
 )
 
 

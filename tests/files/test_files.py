@@ -14,17 +14,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from multipos.errors import MultiposError
-from multipos.files.tables import (
-    format_csv,
-    read_json,
-    read_json_value,
-    read_schema,
-    read_table,
-    read_toml,
-    to_json,
-    write_table,
-    write_text,
-)
+from multipos.files.tables import format_csv, read_table, write_table
+from multipos.files.trees import read_json, read_json_value, read_schema, read_toml, to_json
+from multipos.files.whole import write_text
 
 
 def table(tmp_path, text, encoding="utf-8"):

@@ -132,6 +132,10 @@ TEXT = """
  8 average log.csv --sections sections.csv
  8 average log.csv --sections sections.json --json -o o.csv
  4 average log.csv --sections sections.json --only a
+ 4 average log.csv log.csv --drop-bad --accept-faults --json
+ 3 average log.csv --label-column temperature --json
+ 4 calibrate log.csv --scheme faces-6 --drop-bad -o o.json
+ 2 calibrate bare.log --columns time,ax,ay,az --scheme faces-6 --json
 10 regress data.csv --response y --variables T,H
  8 regress data.csv --response y --variables T,H --degree 2 --stepwise -o o.json
  6 regress data.csv --response y --variables T,H --subsets --json

@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.errors import MultiposError, UsageError
-from multipos.files.tables import format_csv, read_table, to_json
+from multipos.files.tables import format_csv, read_table
+from multipos.files.trees import to_json
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_quantile
 from multipos.numerics.terms import parse_terms

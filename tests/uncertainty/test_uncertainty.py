@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.files.tables import read_json
+from multipos.files.trees import read_json
 from multipos.positions.scheme import read_scheme
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.propagation import evaluate_budget, state_budget, welch_satterthwaite

@@ -283,6 +283,21 @@ def test_a_temperature_that_is_the_time_tells_neither():
     assert found.drift.u > 1e3 * abs(found.drift.value)
 
 
+def test_time_in_milliseconds_and_bad_rows_are_read_as_average_reads_them():
+    log = without(record(np.random.default_rng(1), n=4096), "temperature")
+    whole = mp.stability(log, unit="g")
+    told = {"time_ms": 1e3 * log["time"], "ax": log["ax"]}
+    assert_allclose(mp.stability(told, unit="g").tau, whole.tau, rtol=1e-9)
+    assert_allclose(mp.stability({**log, "time": 1e3 * log["time"]}, time_unit="ms").tau, whole.tau)
+    broken = {**log, "ax": log["ax"].copy()}
+    broken["ax"][[7, 8]] = np.nan
+    with pytest.raises(MultiposError, match="row 8"):
+        mp.stability(broken)
+    found = mp.stability(broken, drop_bad=True)
+    assert found.records[0].samples == 4094
+    assert "2 of 4096 rows are bad and left out" in found.warnings[0]
+
+
 def short():
     return {"time": np.arange(50) / RATE, "ax": np.arange(50.0)}
 

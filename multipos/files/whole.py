@@ -1,0 +1,145 @@
+"""Files read whole, and written whole or not at all, several together."""
+
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from multipos.errors import MultiposError
+
+Content = str | bytes | Iterable[str]  # of a file: text in UTF-8, as a whole or in pieces
+
+
+def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
+    """Return the content of a file, or say in one line why it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except FileNotFoundError:
+        raise MultiposError(f"{path}: no such file; check the path of the {what}.") from None
+    except OSError as error:
+        raise MultiposError(
+            f"{path}: cannot read the {what}: {error.strerror or error}; "
+            "check the path and its permissions."
+        ) from None
+
+
+class _Draft(NamedTuple):
+    """A file on its way: made beside its target, or anywhere where that is no regular file."""
+
+    path: str | os.PathLike[str]  # as it was given
+    target: Path
+    temporary: Path
+    regular: bool
+
+    @property
+    def before(self) -> Path:
+        """What the target was, where several files must appear together."""
+        return self.temporary.with_suffix(".before")
+
+
+def write_text(path: str | os.PathLike[str], text: Content) -> None:
+    """Write one file whole or not at all, as `written` does."""
+    with written({path: text}):
+        pass
+
+
+@contextmanager
+def written(files: Mapping[str | os.PathLike[str], Content]) -> Iterator[None]:
+    """Have files ready when the block begins, and in their places when it has ended well.
+
+    Each is made as a temporary neighbour that then takes its name, or not at all; several appear
+    together or not at all. Where making a piece fails, or the block, nothing has been touched; but
+    a device or a pipe, which nothing can take the place of, is written before the block. A
+    character that UTF-8 does not have (of a file name that is no text) is written as an escape.
+
+    Raises
+    ------
+    MultiposError
+        A file cannot be written; existing ones are left as they were.
+    """
+    drafts: list[_Draft] = []
+    try:
+        for path, content in files.items():
+            with _writing(path):
+                drafts.append(_draft(path))
+            _fill(drafts[-1], content)
+        for draft in drafts:
+            if not draft.regular:
+                with _writing(draft.path):
+                    _copy(draft.temporary, draft.target)
+        yield
+        _put_in_place([draft for draft in drafts if draft.regular])
+    finally:
+        for draft in drafts:
+            draft.temporary.unlink(missing_ok=True)
+            draft.before.unlink(missing_ok=True)
+
+
+@contextmanager
+def _writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise MultiposError(
+            f"{path}: cannot write: {error.strerror or error}; check the folder and permissions."
+        ) from None
+
+
+def _draft(path: str | os.PathLike[str]) -> _Draft:
+    """Return where a file goes: a link stays, what it points to is written."""
+    regular, folder = True, os.fspath(path).endswith("/")
+    with suppress(FileNotFoundError):
+        mode = Path(path).stat().st_mode
+        regular, folder = stat.S_ISREG(mode), folder or stat.S_ISDIR(mode)
+        if not os.access(path, os.W_OK):
+            raise PermissionError(None, "it is read-only")
+    if folder:
+        raise IsADirectoryError(None, "it is a folder")
+    target = Path(os.path.realpath(path) if regular else path)
+    # The name is short, because that of the target may be as long as a name can be, and chosen
+    # before the file is there, so that a signal in between leaves nothing behind.
+    beside = target.parent if regular else Path(tempfile.gettempdir())
+    return _Draft(path, target, beside / f".multipos-{os.urandom(8).hex()}", regular)
+
+
+def _fill(draft: _Draft, content: Content) -> None:
+    pieces = [content] if isinstance(content, str | bytes) else content
+    with _writing(draft.path):
+        stream = draft.temporary.open("xb")
+    with stream:
+        for piece in pieces:
+            raw = piece if isinstance(piece, bytes) else piece.encode("utf-8", "backslashreplace")
+            with _writing(draft.path):
+                stream.write(raw)
+        with _writing(draft.path):
+            stream.flush()
+            if draft.regular and draft.target.exists():
+                draft.temporary.chmod(stat.S_IMODE(draft.target.stat().st_mode))
+
+
+def _put_in_place(drafts: Sequence[_Draft]) -> None:
+    with ExitStack() as undo:
+        for draft in drafts:
+            with _writing(draft.path):
+                if len(drafts) > 1:
+                    if draft.target.exists():
+                        shutil.copy2(draft.target, draft.before)
+                    undo.callback(_restore, draft)
+                draft.temporary.replace(draft.target)
+        undo.pop_all()
+
+
+def _copy(source: Path, device: Path) -> None:
+    with source.open("rb") as stream, device.open("wb") as target:
+        shutil.copyfileobj(stream, target)
+
+
+def _restore(draft: _Draft) -> None:
+    if draft.before.exists():
+        draft.before.replace(draft.target)
+    elif not draft.temporary.exists():  # it had taken the place of nothing
+        draft.target.unlink(missing_ok=True)

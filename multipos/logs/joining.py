@@ -1,0 +1,274 @@
+"""The rests of one or several logs together: their labels, their faults, their positions."""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.logs.averages import Averages, RestAverage
+from multipos.logs.log_faults import differ_in_unit
+from multipos.logs.matching import Match, match_rests
+from multipos.logs.names import named_axes
+from multipos.logs.rest_faults import compare_scales, find_faults, find_stuck
+from multipos.logs.rests import Rest
+from multipos.logs.still import Still, StillLog
+from multipos.positions.attitudes import Convention
+from multipos.positions.scheme import Scheme
+
+_SHOWN = 4  # short stretches that are listed in words
+
+
+class Chosen(NamedTuple):
+    """A rest, what it is called, and the log it is in."""
+
+    label: str
+    log: StillLog
+    still: Still
+    given: bool  # whether the user named it, or its file
+
+    @property
+    def where(self) -> str:
+        """Its rows in words."""
+        return f"(rows {self.still.rows.start} to {self.still.rows.end})"
+
+
+def require_alike(found: Sequence[StillLog]) -> None:
+    """Refuse logs whose outputs differ, or whose headers tell different units."""
+    first = found[0]
+    for each in found[1:]:
+        if each.outputs != first.outputs:
+            raise MultiposError(
+                f"{each.log.source}: the outputs are {', '.join(each.outputs)}, but those of "
+                f"{first.log.source} {', '.join(first.outputs)}; name them with --outputs."
+            )
+    units: dict[str, str] = {}
+    for each in found:
+        units |= {each.log.units[n]: n for n in each.outputs if n in each.log.units}
+    if len(units) > 1:
+        listed = ", ".join(f"'{name}' [{unit}]" for unit, name in units.items())
+        raise MultiposError(f"the outputs {listed} have mixed units; convert them to one.")
+
+
+def require_several(found: StillLog) -> None:
+    """Refuse a single log with a single rest."""
+    if len(found.rests) == 1:
+        rows = found.rests[0].rows
+        raise MultiposError(
+            f"{found.log.source}: one rest only, rows {rows.start} to {rows.end} of "
+            f"{found.survey.rows}, at threshold {found.threshold:.3g}; a calibration needs several "
+            "positions: record them in one log, give a log for each, lower --threshold, or give "
+            f"--sections{_would_take(found)}."
+        )
+
+
+def choose(found: Sequence[StillLog], only: tuple[str, ...] | None) -> list[Chosen]:
+    """Return the rests with their labels, as given, by their file, or counted; or some of them.
+
+    Raises
+    ------
+    MultiposError
+        `only` names a label that there is not.
+    """
+    result = _labelled(found)
+    if only is None:
+        return result
+    known = dict.fromkeys(each.label for each in result)
+    strange = [label for label in only if label not in known]
+    if strange:
+        raise MultiposError(f"--only names '{strange[0]}', but the rests are {', '.join(known)}.")
+    return [each for each in result if each.label in only]
+
+
+def _labelled(found: Sequence[StillLog]) -> list[Chosen]:
+    result: list[Chosen] = []
+    for log in found:
+        name = Path(log.log.source).name.partition(".")[0]
+        by_file = name if len(found) > 1 and len(log.rests) == 1 else ""
+        for still in log.rests:
+            given = still.label or by_file
+            result.append(Chosen(given or str(len(result) + 1), log, still, bool(given)))
+    return result
+
+
+def faults_of_means(chosen: Sequence[Chosen]) -> list[str]:
+    """Return what makes means wrong, and the way out."""
+    outputs = chosen[0].log.outputs
+    found = [each.still.found for each in chosen]
+    stuck = find_stuck(outputs, found, [each.log.survey for each in chosen])
+    said = []
+    for each, constant in zip(chosen, stuck, strict=True):
+        said += [
+            f"rest '{each.label}' {each.where}: {fault}, so its mean is wrong; record it with a "
+            "larger range, leave the rest out with --only"
+            for fault in (*constant, *each.still.saturated)
+        ]
+    said += _other_unit(list(dict.fromkeys(each.log.log.source for each in chosen)), chosen)
+    scale = compare_scales(outputs, np.array([each.mean for each in found]))
+    return said if scale is None else [*said, scale]
+
+
+def _other_unit(sources: Sequence[str], chosen: Sequence[Chosen]) -> list[str]:
+    surveys = {each.log.log.source: each.log.survey for each in chosen}
+    other = differ_in_unit([surveys[source] for source in sources])
+    if other is None:
+        return []
+    which, ratio = other
+    said = f"{sources[which]}: its readings are {ratio:.3g} times those of {sources[0]}"
+    return [f"{said}: two units? Convert one of them"]
+
+
+def complete(
+    logs: Sequence[StillLog],
+    chosen: Sequence[Chosen],
+    scheme: Scheme | None,
+    convention: Convention,
+    wrong: Sequence[str],
+) -> Averages:
+    """Return the averages of the rests, matched to a scheme, with all that is to be said."""
+    match, labels, unseen = _matched(chosen, scheme, convention)
+    stills = [each.still for each in chosen]
+    faults, general = _faults(logs, stills, labels)
+    timed = len(logs) == 1 or _times_follow(stills)
+    if not timed:
+        unseen = [*unseen, "the times of the logs do not follow each other and are not used"]
+    distances = None if match is None else match.distance_deg.tolist()
+    rests = _rests(chosen, labels, faults, distances, timed=timed)
+    left = _by_log(logs, lambda log: log.warnings)
+    return Averages(
+        source=", ".join(log.log.source for log in logs),
+        outputs=logs[0].outputs,
+        rests=tuple(rests),
+        scheme_up=None if match is None or scheme is None else scheme.up[match.rows],
+        sample_rate=_common([log.rate for log in logs]),
+        threshold=_common([log.threshold for log in logs]),
+        warnings=(*left, *wrong, *unseen, *_own(rests), *general),
+        notes=_by_log(logs, lambda log: (*log.notes, *_short_note(log))),
+        short=_short(logs),
+        unit=_unit(logs),
+    )
+
+
+def _faults(
+    logs: Sequence[StillLog], stills: Sequence[Still], labels: Sequence[str]
+) -> tuple[list[list[str]], list[str]]:
+    return find_faults(
+        logs[0].outputs,
+        [still.found for still in stills],
+        np.fmin.reduce([log.survey.resolution for log in logs]),
+        [still.gaps for still in stills],
+        [still.moving for still in stills],
+        labels,
+    )
+
+
+def _short(logs: Sequence[StillLog]) -> tuple[tuple[str, Rest], ...]:
+    return tuple((_name(log), rest) for log in logs for rest in log.short)
+
+
+def _own(rests: Sequence[RestAverage]) -> list[str]:
+    """Return what is wrong with each rest, with where it is."""
+    return [
+        f"position '{rest.position}' (rows {rest.rows.start} to {rest.rows.end}): {note}"
+        for rest in rests
+        for note in rest.notes
+    ]
+
+
+def _matched(
+    chosen: Sequence[Chosen], scheme: Scheme | None, convention: Convention
+) -> tuple[Match | None, list[str], list[str]]:
+    """Return which positions the rests are, what those are called, and which are missed."""
+    labels = [each.label for each in chosen]
+    if scheme is None:
+        return None, labels, []
+    match = match_rests(
+        np.array([each.still.found.mean for each in chosen]),
+        named_axes(chosen[0].log.outputs),
+        [each.label * each.given for each in chosen],
+        [each.where for each in chosen],
+        scheme,
+        convention,
+    )
+    known = scheme.labels or [*map(str, range(1, len(scheme) + 1))]
+    missed = sorted({*range(len(known))}.difference(match.rows))
+    said = f"no rest at position {', '.join(known[i] for i in missed)} of scheme '{scheme.name}'"
+    return match, [known[row] for row in match.rows], [said] if missed else []
+
+
+def _rests(
+    chosen: Sequence[Chosen],
+    labels: Sequence[str],
+    faults: Sequence[Sequence[str]],
+    distances: Sequence[float] | None,
+    *,
+    timed: bool,
+) -> list[RestAverage]:
+    shared = set.intersection(*(set(each.still.environment) for each in chosen))
+    return [
+        RestAverage(
+            position=label,
+            rows=each.still.rows,
+            time=each.still.time if timed else None,
+            found=each.still.found,
+            environment={n: v for n, v in each.still.environment.items() if n in shared},
+            distance_deg=None if distances is None else distances[i],
+            notes=tuple(faults[i]),
+            log=_name(each.log),
+        )
+        for i, (each, label) in enumerate(zip(chosen, labels, strict=True))
+    ]
+
+
+def _unit(logs: Sequence[StillLog]) -> str | None:
+    units = [log.log.units.get(name) for log in logs for name in log.outputs]
+    return next((unit for unit in units if unit), None)
+
+
+def _would_take(found: StillLog) -> str:
+    """Return what would take in the stretches that are too short, '' where there are none."""
+    if not found.short:
+        return ""
+    many = "stretch" if len(found.short) == 1 else "stretches"
+    samples = found.survey.grid.shortest
+    shortest = min(rest.end - rest.start for rest in found.short)
+    if found.rate is None:
+        long = f"{samples} samples; --rate HZ --min-duration S takes them in"
+    else:
+        seconds = np.floor(100.0 * shortest / found.rate) / 100.0
+        long = f"{samples / found.rate:.3g} s; --min-duration {seconds:.3g} takes them in"
+    return f"; {len(found.short)} more {many} stood still for less than {long}"
+
+
+def _short_note(found: StillLog) -> tuple[str, ...]:
+    if not found.short:
+        return ()
+    rows = [f"rows {rest.start} to {rest.end}" for rest in found.short[:_SHOWN]]
+    more = f" and {len(found.short) - _SHOWN} more" if len(found.short) > _SHOWN else ""
+    return (f"{_would_take(found).removeprefix('; ')}: {', '.join(rows)}{more}",)
+
+
+def _name(log: StillLog) -> str:
+    return Path(log.log.source).name
+
+
+def _by_log(logs: Sequence[StillLog], said: Callable[[StillLog], Sequence[str]]) -> tuple[str, ...]:
+    """Return what is said of each log, with its name where there are several."""
+    begin = [f"{_name(log)}: " if len(logs) > 1 else "" for log in logs]
+    return tuple(
+        f"{name}{text}" for name, log in zip(begin, logs, strict=True) for text in said(log)
+    )
+
+
+def _common(values: Sequence[float | None]) -> float | None:
+    return values[0] if len(set(values)) == 1 else None
+
+
+def _times_follow(stills: Sequence[Still]) -> bool:
+    """Tell whether rests of several logs have one clock: each begins when the last has ended."""
+    times = [still.time for still in stills if still.time is not None]
+    if len(times) < len(stills):
+        return not times
+    return all(last[1] <= next_[0] for last, next_ in pairwise(times))

@@ -1,0 +1,376 @@
+"""Where the table of a text log begins, and how its rows are cut into cells.
+
+A log may begin with lines that are no table: what wrote it, with which settings, in which units.
+What a row is tell the rows farther down: how many cells they have and which of them are numbers.
+The first line that is so begins the table; its header is the nearest line above that names as many
+columns, behind ``#``, ``//`` or ``%`` too, and between the two may stand a line of units.
+"""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.logs.names import split_unit, unit_of
+
+COMMENTS = ("#", "//", "%")
+_LAST = 50  # rows that tell what a row is
+_SHARE = 3  # a column holds numbers where at least one cell in three is one
+_STATED = re.compile(r'"?sep=(.)"?\s*')
+_RATE = re.compile(
+    r"(?:rate|sampl\w*|freq\w*|\bat)\b(?:[^\d\n]*?(\d+(?:\.\d+)?)\s*Hz\b"
+    r"|\W*Hz\W+(\d+(?:\.\d+)?))",
+    re.IGNORECASE,
+)
+DATE = re.compile(
+    r"\d{4}[-/]\d\d[-/]\d\d[T ]\d\d:\d\d(:\d\d([.,:]\d+)?)?\s*(Z|UTC|[+-]\d\d:?\d\d)?"
+)
+_UNITLESS = ("", "-", "none", "no_units", "n/a")
+_KNOWN = re.compile(r"(time.*|t|.*acc.*|[a-z_. ]*[xyz])", re.IGNORECASE)
+
+
+class Line(NamedTuple):
+    """A line of the file, counted from 1."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the rows of a text log are laid out.
+
+    Attributes
+    ----------
+    delimiter : str
+        '' is white space.
+    width : int
+        Columns.
+    trailing : bool
+        Whether a separator stands behind the last cell too.
+    decimal_comma : bool
+    header : tuple of str or None
+        What stands in the header, without white space; '' is no name.
+    units : tuple of str or None
+        Of each column; '' where none is told.
+    numeric, dates : tuples of bool
+        Which columns hold numbers, and dates.
+    first : int
+        Line of the first row.
+    rising : bool
+        Whether the first column goes up in the first rows, and not by ones.
+    rate : float or None [Hz]
+        Sample rate, where a line above the table tells one.
+    notes : tuple of str
+    """
+
+    delimiter: str
+    width: int
+    trailing: bool
+    decimal_comma: bool
+    header: tuple[str, ...] | None
+    units: tuple[str, ...]
+    numeric: tuple[bool, ...]
+    dates: tuple[bool, ...]
+    first: int
+    rising: bool
+    rate: float | None
+    notes: tuple[str, ...]
+
+
+def find_layout(source: str, lines: Sequence[str]) -> Layout:
+    """Return how the rows of a log are laid out, from its first lines.
+
+    Raises
+    ------
+    MultiposError
+        There is no row, or the header does not fit the rows.
+    """
+    stated, table = _stated(lines)
+    rows = _rows(source, table)
+    last = [line.text for line in rows[-_LAST:]]
+    mark = _separator(last) if stated is None else stated
+    shape = _shape([cells_of(line, mark) for line in last], mark)
+    if not shape.numbers and len(rows) == 1:
+        raise MultiposError(f"{source}: only a header, no rows; a log needs samples.")
+    begin = _first_row(rows, shape).number
+    above = [line for line in table if line.number < begin]
+    shape, header = _headed(source, above, shape)
+    body = _body(rows, begin, shape)
+    if not body:
+        raise MultiposError(f"{source}: no row has all its numbers; a log needs samples.")
+    return _layout(shape, header, body, above, begin)
+
+
+def _rows(source: str, lines: Sequence[Line]) -> list[Line]:
+    rows = [line for line in lines if not is_comment(line.text)]
+    if not rows:
+        raise MultiposError(f"{source}: no rows in its first lines; a log needs samples.")
+    return rows
+
+
+def _layout(
+    shape: "_Shape",
+    header: "_Header",
+    body: Sequence[Sequence[str]],
+    above: Sequence[Line],
+    begin: int,
+) -> Layout:
+    mark = shape.mark
+    columns = [list(filter(None, column)) for column in zip(*body, strict=True)]
+    return Layout(
+        delimiter=mark,
+        width=shape.columns,
+        trailing=shape.trailing,
+        decimal_comma=mark != "," and _decimal_commas(body, shape.numbers),
+        header=header.cells,
+        units=header.units,
+        numeric=tuple(_mostly([is_number(cell, mark) for cell in cells]) for cells in columns),
+        dates=tuple(_mostly([DATE.fullmatch(cell) for cell in cells]) for cells in columns),
+        first=begin,
+        rising=_rises([row[0] for row in body], mark),
+        rate=_stated_rate(above),
+        notes=_said(above, begin, header),
+    )
+
+
+def _mostly(told: Sequence[object]) -> bool:
+    """Tell whether half of the cells are of a kind: a bad one is an error, where it is used."""
+    return any(told) and 2 * sum(map(bool, told)) >= len(told)
+
+
+def _stated(lines: Sequence[str]) -> tuple[str | None, list[Line]]:
+    """Return the separator that a first line ``sep=;`` states, and the lines that are not empty."""
+    numbered = [Line(i, line) for i, line in enumerate(lines, start=1) if line.strip()]
+    found = _STATED.fullmatch(numbered[0].text) if numbered else None
+    return (None, numbered) if found is None else (found[1].strip(" "), numbered[1:])
+
+
+def _body(rows: Sequence[Line], begin: int, shape: "_Shape") -> list[list[str]]:
+    """Return the cells of the first rows, of those that have as many as they should."""
+    first = [line.text for line in rows if line.number >= begin][:_LAST]
+    cells = [cells_of(row, shape.mark) for row in first]
+    return [row[: shape.columns] for row in cells if len(row) == shape.cells]
+
+
+def _stated_rate(above: Sequence[Line]) -> float | None:
+    found = [rate for line in above if (rate := _RATE.search(line.text))]
+    return float(found[0][1] or found[0][2]) if found else None
+
+
+def _said(before: Sequence[Line], begin: int, header: "_Header") -> tuple[str, ...]:
+    """Return where the table is, if that is not where one looks for it."""
+    skipped = [line for line in before if line.number != header.line]
+    if not header.commented and all(is_comment(line.text) for line in skipped):
+        return ()
+    where = f"its header on line {header.line}" if header.cells else "without a header"
+    return (f"the table begins on line {begin}, {where}",)
+
+
+def is_comment(line: str) -> bool:
+    """Tell whether a line is a comment."""
+    return line.lstrip().startswith(COMMENTS)
+
+
+def cells_of(line: str, mark: str) -> list[str]:
+    """Return the cells of one line, without white space around them."""
+    if not mark:
+        return line.split()
+    try:
+        cells = next(csv.reader([line], delimiter=mark), [])
+    except csv.Error:
+        cells = line.split(mark)
+    return [cell.strip() for cell in cells]
+
+
+def is_number(cell: str, mark: str) -> bool:
+    """Tell whether a cell is a number, 'nan' too; with a decimal comma where none separates."""
+    try:
+        float(cell if mark == "," else cell.replace(",", "."))
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _separator(rows: Sequence[str]) -> str:
+    """Return what stands between cells: what leaves the most numbers."""
+
+    def numbers(mark: str) -> int:
+        return sum(is_number(cell, mark) for row in rows for cell in cells_of(row, mark))
+
+    present = [mark for mark in ";\t," if any(mark in row for row in rows)]
+    return max([*present, ""], key=numbers)  # the first of those that are as good
+
+
+class _Shape(NamedTuple):
+    """What rows have in common."""
+
+    mark: str
+    cells: int
+    trailing: bool
+    numbers: tuple[int, ...]  # columns
+
+    @property
+    def columns(self) -> int:
+        return self.cells - self.trailing
+
+    def fits(self, cells: Sequence[str]) -> bool:
+        """Tell whether cells are a row: more than half of the numbers are there."""
+        if len(cells) != self.cells:
+            return False
+        held = [cells[i] for i in self.numbers]
+        good = sum(is_number(cell, self.mark) for cell in held)
+        return good > 0 and 2 * (good + held.count("")) > len(held)
+
+
+def _shape(rows: Sequence[list[str]], mark: str) -> _Shape:
+    counts = Counter(map(len, rows))
+    width = max(counts, key=lambda count: (counts[count], count))
+    same = [row for row in rows if len(row) == width]
+    held = np.array([[is_number(cell, mark) for cell in row] for row in same])
+    numbers = np.flatnonzero(_SHARE * held.sum(axis=0) >= len(same)).tolist()
+    ends = [same[i][-1] for i in np.flatnonzero(held.any(axis=1)).tolist()]
+    trailing = mark != "" and width > 1 and ends != [] and not any(ends)
+    return _Shape(mark, width, trailing, tuple(numbers))
+
+
+def _first_row(rows: Sequence[Line], shape: _Shape) -> Line:
+    """Return the first row of the table; of one without numbers, the line after its header."""
+    if not shape.numbers:
+        return rows[min(1, len(rows) - 1)]
+    first = next((row for row in rows if shape.fits(cells_of(row.text, shape.mark))), rows[-1])
+    if first == rows[0] and len(rows) > 1 and _named_by_numbers(first, shape):
+        return rows[1]
+    return first
+
+
+def _named_by_numbers(row: Line, shape: _Shape) -> bool:
+    """Tell whether a row is a header in which columns have whole numbers: time,1,2,3."""
+    cells = cells_of(row.text, shape.mark)
+    held = [cells[i] for i in shape.numbers]
+    texts = [cell for cell in held if not is_number(cell, shape.mark)]
+    return any(texts) and all(cell.isdigit() for cell in held if cell not in texts)
+
+
+class _Header(NamedTuple):
+    """The header that was found."""
+
+    cells: tuple[str, ...] | None
+    units: tuple[str, ...]
+    line: int
+    commented: bool
+
+
+def _headed(source: str, above: Sequence[Line], shape: _Shape) -> tuple[_Shape, _Header]:
+    """Return the header, and the shape of the rows as it settles it.
+
+    Cells that are always empty may be those of a column, or what a last separator leaves.
+    """
+    if shape.trailing:
+        whole = shape._replace(trailing=False)
+        header = _header(source, above, whole)
+        if header.cells and header.cells[-1]:
+            return whole, header
+    header = _header(source, above, shape)
+    if header.cells is None and above and not is_comment(above[-1].text):
+        _refuse_other_width(source, above[-1], shape)
+    return shape, header
+
+
+def _header(source: str, above: Sequence[Line], shape: _Shape) -> _Header:
+    units: tuple[str, ...] = ()
+    for line in reversed(above):
+        bare, comment = _bare(line.text)
+        cells = _names(bare, shape, comment=comment)
+        if cells is None:
+            if not comment:
+                break
+        elif not units and line is not above[0] and (told := _units(cells)):
+            units = told
+        else:
+            _refuse_open_quote(source, line)
+            return _Header(cells, units or _units_behind(cells), line.number, comment)
+    return _Header(None, units or ("",) * shape.columns, 0, False)
+
+
+def _units_behind(names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(split_unit(name)[1] or "" for name in names)
+
+
+def _refuse_open_quote(source: str, line: Line) -> None:
+    if line.text.count('"') % 2:
+        raise MultiposError(
+            f"{source}: line {line.number}: a quote is not closed; check the quotes of that line."
+        )
+
+
+def _bare(line: str) -> tuple[str, bool]:
+    """Return a line without its comment mark, and whether it had one."""
+    stripped = line.strip()
+    for mark in COMMENTS:
+        if stripped.startswith(mark):
+            return stripped.lstrip("#/%").strip(), True
+    return stripped, False
+
+
+def _names(line: str, shape: _Shape, *, comment: bool) -> tuple[str, ...] | None:
+    """Return the names of the columns that a line holds, None where it is no header."""
+    marks = [shape.mark, *((",", ";", "\t", "") if comment else ())]
+    for mark in dict.fromkeys(marks):
+        cells = cells_of(line, mark)
+        if len(cells) == shape.columns + 1 and not cells[-1]:
+            cells = cells[:-1]
+        sentence = comment and not mark and not _mostly_known(cells)
+        if len(cells) == shape.columns and not sentence and _may_name(cells, shape):
+            return tuple(cells)
+    return None
+
+
+def _mostly_known(cells: Sequence[str]) -> bool:
+    return 2 * sum(_KNOWN.fullmatch(cell) is not None for cell in cells) > len(cells)
+
+
+def _may_name(cells: Sequence[str], shape: _Shape) -> bool:
+    """Tell whether cells may be names: of the numbers among them all are whole."""
+    numbers = [cells[i] for i in shape.numbers if is_number(cells[i], ",")]
+    return any(cells) and all(map(str.isdigit, numbers))
+
+
+def _units(cells: Sequence[str]) -> tuple[str, ...] | None:
+    """Return units, where all cells are units."""
+    bare = [cell[1:-1] if cell[:1] in ("(", "[") else cell for cell in cells]
+    told = ["" if cell.casefold() in _UNITLESS else unit_of(cell) for cell in bare]
+    if None in told or not any(told):
+        return None
+    return tuple(unit or "" for unit in told)
+
+
+def _refuse_other_width(source: str, line: Line, shape: _Shape) -> None:
+    """Refuse a header that names one column more or less than there are."""
+    cells = cells_of(line.text, shape.mark)
+    if len(cells) < 3 or abs(len(cells) - shape.columns) > 1:
+        return
+    if not any(is_number(cell, shape.mark) for cell in cells):
+        raise MultiposError(
+            f"{source}: line {line.number} names {len(cells)} columns, the last '{cells[-1]}', but "
+            f"the rows below have {shape.columns} cells; correct it, or remove it and give "
+            "--columns."
+        )
+
+
+def _rises(cells: Sequence[str], mark: str) -> bool:
+    if len(cells) < 3 or not all(is_number(cell, mark) for cell in cells):
+        return False
+    numbers = [float(cell if mark == "," else cell.replace(",", ".")) for cell in cells]
+    steps = [after - before for before, after in pairwise(numbers)]
+    return min(steps) >= 0.0 and max(steps) > 0.0 and set(steps) != {1.0}
+
+
+def _decimal_commas(rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> bool:
+    return any("," in row[i] for row in rows for i in numbers if i < len(row))

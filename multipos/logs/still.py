@@ -1,0 +1,282 @@
+"""One log: its rests, found or given, and what their samples say."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.logs.clock import Clock, time_columns
+from multipos.logs.known_rests import Sections
+from multipos.logs.log_faults import find_saturated, find_second_unit, find_wrapped
+from multipos.logs.names import choose_outputs
+from multipos.logs.rest_means import RestMean, RestSum
+from multipos.logs.rests import Finder, Grid, Rest, Survey, Windows
+from multipos.logs.samples import Progress, Samples, Timing, small_pieces
+from multipos.logs.table import Log
+from multipos.numerics.arrays import Array
+
+_GAP = 3.0  # usual steps of the time: a longer one is a gap
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the user asks of each log."""
+
+    outputs: tuple[str, ...] | None
+    timing: Timing
+    min_duration: float | None
+    threshold: float | None
+    sections: Sections | None
+    label_column: str | None
+    drop_bad: bool
+    accept_faults: bool
+
+
+@dataclass(frozen=True)
+class Still:
+    """One rest as its samples show it.
+
+    Attributes
+    ----------
+    label : str
+        As it was given; '' where the rest was found.
+    rows : Rest
+        Of the log.
+    found : RestMean
+    environment : mapping of str to float
+    time : (float, float) or None [s]
+    gaps : int
+    moving : float or None
+        Share of the windows above the threshold.
+    saturated : tuple of str
+        What is said of outputs that are cut off.
+    """
+
+    label: str
+    rows: Rest
+    found: RestMean
+    environment: Mapping[str, float]
+    time: tuple[float, float] | None
+    gaps: int
+    moving: float | None
+    saturated: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class StillLog:
+    """A log, and where it stands still.
+
+    Attributes
+    ----------
+    log : Log
+    outputs : tuple of str
+    rests : tuple of Still
+    short : tuple of Rest
+        Stretches that stood still, but for less than a rest.
+    survey : Survey
+    clock : Clock or None
+    rate : float or None [Hz]
+    threshold : float or None
+    notes, warnings : tuples of str
+    """
+
+    log: Log
+    outputs: tuple[str, ...]
+    rests: tuple[Still, ...]
+    short: tuple[Rest, ...]
+    survey: Survey
+    clock: Clock | None
+    rate: float | None
+    threshold: float | None
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillLog:
+    """Find the rests of one log and average them.
+
+    Raises
+    ------
+    MultiposError
+        The log cannot be read as numbers, has no rest, or its time runs backwards.
+    """
+    label_column = None if wish.label_column is None else log.find(wish.label_column)
+    timing = wish.timing
+    if timing.column is not None:
+        timing = timing._replace(column=log.find(timing.column))
+    taken = [*time_columns(log), *filter(None, (timing.column, label_column))]
+    outputs = choose_outputs(log, wish.outputs, taken)
+    with Samples(
+        log, outputs.names, timing, label_column=label_column, drop_bad=wish.drop_bad
+    ) as samples:
+        survey = samples.survey(wish.min_duration, progress)
+        grid = survey.grid
+        wrong = [*find_wrapped(samples, survey), *find_second_unit(survey)]
+        if wrong and not wish.accept_faults:
+            raise MultiposError(
+                f"{log.source}: {wrong[0]}; correct the log, or go on with --accept-faults."
+            )
+        known = _known(samples, wish)
+        threshold = _threshold(log.source, survey, wish.threshold, needed=known is None)
+        short: list[Rest] = []
+        if known is None:
+            assert threshold is not None
+            found, short = _detect(samples, grid, threshold)
+            known = [("", rest) for rest in found]
+        return StillLog(
+            log=log,
+            outputs=outputs.names,
+            rests=tuple(_average_all(samples, known, grid, survey, threshold)),
+            short=tuple(short),
+            survey=survey,
+            clock=samples.clock,
+            rate=samples.rate,
+            threshold=threshold,
+            notes=(*log.notes, *_notes(samples), *outputs.notes),
+            warnings=(*log.left_out, *wrong, *_warnings(samples, grid, found=known[0][0] == "")),
+        )
+
+
+def _known(samples: Samples, wish: Wish) -> list[tuple[str, Rest]] | None:
+    """Return the rests that the user knows, with their labels."""
+    if wish.sections is not None:
+        inside = wish.sections.inside(samples.log_rows)
+        kept = [(label, samples.among_kept(rest)) for label, rest in inside.items()]
+        empty = next((label for label, rest in kept if rest.end - rest.start < 2), None)
+        if empty is not None:
+            raise MultiposError(
+                f"{samples.log.source}: of section '{empty}' fewer than two rows are not bad; "
+                "correct the log, or leave the section out."
+            )
+        return kept
+    return None if samples.labels is None else samples.labels.rests()
+
+
+def _notes(samples: Samples) -> list[str]:
+    clock = samples.clock
+    if clock is not None and (clock.column, clock.unit) != ("time", "s"):
+        return [f"the time is column '{clock.column}', in {clock.unit} by {clock.by}"]
+    if clock is None and samples.rate is not None and samples.rate == samples.log.rate:
+        return [f"the log states a sample rate of {samples.rate:g} Hz"]
+    return []
+
+
+def _warnings(samples: Samples, grid: Grid, *, found: bool) -> list[str]:
+    """Return what was left out, and what is assumed."""
+    said = _unused(samples)
+    if samples.dropped:
+        rows = "row is" if samples.dropped == 1 else "rows are"
+        said.append(f"{samples.dropped} bad {rows} left out of {samples.log_rows}")
+    if found and samples.rate is None:
+        said.append(
+            f"nothing tells the time: a rest is at least {grid.shortest} samples, however long "
+            "that is; give --rate or --time-column to say it in seconds"
+        )
+    return said
+
+
+def _unused(samples: Samples) -> list[str]:
+    log = samples.log
+    used = {*samples.outputs, *log.numeric}
+    used |= {each.column for each in (samples.clock, samples.labels) if each is not None}
+    texts = [name for name in log.columns if name not in used | log.nameless]
+    nameless = [place for place, name in enumerate(log.columns, 1) if name in log.nameless]
+    said = [f"column '{name}' holds text and is not used" for name in texts]
+    return said + [f"column {place} has no name and is not used" for place in nameless]
+
+
+def _threshold(source: str, survey: Survey, given: float | None, *, needed: bool) -> float | None:
+    if given is not None:
+        return given
+    try:
+        return survey.threshold()
+    except MultiposError as error:
+        if needed:
+            raise MultiposError(f"{source}: {error}") from None
+        return None  # rests that are known need none; motion in them is then not looked for
+
+
+def _detect(samples: Samples, grid: Grid, threshold: float) -> tuple[list[Rest], list[Rest]]:
+    """Return the rests, and the stretches that are too short for one."""
+    windows, finder = Windows(grid.block), Finder(grid, threshold)
+    for _, piece in samples.pieces():
+        for outputs in small_pieces(piece[: len(samples.outputs)]):
+            finder.add(windows.feed(outputs)[1])
+    rests = finder.rests(samples.rows)
+    if not rests:
+        raise MultiposError(
+            f"{samples.log.source}: no rest of {grid.shortest} samples in {samples.rows} rows at "
+            f"threshold {threshold:.3g}; hold the sensor still, lower --min-duration, or give "
+            "--sections."
+        )
+    return rests, [samples.in_log(rest) for rest in finder.short()]
+
+
+def _average_all(
+    samples: Samples,
+    rests: list[tuple[str, Rest]],
+    grid: Grid,
+    survey: Survey,
+    threshold: float | None,
+) -> list[Still]:
+    """Average every rest in one pass."""
+    sums = [_Sum(samples, label, rest, grid, threshold) for label, rest in rests]
+    for first, piece in samples.pieces():
+        for each in sums:
+            each.feed(first, piece)
+    return [each.result(survey) for each in sums]
+
+
+class _Sum:
+    """Take up the rows of one rest: its outputs, its other columns and its time."""
+
+    def __init__(
+        self, samples: Samples, label: str, rest: Rest, grid: Grid, threshold: float | None
+    ) -> None:
+        self._samples, self._label, self._rest = samples, label, rest
+        self._threshold = threshold
+        self._sum = RestSum(rest.end - rest.start, len(samples.outputs))
+        self._windows = Windows(grid.block)
+        self._seen = self._moved = 0
+        others = len(samples.others)
+        self._total, self._count = np.zeros(others), np.zeros(others)
+        self._time: list[float] = []
+        self._gaps = 0
+
+    def feed(self, first: int, piece: Array) -> None:
+        start = max(self._rest.start - first, 0)
+        end = min(self._rest.end - first, piece.shape[1])
+        if start >= end:
+            return
+        inside = piece[:, start:end]
+        outputs = inside[: len(self._samples.outputs)]
+        for small in small_pieces(outputs):
+            self._sum.feed(small)
+            if self._threshold is not None:
+                sd = self._windows.feed(small)[1]
+                self._seen += len(sd)
+                self._moved += int((sd > self._threshold).sum())
+        others = inside[len(outputs) : len(outputs) + len(self._total)]
+        self._total += np.nansum(others, axis=1)
+        self._count += np.isfinite(others).sum(axis=1)
+        if self._samples.clock is not None:
+            time = np.concatenate([self._time[-1:], inside[-1]])
+            self._gaps += int((np.diff(time) > _GAP * self._samples.step).sum())
+            self._time = [self._time[0] if self._time else float(time[0]), float(time[-1])]
+
+    def result(self, survey: Survey) -> Still:
+        found = self._sum.result()
+        with np.errstate(invalid="ignore"):
+            means = (self._total / self._count).tolist()
+        time = (self._time[0], self._time[1]) if self._time else self._samples.time(self._rest)
+        return Still(
+            label=self._label,
+            rows=self._samples.in_log(self._rest),
+            found=found,
+            environment=dict(zip(self._samples.others, means, strict=True)),
+            time=time,
+            gaps=self._gaps,
+            moving=self._moved / self._seen if self._seen else None,
+            saturated=tuple(find_saturated(self._samples, self._rest, found, survey)),
+        )
