@@ -33,7 +33,7 @@ _PUBLIC = {
     "UsageError": "errors",
     "apply": "compensation.applying",
     "average": "logs.averaging",
-    "calibrate": "calibrating",
+    "calibrate": "fitting.logs",
     "check": "verification.checks",
     "compare": "verification.comparison",
     "correct": "compensation.correction",
@@ -42,7 +42,7 @@ _PUBLIC = {
     "evaluate_budget": "uncertainty.propagation",
     "evaluate_sphere": "uncertainty.validity",
     "export": "compensation.targets",
-    "fit": "fitting",
+    "fit": "fitting.readings",
     "judge_terms_jointly": "doubts.joint_tests",
     "load": "sensor.calibration_file",
     "load_check": "verification.check_file",
@@ -54,7 +54,7 @@ _PUBLIC = {
     "read_readings": "positions.reading_tables",
     "read_scheme": "positions.scheme",
     "read_table": "files.tables",
-    "regress": "regressing",
+    "regress": "fitting.columns",
     "schemes": "designs.assessment",
     "simulate": "sensor.simulation",
     "simulate_budget": "uncertainty.monte_carlo",
@@ -72,7 +72,6 @@ _PUBLIC = {
 __all__ = sorted([*_PUBLIC, "__version__"])
 
 if TYPE_CHECKING:
-    from multipos.calibrating import calibrate as calibrate
     from multipos.compensation.applying import apply as apply
     from multipos.compensation.correction import correct as correct
     from multipos.compensation.reading_back import verify_export as verify_export
@@ -87,14 +86,15 @@ if TYPE_CHECKING:
     from multipos.errors import UsageError as UsageError
     from multipos.files.tables import read_table as read_table
     from multipos.files.tables import write_table as write_table
-    from multipos.fitting import fit as fit
+    from multipos.fitting.columns import regress as regress
+    from multipos.fitting.logs import calibrate as calibrate
+    from multipos.fitting.readings import fit as fit
     from multipos.logs.averages import Averages as Averages
     from multipos.logs.averaging import average as average
     from multipos.positions.reading_tables import read_readings as read_readings
     from multipos.positions.readings import Readings as Readings
     from multipos.positions.scheme import Scheme as Scheme
     from multipos.positions.scheme import read_scheme as read_scheme
-    from multipos.regressing import regress as regress
     from multipos.regression.regression_file import load_regression as load_regression
     from multipos.regression.result import Regression as Regression
     from multipos.sensor.calibration import Calibration as Calibration

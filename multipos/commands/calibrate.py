@@ -4,7 +4,6 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from multipos.calibrating import fit_rests
 from multipos.commands.answers import STDOUT, Answer, Output
 from multipos.commands.average import add_log_options, add_logs
 from multipos.commands.export import add_export_options
@@ -14,6 +13,7 @@ from multipos.compensation.target import Exported, self_test
 from multipos.compensation.targets import TARGETS, beside, export, named_target
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import to_json
+from multipos.fitting.logs import fit_rests
 from multipos.logs.averages import averages_text
 from multipos.logs.averaging import average
 from multipos.reports.summary import text_report

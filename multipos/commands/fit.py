@@ -6,7 +6,7 @@ from typing import Any
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, add_model, names, numbers
 from multipos.files.trees import to_json
-from multipos.fitting import fit
+from multipos.fitting.readings import fit
 from multipos.reports.summary import text_report
 from multipos.sensor.calibration import Calibration
 

@@ -5,8 +5,8 @@ import argparse
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import names
 from multipos.files.trees import to_json
+from multipos.fitting.columns import regress
 from multipos.plots.temperature import regression_figure
-from multipos.regressing import regress
 
 INPUTS = ("data",)
 OUTPUT = Output(

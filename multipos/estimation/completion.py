@@ -54,34 +54,11 @@ def complete(
     model, reference = solution.model, solution.reference
     parameters, covariance = solution.parameters, solution.covariance
     parameter_dof = solution.parameter_dof
-    far = int(np.argmax(np.abs(parameters)))
-    if not abs(parameters[far]) <= LARGEST_IN_FILES:
-        raise MultiposError(
-            f"the parameter '{model.names[far]}' is {parameters[far]:g}, which no file takes; give "
-            "the columns of the model in a smaller unit, or the readings in a larger one."
-        )
+    _require_in_files(solution)
     if gravity is not None and gravity.u > 0.0:
         covariance, parameter_dof = add_gravity(
             model, parameters, covariance, parameter_dof, gravity
         )
-    warnings = [*readings.notes, *solution.warnings, *_warn_convention(model, solution, convention)]
-    if solution.condition > _ILL_CONDITIONED:
-        warnings.append(
-            f"the positions separate the parameters badly (condition {solution.condition:.1e}); "
-            "add positions that differ more"
-        )
-    diagnostics = Diagnostics(
-        rank=len(parameters),
-        parameters=len(parameters),
-        condition=solution.condition,
-        leverage=solution.leverage,
-        lack_of_fit=_lack_of_fit(model, reference, readings, solution.residuals)
-        if estimator.exact
-        else {},
-        outliers=solution.outliers,
-        unidentifiable=solution.unidentifiable,
-        warnings=tuple(warnings),
-    )
     return Calibration(
         model=model,
         parameters=parameters,
@@ -97,7 +74,7 @@ def complete(
         estimator=estimator,
         criterion=criterion,
         confidence=confidence,
-        diagnostics=diagnostics,
+        diagnostics=_diagnose(solution, readings, convention, estimator),
         status=solution.status,
         created=_now(),
         version=__version__,
@@ -105,6 +82,41 @@ def complete(
         variance_components=solution.variance_components,
         orientations=solution.orientations,
         robust_weight=solution.robust_weight,
+    )
+
+
+def _require_in_files(solution: Solution) -> None:
+    size = np.abs(solution.parameters)
+    far = int(np.argmax(size))
+    if not size[far] <= LARGEST_IN_FILES:
+        raise MultiposError(
+            f"the parameter '{solution.model.names[far]}' is {solution.parameters[far]:g}, which "
+            "no file takes; give the columns of the model in a smaller unit, or the readings in a "
+            "larger one."
+        )
+
+
+def _diagnose(
+    solution: Solution, readings: Readings, convention: Convention, estimator: Estimator
+) -> Diagnostics:
+    model, reference = solution.model, solution.reference
+    warnings = [*readings.notes, *solution.warnings, *_warn_convention(model, solution, convention)]
+    if solution.condition > _ILL_CONDITIONED:
+        warnings.append(
+            f"the positions separate the parameters badly (condition {solution.condition:.1e}); "
+            "add positions that differ more"
+        )
+    return Diagnostics(
+        rank=len(solution.parameters),
+        parameters=len(solution.parameters),
+        condition=solution.condition,
+        leverage=solution.leverage,
+        lack_of_fit=_lack_of_fit(model, reference, readings, solution.residuals)
+        if estimator.exact
+        else {},
+        outliers=solution.outliers,
+        unidentifiable=solution.unidentifiable,
+        warnings=tuple(warnings),
     )
 
 

@@ -41,7 +41,7 @@ _INSEPARABLE = (
 
 
 @dataclass(frozen=True)
-class Worth:
+class Appraisal:
     """What the covariance of the likelihood is to be multiplied by, and how well that is known."""
 
     factor: float
@@ -53,7 +53,7 @@ class Worth:
     weight: Array | None = None  # (n,) of each position under a robust loss
 
 
-Found = tuple[Problem, Optimum, Worth]
+Found = tuple[Problem, Optimum, Appraisal]
 
 
 def judge_noise(
@@ -78,20 +78,20 @@ def judge_noise(
             if stated
             else "uncertainty from; give --reading-sd or more positions"
         )
-        return problem, optimum, Worth(np.nan, 0.0, warnings=(_NOTHING_LEFT + words,))
+        return problem, optimum, Appraisal(np.nan, 0.0, warnings=(_NOTHING_LEFT + words,))
     if estimate_sd:
         return _both(problem, optimum, nu, stated)
     if stated:
         return _beside_stated(problem, optimum, nu)
     if problem.has_prior:
         return _beside_placement(problem, optimum, nu)
-    return problem, optimum, Worth(optimum.point.objective / nu, nu)
+    return problem, optimum, Appraisal(optimum.point.objective / nu, nu)
 
 
 def _beside_stated(first: Problem, start: Optimum, nu: float) -> Found:
     """Add to the stated noise what readings scatter from rest to rest."""
     if nu <= 0:
-        return first, start, Worth(1.0, np.inf)
+        return first, start, Appraisal(1.0, np.inf)
     problem, optimum, posterior = integrate_placed(first, start, nu)
     tau2 = posterior.summary[0]
     claim = judge_claim(start.point.objective, nu, np.array([tau2]), first.model.unit)
@@ -151,7 +151,7 @@ def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
     return problem, optimum, worth
 
 
-def _worth(problem: Problem, posterior: Posterior, *, stated: bool) -> Worth:
+def _worth(problem: Problem, posterior: Posterior, *, stated: bool) -> Appraisal:
     """Return what a posterior makes of the covariance, with the noise that it found."""
     tau2, u_tau, _ = posterior.summary
     p, dof = len(problem.model.keys), posterior.shape
@@ -162,10 +162,10 @@ def _worth(problem: Problem, posterior: Posterior, *, stated: bool) -> Worth:
         sd = float(problem.precision.mean() ** -0.5)
         components = VarianceComponents(reading_sd=Component(sd, max(u_tau, _ROUNDING * sd)))
     u = standard_uncertainty(posterior.expanded(np.zeros(p)), np.full(p, dof))
-    return Worth(1.0, dof, components=components, u=u)
+    return Appraisal(1.0, dof, components=components, u=u)
 
 
-def _noise_in_words(worth: Worth) -> str:
+def _noise_in_words(worth: Appraisal) -> str:
     assert worth.components is not None
     reading, scatter = worth.components.reading_sd, worth.components.rest_to_rest
     if reading is not None:

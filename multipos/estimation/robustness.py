@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from multipos.estimation.descent import resume
 from multipos.estimation.known import believe
 from multipos.estimation.losses import EFFICIENCY, Loss, loss_slope, loss_weight
-from multipos.estimation.noise import Worth
+from multipos.estimation.noise import Appraisal
 from multipos.estimation.problem import Optimum, Problem
 from multipos.numerics.quantiles import chi2_quantile
 
@@ -45,7 +45,7 @@ _FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits v
 
 def judge_robustly(
     problem: Problem, optimum: Optimum, loss: Loss, names: Sequence[str], *, stated: bool
-) -> tuple[Problem, Optimum, Worth]:
+) -> tuple[Problem, Optimum, Appraisal]:
     """Return problem and optimum under a robust loss, and what they are worth.
 
     Parameters
@@ -86,12 +86,12 @@ def judge_robustly(
         left = np.array([float(np.sum(q * weight**2))])
         _, dof, denied = believe(left, np.array([nu]), ("all outputs",))
         if np.isinf(dof[0]):
-            worth = Worth(1.0 / EFFICIENCY, np.inf, warnings=tuple(said), weight=weight)
+            worth = Appraisal(1.0 / EFFICIENCY, np.inf, warnings=tuple(said), weight=weight)
             return problem, optimum, worth
         said += denied
     counted = max(float(np.sum(weight * problem.degrees)) - problem.unknowns, 1.0)
     factor = _huber_factor(problem, optimum, counted)
-    return problem, optimum, Worth(factor, counted, warnings=tuple(said), weight=weight)
+    return problem, optimum, Appraisal(factor, counted, warnings=tuple(said), weight=weight)
 
 
 def set_aside(problem: Problem, rows: NDArray[np.bool_]) -> Problem:

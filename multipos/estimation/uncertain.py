@@ -29,7 +29,7 @@ from multipos.errors import MultiposError
 from multipos.estimation.identifiability import condition, formal_only
 from multipos.estimation.likelihood import linearise
 from multipos.estimation.losses import Loss
-from multipos.estimation.noise import Worth, judge_noise
+from multipos.estimation.noise import Appraisal, judge_noise
 from multipos.estimation.problem import Optimum, Problem, state_problem
 from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.solution import Solution
@@ -165,7 +165,7 @@ def _require_triad(model: Model) -> None:
 
 
 def _solution(
-    problem: Problem, optimum: Optimum, readings: Readings, nu: float, worth: Worth
+    problem: Problem, optimum: Optimum, readings: Readings, nu: float, worth: Appraisal
 ) -> Solution:
     model, state, point = problem.model, optimum.state, optimum.point
     p, m = len(model.keys), problem.values.shape[1]

@@ -32,7 +32,7 @@ from multipos.errors import MultiposError, RankError, UsageError
 from multipos.estimation.known import FLOOR
 from multipos.files.lists import Names
 from multipos.files.tables import Source
-from multipos.fitting import fit
+from multipos.fitting.readings import fit
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import name_combinations, separability, solve
 from multipos.numerics.terms import COMPONENTS

@@ -16,7 +16,7 @@ from multipos.errors import RankError
 from multipos.estimation.losses import Loss
 from multipos.files.lists import Names
 from multipos.files.tables import Source
-from multipos.fitting import fit
+from multipos.fitting.readings import fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
