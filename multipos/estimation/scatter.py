@@ -54,7 +54,8 @@ _ENOUGH = 6  # nodes of a coarse grid where something is probable, of which a fi
 _NARROWED = 3  # times that the range is cut to where something is probable
 NEGLIGIBLE = 30.0  # of -2 ln: one part in three million of the posterior
 _ROWS = 20_000  # readings worked on at once
-_MOST_DOF = 1e9
+_MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
+_SHAPES = 64  # steps of degrees of freedom, between which tails are nearly straight
 _SAME = 1e-9  # relative difference of mixtures that are one
 _ROOT = np.sqrt(2.0)
 # Element by element: SciPy's takes longer to import than a fit that needs a few hundred values.
@@ -140,12 +141,12 @@ class Posterior:
         """Degrees of freedom of the Student's t whose tails are those of the parameters."""
         moves = np.zeros(self.moves.shape[1])
         ratio = float(np.median(self.expanded(moves) / self._half(moves, _INNER)))
-        low, high = 1.0, _MOST_DOF
-        while high / low > 1.0 + 1e-6:
-            middle = float(np.sqrt(low * high))
-            tail = coverage_factor(_COVERAGE, middle) / coverage_factor(_INNER, middle)
-            low, high = (middle, high) if tail > ratio else (low, middle)
-        return low
+        low, high = 0, _SHAPES
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (middle, high) if _tail(middle) > ratio else (low, middle)
+        share = (_tail(low) - ratio) / (_tail(low) - _tail(high))
+        return float(_MOST_DOF ** ((low + min(max(share, 0.0), 1.0)) / _SHAPES))
 
 
 @dataclass(frozen=True)
@@ -415,6 +416,12 @@ def _search_half(means: Array, sds: Array, weights: Array, share: float) -> Arra
 
 def _normal(z: Array) -> Array:
     return np.asarray(np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi))
+
+
+def _tail(step: int) -> float:
+    """Return how much wider the outer interval is than the inner one, at a step of dof."""
+    dof = _MOST_DOF ** (step / _SHAPES)
+    return coverage_factor(_COVERAGE, dof) / coverage_factor(_INNER, dof)
 
 
 def standard_uncertainty(expanded: Array, dof: Array) -> Array:
