@@ -127,7 +127,8 @@ def find_edges(
     chosen: tuple[int, ...] = ()
     last: list[Rows] = []
     rows = max(n * worth, 2.0)
-    floor = (1e-12 * float(np.linalg.norm(y))) ** 2
+    # of a response that is nothing throughout no logarithm is lost
+    floor = max((1e-12 * float(np.linalg.norm(y))) ** 2, float(np.finfo(float).tiny))
     for m in range(1, MOST + 1):
         if m > 1:
             total = best[:-1, np.newaxis] + cost[1:]

@@ -114,6 +114,12 @@ def check(
     data = read_readings(
         readings, outputs=calibration.outputs, environment=calibration.model.environment
     )
+    missing = [name for name in calibration.model.environment if name not in data.environment]
+    if missing:
+        raise MultiposError(
+            f"{data.source or 'the run'}: no column '{missing[0]}', which the model of the "
+            "calibration uses; add it to the run."
+        )
     data = orient(data, scheme)
     if range is not None:
         require_range(data, range)

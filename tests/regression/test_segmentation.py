@@ -135,3 +135,10 @@ def test_rate_refuses_what_has_none():
         smoothed_rate([0.0, 1.0, 1.0], [1.0, 2.0, 3.0], window=5.0)
     with pytest.raises(MultiposError, match=r"window of 1 about row 1; give a longer"):
         smoothed_rate([0.0, 10.0, 20.0], [1.0, 2.0, 3.0], window=1.0)
+
+
+def test_a_response_that_is_nothing_has_no_edges():
+    values = np.arange(60.0)
+    design = np.column_stack([np.ones(60), values])
+    for response in (np.zeros(60), np.full(60, 1e-200)):
+        assert find_edges(values, design, response, minimum=5) == ()

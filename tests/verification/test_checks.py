@@ -223,3 +223,14 @@ def test_bad_input(tmp_path, capsys, calibration):
     path.write_text("up_x,up_y,up_z,ax,ay\n1,0,0,1,0\n")
     fails(capsys, start, 1, "no column 'az'")
     fails(capsys, [*start[:2], str(tmp_path / "none.csv")], 1, "no such file")
+
+
+def test_a_run_without_a_column_of_the_model_is_refused():
+    up = mp.read_scheme("all-26").up
+    heat = np.linspace(10.0, 30.0, 26)
+    values = up + 1e-3 * heat[:, None]
+    readings = mp.Readings(values, up=up, environment={"temperature": heat})
+    model = "1 + x + y + z + own^2 + temperature"
+    cal = mp.fit(readings, model=model)
+    with pytest.raises(mp.MultiposError, match="no column 'temperature', which the model"):
+        mp.check(cal, mp.Readings(values, up=up))
