@@ -57,7 +57,7 @@ def integrate_placed(
         squares = optimum.point.objective * size, float(np.sum(residuals**2))
         if before > 0.0:  # the objective is under the noise that was found
             squares = squares[0] * (size + before) / size, squares[1]
-        alone = partial(_evaluate, linear, floor, size, np.ones(1))
+        alone = partial(_evaluate, linear, floor, size, None)
         posterior = integrate(alone, nu, size, squares, believed=believed)
         tau2 = posterior.summary[0]
         problem = replace(first, precision=_precision(first, floor, tau2))
@@ -236,22 +236,23 @@ def _precision(problem: Problem, floor: Array, tau2: float) -> Array:
     return np.asarray(np.linalg.inv(floor + tau2 * np.eye(m)))
 
 
-def _evaluate(linear: Linearised, floor: Array, size: float, factors: Array, nodes: Array) -> Found:
+def _evaluate(
+    linear: Linearised, floor: Array, size: float, factors: Array | None, nodes: Array
+) -> Found:
     """Return the posterior density of ln(τ² + size), moves and variances at nodes (G,).
 
-    With more than one of `factors` (G,), by which s² is multiplied, it is that of ln s² as well.
+    With `factors` (G,), by which s² is multiplied, it is that of ln s² as well.
     """
-    factors = np.broadcast_to(factors, nodes.shape) if len(factors) == 1 else factors
     step = max(1, _ROWS // len(floor))
     parts = [
-        _evaluate_few(linear, floor, size, factors[rows], nodes[rows])
+        _evaluate_few(linear, floor, size, None if factors is None else factors[rows], nodes[rows])
         for rows in (slice(first, first + step) for first in range(0, len(nodes), step))
     ]
     return Found(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 def _evaluate_few(
-    linear: Linearised, floor: Array, size: float, factors: Array, nodes: Array
+    linear: Linearised, floor: Array, size: float, factors: Array | None, nodes: Array
 ) -> Found:
     n, m = linear.error.shape
     G = len(nodes)
@@ -260,7 +261,8 @@ def _evaluate_few(
     J = np.tile(linear.jacobian, (G, 1, 1))
     sd = np.tile(linear.orientation_sd, G)
     tied = np.isfinite(sd) & (sd > 0.0)
-    variance = np.where(tied, np.where(tied, sd, 1.0) ** 2 * np.repeat(factors, n), 1.0)
+    times = np.ones(G) if factors is None else factors
+    variance = np.where(tied, np.where(tied, sd, 1.0) ** 2 * np.repeat(times, n), 1.0)
     own = eliminate(P, J, P @ J, np.where(tied, 1.0 / variance, 0.0), sd == 0.0)
     W = own.marginal.reshape(G, n, m, m)
     H = own.determinant
@@ -284,10 +286,10 @@ def _evaluate_few(
     return Found(log, moves[:, : linear.p], np.einsum("gpp->gp", C)[:, : linear.p])
 
 
-def _log_prior(linear: Linearised, W: Array, factors: Array) -> Array:
+def _log_prior(linear: Linearised, W: Array, factors: Array | None) -> Array:
     """Return ln of Jeffreys' prior of τ², or of τ² and ln s² together, at nodes (G,)."""
     by_scatter = np.einsum("gnij,gnji->g", W, W)
-    if np.ptp(factors) == 0.0:
+    if factors is None:
         return np.asarray(0.5 * np.log(by_scatter))
     sd = linear.orientation_sd
     tied = np.where(np.isfinite(sd), sd, 0.0)
