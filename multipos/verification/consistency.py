@@ -202,9 +202,12 @@ def _quadratic(values: Array, covariances: Array) -> float:
     scale = np.sqrt(np.einsum("rii->i", covariances) / len(values))  # units differ by powers of ten
     if not (np.isfinite(scale).all() and (scale > 0.0).all()):
         return math.nan
-    weights = np.linalg.inv(covariances / np.outer(scale, scale))
     scaled = values / scale
-    mean = np.linalg.solve(weights.sum(axis=0), np.einsum("rij,rj->i", weights, scaled))
+    try:
+        weights = np.linalg.inv(covariances / np.outer(scale, scale))
+        mean = np.linalg.solve(weights.sum(axis=0), np.einsum("rij,rj->i", weights, scaled))
+    except np.linalg.LinAlgError:  # a file may claim a combination to be known exactly
+        return math.nan
     left = scaled - mean
     return float(np.einsum("ri,rij,rj->", left, weights, left))
 

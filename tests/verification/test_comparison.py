@@ -406,3 +406,11 @@ def test_command_lines_at_fault(argv, status, message, capsys, tmp_path, monkeyp
     assert out == ""
     assert err.splitlines()[-1].startswith("multipos: error: ")
     assert message in err
+
+
+def test_a_combination_that_is_known_exactly_has_no_statistic():
+    """Of a covariance that no inverse has, nothing is tested, and that is said."""
+    found = [with_known_noise(c) for c in repeats(np.random.default_rng(5), 3, reading_sd=SD)]
+    p = len(found[0].parameters)
+    tied = [replace(c, covariance=np.full((p, p), 1e-6)) for c in found]
+    assert math.isnan(mp.compare(*tied).p_total)
