@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import file_progress, names
+from multipos.commands.options import add_reading, file_progress, names
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
 from multipos.logs.averages import averages_text
@@ -42,14 +42,7 @@ def add_logs(parser: argparse.ArgumentParser) -> None:
 def add_log_options(parser: argparse.ArgumentParser) -> None:
     """Add how a log is read, and which of its rests are averaged."""
     add = parser.add_argument
-    add("--columns", type=names, metavar="a,b,c,…", help="names of all columns of the log")
-    add("--time-column", metavar="T", help="column with the time (default: by its name)")
-    add(
-        "--time-unit",
-        metavar="s|ms|us|ns",
-        help="unit of the time (default: by the column's name or steps)",
-    )
-    add("--rate", type=float, metavar="HZ", help="sample rate, where no column tells the time")
+    add_reading(parser)
     add("--min-duration", type=float, metavar="S", help="shortest rest [s] (default 2)")
     add(
         "--threshold",
@@ -60,11 +53,6 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
     add("--sections", metavar="FILE", help="JSON or CSV of the rows where rests begin and end")
     add("--label-column", metavar="L", help="column that names the position of each row")
     add("--only", type=names, metavar="LABEL,…", help="rests to average")
-    add(
-        "--drop-bad",
-        action="store_true",
-        help="leave out rows with a cell that is no number, or a million times the median",
-    )
     add(
         "--accept-faults",
         action="store_true",

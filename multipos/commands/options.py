@@ -92,6 +92,24 @@ def add_model(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_reading(parser: argparse.ArgumentParser) -> None:
+    """Add how a raw log is read."""
+    add = parser.add_argument
+    add("--columns", type=names, metavar="a,b,c,…", help="names of all columns of the log")
+    add("--time-column", metavar="T", help="column with the time (default: by its name)")
+    add(
+        "--time-unit",
+        metavar="s|ms|us|ns",
+        help="unit of the time (default: by the column's name or steps)",
+    )
+    add("--rate", type=float, metavar="HZ", help="sample rate, where no column tells the time")
+    add(
+        "--drop-bad",
+        action="store_true",
+        help="leave out rows with a cell that is no number, or a million times the median",
+    )
+
+
 def add_orientation(parser: argparse.ArgumentParser) -> None:
     """Add ``--unknown-orientation`` and ``--orientation-sd``, of which one can be given."""
     group = parser.add_mutually_exclusive_group()

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import file_progress, names
+from multipos.commands.options import add_reading, file_progress, names
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
 from multipos.logs.readers import formats_read
@@ -31,15 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="COLUMN",
         help="column with the temperature [degC] (default temperature)",
     )
-    add("--columns", type=names, metavar="a,b,c,…", help="names of all columns of the logs")
-    add("--time-column", metavar="T", help="column with the time (default: by its name)")
-    add(
-        "--time-unit",
-        metavar="s|ms|us|ns",
-        help="unit of the time (default: by the column's name or steps)",
-    )
-    add("--rate", type=float, metavar="HZ", help="sample rate, where no column tells the time")
-    add("--drop-bad", action="store_true", help="leave out rows with a bad cell, and count them")
+    add_reading(parser)
     add("--unit", metavar="UNIT", help="unit of raw outputs")
     add(
         "--confidence",
