@@ -14,7 +14,6 @@ from multipos.files.tables import Column, Table
 from multipos.logs.isolation import first_line, read_apart
 from multipos.logs.names import name_header, split_unit
 from multipos.logs.table import Log, Piece
-from multipos.numerics.arrays import Array
 
 _ROWS = 1 << 16  # at a time
 
@@ -73,7 +72,9 @@ def _read_arrays(
         yield Piece(table, None, end / rows)
 
 
-def _numbers(column: NDArray[Any]) -> Array:
+def _numbers(column: NDArray[Any]) -> Column:
+    if column.dtype.kind in "US":  # cells that the table reads, and names where they are no numbers
+        return [str(cell) for cell in column.astype(np.str_).tolist()]
     if column.dtype.kind != "M":
         return np.array(column, dtype=np.float64)
     seconds = column.astype("datetime64[ns]").astype(np.int64) * 1e-9

@@ -36,3 +36,13 @@ def test_a_new_format_is_one_entry(tmp_path, monkeypatch):
     with pytest.raises(mp.MultiposError, match=r"\.mcap, \.cnt\)"):
         open_log(tmp_path / "strange")
     assert ".cnt" in command_parser("average").format_help()
+
+
+def test_a_text_among_the_numbers_of_an_array_is_named(tmp_path):
+    cells = np.array(["1.0", "0.5", "1.0005e-", "0.1"])
+    numbers = {name: np.linspace(0.0, 1.0, 4) for name in ("ay", "az")}
+    from scipy.io import savemat
+
+    savemat(tmp_path / "log.mat", {"ax": cells[:, None], **numbers})
+    with pytest.raises(mp.MultiposError, match=r"'1\.0005e-' is not a number"):
+        list(open_log(tmp_path / "log.mat").read(("ax", "ay", "az"), ()))
