@@ -49,7 +49,7 @@ def integrate_placed(
         The stated noise may be all there is.
     """
     floor = _covariances(first)
-    size = float(np.exp(np.mean(np.log(np.diagonal(floor, axis1=1, axis2=2)))))
+    size = _harmonic_mean(floor)
     problem, before = first, 0.0
     for _ in range(_ROUNDS):
         linear = linearised(first, optimum)
@@ -135,7 +135,7 @@ def integrate_both(
         The stated noise may be all there is.
     """
     least = _covariances(first)
-    size = float(np.exp(np.mean(np.log(np.diagonal(least, axis1=1, axis2=2)))))
+    size = _harmonic_mean(least)
     grid = partial(_over_both, floor=least, size=size, nu=nu, placed=floor, believed=believed)
     problem, before = first, np.zeros(2)
     for _ in range(_ROUNDS):
@@ -220,6 +220,11 @@ def _told(x: Array, log: Array) -> tuple[float, float]:
     """Return the range of nodes where something is probable, and one more to either side."""
     places = np.flatnonzero(log > log.max() - NEGLIGIBLE / 2.0)
     return float(x[max(places[0] - 1, 0)]), float(x[min(places[-1] + 1, len(x) - 1)])
+
+
+def _harmonic_mean(covariances: Array) -> float:
+    """Return the harmonic mean of the variances of readings, (n, M, M) their covariances."""
+    return 1.0 / float(np.mean(1.0 / np.diagonal(covariances, axis1=1, axis2=2)))
 
 
 def _covariances(problem: Problem) -> Array:

@@ -110,7 +110,7 @@ class Posterior:
         By how much the parameters of all parts move with τ², and their variances c; those of one
         output after those of another.
     size : float
-        Of the floors, their geometric mean.
+        Of the floors, their harmonic mean: the most precise readings are the first to feel τ.
     """
 
     nodes: Array
@@ -268,7 +268,7 @@ def integrate_parts(parts: Sequence[Part]) -> Posterior:
         With more readings than parameters, all together.
     """
     dof = float(sum(p.residuals.size - p.parameters * p.residuals.shape[1] for p in parts))
-    size = float(np.exp(np.mean(np.concatenate([np.log(part.floor) for part in parts]))))
+    size = 1.0 / float(np.mean(np.concatenate([1.0 / part.floor for part in parts])))
     weighted = sum(float(np.sum(p.residuals**2 / p.floor[:, None])) for p in parts) * size
     plain = sum(float(np.sum(p.residuals**2)) for p in parts)
     return integrate(lambda nodes: _evaluate(parts, nodes, size), dof, size, (weighted, plain))

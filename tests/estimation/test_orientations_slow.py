@@ -85,17 +85,21 @@ def cramer_rao(sensor, up, sd):
 def test_scatter_reaches_the_cramer_rao_bound_with_unequal_noise():
     sd = np.array([2e-5, 1e-4, 4e-4])
     rng = np.random.default_rng(3)
-    runs, estimates, u = 2500, [], None
+    runs, estimates, expanded = 2500, [], []
     for _ in range(runs):
         values = HAND_HELD.read(UP) + sd * rng.standard_normal(UP.shape)
         cal = mp.fit(mp.Readings(values), unknown_orientation=True, reading_sd=sd)
         estimates.append(cal.parameters)
-        u = cal.u
+        expanded.append(cal.U)
     bound = cramer_rao(HAND_HELD, UP, sd)
     scatter_ratio = np.std(estimates, axis=0) / bound
-    # 5 %, which is 3.5 standard deviations of a standard deviation from 2500 runs
-    assert np.abs(scatter_ratio - 1.0).max() < 0.05
-    assert u == pytest.approx(bound, rel=0.01)
+    # 5 %, which is 3.5 standard deviations of a standard deviation from 2500 runs, and as much for
+    # a claim that is not taken on trust: a scatter is allowed for, beside the quietest axis too
+    assert np.abs(scatter_ratio - 1.0).max() < 0.1
+    # one scatter beside all three axes is told by fifteen contrasts, most of the loudest axis
+    price = np.mean(expanded, axis=0) / 1.96 / bound
+    assert price.min() > 1.0
+    assert price.max() < 1.8
 
 
 @pytest.mark.parametrize("model", ["linear", "own-quadratic"])
@@ -169,9 +173,13 @@ def test_intervals_cover(mode, scheme, runs):
     # of all parameters together: they share their noise, so runs are counted, not intervals
     se = hit.mean(axis=1).std() / np.sqrt(runs)
     assert se < 0.0035
-    assert 0.94 < hit.mean() < 0.96
+    # a claim that is right is not taken on trust, which makes U a little too long
+    longer = 0.02 if mode is uncertain else 0.0
+    assert 0.94 < hit.mean() < 0.96 + longer
     # each on its own by the binomial law, 4 standard deviations for the worst of twelve
-    assert np.abs(hit.mean(axis=0) - 0.95).max() < 4.0 * np.sqrt(0.95 * 0.05 / runs) + 0.002
+    each = 4.0 * np.sqrt(0.95 * 0.05 / runs) + 0.002
+    assert hit.mean(axis=0).min() > 0.95 - each
+    assert hit.mean(axis=0).max() < 0.95 + each + longer
     if mode is automatic:
         variances_are_unbiased_and_known_as_said(found, runs)
 

@@ -35,6 +35,11 @@ def within(hits, runs, level):
     return abs(hits / runs - level) <= 4 * math.sqrt(level * (1 - level) / runs)
 
 
+def at_most(hits, runs, level):
+    """Whether a count is no more than a binomial law allows."""
+    return hits / runs <= level + 4 * math.sqrt(level * (1 - level) / runs)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "options"),
@@ -45,18 +50,20 @@ def within(hits, runs, level):
         (3, {"reading_sd": SD}),
         (5, {"scheme": "icosahedron-12"}),
     ],
-    ids=["four six-position repeats", "two linear", "pooled", "noise known", "twelve positions"],
+    ids=["four six-position repeats", "two linear", "pooled", "noise stated", "twelve positions"],
 )
 def test_false_alarms_come_as_often_as_said(count, options):
     rng = np.random.default_rng(42)
     runs = 500
     found = [mp.compare(*repeats(rng, count, **options)) for _ in range(runs)]
     p = np.array([c.p_total for c in found])
+    # a claim that is right is not taken on trust, so that differences look a little smaller
+    agrees = at_most if "reading_sd" in options else within
     for level in (0.05, 0.2, 0.5):
-        assert within(np.sum(p < level), runs, level)
-    assert within(sum(not c.consistent for c in found), runs, 0.05)
+        assert agrees(np.sum(p < level), runs, level)
+    assert agrees(sum(not c.consistent for c in found), runs, 0.05)
     single = np.array([c.p[0] for c in found])
-    assert within(np.sum(single < 0.05), runs, 0.05)
+    assert agrees(np.sum(single < 0.05), runs, 0.05)
     # Holm: any parameter named falsely at most as often as said
     moved = sum(bool(c.moved) for c in found) / runs
     assert moved <= 0.05 + 4 * math.sqrt(0.05 * 0.95 / runs)
