@@ -30,8 +30,7 @@ from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression
 from multipos.sensor.model import Gauge
-from multipos.uncertainty.budgets import Budget
-from multipos.uncertainty.budgets import Source as BudgetSource
+from multipos.uncertainty.budgets import Budget, BudgetSource
 from multipos.units import STANDARD_GRAVITY
 
 # What one g reads in the units that logs are in, and how far a sensor with a bias may be from it.

@@ -38,8 +38,7 @@ from multipos.sensor.expressions import Expression, ExpressionModel, build_expre
 from multipos.sensor.found import Chosen, Estimator
 from multipos.sensor.gravity import Gravity, resolve_gravity, signed_size
 from multipos.sensor.model import GAUGES, Gauge, Model, build_model, default_axes
-from multipos.uncertainty.budgets import Budget, read_budget
-from multipos.uncertainty.budgets import Source as BudgetSource
+from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.uncertainty.propagation import state_budget
 from multipos.uncertainty.turntable import roll_warnings
 

@@ -43,7 +43,7 @@ from multipos.results import Result
 from multipos.uncertainty.stated_stability import resolve
 from multipos.units import normal_gravity
 
-Source = str | os.PathLike[str] | Mapping[str, Any]
+BudgetSource = str | os.PathLike[str] | Mapping[str, Any]
 
 DIVISORS = {
     "rectangular": math.sqrt(3.0),
@@ -130,7 +130,7 @@ class Budget(Result):
         return None if found is None else (float(found.settings["value"]), found.u)
 
 
-def read_budget(source: "Source | Budget") -> Budget:
+def read_budget(source: "BudgetSource | Budget") -> Budget:
     """Return a budget from a TOML file or its tables as a mapping.
 
     Raises

@@ -29,7 +29,7 @@ from multipos.numerics.arrays import LARGEST, Array
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
-from multipos.uncertainty.budgets import Budget, Quantity, Source, read_budget
+from multipos.uncertainty.budgets import Budget, BudgetSource, Quantity, read_budget
 from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects
 
 
@@ -160,7 +160,7 @@ def _row_dof(row: Row, gradient: Array) -> Array:
 
 
 def evaluate_budget(
-    calibration: Calibration, budget: "Source | Budget | None" = None
+    calibration: Calibration, budget: "BudgetSource | Budget | None" = None
 ) -> Evaluation:
     """Return the budget of a calibration, line by line.
 
@@ -190,7 +190,7 @@ def evaluate_budget(
     return Evaluation((*_scatter(calibration, before), *rows), calibration.names)
 
 
-def state_budget(calibration: Calibration, budget: "Source | Budget") -> Calibration:
+def state_budget(calibration: Calibration, budget: "BudgetSource | Budget") -> Calibration:
     """Return a calibration whose covariance and degrees of freedom follow from a budget.
 
     Parameters

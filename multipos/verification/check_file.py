@@ -31,7 +31,7 @@ from multipos.files.records import (
 from multipos.files.trees import read_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.verification.verdicts import Check, judge, worst
+from multipos.verification.verdicts import Check, judge_errors, worst
 
 SCHEMA = "multipos/check/1"
 _BY_AXIS = ("reference", "before", "after", "u", "U", "counted", "by_axis")
@@ -148,7 +148,7 @@ def _from_dict(c: Mapping[str, Any]) -> Check:
         u=column("u"),
         U=U,
         limit=c["limit"],
-        verdicts=judge(after, U, c["limit"], counted),
+        verdicts=judge_errors(after, U, c["limit"], counted),
         counted=counted,
         linearity_percent=linearity,
         bias=c["nominal"]["bias"],

@@ -45,7 +45,7 @@ from multipos.sensor.tilt import (
     true_tilt,
 )
 from multipos.verification.regression_checks import check_regression
-from multipos.verification.verdicts import Check, judge, require_limit
+from multipos.verification.verdicts import Check, judge_errors, require_limit
 
 
 def check(
@@ -158,7 +158,7 @@ def _check_run(
         u=u,
         U=U,
         limit=limit,
-        verdicts=judge(after, U, limit, counted),
+        verdicts=judge_errors(after, U, limit, counted),
         counted=counted,
         linearity_percent={
             "before": _linearity(reference, before, counted, tilt),

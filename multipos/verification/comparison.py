@@ -29,7 +29,7 @@ from multipos.numerics.terms import CONSTANT
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
-from multipos.verification.consistency import Judgement, judge
+from multipos.verification.consistency import Judgement, judge_repeats
 from multipos.verification.drift import ABSOLUTE, GIVEN, ORDERED, find_drift
 
 Run = Calibration | str | os.PathLike[str]
@@ -192,7 +192,7 @@ def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> C
     if same:
         judged = Judgement.of_methods(found, values)
     else:
-        judged = judge(found, values, 1.0 - confidence)
+        judged = judge_repeats(found, values, 1.0 - confidence)
     warnings = [*judged.warnings]
     if len(found) < _LEAST and not same:
         warnings.append(

@@ -123,7 +123,7 @@ class _Family:
         return np.where(known, self.variances, pooled), nu
 
 
-def judge(found: Sequence[Calibration], values: Array, level: float) -> Judgement:
+def judge_repeats(found: Sequence[Calibration], values: Array, level: float) -> Judgement:
     """Judge R repeated calibrations by eqs. (1) to (3).
 
     Parameters

@@ -19,7 +19,7 @@ from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.regression.result import Regression, format_span
-from multipos.verification.verdicts import Check, judge, require_limit
+from multipos.verification.verdicts import Check, judge_errors, require_limit
 
 
 def check_regression(
@@ -80,7 +80,7 @@ def check_regression(
         u=u,
         U=U,
         limit=limit_g,
-        verdicts=judge(after, U, limit_g, counted),
+        verdicts=judge_errors(after, U, limit_g, counted),
         counted=counted,
         linearity_percent={"before": nothing, "after": nothing},
         bias=None,

@@ -118,7 +118,7 @@ class Check(Result):
         write_text(path, to_json(self.to_dict()))
 
 
-def judge(
+def judge_errors(
     after: Array, U: Array, limit: float | None, counted: NDArray[np.bool_]
 ) -> NDArray[np.str_]:
     """Return the verdicts of eq. (1); empty without a limit and where nothing counts."""

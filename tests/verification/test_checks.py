@@ -13,7 +13,7 @@ from multipos import cli
 from multipos.positions.scheme import read_scheme
 from multipos.reports.sheets import check_text
 from multipos.verification.checks import _expanded
-from multipos.verification.verdicts import judge
+from multipos.verification.verdicts import judge_errors
 
 FACES = read_scheme("faces-corners-14").up
 SD = 1e-4
@@ -89,7 +89,7 @@ def test_coverage_factor_of_a_sum_by_hand():
 def test_verdicts_by_hand(error, U, verdict):
     """Eq. (1) of the verdicts at L = 1; what has no answer fails."""
     counted = np.array([[True, False]])
-    found = judge(np.array([[error, error]]), np.array([[U, U]]), 1.0, counted)
+    found = judge_errors(np.array([[error, error]]), np.array([[U, U]]), 1.0, counted)
     assert found.tolist() == [[verdict, ""]]
 
 
