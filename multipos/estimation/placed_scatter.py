@@ -31,6 +31,7 @@ _COARSE, _FINE = 16, 24  # nodes a side
 _LEAST = 0.03  # of what placement does to a reading: noise of that size changes nothing
 _LEAST_TOLD = 1e-3  # the same where readings tell the noise
 _TELLING = 6  # contrasts from which on they do
+_RANK = 1e-14  # of the largest eigenvalue, scaled, below which nothing is told
 _TOUCHED = 1e-6  # of the largest slope, below which a turn moves nothing
 
 
@@ -277,18 +278,29 @@ def _evaluate_few(
     A = linear.design.reshape(n * m, -1)
     X = (W @ linear.design).reshape(G, n * m, -1)  # V⁻¹A
     plain = np.einsum("gnij,nj->gni", W, linear.error).reshape(G, -1)
-    information = A.T @ X + np.diag(linear.prior)
-    C = np.linalg.inv(information)
+    C, log_information = _invert(A.T @ X + np.diag(linear.prior))
     right = plain @ A
     moves = np.einsum("gpq,gq->gp", C, right)
     log = -0.5 * (
         log_det
-        + np.linalg.slogdet(information)[1]
+        + log_information
         + plain @ linear.error.ravel()
         - np.einsum("gp,gp->g", right, moves)
     )
     log += _log_prior(linear, W, factors) + np.log(nodes + size)
     return Found(log, moves[:, : linear.p], np.einsum("gpp->gp", C)[:, : linear.p])
+
+
+def _invert(information: Array) -> tuple[Array, Array]:
+    """Return inverses (G, p, p) and ln det (G,), without what nothing tells, such as a rotation."""
+    size = np.sqrt(np.einsum("gpp->gp", information))
+    scale = 1.0 / np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(information * scale[:, :, None] * scale[:, None, :])
+    told = values > _RANK * values[:, -1:]
+    kept = np.where(told, values, 1.0)
+    inverse = (vectors * (told / kept)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    inverse = inverse * scale[:, :, None] * scale[:, None, :]
+    return inverse, np.log(kept).sum(axis=1) - 2.0 * np.log(scale).sum(axis=1)
 
 
 def _log_prior(linear: Linearised, W: Array, factors: Array | None) -> Array:

@@ -10,7 +10,7 @@ from test_likelihood import KINDS, a_problem
 import multipos as mp
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.linearisation import Linearised, linearised
-from multipos.estimation.placed_scatter import _evaluate
+from multipos.estimation.placed_scatter import _evaluate, _invert
 
 NODES = np.array([0.0, 1e-4, 4e-4, 3e-3])  # the noise is of 1e-2
 FACTORS = np.array([1.0, 0.1, 3.0, 20.0])
@@ -125,3 +125,12 @@ def test_a_noise_of_which_next_to_nothing_is_told_counts_as_one_degree():
     cal = mp.fit(readings, orientation_sd=1.0)
     assert cal.parameter_dof.min() >= 1.0
     assert cal.k.max() <= 12.7063  # t of one degree of freedom at 0.975
+
+
+def test_what_nothing_tells_is_left_out_of_the_inverse():
+    """diag(4, 0, 9): 1/4 and 1/9, ln 36; as with a rotation about the only direction of a group."""
+    inverse, log = _invert(np.array([np.diag([4.0, 0.0, 9.0])]))
+    assert_allclose(inverse[0], np.diag([0.25, 0.0, 1.0 / 9.0]), rtol=1e-14)
+    assert_allclose(log, np.log(36.0), rtol=1e-14)
+    tied = np.array([[1.0, 1.0], [1.0, 1.0]])  # only the sum is told
+    assert_allclose(_invert(tied[None])[0][0], tied / 4.0, rtol=1e-12)
