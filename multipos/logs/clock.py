@@ -109,7 +109,8 @@ def _named_unit(column: str) -> str | None:
 
 def _unit_of_steps(time: Array) -> str:
     step = usual_step(time)
-    return next(unit for unit, largest in _STEPS.items() if step < largest)
+    # a step that is no number, of a corrupt time, is refused where the sample rate is formed
+    return next((unit for unit, largest in _STEPS.items() if step < largest), "s")
 
 
 def usual_step(time: Array) -> float:

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from log_bench import sensor, shared
 
 import multipos as mp
 from multipos.cli import main
+from multipos.logs.clock import read_clock
 from multipos.logs.layout import find_layout
 from multipos.logs.opening import open_log
 
@@ -391,3 +393,9 @@ def test_what_was_found_is_in_the_json(log, tmp_path, capsys):
     assert found["unit"] == "g"
     assert found["positions"][0]["log"] == "log.txt"
     assert found["short"] == []
+
+
+def test_a_clock_of_steps_that_are_no_numbers_has_a_unit():
+    """What is wrong with it is said where the sample rate is formed."""
+    clock = read_clock(SimpleNamespace(dates=(), units={}), "ticks", np.array([0.0, np.inf]), None)
+    assert clock.unit == "s"
