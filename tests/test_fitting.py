@@ -42,7 +42,8 @@ def test_unweighted_fit_by_hand():
         assert_allclose(cal.diagnostics.leverage[:, i], np.diag(LINEAR @ C @ LINEAR.T))
     assert_array_equal(cal.dof, [10, 10, 10])
     assert_array_equal(cal.covariance[:4, 4:], 0)
-    assert cal.k[0] == pytest.approx(stats.t.ppf(0.975, 10), rel=1e-12)
+    # quantiles of SciPy before 1.17 have some ten digits
+    assert cal.k[0] == pytest.approx(stats.t.ppf(0.975, 10), rel=1e-9)
     assert (cal.diagnostics.rank, cal.diagnostics.parameters) == (12, 12)
 
 
@@ -60,7 +61,7 @@ def test_weighted_fit_by_hand():
         assert_allclose(cal.correlation[mine, mine], C / np.outer(u_by_hand, u_by_hand), atol=1e-9)
         assert_allclose(cal.U[mine] / u_by_hand, 1.96, rtol=0.15)  # the claim is right
     assert scatter < 0.3e-3
-    assert cal.k[0] == pytest.approx(stats.t.ppf(0.975, cal.dof[0]), rel=1e-12)
+    assert cal.k[0] == pytest.approx(stats.t.ppf(0.975, cal.dof[0]), rel=1e-9)
 
 
 def test_full_covariance_by_hand():
