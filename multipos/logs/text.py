@@ -288,7 +288,7 @@ def _date(cell: str) -> np.datetime64:
     try:
         return np.datetime64(cell, "ns")
     except ValueError:
-        return np.datetime64("NaT")
+        return np.datetime64("NaT", "ns")
 
 
 def _required(table: Table, name: str, cells: Sequence[str]) -> Array:
