@@ -37,7 +37,7 @@ from multipos.estimation.noise import judge_noise
 from multipos.estimation.problem import Optimum, Problem
 from multipos.estimation.restatement import estimated_variances, restate, return_to_optimum
 from multipos.estimation.starts import reduced_information
-from multipos.numerics.least_squares import solve
+from multipos.numerics.least_squares import block_design, solve
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
@@ -193,10 +193,7 @@ def _by_covariance(c: Calibration) -> Iterator[JointTest]:
         try:
             for model in (small, large):
                 phi = model.basis(c.reference, c.readings.environment)
-                design = np.zeros((n, m, len(model.keys)))
-                places = zip(model.slices, model.columns, strict=True)
-                for output, (part, columns) in enumerate(places):
-                    design[:, output, part] = phi[:, columns]
+                design = block_design([phi[:, columns] for columns in model.columns])
                 found = solve(
                     design.reshape(n * m, -1),
                     c.readings.values.ravel(),

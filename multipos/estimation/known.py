@@ -6,8 +6,9 @@ output, y = X p + e, and is solved by `multipos.numerics.least_squares`. The cov
     cov p = s² (X'X)⁻¹      where the residuals give the noise, s² = r'r/(n − p)           (1)
     cov p = (X'V⁻¹X)⁻¹      where the readings state it, V their covariance                (2)
 
-A stated noise that the residuals deny is not believed: where χ² = r'V⁻¹r passes its 99.9 %
-point, (2) is multiplied by χ²/(n − p) and takes the residuals' degrees of freedom.
+A stated noise is a floor: V is it and what readings scatter from rest to rest beside it
+(`multipos.estimation.scatter`). Where χ² = r'V⁻¹r under the stated part alone passes its 99.9 %
+point, or is below its 0.1 % point, that is said.
 
 References
 ----------
@@ -23,7 +24,7 @@ from multipos.estimation.identifiability import formal_only
 from multipos.estimation.scatter import find_scatter
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import LinearFit, separability, solve
+from multipos.numerics.least_squares import LinearFit, block_design, separability, solve
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, add_variances, diagonal, stated_sd
@@ -40,7 +41,7 @@ _NOTHING_LEFT = (
     "as many terms as readings: nothing is left to estimate the uncertainty from; give "
     "--reading-sd or more positions"
 )
-DENIED = 0.999  # χ² point beyond which a stated noise is not believed
+DENIED = 0.999  # χ² point beyond which the residuals deny a stated noise
 
 
 def solve_known(
@@ -231,11 +232,10 @@ def _solve_jointly(model: Model, phi: Array, readings: Readings, covariance: Arr
     """One problem for all outputs, whose readings are correlated."""
     n, m = readings.values.shape
     p = len(model.keys)
-    design = np.zeros((n, m, p))
-    for output, (part, columns) in enumerate(zip(model.slices, model.columns, strict=True)):
-        design[:, output, part] = phi[:, columns]
+    for output in range(m):
         # each output's own design must be sound before they are taken together
         _solve_output(model, phi, output, readings.values[:, [output]], None)
+    design = block_design([phi[:, columns] for columns in model.columns])
     found = solve(
         design.reshape(n * m, p), readings.values.ravel(), covariance=covariance, names=model.names
     )
@@ -293,43 +293,6 @@ def judge_claim(chi2: float, dof: float, scatter: Array, unit: str) -> tuple[str
             f"the residuals are far smaller than the stated noise {seen}: it may be overstated",
         )
     return ()
-
-
-def believe(
-    chi2: Array, dof: Array, outputs: tuple[str, ...], pool: bool = False
-) -> tuple[Array, Array, list[str]]:
-    """Return the factor on the stated covariance, the dof, and what is said about it.
-
-    Parameters
-    ----------
-    chi2, dof : (M,) arrays
-        Of the residuals of each output under the stated noise.
-    outputs : tuple of M str
-    pool : bool
-        Judge all outputs together.
-    """
-    names: tuple[str, ...] = outputs
-    if pool:
-        chi2, dof, names = chi2.sum(keepdims=True), dof.sum(keepdims=True), ("all outputs",)
-    factor, left, said = np.ones(len(chi2)), np.full(len(chi2), np.inf), []
-    for i, (value, nu) in enumerate(zip(chi2.tolist(), dof.tolist(), strict=True)):
-        if nu <= 0:
-            continue
-        if value > chi2_quantile(DENIED, nu):
-            factor[i], left[i] = value / nu, nu
-            said.append(
-                f"the residuals of {names[i]} deny the stated reading noise (chi-square "
-                f"{value:.4g} on {nu:g} degrees of freedom): its covariance is multiplied by "
-                f"{value / nu:.4g}; placement error is the usual cause, see --orientation-sd"
-            )
-        elif value < chi2_quantile(1.0 - DENIED, nu):
-            said.append(
-                f"the residuals of {names[i]} are far smaller than the stated reading noise "
-                f"(chi-square {value:.3g} on {nu:g} degrees of freedom): it may be overstated"
-            )
-    if pool:
-        factor, left = np.full(len(outputs), factor[0]), np.full(len(outputs), left[0])
-    return factor, left, said
 
 
 def per_parameter(model: Model, values: Array) -> Array:

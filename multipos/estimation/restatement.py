@@ -3,8 +3,8 @@
 Profiles, tests of terms, gains and Monte Carlo ask of the likelihood of
 `multipos.estimation.likelihood` what the fit did not. A calibration carries all of it: readings,
 what was known of the positions, and a noise that is either stated with the readings or the residual
-standard deviation. Where a stated noise was denied by the residuals, everything counts in units of
-F/nu instead of one.
+standard deviation. Where the residuals of a robust fit deny a stated noise, everything counts in
+units of F/nu instead of one.
 """
 
 from dataclasses import replace

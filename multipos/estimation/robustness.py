@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.descent import resume
-from multipos.estimation.known import believe
+from multipos.estimation.known import DENIED
 from multipos.estimation.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.estimation.noise import Appraisal
 from multipos.estimation.problem import Optimum, Problem
@@ -83,12 +83,15 @@ def judge_robustly(
     q, kept = optimum.point.q, problem.weight == 1.0
     weight = np.where(kept, loss_weight(problem.robust, q, problem.degrees), 0.0)
     if stated:
-        left = np.array([float(np.sum(q * weight**2))])
-        _, dof, denied = believe(left, np.array([nu]), ("all outputs",))
-        if np.isinf(dof[0]):
+        chi2 = float(np.sum(q * weight**2))
+        if not (nu > 0 and chi2 > chi2_quantile(DENIED, nu)):
             worth = Appraisal(1.0 / EFFICIENCY, np.inf, warnings=tuple(said), weight=weight)
             return problem, optimum, worth
-        said += denied
+        said.append(
+            f"the residuals of all outputs deny the stated reading noise (chi-square {chi2:.4g} on "
+            f"{nu:g} degrees of freedom): its covariance is multiplied by {chi2 / nu:.4g}; "
+            "placement error is the usual cause, see --orientation-sd"
+        )
     counted = max(float(np.sum(weight * problem.degrees)) - problem.unknowns, 1.0)
     factor = _huber_factor(problem, optimum, counted)
     return problem, optimum, Appraisal(factor, counted, warnings=tuple(said), weight=weight)

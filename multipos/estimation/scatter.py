@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
+from multipos.numerics.least_squares import block_design
 from multipos.numerics.quantiles import coverage_factor
 from multipos.sensor.diagnostics import UNEQUAL, bartlett
 
@@ -244,11 +245,8 @@ def _rotated(
     """Return correlated readings in the axes in which they are not, where τ² adds to each."""
     n, m = residuals.shape
     variances, axes = np.linalg.eigh(covariance)
-    ends = np.cumsum([0, *(design.shape[1] for design in designs)])
-    whole = np.zeros((n, m, ends[-1]))
-    for i, design in enumerate(designs):
-        whole[:, i, ends[i] : ends[i + 1]] = design
-    turned = axes.T @ np.column_stack([whole.reshape(n * m, -1), residuals.ravel()])
+    design = block_design(designs).reshape(n * m, -1)
+    turned = axes.T @ np.column_stack([design, residuals.ravel()])
     least = np.finfo(float).eps * variances[-1]
     return list(range(m)), _part(turned[:, :-1], turned[:, -1:], np.maximum(variances, least))
 

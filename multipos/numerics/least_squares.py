@@ -413,6 +413,18 @@ def separability(
     )
 
 
+def block_design(designs: Sequence[Array]) -> Array:
+    """Return the design (n, M, p) of M outputs together, of which output i has (n, p_i) of its own.
+
+    Reshaped to (n M, p) it is that of the readings row by row, output running fastest.
+    """
+    ends = np.cumsum([0, *(design.shape[1] for design in designs)])
+    result = np.zeros((len(designs[0]), len(designs), ends[-1]))
+    for i, design in enumerate(designs):
+        result[:, i, ends[i] : ends[i + 1]] = design
+    return result
+
+
 def _echelon(N: Array) -> Array:
     """Reduced row echelon form of orthonormal rows (m, p), pivots from the right.
 

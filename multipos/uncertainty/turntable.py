@@ -29,7 +29,7 @@ import numpy as np
 
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import separability, solve
+from multipos.numerics.least_squares import block_design, separability, solve
 from multipos.numerics.quantiles import coverage_factor, t_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
@@ -248,11 +248,8 @@ def _effects(calibration: Calibration, rolls: tuple[Roll, ...], linear: Array) -
 def _design(model: Model, calibration: Calibration) -> Array:
     """Return the model's design over all outputs (n M, p), output running fastest."""
     phi = model.basis(calibration.reference, calibration.readings.environment)
-    n, m = calibration.readings.values.shape
-    result = np.zeros((n, m, len(model.keys)))
-    for output, (part, columns) in enumerate(zip(model.slices, model.columns, strict=True)):
-        result[:, output, part] = phi[:, columns]
-    return result.reshape(n * m, -1)
+    whole = block_design([phi[:, columns] for columns in model.columns])
+    return whole.reshape(-1, len(model.keys))
 
 
 def _shifts(
