@@ -20,8 +20,10 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "Averages": "logs.averages",
     "Calibration": "sensor.calibration",
+    "CalibrationWarning": "errors",
     "Check": "verification.verdicts",
     "ConvergenceError": "errors",
+    "Doubt": "sensor.doubt",
     "Model": "sensor.model",
     "MultiposError": "errors",
     "RankError": "errors",
@@ -80,6 +82,7 @@ if TYPE_CHECKING:
     from multipos.designs.designing import design as design
     from multipos.designs.prospects import worth as worth
     from multipos.doubts.joint_tests import judge_terms_jointly as judge_terms_jointly
+    from multipos.errors import CalibrationWarning as CalibrationWarning
     from multipos.errors import ConvergenceError as ConvergenceError
     from multipos.errors import MultiposError as MultiposError
     from multipos.errors import RankError as RankError
@@ -99,6 +102,7 @@ if TYPE_CHECKING:
     from multipos.regression.result import Regression as Regression
     from multipos.sensor.calibration import Calibration as Calibration
     from multipos.sensor.calibration_file import load as load
+    from multipos.sensor.doubt import Doubt as Doubt
     from multipos.sensor.model import Model as Model
     from multipos.sensor.simulation import simulate as simulate
     from multipos.sensor.simulation import simulate_log as simulate_log

@@ -24,7 +24,7 @@ from typing import Any, NoReturn, TextIO
 from multipos import __version__
 from multipos.commands.answers import deliver, print_out, settle
 from multipos.commands.options import warn
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.characters import one_line
 
 COMMANDS = {
@@ -61,6 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _fill_closed_streams()
     with _signals_raise() as received, warnings.catch_warnings():
         warnings.showwarning = _show_warning
+        warnings.simplefilter("ignore", CalibrationWarning)  # commands say them with the answer
         status = _guarded(list(sys.argv[1:] if argv is None else argv))
     if received:
         os.kill(os.getpid(), received[0])

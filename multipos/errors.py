@@ -7,7 +7,12 @@ the fit is at fault (exit status 1), `UsageError` when the command line or an op
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+import warnings
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+_PACKAGE = str(Path(__file__).parent)
 
 
 class MultiposError(ValueError):
@@ -40,3 +45,16 @@ class ConvergenceError(MultiposError):
 
 class UsageError(ValueError):
     """The command line or an option is at fault."""
+
+
+class CalibrationWarning(UserWarning):
+    """What a fit warns of; its doubts come first."""
+
+
+def warn_of(texts: Iterable[str]) -> None:
+    """Raise each text as a `CalibrationWarning` of the line that called this package."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+        level, frame = level + 1, frame.f_back
+    for text in texts:
+        warnings.warn(text, CalibrationWarning, stacklevel=level)

@@ -111,6 +111,13 @@ def checked():
 
 
 @cache
+def doubted():
+    up = np.tile(mp.read_scheme("faces-6").up, (2, 1))
+    readings = mp.Readings(up * [1.0, 0.0, 1.0] + 1e-3, up=up, unit="g")
+    return mp.fit(readings).diagnostics.doubts[0]
+
+
+@cache
 def rested():
     rng = np.random.default_rng(1)
     t = np.arange(2000) / 10.0
@@ -150,6 +157,7 @@ RESULTS = {
     "Check": checked,
     "Comparison": lambda: mp.compare(calibrated(1), calibrated(2)),
     "Demonstration": mp.demo,
+    "Doubt": doubted,
     "Evaluation": lambda: evaluate_budget(calibrated(), read_budget(BUDGET)),
     "Exported": lambda: mp.export(sensor(), to="c"),
     "Influence": lambda: find_influence(calibrated()),
@@ -242,8 +250,8 @@ def test_a_pickle_and_a_copy_equal_the_result_and_are_frozen(name):
 def test_a_result_with_another_number_is_another(name):
     result = RESULTS[name]()
     others = list(nudges(result))
-    if name == "Exported":  # the one without a number
-        others = [replace(result, text=result.text.replace("0", "1", 1))]
+    if name in ("Doubt", "Exported"):  # those without a number
+        others = [replace(result, text=result.text.replace("1", "7", 1))]
     assert others
     for other in others:
         assert other != result

@@ -1,7 +1,7 @@
 """The front door: from readings and a scheme to a complete calibration.
 
 `fit` reads what it is given, resolves where the positions were, builds the model, picks the
-estimator, and completes the `Calibration`.
+estimator, completes the `Calibration`, and looks whether it looks right before giving it away.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multipos.errors import MultiposError, UsageError
+from multipos.doubts.examination import examine
+from multipos.errors import MultiposError, UsageError, warn_of
 from multipos.estimation.completion import complete
 from multipos.estimation.known import solve_known
 from multipos.estimation.losses import Loss
@@ -133,6 +134,11 @@ def fit(
     UsageError
         An option is at fault.
 
+    Warns
+    -----
+    CalibrationWarning
+        Once for each of `diagnostics.warnings`, of which doubts about the result are the first.
+
     References
     ----------
     JCGM 100:2008, clauses 5.1, 6.2 and annex G; Song and Qin 2009 for the six positions.
@@ -169,7 +175,11 @@ def fit(
         level_sd=options.level_sd,
     )
     calibration = _calibrate(built, data, placement, options, local)
-    return calibration if stated is None else state_budget(calibration, stated)
+    if stated is not None:
+        calibration = state_budget(calibration, stated)
+    calibration = examine(calibration)
+    warn_of(calibration.diagnostics.warnings)
+    return calibration
 
 
 def _calibrate(

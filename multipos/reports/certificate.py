@@ -6,6 +6,7 @@ is silent a field stays open, marked as such. `documents` writes the content as 
 plain text.
 """
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -34,6 +35,7 @@ from multipos.reports.page import PageTable, Section
 from multipos.reports.temperature_evidence import temperature_sections
 from multipos.reports.translations import Language, Translator
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.doubt import NOT_FIT, implausible
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.turntable import has_rolls
@@ -78,7 +80,10 @@ class Content:
     Attributes
     ----------
     language, title, subtitle : str
+    verdict : str or None
+        That the calibration is not fit for use, where it is not.
     warnings : tuple of str
+        Doubts first.
     fields : tuple of (label, text or None)
         What only the laboratory knows; None where it has not said.
     sections : tuple of Section
@@ -89,6 +94,7 @@ class Content:
     language: str
     title: str
     subtitle: str
+    verdict: str | None
     warnings: tuple[str, ...]
     fields: tuple[tuple[str, str | None], ...]
     sections: tuple[Section, ...]
@@ -154,6 +160,7 @@ def build_content(
     said = read_lab(lab)
     c = calibration
     budget = evaluate_budget(c)
+    forces = math.isfinite(c.rms)  # else an output does not respond, as a doubt says
     fields = tuple(
         (tr(label), said.get(f"{section}.{key}"))
         for section, keys in LAB_FIELDS.items()
@@ -167,6 +174,7 @@ def build_content(
             outputs=", ".join(c.outputs),
             model=c.model.text,
         ),
+        verdict=tr(NOT_FIT) if implausible(c.diagnostics.doubts) else None,
         warnings=tuple(
             tr.message(text) for text in (*c.diagnostics.warnings, *c.diagnostics.outliers)
         ),
@@ -175,9 +183,9 @@ def build_content(
             parameters_section(c, tr),
             sensor_section(c, budget, tr),
             budget_section(c, budget, tr),
-            sphere_section(c, tr),
+            *((sphere_section(c, tr),) if forces else ()),
             residuals_section(c, tr),
-            errors_section(c, tr),
+            *((errors_section(c, tr),) if forces else ()),
             *(() if check is None else (check_section(c, check, tr),)),
             *temperature_sections(c, tr),
             positions_section(c, tr),

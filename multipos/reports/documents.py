@@ -54,6 +54,7 @@ def html_report(content: Content) -> str:
 def markdown_report(content: Content) -> str:
     """Return a report as Markdown."""
     parts = [f"# {content.title}", markdown_line(content.subtitle)]
+    parts += [f"**{content.verdict}**"] if content.verdict else []
     for title, entries in _front(content):
         parts.append(f"## {title}\n\n{_bullets(entries, markdown_line, _MARKDOWN_BREAK)}")
     for section in content.sections:
@@ -68,6 +69,7 @@ def markdown_report(content: Content) -> str:
 def plain_report(content: Content) -> str:
     """Return a report as plain text."""
     parts = [_underlined(content.title, "="), visible(content.subtitle)]
+    parts += [content.verdict] if content.verdict else []
     for title, entries in _front(content):
         parts.append(f"{_underlined(title, '-')}\n{_bullets(entries, visible, _BREAK)}")
     for section in content.sections:

@@ -1,16 +1,18 @@
 """The summary that a fit prints; the whole report is `multipos.reports.documents`.
 
-What was done, warnings first, the parameters as value(u) with U, k and degrees of freedom, of one-
-and two-axis sensors how they are installed and what their rolls say of the turntable, the residuals
-of every position, and how the result was checked.
+Doubts first, then what was done, warnings, the parameters as value(u) with U, k and degrees of
+freedom, of one- and two-axis sensors how they are installed and what their rolls say of the
+turntable, the residuals of every position, and how the result was checked.
 """
 
 import math
+from collections.abc import Iterable
 
 from multipos.files.numbers import largest_rows, number, table
 from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sheets import installation_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration, parameter_rows
+from multipos.sensor.doubt import NOT_FIT, besides, implausible
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.turntable import has_rolls, table_errors
 
@@ -24,10 +26,15 @@ def text_report(calibration: Calibration) -> str:
 
 
 def _sections(calibration: Calibration) -> list[tuple[str, str]]:
-    sections = [("Calibration", _summary(calibration))]
-    said = [*calibration.diagnostics.warnings, *calibration.diagnostics.outliers]
+    found = calibration.diagnostics
+    sections = []
+    if found.doubts:
+        title = NOT_FIT if implausible(found.doubts) else "Doubts"
+        sections.append((title, _bullets(doubt.text for doubt in found.doubts)))
+    sections.append(("Calibration", _summary(calibration)))
+    said = besides((*found.warnings, *found.outliers), found.doubts)
     if said:
-        sections.append(("Warnings", "\n".join(f"- {line}" for line in said)))
+        sections.append(("Warnings", _bullets(said)))
     header, rows = parameter_rows(calibration)
     sections.append(("Parameters", table(header, rows)))
     if len(sensed_axes(calibration.model)) < len(COMPONENTS):
@@ -38,6 +45,10 @@ def _sections(calibration: Calibration) -> list[tuple[str, str]]:
     sections.append(("Residuals", _residuals(calibration)))
     sections.append(("Checks", _checks(calibration)))
     return sections
+
+
+def _bullets(lines: Iterable[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines)
 
 
 def _summary(calibration: Calibration) -> str:
@@ -83,7 +94,8 @@ def _residuals(calibration: Calibration) -> str:
 
 def _checks(calibration: Calibration) -> str:
     c = calibration
-    lines = [f"rms of what is left after compensation: {c.rms:.3e} g"]
+    left = f"{c.rms:.3e} g" if math.isfinite(c.rms) else "none, as the parameters give no force"
+    lines = [f"rms of what is left after compensation: {left}"]
     for output, found in c.linearity.items():
         lines.append(
             f"linearity of {output}: {number(found['without_model_percent'])} % without, "

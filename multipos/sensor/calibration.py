@@ -8,6 +8,7 @@ An expanded uncertainty is ``U = k u`` with k from Student's t at the parameter'
 degrees of freedom (JCGM 100, 6.2 and annex G), at the coverage probability `confidence`.
 """
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -230,16 +231,20 @@ class Calibration(Result):
     def rms(self) -> float:
         """Root mean square of what is left after compensation [g].
 
-        Of ``|f| − |reference|`` for unknown orientation, of the vector f − reference otherwise.
+        Of ``|f| − |reference|`` for unknown orientation, of the vector f − reference otherwise;
+        NaN where the parameters give no force.
         """
-        # What no output senses is known here, so that it does not pass for an error.
-        force = inverse.invert(
-            self.model,
-            self.parameters,
-            self.readings.values,
-            self.readings.environment,
-            unseen=self.reference,
-        )
+        try:
+            # What no output senses is known here, so that it does not pass for an error.
+            force = inverse.invert(
+                self.model,
+                self.parameters,
+                self.readings.values,
+                self.readings.environment,
+                unseen=self.reference,
+            )
+        except MultiposError:  # an output does not respond
+            return math.nan
         if self.estimator is Estimator.UNKNOWN:
             size = np.linalg.norm(self.reference, axis=1)
             return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))

@@ -45,6 +45,7 @@ from multipos.positions.readings import Readings
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, Status
 from multipos.sensor.diagnostics import Diagnostics
+from multipos.sensor.doubt import DOUBTS, Doubt
 from multipos.sensor.expressions import expression_dict, load_expression
 from multipos.sensor.found import (
     Chosen,
@@ -68,6 +69,7 @@ _DIAGNOSTICS = (
     "outliers",
     "unidentifiable",
     "warnings",
+    "doubts",
     "leverage",
 )
 # Null is infinite, 0 none; less than a millionth of one is neither.
@@ -134,7 +136,8 @@ CALIBRATION = Fields(
                 "outliers": TEXTS,
                 "unidentifiable": TEXTS,
                 "warnings": TEXTS,
-            }
+            },
+            {"doubts": DOUBTS},
         ),
         "cross_check": Maybe(Fields({"closed_form_max_difference": ANY_NUMBER})),
     },
@@ -396,7 +399,13 @@ def _diagnostics(found: Mapping[str, Any]) -> Diagnostics:
         outliers=tuple(found["outliers"]),
         unidentifiable=tuple(found["unidentifiable"]),
         warnings=tuple(found["warnings"]),
+        doubts=tuple(map(_doubt, found.get("doubts", ()))),
     )
+
+
+def _doubt(said: Mapping[str, Any]) -> Doubt:
+    rows, outputs = tuple(said["rows"]), tuple(said["outputs"])
+    return Doubt(said["code"], said["severity"], said["text"], rows, outputs)
 
 
 def _found(content: Mapping[str, Any]) -> dict[str, Any]:

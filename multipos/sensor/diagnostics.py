@@ -26,6 +26,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_tail, f_tail, t_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result
+from multipos.sensor.doubt import Doubt
 from multipos.sensor.model import Model
 
 UNEQUAL = 0.05  # level at which outputs are called unequally noisy
@@ -45,6 +46,9 @@ class Diagnostics(Result):
     lack_of_fit : mapping of output to {F, dof, p}
         Against the spread of repeated positions; empty where none repeats.
     outliers, unidentifiable, warnings : tuples of str
+        The texts of the doubts are the first warnings.
+    doubts : tuple of Doubt
+        What does not look right, the worst first.
     """
 
     rank: int
@@ -55,6 +59,7 @@ class Diagnostics(Result):
     outliers: tuple[str, ...] = ()
     unidentifiable: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
 
 def find_outliers(
