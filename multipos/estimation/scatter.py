@@ -329,23 +329,55 @@ def _evaluate(parts: Sequence[Part], nodes: Array, size: float) -> Found:
     information = np.zeros(len(nodes))  # of τ², twice
     moves, variances = [], []
     for part in parts:
-        p, m = part.parameters, part.residuals.shape[1]
-        sums = _sums(part, nodes)
-        scale = 1.0 / np.sqrt(np.einsum("gpp->gp", sums.square))
-        scaled = sums.square * scale[:, :, None] * scale[:, None, :] + _RIDGE * np.eye(p)
-        inverse = np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :]
-        step = inverse @ sums.right  # (G, p, m)
-        log += 0.5 * (
-            m * (sums.log_weight - np.linalg.slogdet(scaled)[1] + 2.0 * np.log(scale).sum(axis=1))
-            - sums.misfit
-            + np.einsum("gpm,gpm->g", sums.right, step)
-        )
-        information += m * sums.weight2
-        moves.append((part.inverse @ step).transpose(0, 2, 1).reshape(len(nodes), -1))
-        own = np.einsum("ip,gpq,iq->gi", part.inverse, inverse, part.inverse)
-        variances.append(np.tile(own, (1, m)))
+        own = _equal(part, nodes) if not np.ptp(part.floor) else _unequal(part, nodes)
+        log += own.log
+        information += own.information
+        moves.append(own.moves)
+        variances.append(own.variances)
     log += 0.5 * np.log(information)
     return Found(log, np.concatenate(moves, axis=1), np.concatenate(variances, axis=1))
+
+
+class _Share(NamedTuple):
+    """What a part has of eq. (2) (G,), of Σ V⁻² (G,), and its own moves and variances (G, p m)."""
+
+    log: Array
+    information: Array
+    moves: Array
+    variances: Array
+
+
+def _equal(part: Part, nodes: Array) -> _Share:
+    """Return a part whose floors are alike: Q'V⁻¹Q is 1/V, and nothing moves with V."""
+    (n, p), m = part.basis.shape, part.residuals.shape[1]
+    right = part.basis.T @ part.residuals
+    square = float(np.vdot(part.residuals, part.residuals) - np.vdot(right, right))
+    variance = part.floor[0] + nodes
+    lengths = np.tile(np.einsum("ip,ip->i", part.inverse, part.inverse), m)
+    return _Share(
+        log=-0.5 * (m * (n - p) * np.log(variance) + square / variance),
+        information=m * n / variance**2,
+        moves=np.tile((part.inverse @ right).T.ravel(), (len(nodes), 1)),
+        variances=variance[:, None] * lengths,
+    )
+
+
+def _unequal(part: Part, nodes: Array) -> _Share:
+    p, m = part.parameters, part.residuals.shape[1]
+    sums = _sums(part, nodes)
+    scale = 1.0 / np.sqrt(np.einsum("gpp->gp", sums.square))
+    scaled = sums.square * scale[:, :, None] * scale[:, None, :] + _RIDGE * np.eye(p)
+    inverse = np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :]
+    step = inverse @ sums.right  # (G, p, m)
+    determinants = np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum(axis=1)
+    gained = np.einsum("gpm,gpm->g", sums.right, step)
+    own = np.einsum("ip,gpq,iq->gi", part.inverse, inverse, part.inverse)
+    return _Share(
+        log=0.5 * (m * (sums.log_weight - determinants) - sums.misfit + gained),
+        information=m * sums.weight2,
+        moves=(part.inverse @ step).transpose(0, 2, 1).reshape(len(nodes), -1),
+        variances=np.tile(own, (1, m)),
+    )
 
 
 class _Sums(NamedTuple):
