@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import file_progress, names
+from multipos.commands.options import file_progress, names, numbers
 from multipos.compensation.applying import apply_log
 from multipos.compensation.correction import correct
 from multipos.errors import UsageError
@@ -27,7 +27,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("data", metavar="DATA.csv", help="raw readings; every column is kept")
     add("--columns", type=names, metavar="a,b,c,…", help="names of all columns, where it has none")
     add("--tilt", action="store_true", help="add tilt_x_deg, …, the angle above the horizon")
-    add("--uncertainty", action="store_true", help="add the standard uncertainty u_f_x, …")
+    add("--uncertainty", action="store_true", help="add the uncertainties u_f_x, U_f_x, …")
+    add(
+        "--reading-sd",
+        type=numbers,
+        metavar="SD[,SD,SD]",
+        help="noise of one reading for them, where no u_<output> column of the data tells it",
+    )
+    add("--parameters-only", action="store_true", help="leave the noise of the reading out of them")
     add("--correct", metavar="COLUMN", help="what a regression corrects (default its response)")
     add(
         "--outside",
@@ -47,6 +54,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     options = {
         "tilt": arguments.tilt,
         "uncertainty": arguments.uncertainty,
+        "reading_sd": arguments.reading_sd,
+        "parameters_only": arguments.parameters_only,
         "outside": arguments.outside,
     }
     log = open_log(arguments.data, columns=arguments.columns)
@@ -65,7 +74,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         arguments,
         table,
         columns,
-        lambda: (*log.left_out, *_outside(applied.beyond, applied.rows)),
+        lambda: (*log.left_out, *applied.warnings, *_outside(applied.beyond, applied.rows)),
+        applied.noise,
     )
 
 
@@ -79,13 +89,16 @@ def _correct(arguments: argparse.Namespace) -> Answer:
         table,
         column=arguments.correct,
         uncertainty=arguments.uncertainty,
+        reading_sd=arguments.reading_sd,
+        parameters_only=arguments.parameters_only,
         outside=arguments.outside,
     )
     return _answer(
         arguments,
         lambda: format_csv(columns, table.delimiter),
         lambda: columns,
-        lambda: _beyond(columns),
+        lambda: (*columns.warnings, *_beyond(columns)),
+        columns.noise,
     )
 
 
@@ -94,10 +107,12 @@ def _answer(
     table: Callable[[], Content],
     columns: Callable[[], Mapping[str, Column]],
     warnings: Callable[[], Sequence[str]],
+    noise: str | None,
 ) -> Answer:
+    said = {} if noise is None else {"noise": noise}
     return Answer(
         text=table if arguments.output is None else str,
-        json=lambda: json_table(columns(), len(columns()["outside"])),
+        json=lambda: json_table(columns(), len(columns()["outside"]), said),
         forms={"table": table, "text": table},
         warnings=warnings,
         verbatim=True,

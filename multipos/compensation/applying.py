@@ -1,11 +1,10 @@
 """Apply a calibration to a table of raw readings: every column kept, force added.
 
 Beside the columns that came in stand ``f_x``, ``f_y``, ``f_z`` [g] for the axes that the sensor
-has, in the calibration's convention, on request their standard uncertainties ``u_f_x`` … from the
-covariance of the parameters and, beyond ±1 g, the third-order term that the budget allows, and
-``outside``: 1 where a reading lies beyond what was calibrated, that is where |f| exceeds the
-largest reference or a column of the model leaves the range of the calibration's readings, 0
-elsewhere.
+has, in the calibration's convention, on request their uncertainties ``u_f_x``, ``U_f_x`` …, the
+noise of one reading included (`multipos.compensation.reading_noise`), and ``outside``: 1 where a
+reading lies beyond what was calibrated, that is where |f| exceeds the largest reference or a column
+of the model leaves the range of the calibration's readings, 0 elsewhere.
 
 With tilt the sensor is taken to be at rest (`multipos.sensor.tilt`): ``tilt_x_deg`` … are the
 angles of its axes above the horizon, and one axis that it does not have follows from |f| = g with
@@ -22,8 +21,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncertainty
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Column, Source, Table, format_csv, read_table
 from multipos.logs.opening import read_log
@@ -35,7 +35,6 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.parity import FAULT_LEVEL, parity
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest
-from multipos.uncertainty.validity import force_covariance
 
 Outside = Literal["flag", "clamp", "refuse"]
 OUTSIDE: tuple[Outside, ...] = get_args(Outside)
@@ -44,15 +43,43 @@ _MARGIN = 0.01
 _MARGIN_RMS = 4.0
 
 
-class Applied(Columns):
+class AppliedColumns(Columns):
+    """A table with what was made of it beside its columns.
+
+    `noise` says which noise of one reading the uncertainties hold, None where there are none, and
+    `warnings` what there is to say of them.
+    """
+
+    noise: str | None
+    warnings: tuple[str, ...]
+
+    def __init__(
+        self,
+        content: Mapping[str, Any],
+        noise: str | None = None,
+        warnings: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__(content)
+        object.__setattr__(self, "noise", noise)
+        object.__setattr__(self, "warnings", warnings)
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        return type(self), (dict(self), self.noise, self.warnings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return ``{"rows": n, "columns": {name: […]}}`` as what JSON can carry.
+
+        With uncertainties ``"noise"`` stands between them.
+        """
+        said = {} if self.noise is None else {"noise": self.noise}
+        return {"rows": len(self["outside"]), **said, **super().to_dict()}
+
+
+class Applied(AppliedColumns):
     """A table with the compensated force beside its columns.
 
     Force is in g, NaN where no force explains the reading.
     """
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return ``{"rows": n, "columns": {name: […]}}`` as what JSON can carry."""
-        return {"rows": len(self["outside"]), **super().to_dict()}
 
 
 def apply(
@@ -61,6 +88,8 @@ def apply(
     *,
     tilt: bool = False,
     uncertainty: bool = False,
+    reading_sd: ArrayLike | None = None,
+    parameters_only: bool = False,
     outside: Outside = "flag",
 ) -> Applied:
     """Return the columns of a table with the compensated force beside them.
@@ -73,7 +102,13 @@ def apply(
     tilt : bool
         Add ``tilt_x_deg`` …, the angle of each axis above the horizon, for a sensor at rest.
     uncertainty : bool
-        Add ``u_f_x`` … [g], and with tilt ``u_tilt_x_deg`` …, the noise of a reading included.
+        Add ``u_f_x`` …, ``U_f_x`` … [g], and with tilt ``u_tilt_x_deg``, ``U_tilt_x_deg`` …: of
+        parameters, budget and the noise of one reading together. That noise is ``u_<output>`` of
+        the table, else `reading_sd`, else that of an averaged reading of the calibration.
+    reading_sd : float or (M,) array, optional
+        Standard uncertainty of a reading of the table.
+    parameters_only : bool
+        Leave the noise of the reading out.
     outside : str
         'flag' rows beyond what was calibrated, 'clamp' the model's other columns (such as
         temperature) to the calibrated range as well, or 'refuse' the table.
@@ -96,13 +131,19 @@ def apply(
         )
     check_outside(outside)
     table = read_table(data, what="data")
-    _check_columns(calibration, table.source, table.columns, tilt, uncertainty)
-    added = add_columns(calibration, table, tilt=tilt, uncertainty=uncertainty, outside=outside)
+    wanted = asked_uncertainty(
+        calibration, table.source, table.columns, uncertainty, reading_sd, parameters_only
+    )
+    _check_columns(calibration, table.source, table.columns, tilt, wanted)
+    added = add_columns(calibration, table, tilt=tilt, uncertainty=wanted, outside=outside)
     if outside == "refuse" and added["outside"].any():
         where = table.where(int(np.argmax(added["outside"])), calibration.outputs[0])
         raise _refusal(where, int(added["outside"].sum()), table.rows)
     kept = {name: copy(column) for name, column in table.columns.items()}  # the caller's own stay
-    return Applied({**kept, **added})
+    if wanted is None:
+        return Applied({**kept, **added})
+    cautions = (*wanted.said, *wanted.cautions(table, table.columns))
+    return Applied({**kept, **added}, wanted.noise.text, cautions)
 
 
 @dataclass
@@ -113,22 +154,37 @@ class AppliedLog:
     ----------
     calibration : Calibration
     log : Log
-    tilt, uncertainty, outside
+    tilt, outside
         As for `apply`.
+    uncertainty : ReadingUncertainty or None
+        Of the force, where it is asked for.
     progress : callable or None
         Is told how much of the log has been read, 0 to 1.
     rows, beyond : int
         Rows done so far, and those of them beyond what was calibrated.
+    cautions : tuple of str
+        What is doubtful in the uncertainties, as the first piece shows it.
     """
 
     calibration: Calibration
     log: Log
     tilt: bool = False
-    uncertainty: bool = False
+    uncertainty: ReadingUncertainty | None = None
     outside: Outside = "flag"
     progress: Callable[[float], object] | None = None
     rows: int = 0
     beyond: int = 0
+    cautions: tuple[str, ...] = ()
+
+    @property
+    def noise(self) -> str | None:
+        """Which noise of one reading the uncertainties hold; None where there are none."""
+        return None if self.uncertainty is None else self.uncertainty.noise.text
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What there is to say of the uncertainties, of the rows done so far."""
+        return () if self.uncertainty is None else (*self.uncertainty.said, *self.cautions)
 
     def __iter__(self) -> Iterator[str]:
         """Yield header and rows; under 'refuse' the error comes when all rows have been seen."""
@@ -158,6 +214,8 @@ class AppliedLog:
         self.rows = self.beyond = 0
         first = None
         for piece in self.log.read(self._needed, carried):
+            if self.uncertainty is not None and self.rows == 0:
+                self.cautions = self.uncertainty.cautions(piece.table, self.log.columns)
             added = add_columns(
                 self.calibration,
                 piece.table,
@@ -178,7 +236,8 @@ class AppliedLog:
 
     @property
     def _needed(self) -> tuple[str, ...]:
-        return (*self.calibration.outputs, *self.calibration.model.environment)
+        beside = () if self.uncertainty is None else self.uncertainty.noise.columns
+        return (*self.calibration.outputs, *self.calibration.model.environment, *beside)
 
     @property
     def _delimiter(self) -> str:
@@ -202,6 +261,8 @@ def apply_log(
     *,
     tilt: bool = False,
     uncertainty: bool = False,
+    reading_sd: ArrayLike | None = None,
+    parameters_only: bool = False,
     outside: Outside = "flag",
     progress: Callable[[float], object] | None = None,
 ) -> AppliedLog:
@@ -213,12 +274,20 @@ def apply_log(
         A column is missing. Bad cells and refused rows are found when the pieces are read.
     """
     check_outside(outside)
-    _check_columns(calibration, log.source, log.columns, tilt, uncertainty)
-    return AppliedLog(calibration, log, tilt, uncertainty, outside, progress)
+    wanted = asked_uncertainty(
+        calibration, log.source, log.columns, uncertainty, reading_sd, parameters_only
+    )
+    _check_columns(calibration, log.source, log.columns, tilt, wanted)
+    return AppliedLog(calibration, log, tilt, wanted, outside, progress)
 
 
 def add_columns(
-    calibration: Calibration, table: Table, *, tilt: bool, uncertainty: bool, outside: Outside
+    calibration: Calibration,
+    table: Table,
+    *,
+    tilt: bool,
+    uncertainty: ReadingUncertainty | None,
+    outside: Outside,
 ) -> dict[str, Array]:
     """Return the columns that a table gets, each row from itself alone, in order."""
     raw = np.column_stack([table.number(name, largest=LARGEST) for name in calibration.outputs])
@@ -231,21 +300,24 @@ def add_columns(
     if outside == "clamp":
         environment = clamped
     axes = list(sensed_axes(calibration.model))
+    noise = None if uncertainty is None else uncertainty.noise.of(table)
     tilts: dict[str, Array] = {}
     if tilt:
         rest = at_rest(calibration, raw, environment)
         force, found = rest[:, axes], tilt_at_rest(calibration, rest, environment)
         beyond |= np.isnan(found.tilt).any(axis=1)
         tilts = _by_axis("tilt_{}_deg", axes, np.degrees(found.tilt))
-        if uncertainty:
-            tilts |= _by_axis("u_tilt_{}_deg", axes, np.degrees(found.u))
+        if noise is not None:  # what is a tilt at all does not depend on what is asked for
+            sized = tilt_at_rest(calibration, rest, environment, noise)
+            tilts |= _by_axis("u_tilt_{}_deg", axes, np.degrees(sized.u))
+            tilts |= _by_axis("U_tilt_{}_deg", axes, np.degrees(sized.U))
     else:
         force = calibration.compensate(raw, environment)
     beyond |= _force_outside(calibration, force)
     added = _by_axis("f_{}", axes, force)
-    if uncertainty:
-        covariance = force_covariance(calibration, force, environment)
-        added |= _by_axis("u_f_{}", axes, np.sqrt(np.einsum("nkk->nk", covariance)))
+    if uncertainty is not None and noise is not None:
+        u, U = uncertainty.of_force(force, environment, noise)
+        added |= _by_axis("u_f_{}", axes, u) | _by_axis("U_f_{}", axes, U)
     added |= tilts
     if len(calibration.outputs) > len(axes):
         odd = parity(calibration, raw, force, environment, reading_noise(calibration))
@@ -270,7 +342,7 @@ def _check_columns(
     source: str,
     columns: Mapping[str, Column] | tuple[str, ...],
     tilt: bool,
-    uncertainty: bool,
+    uncertainty: ReadingUncertainty | None,
 ) -> None:
     for name in (*calibration.outputs, *calibration.model.environment):
         if name not in columns:
@@ -281,6 +353,7 @@ def _check_columns(
     # What one reading gets, every reading gets.
     one = {name: calibration.readings.values[:1, i] for i, name in enumerate(calibration.outputs)}
     one |= {n: calibration.readings.environment[n][:1] for n in calibration.model.environment}
+    one |= {} if uncertainty is None else dict.fromkeys(uncertainty.noise.columns, np.ones(1))
     added = add_columns(
         calibration, Table(source, one, rows=1), tilt=tilt, uncertainty=uncertainty, outside="flag"
     )

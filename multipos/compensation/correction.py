@@ -2,10 +2,13 @@
 
 The response of a regression is usually an error, and what wants correcting another column:
 
-    corrected = column − predicted,        u² = x' C x + rms²,                              (1)
+    corrected = column − predicted,        u² = x' C x + s²,        U = k u,                 (1)
 
 with x the terms of a row, C the covariance of the segment's coefficients (the robust one where rows
-were correlated) and rms what the model left in that segment.
+were correlated) and s the noise of one row: `u_<column>` of the table, else what `reading_sd`
+states, else the rms that the model left in that segment, which is of the same residuals as C, so
+that k is Student's t at their degrees of freedom. Beside a stated noise these grow by Welch and
+Satterthwaite, (u/u_C)⁴ times.
 
 A row is outside where a variable that its segment's model uses, or the segment variable itself,
 leaves what the rows of the fit covered. A polynomial says nothing there: the row is flagged, its
@@ -14,27 +17,25 @@ variables are clamped to the range, or the table is refused.
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.compensation.applying import Outside, check_outside
+from multipos.compensation.applying import AppliedColumns, Outside, check_outside
+from multipos.compensation.reading_noise import check_noise_options
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import largest_value
+from multipos.positions.reading_tables import nonnegative_column
+from multipos.positions.readings import spread_reading_sd
 from multipos.regression.rates import smoothed_rate
 from multipos.regression.result import Regression
-from multipos.results import Columns
+from multipos.sensor.tilt import coverage_factors
 
 
-class Corrected(Columns):
+class Corrected(AppliedColumns):
     """A table with `predicted`, `corrected` and `outside` beside its columns."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return ``{"rows": n, "columns": {name: […]}}`` as what JSON can carry."""
-        return {"rows": len(self["outside"]), **super().to_dict()}
 
 
 def correct(
@@ -44,6 +45,8 @@ def correct(
     column: str | None = None,
     outside: Outside = "flag",
     uncertainty: bool = False,
+    reading_sd: float | Sequence[float] | None = None,
+    parameters_only: bool = False,
 ) -> Corrected:
     """Return the columns of a table with `predicted` and `corrected` beside them.
 
@@ -53,11 +56,15 @@ def correct(
     data : path, mapping of columns, or data frame
         Must have the columns the model uses; rates are formed as they were for the fit.
     column : str, optional
-        What is corrected; the response by default.
+        What is corrected; the response by default, and where that is not there nothing.
     outside : str
         'flag' rows beyond what was fitted, 'clamp' their variables as well, or 'refuse' the table.
     uncertainty : bool
-        Add `u_corrected`, eq. (1).
+        Add `u_predicted`, `U_predicted`, `u_corrected`, `U_corrected`, eq. (1).
+    reading_sd : float, optional
+        Noise of one row of the column.
+    parameters_only : bool
+        Leave the noise of a row out.
 
     Returns
     -------
@@ -69,23 +76,29 @@ def correct(
         A column is missing or has a bad cell, or a row is outside under 'refuse'.
     """
     check_outside(outside)
+    check_noise_options(uncertainty, reading_sd, parameters_only)
     table = read_table(data, what="data")
-    target = regression.response if column is None else column
-    if target not in table:
-        raise MultiposError(
-            f"{table.source}: no column '{target}' to correct; name one with --correct, of "
-            f"{', '.join(table.columns)}."
-        )
-    raw = table.number(target, largest=LARGEST)
+    target = _target(regression, table, column)
     columns = read_predictors(regression, table)
     place = place_rows(regression, columns, table.rows)
     beyond, clamped = _outside(regression, columns, place)
     if outside == "refuse":
-        _refuse_outside(table, target, beyond)
-    predicted, u = _predict(regression, clamped if outside == "clamp" else columns, place)
-    added: dict[str, Column] = {"predicted": predicted, "corrected": raw - predicted}
+        _refuse_outside(table, target or next(iter(columns), ""), beyond)
+    used = clamped if outside == "clamp" else columns
+    predicted = _predict(regression, used, place)
+    values: dict[str, Array] = {"predicted": predicted}
+    if target is not None:
+        values["corrected"] = table.number(target, largest=LARGEST) - predicted
+    added: dict[str, Column] = dict(values)
+    noise: str | None = None
+    told: tuple[str, ...] = ()
     if uncertainty:
-        added["u_corrected"] = u
+        noise, sd = _noise(regression, table, target, reading_sd, parameters_only)
+        u, U = _uncertainty(regression, used, place, sd)
+        added |= {f"{size}_{name}": each for name in values for size, each in (("u", u), ("U", U))}
+        told = (f"u_… and U_… hold the noise of one row: {noise}",)
+    if target is None:
+        told = (f"no column '{regression.response}' to correct: predicted only", *told)
     added["outside"] = beyond.astype(np.int64)
     twice = [name for name in added if name in table]
     if twice:
@@ -93,7 +106,38 @@ def correct(
             f"{table.source}: column '{twice[0]}' is there already; rename it, apply writes it."
         )
     kept = {name: copy(column) for name, column in table.columns.items()}  # the caller's own stay
-    return Corrected({**kept, **added})
+    return Corrected({**kept, **added}, noise, told)
+
+
+def _target(regression: Regression, table: Table, column: str | None) -> str | None:
+    """Return the column to correct; None where none is named and the response is not there."""
+    if column is None:
+        return regression.response if regression.response in table else None
+    if column not in table:
+        raise MultiposError(
+            f"{table.source}: no column '{column}' to correct; name one with --correct, of "
+            f"{', '.join(table.columns)}."
+        )
+    return column
+
+
+def _noise(
+    regression: Regression,
+    table: Table,
+    target: str | None,
+    reading_sd: float | Sequence[float] | None,
+    parameters_only: bool,
+) -> tuple[str, Array | None]:
+    """Return which noise a row has, in words, and its size (n,); None: what the model left."""
+    stated = None if reading_sd is None else spread_reading_sd(reading_sd, (table.rows, 1))[:, 0]
+    beside = f"u_{target or regression.response}"
+    if parameters_only:
+        return "none: parameters only", np.zeros(table.rows)
+    if beside in table:
+        return f"{beside} of the data", nonnegative_column(table, beside)
+    if stated is not None:
+        return "--reading-sd", stated
+    return "what the regression left of its own rows", None
 
 
 def place_rows(regression: Regression, columns: Mapping[str, Array], rows: int) -> NDArray[np.intp]:
@@ -112,16 +156,36 @@ def _refuse_outside(table: Table, target: str, beyond: NDArray[np.bool_]) -> Non
 
 def _predict(
     regression: Regression, columns: Mapping[str, Array], place: NDArray[np.intp]
+) -> Array:
+    """Return what the regression predicts of every row."""
+    predicted = np.empty(len(place))
+    for number, segment in enumerate(regression.segments):
+        rows = np.flatnonzero(place == number)
+        predicted[rows] = segment.design(columns, rows) @ segment.values
+    return predicted
+
+
+def _uncertainty(
+    regression: Regression,
+    columns: Mapping[str, Array],
+    place: NDArray[np.intp],
+    sd: Array | None,
 ) -> tuple[Array, Array]:
-    """Return what the regression predicts of every row, and its standard uncertainty by eq. (1)."""
-    predicted, u = np.empty(len(place)), np.empty(len(place))
+    """Return u and U (n,) of eq. (1); `sd` None: the noise that each segment left."""
+    u, dof = np.empty(len(place)), np.empty(len(place))
     for number, segment in enumerate(regression.segments):
         rows = np.flatnonzero(place == number)
         X = segment.design(columns, rows)
-        C = segment.covariance if segment.robust is None else segment.robust.covariance
-        predicted[rows] = X @ segment.values
-        u[rows] = np.sqrt(np.einsum("ij,jk,ik->i", X, C, X) + segment.rms**2)
-    return predicted, u
+        robust = segment.robust
+        C = segment.covariance if robust is None else robust.covariance
+        own = np.einsum("ij,jk,ik->i", X, C, X)
+        variance = own + (segment.rms**2 if sd is None else sd[rows] ** 2)
+        u[rows] = np.sqrt(variance)
+        dof[rows] = float(segment.dof[1]) if robust is None else robust.t_dof
+        if sd is not None:
+            with np.errstate(divide="ignore"):
+                dof[rows] *= np.where(own > 0.0, variance / own, np.inf) ** 2
+    return u, coverage_factors(regression.confidence, dof) * u
 
 
 def read_predictors(regression: Regression, table: Table) -> dict[str, Array]:

@@ -32,12 +32,16 @@ def _escaped(text: str) -> str:
     return _SURROGATE.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text)
 
 
-def json_table(columns: Mapping[str, Column], rows: int) -> Iterator[str]:
+def json_table(
+    columns: Mapping[str, Column], rows: int, said: Mapping[str, str] | None = None
+) -> Iterator[str]:
     """Yield one JSON object of columns in pieces, {"rows": …, "columns": {name: [..]}}.
 
-    Together they are what `to_json` would return, without all of it in memory.
+    Together they are what `to_json` would return, without all of it in memory. What is `said` of
+    the table stands between.
     """
-    yield f'{{\n "rows": {rows},\n "columns": {{'
+    head = to_json({"rows": rows, **(said or {})}).removesuffix("}\n").rstrip()
+    yield f'{head},\n "columns": {{'
     between = "\n  "
     for name, column in columns.items():
         yield f"{between}{_escaped(json.dumps(str(name), ensure_ascii=False))}: ["

@@ -65,7 +65,7 @@ def read_readings(
         rotation=None if oriented is None else oriented.rotation,
         u=_beside(table, "u", names, notes),
         sd=_beside(table, "sd", names, notes),
-        samples=_nonnegative(table, "n") if "n" in table else None,
+        samples=nonnegative_column(table, "n") if "n" in table else None,
         orientation_sd=spread,
         group=table.text("group") if "group" in table else None,
         environment=columns,
@@ -174,7 +174,7 @@ def _beside(table: Table, prefix: str, outputs: tuple[str, ...], notes: list[str
             f"{table.source}: column {quoted(missing)} is missing beside {quoted(present)}; "
             "give it for every output or for none."
         )
-    return np.column_stack([_nonnegative(table, name, zero=prefix != "u") for name in names])
+    return np.column_stack([nonnegative_column(table, name, zero=prefix != "u") for name in names])
 
 
 def _stands_beside(name: str, prefix: str, table: Table) -> bool:
@@ -182,7 +182,10 @@ def _stands_beside(name: str, prefix: str, table: Table) -> bool:
     return name.startswith(f"{prefix}_") and name.partition("_")[2] in table.columns
 
 
-def _nonnegative(table: Table, name: str, *, zero: bool = False, empty: bool = False) -> Array:
+def nonnegative_column(
+    table: Table, name: str, *, zero: bool = False, empty: bool = False
+) -> Array:
+    """Return a column of numbers above 0, or with `zero` of 0 or more; `empty` cells are NaN."""
     values = table.number(name, empty=empty)
     bad = values < 0.0 if zero else values <= 0.0
     if bad.any():
@@ -195,4 +198,4 @@ def _nonnegative(table: Table, name: str, *, zero: bool = False, empty: bool = F
 def _orientation_sd(table: Table) -> Array | None:
     if "orientation_sd_deg" not in table:
         return None
-    return np.radians(_nonnegative(table, "orientation_sd_deg", zero=True, empty=True))
+    return np.radians(nonnegative_column(table, "orientation_sd_deg", zero=True, empty=True))

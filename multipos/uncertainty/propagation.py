@@ -121,7 +121,7 @@ class Evaluation(Result):
             [np.einsum("qp,pr,qr->q", gradient, row.added, gradient) for row in self.rows]
         )
         contributions = np.sqrt(np.maximum(variance, 0.0))
-        dof = np.array([_row_dof(row, gradient) for row in self.rows])
+        dof = np.array([row_dof(row, gradient) for row in self.rows])
         u = np.sqrt(np.sum(contributions**2, axis=0))
         return u, welch_satterthwaite(contributions, dof), contributions
 
@@ -153,7 +153,7 @@ def welch_satterthwaite(contributions: ArrayLike, dof: ArrayLike) -> Array:
     return np.where(effective > LARGEST, np.inf, effective)
 
 
-def _row_dof(row: Row, gradient: Array) -> Array:
+def row_dof(row: Row, gradient: Array) -> Array:
     """Degrees of freedom of a row for derived quantities: the fewest of what it is made of."""
     used = (gradient != 0.0) & (np.diag(row.added) > 0.0)
     return np.asarray(np.min(np.where(used, row.dof, np.inf), axis=1))

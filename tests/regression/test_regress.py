@@ -437,7 +437,10 @@ def test_apply_adds_predicted_and_corrected(fitted, capsys, tmp_path):
         "raw",
         "predicted",
         "corrected",
+        "u_predicted",
+        "U_predicted",
         "u_corrected",
+        "U_corrected",
         "outside",
     ]
     assert_allclose(table.number("corrected"), table.number("raw") - table.number("predicted"))

@@ -1,0 +1,254 @@
+"""What the force of one reading is worth: parameters, budget and the reading's own noise together.
+
+With the covariance C of the parameters, what an unseen term adds (`multipos.uncertainty.validity`)
+and the noise s of one reading, at the force f,
+
+    cov f = (df/dp) C (df/dp)' + cov unseen + J⁺ diag(s²) J⁺'.                              (1)
+
+The degrees of freedom are Welch's and Satterthwaite's over the lines of the budget. A noise that
+the calibration's own readings told stands on the same residuals as C does, so that both are one
+line of it; a noise that is stated is known for certain. U = k u, k of Student's t.
+
+s is, in this order: `u_<output>` of the table, what `reading_sd` states, or that of an averaged
+reading of the calibration, a mean over its positions. The last is too small for rows that are
+single samples: where neighbouring rows follow each other closely, as samples do and positions do
+not, and yet differ by more than averaged readings would, that is said.
+
+References
+----------
+JCGM 100:2008, clauses 5.1, 5.2 and G.4.1.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from multipos.errors import MultiposError, UsageError
+from multipos.files.tables import Table
+from multipos.numerics.arrays import Array
+from multipos.positions.reading_tables import nonnegative_column
+from multipos.positions.readings import quoted, spread_reading_sd
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.inverse import sensed_axes, sensitivities
+from multipos.sensor.tilt import coverage_factors, reading_noise
+from multipos.uncertainty.propagation import (
+    Evaluation,
+    evaluate_budget,
+    row_dof,
+    welch_satterthwaite,
+)
+from multipos.uncertainty.validity import third_order_covariance
+
+_ENOUGH = 20  # rows that tell samples from positions
+_NEIGHBOURS = 0.05  # [g], by which samples that follow each other differ at most, mostly
+_ONE_SD = 0.6827  # of differences are smaller than one standard deviation
+_NOTHING = (
+    "nothing is left of the calibration to tell the noise of a reading, so u_… stay empty; "
+    "state it with --reading-sd, or leave it out with --parameters-only"
+)
+_TELLING = 2.0  # times the noise of an averaged reading is no chance
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Which noise one reading is taken to have.
+
+    Attributes
+    ----------
+    text : str
+        Where it comes from, in words.
+    columns : tuple of M str
+        Columns of the table that tell it row by row; none where `sd` does.
+    sd : (M,) array
+        Zero where it is left out; NaN where nothing tells it.
+    own : bool
+        Whether the calibration's own readings told it.
+    """
+
+    text: str
+    columns: tuple[str, ...]
+    sd: Array
+    own: bool = False
+
+    def of(self, table: Table) -> Array:
+        """Return the noise of every row of a table (n, M)."""
+        if self.columns:
+            return np.column_stack([nonnegative_column(table, name) for name in self.columns])
+        return np.broadcast_to(self.sd, (table.rows, len(self.sd)))
+
+
+def asked_uncertainty(
+    calibration: Calibration,
+    source: str,
+    columns: Iterable[str],
+    uncertainty: bool,
+    reading_sd: ArrayLike | None,
+    parameters_only: bool,
+) -> "ReadingUncertainty | None":
+    """Return what tells the uncertainty that is asked for, None where none is.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    source : str
+        Of the data, whose columns follow.
+    columns : names
+    uncertainty, reading_sd, parameters_only
+        As of `multipos.apply`.
+    """
+    check_noise_options(uncertainty, reading_sd, parameters_only)
+    if not uncertainty:
+        return None
+    noise = _choose_noise(
+        calibration, source, tuple(columns), reading_sd, parameters_only=parameters_only
+    )
+    return ReadingUncertainty(calibration, noise, evaluate_budget(calibration))
+
+
+def check_noise_options(
+    uncertainty: bool, reading_sd: ArrayLike | None, parameters_only: bool
+) -> None:
+    """Refuse what says nothing, or the opposite."""
+    given = [
+        name
+        for name, value in (
+            ("--reading-sd", reading_sd is not None),
+            ("--parameters-only", parameters_only),
+        )
+        if value
+    ]
+    if given and not uncertainty:
+        raise UsageError(f"{given[0]} goes with --uncertainty.")
+    if len(given) > 1:
+        raise UsageError("--parameters-only leaves out the noise that --reading-sd states.")
+
+
+def _choose_noise(
+    calibration: Calibration,
+    source: str,
+    columns: Sequence[str],
+    reading_sd: ArrayLike | None,
+    *,
+    parameters_only: bool,
+) -> Noise:
+    """Return the noise that a reading of a table has.
+
+    Raises
+    ------
+    MultiposError
+        `u_…` stands beside some outputs only.
+    UsageError
+        `reading_sd` is no standard deviation.
+    """
+    m = len(calibration.outputs)
+    if reading_sd is not None:
+        stated = spread_reading_sd(reading_sd, (1, m))[0]
+    if parameters_only:
+        return Noise("none: parameters and budget only", (), np.zeros(m))
+    names = [f"u_{output}" for output in calibration.outputs]
+    given = [name for name in names if name in columns]
+    missing = [name for name in names if name not in columns]
+    if given and missing:
+        raise MultiposError(
+            f"{source}: column {quoted(missing)} is missing beside {quoted(given)}; "
+            "give it for every output or for none."
+        )
+    if given:
+        return Noise(f"{', '.join(names)} of the data", tuple(names), np.zeros(m))
+    if reading_sd is not None:
+        return Noise("--reading-sd", (), stated)
+    return Noise(
+        "that of an averaged reading of the calibration", (), reading_noise(calibration), own=True
+    )
+
+
+@dataclass(frozen=True)
+class ReadingUncertainty:
+    """What eq. (1) needs beside the force: made once, asked for every piece of a log."""
+
+    calibration: Calibration
+    noise: Noise
+    budget: Evaluation
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """Which noise it is, in words."""
+        sd = self.noise.sd
+        if np.isnan(sd).any():
+            return (_NOTHING,)
+        size = ""
+        if sd.any():
+            pairs = zip(self.calibration.outputs, sd.tolist(), strict=True)
+            unit = self.calibration.model.unit
+            size = f" ({', '.join(f'{name} {each:.3g}' for name, each in pairs)} {unit})"
+        return (f"u_… and U_… hold the noise of one reading: {self.noise.text}{size}",)
+
+    def of_force(
+        self, force: Array, environment: Mapping[str, Array], sd: Array
+    ) -> tuple[Array, Array]:
+        """Return u and U (n, K) [g] of compensated force, eq. (1); NaN where no force is.
+
+        Parameters
+        ----------
+        force : (n, K) array [g]
+        environment : mapping of str to (n,) array
+        sd : (n, M) array
+            Noise of the readings, `Noise.of` their table.
+        """
+        c, n = self.calibration, len(force)
+        sound = np.asarray(np.isfinite(force).all(axis=1))
+        full = np.zeros((n, 3))
+        full[:, list(sensed_axes(c.model))] = np.where(sound[:, None], force, 0.0)
+        inverse, by_parameter = sensitivities(c.model, c.parameters, full, environment)
+        gradient = (inverse @ by_parameter).reshape(-1, len(c.parameters))
+        rows = self.budget.rows
+        variance: list[Array] = [
+            np.einsum("qp,pr,qr->q", gradient, row.added, gradient) for row in rows
+        ]
+        dof = [row_dof(row, gradient) for row in rows]
+        own: Array = (inverse**2 * sd[:, None, :] ** 2).reshape(-1, sd.shape[1])
+        scatter = [i for i, row in enumerate(rows) if row.evaluation == "A"]
+        apart = len(scatter) == own.shape[1]
+        if self.noise.own:
+            for i in scatter:
+                variance[i] = variance[i] + (own[:, i] if apart else own.sum(axis=1))
+        else:
+            variance.append(own.sum(axis=1))
+            dof.append(np.full(len(own), np.inf))
+        unseen = third_order_covariance(c, force, environment)
+        variance.append(np.einsum("nkk->nk", unseen).ravel())
+        dof.append(np.full(len(own), np.inf))
+        parts = np.sqrt(np.maximum(np.array(variance), 0.0))
+        u = np.sqrt(np.sum(parts**2, axis=0)).reshape(n, -1)
+        nu = welch_satterthwaite(parts, np.array(dof)).reshape(n, -1)
+        u[~sound] = np.nan
+        return u, coverage_factors(c.confidence, nu) * u
+
+    def cautions(self, table: Table, columns: Iterable[str]) -> tuple[str, ...]:
+        """Return a caution where rows look like single samples, and their noise is not told.
+
+        Parameters
+        ----------
+        table : Table
+            With the outputs.
+        columns : names
+            All that stand in the data; `n` among them says that rows are means.
+        """
+        if not self.noise.own or table.rows < _ENOUGH or "n" in columns:
+            return ()
+        c = self.calibration
+        raw = np.column_stack([table.number(name) for name in c.outputs])
+        step = np.quantile(np.abs(np.diff(raw, axis=0)), _ONE_SD, axis=0) / np.sqrt(2.0)
+        slope = (c.model.linear_map(c.mean_environment) @ c.parameters)[:, 1:]
+        close = step < _NEIGHBOURS * np.linalg.norm(slope, axis=1)
+        if not close.all() or not (step > _TELLING * self.noise.sd).any():
+            return ()
+        told = ",".join(f"{each:.2g}" for each in step.tolist())
+        caution = (
+            "the rows look like single samples, which scatter more than the averaged readings of "
+            "the calibration: u_… and U_… are too small for them; state the noise of a sample "
+            f"with --reading-sd (from row to row they scatter by {told})"
+        )
+        return (caution,)
