@@ -12,7 +12,7 @@ from multipos.reports.documents import html_report
 from multipos.sensor.derived import propagate
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.uncertainty.propagation import evaluate_budget
-from multipos.uncertainty.sensitivities import estimator_gain
+from multipos.estimation.gains import estimator_gain
 
 TRIALS = 100_000
 THERMOMETER = np.array(

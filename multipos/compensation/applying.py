@@ -3,8 +3,9 @@
 Beside the columns that came in stand ``f_x``, ``f_y``, ``f_z`` [g] for the axes that the sensor
 has, in the calibration's convention, on request their uncertainties ``u_f_x``, ``U_f_x`` …, the
 noise of one reading included (`multipos.compensation.reading_noise`), and ``outside``: 1 where a
-reading lies beyond what was calibrated, that is where |f| exceeds the largest reference or a column
-of the model leaves the range of the calibration's readings, 0 elsewhere.
+reading lies beyond what was calibrated, that is where |f| exceeds the largest reference, where f
+leaves the known forces that were applied, or where a column of the model leaves the range of the
+calibration's readings, 0 elsewhere.
 
 With tilt the sensor is taken to be at rest (`multipos.sensor.tilt`): ``tilt_x_deg`` … are the
 angles of its axes above the horizon, and one axis that it does not have follows from |f| = g with
@@ -35,12 +36,10 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.parity import FAULT_LEVEL, parity
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest
+from multipos.uncertainty.validity import applied
 
 Outside = Literal["flag", "clamp", "refuse"]
 OUTSIDE: tuple[Outside, ...] = get_args(Outside)
-# Noise and placement make |f| of a sensor at rest differ from 1 g; only more than this is outside.
-_MARGIN = 0.01
-_MARGIN_RMS = 4.0
 
 
 class AppliedColumns(Columns):
@@ -313,7 +312,7 @@ def add_columns(
             tilts |= _by_axis("U_tilt_{}_deg", axes, np.degrees(sized.U))
     else:
         force = calibration.compensate(raw, environment)
-    beyond |= _force_outside(calibration, force)
+    beyond |= ~applied(calibration).holds(force, axes)
     added = _by_axis("f_{}", axes, force)
     if uncertainty is not None and noise is not None:
         u, U = uncertainty.of_force(force, environment, noise)
@@ -369,14 +368,6 @@ def _refusal(where: str, beyond: int, rows: int) -> MultiposError:
         f"{where}: the reading is outside what was calibrated ({beyond} of {rows} rows are); "
         "use --outside flag to see them."
     )
-
-
-def _force_outside(calibration: Calibration, force: Array) -> NDArray[np.bool_]:
-    size = np.sqrt(np.einsum("ni,ni->n", force, force))
-    largest = float(np.linalg.norm(calibration.reference, axis=1).max())
-    limit = largest * (1.0 + _MARGIN) + _MARGIN_RMS * calibration.rms
-    result: NDArray[np.bool_] = ~(size <= limit)  # NaN is outside
-    return result
 
 
 def _environment_outside(

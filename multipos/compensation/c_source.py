@@ -5,6 +5,7 @@ called from any firmware. What the function does is in `multipos.compensation.c_
 """
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
+from multipos.uncertainty.validity import applied
 
 SIGNATURE = re.compile(
     r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const (?P<type>double|float) raw\[(?P<raw>\d{1,6})\]"
@@ -133,13 +135,13 @@ def _negligible(calibration: Calibration) -> Array:
 def _header(calibration: Calibration, name: str, how: str) -> str:
     c = calibration
     model = c.model
-    largest = float(np.linalg.norm(c.reference, axis=1).max())
+    axes = sensed_axes(model)
     env = [
         f"env[{j}] = {n}, calibrated from {low:.6g} to {high:.6g}"
         for j, n in enumerate(model.environment)
         for low, high in [environment_range(c, n)]
     ]
-    sensed = [COMPONENTS[i] for i in sensed_axes(model)]
+    sensed = [COMPONENTS[i] for i in axes]
     rows = [[p.name, p.unit, uncertain(p.value, p.u), number(p.U, 2)] for p in c.entries]
     what = "specific force" if c.convention == "specific-force" else "gravity"
     lines = [
@@ -155,12 +157,17 @@ def _header(calibration: Calibration, name: str, how: str) -> str:
         f"calibrated  {c.created} by multipos {c.version}, {len(c.readings)} readings",
         f"written by  multipos {__version__}",
         f"residual    rms {1e3 * c.rms:.3g} mg after compensation",
-        f"valid       |accel| up to {largest:.4g} g; beyond it the model extrapolates",
+        f"valid       {_validity(c, axes)}; beyond it the model extrapolates",
         f"U           {100 * c.confidence:g} % coverage, of the parameters; model error is extra",
         "",
         *table(["parameter", "unit", "value(u)", "U"], rows).splitlines(),
     ]
     return "/*\n" + "\n".join(f" * {_comment(line)}".rstrip() for line in lines) + "\n */"
+
+
+def _validity(calibration: Calibration, axes: Sequence[int]) -> str:
+    words = applied(calibration).in_words(axes)
+    return words if calibration.readings.forced.any() else f"|accel| {words}"
 
 
 def _comment(text: str) -> str:

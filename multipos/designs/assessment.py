@@ -244,12 +244,12 @@ class Assessor:
     def describe(self, scheme: Scheme) -> Assessment:
         """Return what one scheme tells."""
         n, model = len(scheme), self.setting.model
-        unidentifiable, condition = self.separate(scheme.up)
+        unidentifiable, condition = self.separate(scheme.reference)
         labels = scheme.labels or map(str, range(1, n + 1))
         told = Assessment(
             name=scheme.name,
             positions=n,
-            up=dict(zip(labels, map(tuple, scheme.up.tolist()), strict=True)),
+            up=dict(zip(labels, map(tuple, scheme.reference.tolist()), strict=True)),
             identifiable=not unidentifiable,
             unidentifiable=tuple(unidentifiable),
             rank=len(model.keys) - len(unidentifiable),
@@ -258,10 +258,10 @@ class Assessor:
         )
         if unidentifiable:
             return told
-        information = inform(self.setting.rows(scheme.up))
+        information = inform(self.setting.rows(scheme.reference))
         inverse = np.concatenate([np.diag(np.linalg.inv(M)) for M in information])
         u = self.reading_sd * np.sqrt(inverse / n)
-        found = find_aliases(self.setting, scheme.up)
+        found = find_aliases(self.setting, scheme.reference)
         names = [f"{output}:{term}" for output, term in model.keys]
         return replace(
             told,

@@ -35,6 +35,7 @@ import numpy as np
 
 from multipos.errors import UsageError
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
+from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS, Term
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
@@ -115,7 +116,9 @@ class Setting:
             X = X / self.sd[:, np.newaxis]
         if self.orientation_sd == 0.0:
             return X
-        turned = self._jacobian(self.size * up) @ tangents(up)
+        length = np.linalg.norm(up, axis=1)  # of a known force; one of a direction
+        turned = self._jacobian(self.size * up) @ tangents(directions(up))
+        turned *= np.where(length == 0.0, 1e-300, length)[:, np.newaxis, np.newaxis]
         if self.sd is not None:
             turned = turned / self.sd[:, np.newaxis]
         if math.isinf(self.orientation_sd):

@@ -1,12 +1,14 @@
 """From a solution to a complete `Calibration`: gravity's uncertainty and the diagnostics."""
 
 import os
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 
 from multipos import __version__
 from multipos.errors import MultiposError
+from multipos.estimation.gains import gravity_effect
 from multipos.estimation.six_positions import closed_form_difference
 from multipos.estimation.solution import Solution
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
@@ -52,18 +54,12 @@ def complete(
         A parameter is too large a number for any file.
     """
     model, reference = solution.model, solution.reference
-    parameters, covariance = solution.parameters, solution.covariance
-    parameter_dof = solution.parameter_dof
     _require_in_files(solution)
-    if gravity is not None and gravity.u > 0.0:
-        covariance, parameter_dof = add_gravity(
-            model, parameters, covariance, parameter_dof, gravity
-        )
-    return Calibration(
+    calibration = Calibration(
         model=model,
-        parameters=parameters,
-        covariance=covariance,
-        parameter_dof=parameter_dof,
+        parameters=solution.parameters,
+        covariance=solution.covariance,
+        parameter_dof=solution.parameter_dof,
         dof=solution.dof,
         residuals=solution.residuals,
         residual_sd=solution.residual_sd,
@@ -83,6 +79,16 @@ def complete(
         orientations=solution.orientations,
         robust_weight=solution.robust_weight,
     )
+    return calibration if gravity is None else _with_gravity(calibration, gravity)
+
+
+def _with_gravity(calibration: Calibration, gravity: Gravity) -> Calibration:
+    """Return the calibration with the uncertainty of the local gravity."""
+    if not gravity.u > 0.0:
+        return calibration
+    c = calibration
+    covariance, dof = add_gravity(c.covariance, c.parameter_dof, gravity, gravity_effect(c))
+    return replace(c, covariance=covariance, parameter_dof=dof)
 
 
 def _require_in_files(solution: Solution) -> None:

@@ -1,11 +1,21 @@
-"""How the parameters of an uncertain or unknown orientation follow the readings.
+"""How the parameters of a calibration follow the readings, for every estimator.
+
+Where orientations are known, with the design X and the covariance V of the readings,
+
+    G = d(parameters)/d(readings) = (X'V⁻¹X)⁻¹ X'V⁻¹.                                       (1)
 
 Near its solution the estimate of `multipos.estimation.likelihood` is linear in the readings. With A
 and W as there, and S the reduced information,
 
-    d(parameters)/d(readings) = the rows of S^-1 A'W that belong to parameters,             (1)
+    G = the rows of S^-1 A'W that belong to parameters,                                     (2)
 
-orientations and shared unknowns moving along. Budgets of uncertainty are made of it.
+orientations and shared unknowns moving along. Budgets of uncertainty are made of it. The local
+gravity g is the first of them: it scales the reference f of every row that is at rest in it, and
+readings y = h(f; p) then follow with J = dh/df, so that
+
+    dp/dg = G J f/g  over those rows,                                                       (3)
+
+which is d p/g, d the degree of the term in force, where all rows are such.
 """
 
 from dataclasses import replace
@@ -15,9 +25,55 @@ import numpy as np
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import start_state
 from multipos.estimation.restatement import restate
+from multipos.estimation.six_positions import closed_form_gain
 from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import directions
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
+
+
+def estimator_gain(calibration: Calibration) -> Array:
+    """Return how the parameters follow the readings, G of eq. (1).
+
+    Returns
+    -------
+    (p, n M) array
+        Output running fastest.
+    """
+    c = calibration
+    if c.estimator is Estimator.CLOSED_FORM:
+        return closed_form_gain(c.model, c.reference)
+    if not c.estimator.exact:
+        return uncertain_gain(c)
+    n, m = c.readings.values.shape
+    design = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment).reshape(
+        n * m, -1
+    )
+    noise = c.noise
+    if noise is not None and noise.ndim == 2:
+        whitener = np.linalg.inv(np.linalg.cholesky(noise))
+        Q, R = np.linalg.qr(whitener @ design)
+        return np.asarray(np.linalg.solve(R, Q.T @ whitener))
+    sd = np.ones(n * m) if noise is None else np.sqrt(noise)
+    result = np.zeros((design.shape[1], n * m))
+    for output, part in enumerate(c.model.slices):  # block by block: the outputs are independent
+        Q, R = np.linalg.qr(design[output::m, part] / sd[output::m, None])
+        result[part, output::m] = np.linalg.solve(R, Q.T) / sd[output::m]
+    return result
+
+
+def gravity_effect(calibration: Calibration) -> Array:
+    """Return dp/dg (p,) per m/s² of the local gravity, eq. (3); not at all of known forces."""
+    c = calibration
+    assert c.gravity is not None
+    forced = c.readings.forced
+    if not forced.any():  # whatever the residuals
+        return np.asarray(c.model.force_degrees * c.parameters / c.gravity.value)
+    at_rest = np.where(forced[:, None], 0.0, c.reference)
+    slopes = c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)
+    moved = np.einsum("nmi,ni->nm", slopes, at_rest) / c.gravity.value
+    return np.asarray(estimator_gain(c) @ moved.ravel())
 
 
 def uncertain_gain(calibration: Calibration) -> Array:
@@ -32,8 +88,7 @@ def uncertain_gain(calibration: Calibration) -> Array:
     n, m = readings.values.shape
     # About the solution itself: its reference is the listed one, already turned and stepped.
     problem = replace(restate(calibration), reference=reference)
-    direction = reference / np.linalg.norm(reference, axis=1)[:, None]
-    state = start_state(problem, calibration.parameters, direction)
+    state = start_state(problem, calibration.parameters, directions(reference))
     normal = linearise(problem, state, evaluate(problem, state))
     p = len(calibration.parameters)
     slopes = parameter_jacobian(calibration.model, state.theta, reference, readings.environment)

@@ -45,9 +45,16 @@ DENIED = 0.999  # χ² point beyond which the residuals deny a stated noise
 
 
 def solve_known(
-    model: Model, reference: Array, readings: Readings, *, pool: bool = False
+    model: Model,
+    reference: Array,
+    readings: Readings,
+    *,
+    pool: bool = False,
+    claimed: bool = True,
 ) -> Solution:
     """Fit every output by linear least squares, eqs. (1) and (2).
+
+    The noise of the readings is held to their residuals where it is `claimed` by somebody.
 
     Raises
     ------
@@ -63,6 +70,7 @@ def solve_known(
         found = _from_residuals(model, fits, dof, pool)
     else:
         found = _beside_stated(model, phi, readings, fits, pool)
+        found = found if claimed else replace(found, warnings=())
     fits = found.fits
     covariance = fits.cofactor * np.outer(found.inflation, found.inflation)
     square = np.einsum("nm,nm->m", fits.residuals, fits.residuals)

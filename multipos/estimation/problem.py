@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.estimation.losses import Loss
 from multipos.numerics.arrays import Array
-from multipos.numerics.rotations import tangent_basis
+from multipos.numerics.rotations import directions, tangent_basis
 from multipos.positions.placement import Placement
 from multipos.positions.readings import Readings
 from multipos.sensor.model import Block, Model
@@ -240,7 +240,7 @@ def start_state(
     problem: Problem, theta: Array, direction: Array | None = None, turns: Array | None = None
 ) -> State:
     """Return a state: at the listed directions, or at others where nothing is known of them."""
-    listed = problem.reference / problem.magnitude[:, None]
+    listed = directions(problem.reference)
     centre = listed if direction is None else np.where(problem.unknown[:, None], direction, listed)
     centre = np.asfortranarray(centre)
     return State(

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from multipos.estimation.descent import maximise
 from multipos.estimation.problem import Optimum, Problem, precision_of, start_state, state_problem
 from multipos.estimation.robustness import set_aside
-from multipos.numerics.rotations import rotation_matrix
+from multipos.numerics.rotations import directions, rotation_matrix
 from multipos.positions.placement import place
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import VarianceComponents
+from multipos.sensor.gravity import signed_size
 
 
 def restate(calibration: Calibration) -> Problem:
     """Return the problem of a calibration; a robust loss only as the positions it set aside."""
     c = calibration
-    sign = c.sign
-    size = sign * float(np.linalg.norm(c.reference, axis=1).mean())
+    size = signed_size(c.gravity, c.convention)
     level_sd_deg = (c.orientations and c.orientations.level_sd_deg) or 0.0
     placement = place(c.readings, size, level_sd=float(np.radians(level_sd_deg)))
     problem = state_problem(c.model, c.readings, placement, None)
@@ -42,7 +42,7 @@ def restate(calibration: Calibration) -> Problem:
 def return_to_optimum(calibration: Calibration, problem: Problem) -> Optimum:
     """Return the optimum of a restated problem, searched from where the calibration ended."""
     c = calibration
-    direction = c.reference / np.linalg.norm(c.reference, axis=1)[:, None]
+    direction = directions(c.reference)
     found = (c.orientations and c.orientations.group_rotation_deg) or {}
     turns = [rotation_matrix(np.radians(vector)) for vector in found.values()]
     state = start_state(problem, c.parameters.copy(), direction, np.array(turns).reshape(-1, 3, 3))

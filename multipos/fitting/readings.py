@@ -23,6 +23,7 @@ from multipos.estimation.options import (
     choose_estimator,
     criterion_in_words,
 )
+from multipos.estimation.reference_noise import add_reference_noise
 from multipos.estimation.six_positions import solve_closed_form
 from multipos.estimation.solution import Solution
 from multipos.estimation.uncertain import solve_uncertain
@@ -174,6 +175,7 @@ def fit(
         estimate=options.estimate_orientation_sd,
         level_sd=options.level_sd,
     )
+    _require_one_unit(data, local)
     calibration = _calibrate(built, data, placement, options, local)
     if stated is not None:
         calibration = state_budget(calibration, stated)
@@ -199,6 +201,10 @@ def _calibrate(
     if options.stepwise:
         model, chosen = _stepwise(model, readings, placement, solve)
     solution = solve(model)
+    if readings.reference_u is not None:
+        claimed = readings.noise is not None
+        readings = add_reference_noise(readings, solution)
+        solution = _solver(estimator, readings, placement, options, claimed=claimed)(model)
     found = solution.orientation_sd
     calibration = complete(
         solution,
@@ -214,10 +220,27 @@ def _calibrate(
     return calibration if chosen is None else with_selection(calibration, chosen)
 
 
+def _require_one_unit(readings: Readings, gravity: Gravity | None) -> None:
+    """Refuse known forces, which are in standard g, beside a gravity of unknown size."""
+    forced = readings.forced
+    if gravity is None and forced.any() and not forced.all():
+        label = readings.labels[int(np.argmin(forced))]
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: position '{label}' is at rest in gravity, "
+            "others have a known force in standard g; give --gravity or --latitude, so that both "
+            "are in one unit."
+        )
+
+
 def _solver(
-    estimator: Estimator, readings: Readings, placement: Placement, options: Options
+    estimator: Estimator,
+    readings: Readings,
+    placement: Placement,
+    options: Options,
+    *,
+    claimed: bool = True,
 ) -> Callable[[Model], Solution]:
-    """Return what solves a model by the estimator."""
+    """Return what solves a model by the estimator; `claimed`: the noise is the user's word."""
     reference, pool = placement.reference, options.pool
 
     def solve(model: Model) -> Solution:
@@ -225,7 +248,7 @@ def _solver(
             return solve_closed_form(model, reference, readings, pool=pool)
         nonlinear = options.robust is not None or isinstance(model, ExpressionModel)
         if estimator is Estimator.LINEAR and not nonlinear:
-            return solve_known(model, reference, readings, pool=pool)
+            return solve_known(model, reference, readings, pool=pool, claimed=claimed)
         return solve_uncertain(
             model, readings, placement, gauge=options.gauge, robust=options.robust, pool=pool
         )

@@ -19,6 +19,12 @@ from multipos.numerics.arrays import Array
 _SMALL = 1e-4  # [rad], below it the series is exact to rounding
 
 
+def directions(vectors: Array) -> Array:
+    """Return unit vectors (n, 3) along vectors, the first axis for one of no length."""
+    length = np.linalg.norm(vectors, axis=1)[:, None]
+    return np.where(length > 0.0, vectors / np.where(length > 0.0, length, 1.0), [1.0, 0.0, 0.0])
+
+
 def tangent_basis(direction: Array) -> Array:
     """Return an orthonormal basis (n, 3, 2) of the plane across each direction (n, 3)."""
     x, y, z = direction.T

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, scale_by_powers, write
 from multipos.sensor.calibration import Calibration
@@ -44,11 +45,13 @@ def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
     """Draw which way was up at every position, on the two halves of the sphere.
 
     Equal-area: the left disc is seen from +z, the right one from −z; the rim is the xy plane.
+    Known forces, of whatever size, have a marker of their own.
     """
     c = calibration
-    up = c.reference / np.linalg.norm(c.reference, axis=1)[:, None]
+    up = directions(c.reference)
     if c.convention == "gravity":
         up = -up
+    forced = c.readings.forced
     circle = np.linspace(0.0, 2.0 * np.pi, 181)
     for side, centre in ((1.0, -1.2), (-1.0, 1.2)):
         axes.plot(centre + np.cos(circle), np.sin(circle), color="#000000", linewidth=0.8)
@@ -61,13 +64,17 @@ def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
         height = np.clip(side * up[on, 2], 0.0, 1.0)
         radius = np.sqrt(1.0 - height) / np.maximum(np.hypot(up[on, 0], up[on, 1]), 1e-300)
         x, y = up[on, 0] * radius, up[on, 1] * radius
+        kind = 0 if side > 0 else 1
         axes.plot(
-            centre + x,
-            y,
-            MARKERS[0] if side > 0 else MARKERS[1],
+            centre + x[~forced[on]],
+            y[~forced[on]],
+            MARKERS[kind],
             linestyle="none",
-            color=COLOURS[0] if side > 0 else COLOURS[1],
+            color=COLOURS[kind],
         )
+        if forced[on].any():
+            rows = forced[on]
+            axes.plot(centre + x[rows], y[rows], MARKERS[2], linestyle="none", color=COLOURS[2])
         write(axes, centre, -1.24, "+z" if side > 0 else "-z", ha="center", va="center")
         for name, px, py in (("+x", 1.13, 0.0), ("+y", 0.0, 1.1)):
             write(axes, centre + px, py, name, ha="center", va="center", fontsize=7)

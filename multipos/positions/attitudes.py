@@ -55,6 +55,15 @@ def check_convention(convention: str) -> None:
         raise UsageError(f"unknown convention '{convention}'; give specific-force or gravity.")
 
 
+def rows_with_orientation(table: Table) -> NDArray[np.bool_] | None:
+    """Return which rows (n,) give an orientation at all; None without orientation columns."""
+    form = _form(table)
+    if form is None:
+        return None
+    cells = zip(*(table.text(name) for name in FORMS[form]), strict=True)
+    return np.array([any(cell not in ("", "nan") for cell in row) for row in cells])
+
+
 def read_attitudes(table: Table, unknown: NDArray[np.bool_] | None = None) -> Attitudes | None:
     """Return the attitudes a table holds, or None where it has no orientation columns.
 
@@ -70,12 +79,13 @@ def read_attitudes(table: Table, unknown: NDArray[np.bool_] | None = None) -> At
         return None
     if unknown is None:
         return _READERS[form](table)
-    texts = [table.text(name) for name in FORMS[form]]
-    skipped = unknown & np.array([not any(cells) for cells in zip(*texts, strict=True)])
+    given = rows_with_orientation(table)
+    assert given is not None
+    skipped = unknown & ~given
     result = Attitudes(np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan))
     if not skipped.all():
-        given = _READERS[form](table.select(np.flatnonzero(~skipped).tolist()))
-        result.up[~skipped], result.rotation[~skipped] = given
+        found = _READERS[form](table.select(np.flatnonzero(~skipped).tolist()))
+        result.up[~skipped], result.rotation[~skipped] = found
     return result
 
 

@@ -19,6 +19,7 @@ from multipos.positions.readings import Readings, quoted
 from multipos.positions.scheme import Scheme, read_scheme
 
 _FIRST_SD = np.radians(0.1)  # where the estimate of an orientation sd starts
+_ONE_G = 0.01  # within which a known force may pass for gravity
 _EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no position is known
 
 
@@ -134,7 +135,7 @@ def place(
     if estimate and not sd[~unknown].any():
         sd = np.where(unknown, sd, _FIRST_SD)
     return Placement(
-        reference=size * _directions(readings, unknown) + 0.0,
+        reference=_references(readings, unknown, size),
         orientation_sd=sd,
         group=group,
         attitude=_attitude(readings, unknown) if level else None,
@@ -150,10 +151,21 @@ def _group_numbers(readings: Readings) -> NDArray[np.intp]:
     return np.array([number.get(label, -1) for label in labels])
 
 
+def _references(readings: Readings, unknown: NDArray[np.bool_], size: float) -> Array:
+    """Return the references (n, 3) [g]: known forces as they stand, the others of a size."""
+    reference = size * _directions(readings, unknown) + 0.0
+    if readings.force is None:
+        return reference
+    # Of a force in a direction that is unknown the size is left.
+    length = np.linalg.norm(readings.force, axis=1)[:, None] * [1.0, 0.0, 0.0]
+    known = np.where(unknown[:, None], length, readings.force)
+    return np.where(readings.forced[:, None], np.sign(size) * known, reference) + 0.0
+
+
 def _directions(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
     """Return up vectors (n, 3), any where a direction is unknown."""
     up = np.full((len(readings), 3), np.nan) if readings.up is None else readings.up
-    missing = np.isnan(up).any(axis=1) & ~unknown
+    missing = np.isnan(up).any(axis=1) & ~unknown & ~readings.forced
     if missing.any():
         raise MultiposError(
             f"position '{readings.labels[int(np.argmax(missing))]}' has no orientation; give it, "
@@ -187,7 +199,8 @@ def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
             return _with_up(readings)
         raise MultiposError(
             f"{readings.source or 'the readings'}: no orientation; give --scheme (a name or a "
-            "file) or orientation columns such as direction or up_x, up_y, up_z."
+            "file) or orientation columns such as direction or up_x, up_y, up_z, or known forces "
+            "f_x, f_y, f_z."
         )
     given = read_scheme(scheme)
     rows = _match(readings, given)
@@ -198,7 +211,12 @@ def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
     if positions is None and given.labels is not None:
         positions = tuple(given.labels[row] for row in rows)
     return replace(
-        readings, up=given.up[rows], rotation=given.rotation[rows], positions=positions, notes=notes
+        readings,
+        up=given.up[rows],
+        rotation=given.rotation[rows],
+        force=None if given.force is None else given.force[rows],
+        positions=positions,
+        notes=notes,
     )
 
 
@@ -212,6 +230,7 @@ def as_used(readings: Readings, orientation_sd: Array) -> Readings:
 def _without_orientation(readings: Readings, scheme: object) -> Readings:
     """Return readings of which no orientation is used, saying what is ignored."""
     notes = readings.notes
+    _require_one_size(readings)
     given = (readings.up, readings.rotation, readings.orientation_sd, readings.group)
     if any(columns is not None for columns in given):
         notes += ("the orientation columns are ignored, the orientation is taken as unknown",)
@@ -221,10 +240,24 @@ def _without_orientation(readings: Readings, scheme: object) -> Readings:
         readings,
         up=None,
         rotation=None,
+        force=None,
         orientation_sd=np.full(len(readings), np.inf),
         group=None,
         notes=notes,
     )
+
+
+def _require_one_size(readings: Readings) -> None:
+    """Refuse forces of different sizes where only one size of all could be used."""
+    if readings.force is None or not readings.forced.any():
+        return
+    size = np.linalg.norm(readings.force[readings.forced], axis=1)
+    if np.abs(size - 1.0).max() > _ONE_G:
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: the known forces are of {size.min():.3g} to "
+            f"{size.max():.3g} g, but --unknown-orientation takes all as one g; leave that option "
+            "out, or give these rows an empty orientation_sd_deg, which keeps their size."
+        )
 
 
 def _attitude(readings: Readings, unknown: NDArray[np.bool_]) -> Array:

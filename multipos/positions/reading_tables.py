@@ -14,9 +14,19 @@ from multipos.files.lists import Names, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions import attitudes
+from multipos.positions.forces import (
+    FORCE,
+    REFERENCE_U,
+    known_rows,
+    left_by_apply,
+    read_forces,
+    read_reference_u,
+    said_of_lengths,
+    states_forces,
+)
 from multipos.positions.readings import Readings, quoted, require_columns, select_outputs
 
-_RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group"}
+_RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group", *REFERENCE_U}
 
 
 def read_readings(
@@ -55,7 +65,7 @@ def read_readings(
     notes: list[str] = []
     names = _outputs(table, names, environment, notes)
     spread = _orientation_sd(table)
-    oriented = attitudes.read_attitudes(table, None if spread is None else np.isnan(spread))
+    oriented, force, reference_u = _where_it_stood(table, names, spread, notes)
     columns = _environment(table, names, environment, notes)
     return Readings(
         values=np.column_stack([table.number(name, largest=LARGEST) for name in names]),
@@ -68,12 +78,36 @@ def read_readings(
         samples=nonnegative_column(table, "n") if "n" in table else None,
         orientation_sd=spread,
         group=table.text("group") if "group" in table else None,
+        force=force,
+        reference_u=reference_u,
         environment=columns,
         unit=unit or "reading",
         source=None if table.sha256 is None else table.source,
         sha256=table.sha256,
         notes=tuple(notes),
     )
+
+
+def _where_it_stood(
+    table: Table, names: tuple[str, ...], spread: Array | None, notes: list[str]
+) -> tuple[attitudes.Attitudes | None, Array | None, Array | None]:
+    """Return attitudes, known forces and the uncertainty of the reference, as far as given."""
+    others = {name: column for name, column in table.columns.items() if name not in names}
+    free = replace(table, columns=others)  # what is an output is no position, whatever its name
+    rows = attitudes.rows_with_orientation(free)
+    force = read_forces(free, rows) if states_forces(free, rows) else None
+    unknown = None if spread is None else np.isnan(spread)
+    if force is not None:
+        forced = known_rows(force)
+        unknown = forced if unknown is None else np.asarray(unknown | forced)
+    elif all(name in free for name in FORCE):
+        why = "were added by apply" if left_by_apply(free) else "stand beside an orientation"
+        notes.append(f"columns {quoted(FORCE)} {why} and are no positions")
+    oriented = attitudes.read_attitudes(free, unknown)
+    up = attitudes.FORMS["up vector"]
+    if oriented is not None and up[0] in free:
+        notes += said_of_lengths(free, up)
+    return oriented, force, read_reference_u(free, force)
 
 
 def _named_otherwise(
@@ -93,9 +127,17 @@ def _outputs(
     table: Table, names: tuple[str, ...] | None, environment: Sequence[str], notes: list[str]
 ) -> tuple[str, ...]:
     """Return the columns that are outputs, noting what is not used."""
-    candidates = [
-        name for name in table.columns if _may_be_output(name, table) and name not in environment
+    applied = left_by_apply(table)
+    every = [
+        name
+        for name in table.columns
+        if _may_be_output(name, table) and name not in environment and name not in applied
     ]
+    # Forces are references, unless nothing else could be what the sensor said.
+    whole = all(name in table for name in FORCE)
+    candidates = [name for name in every if not (whole and name in FORCE)]
+    if not any(not table.is_text(name) for name in candidates):
+        candidates = every
     if names is None:
         return _numeric(table, candidates, notes)
     require_columns(names, table.columns, table.source)

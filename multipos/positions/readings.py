@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import control_characters, visible
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
+from multipos.positions.forces import along_forces, known_rows
 from multipos.results import Frozen, Result
 
 
@@ -34,6 +35,10 @@ class Readings(Result):
         Unit vectors pointing up, in case axes.
     rotation : (n, 3, 3) array or None
         Level (ENU) to case; NaN where the heading is open.
+    force : (n, 3) array or None [g]
+        Known specific force, NaN in rows that are at rest in gravity; `up` is its direction there.
+    reference_u : (n, 3) array or None [g]
+        Standard uncertainty of each component of the force that acted, 0 where it is exact.
     u : (n, M) array or None
         Standard uncertainty of each mean, in `unit`.
     covariance : (n M, n M) array or None
@@ -73,6 +78,8 @@ class Readings(Result):
     source: str | None = field(default=None, compare=False)
     sha256: str | None = None
     notes: tuple[str, ...] = ()
+    force: Array | None = None
+    reference_u: Array | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values once, and keep read-only copies of the arrays."""
@@ -107,6 +114,8 @@ class Readings(Result):
             ("orientation_sd", (n,)),
             ("up", (n, 3)),
             ("rotation", (n, 3, 3)),
+            ("force", (n, 3)),
+            ("reference_u", (n, 3)),
         ):
             given = getattr(self, name)
             if given is not None:
@@ -137,6 +146,13 @@ class Readings(Result):
         if self.positions is not None:
             return self.positions
         return tuple(str(row + 1) for row in range(len(self)))
+
+    @property
+    def forced(self) -> NDArray[np.bool_]:
+        """Rows whose specific force is known as it stands, (n,)."""
+        if self.force is None:
+            return np.zeros(len(self), dtype=bool)
+        return known_rows(self.force)
 
     @property
     def noise(self) -> Array | None:
@@ -176,6 +192,7 @@ class Readings(Result):
             ("sd", "0 or more"),
             ("samples", "above 0"),
             ("orientation_sd", "0 or more"),
+            ("reference_u", "0 or more"),
         ):
             array = getattr(self, name)
             if array is None:
@@ -188,14 +205,17 @@ class Readings(Result):
                 )
 
     def _normalise_up(self) -> None:
+        if self.force is not None:
+            _set(self, "up", along_forces(self.force, self.up))
         if self.up is None:
             return
         known = ~np.isnan(self.up).any(axis=1)
         up = np.full(self.up.shape, np.nan)
         up[known] = attitudes.from_up(self.up[known]).up if known.any() else up[known]
         _set(self, "up", _readonly(up))
-        if not known.all() and self.orientation_sd is None:
-            raise MultiposError(f"`up` of row {int(np.argmin(known)) + 1} is not finite.")
+        open_ = ~known & ~self.forced  # a force of no size points nowhere
+        if open_.any() and self.orientation_sd is None:
+            raise MultiposError(f"`up` of row {int(np.argmax(open_)) + 1} is not finite.")
 
     def _check_sizes(self) -> None:
         where = self.source or "the readings"
@@ -349,7 +369,7 @@ def _array(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:
             f"`{name}` must have shape {shape}, got {array.shape}; give one row per position."
         )
     # NaN has a meaning in these: heading open, orientation unknown, cell of an unused column.
-    if name not in ("rotation", "up", "orientation_sd") and "environment" not in name:
+    if name not in ("rotation", "up", "orientation_sd", "force") and "environment" not in name:
         finite = np.isfinite(array)
         if not finite.all():
             row = int(np.argwhere(~finite)[0][0])

@@ -31,7 +31,9 @@ from multipos.positions.attitudes import (
     parse_direction,
     read_attitudes,
     roll,
+    rows_with_orientation,
 )
+from multipos.positions.forces import along_forces, known_rows, read_forces, states_forces
 from multipos.results import Result
 
 LARGEST = 1_000_000  # positions; a typing slip in fibonacci-N should not fill the memory
@@ -51,12 +53,22 @@ class Scheme(Result):
         Level (ENU) to case, NaN where the heading is open.
     labels : tuple of str or None
         Position labels, unique; None where the source has none.
+    force : (n, 3) array or None [g]
+        Known specific force, NaN at positions that are at rest in gravity.
     """
 
     name: str
     up: Array
     rotation: Array
     labels: tuple[str, ...] | None
+    force: Array | None = None
+
+    @property
+    def reference(self) -> Array:
+        """The force (n, 3) at each position: as known, else of 1 g along `up`."""
+        if self.force is None:
+            return self.up
+        return np.where(np.isfinite(self.force), self.force, self.up)
 
     def __len__(self) -> int:
         return len(self.up)
@@ -90,10 +102,19 @@ def join(name: str, parts: list[Scheme]) -> Scheme:
     labelled = all(part.labels is not None for part in parts)
     up = np.concatenate([part.up for part in parts])
     rotation = np.concatenate([part.rotation for part in parts])
+    force = _joined_forces(parts)
     if not labelled:
-        return Scheme(name, up, rotation, None)
+        return Scheme(name, up, rotation, None, force)
     _refuse_twice(name, tuple(labels))
-    return Scheme(name, up, rotation, tuple(labels))
+    return Scheme(name, up, rotation, tuple(labels), force)
+
+
+def _joined_forces(parts: list[Scheme]) -> Array | None:
+    if all(part.force is None for part in parts):
+        return None
+    none = [np.full(part.up.shape, np.nan) for part in parts]
+    forces = [n if p.force is None else p.force for p, n in zip(parts, none, strict=True)]
+    return np.concatenate(forces)
 
 
 def named_schemes() -> tuple[str, ...]:
@@ -134,15 +155,21 @@ def _is_file(path: str) -> bool:
 
 def _from_table(source: Source) -> Scheme:
     table = read_table(source, what="scheme")
-    attitudes = read_attitudes(table)
-    if attitudes is None:
+    rows = rows_with_orientation(table)
+    force = read_forces(table, rows) if states_forces(table, rows) else None
+    known = None if force is None else known_rows(force)
+    attitudes = read_attitudes(table, known)
+    if attitudes is None and force is None:
         raise MultiposError(
             f"{table.source}: no orientation columns; give direction, up_x up_y up_z, "
-            "roll_deg pitch_deg, qw qx qy qz, or roll_axis angle_deg."
+            "roll_deg pitch_deg, qw qx qy qz, roll_axis angle_deg, or a known force f_x f_y f_z."
         )
     labels = table.text("position") if "position" in table else None
     _refuse_twice(table.source, labels)
-    return Scheme(visible(table.source), attitudes.up, attitudes.rotation, labels)
+    if attitudes is None:
+        attitudes = Attitudes(np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan))
+    up = attitudes.up if force is None else along_forces(force, attitudes.up)
+    return Scheme(visible(table.source), up, attitudes.rotation, labels, force)
 
 
 def _refuse_twice(name: str, labels: tuple[str, ...] | None) -> None:

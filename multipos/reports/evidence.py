@@ -7,6 +7,7 @@ import numpy as np
 from multipos.doubts.criticism import fourier_residuals
 from multipos.errors import MultiposError
 from multipos.files.numbers import number
+from multipos.numerics.rotations import directions
 from multipos.plots.calibration import (
     compensated_error,
     draw_correlation,
@@ -125,8 +126,8 @@ def errors_section(c: Calibration, tr: Translator) -> Section:
 
 def positions_section(c: Calibration, tr: Translator) -> Section:
     """Return where the positions were and what each decides."""
-    up = c.reference / np.linalg.norm(c.reference, axis=1)[:, None]
-    up = (-up if c.convention == "gravity" else up) + 0.0
+    stood = np.where(c.readings.forced[:, None], c.reference, directions(c.reference))
+    up = c.sign * stood + 0.0
     leverage, names = c.diagnostics.leverage, c.readings.labels
     shown, suffix = largest_positions(tr, leverage.max(axis=1))
     rows = [

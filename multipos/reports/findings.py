@@ -12,9 +12,10 @@ from multipos.reports.page import Figure, PageTable, Section, draw_svg
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration, Parameter
 from multipos.sensor.derived import intrinsic_gradient
+from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation
-from multipos.uncertainty.validity import evaluate_sphere
+from multipos.uncertainty.validity import applied, evaluate_sphere
 
 
 def parameters_section(c: Calibration, tr: Translator) -> Section:
@@ -207,7 +208,10 @@ def _contribution(budget: Evaluation, quantity: str, parameter: int) -> str:
 def sphere_section(c: Calibration, tr: Translator) -> Section:
     """Return how well force and tilt are known, and where."""
     allowed = "third_order" in c.budget_tables
-    rows = _sphere_rows(c, (1.0, 2.0, 5.0) if allowed else (1.0,), tr)
+    seen = applied(c)
+    forced = (seen.largest,) if c.readings.forced.any() and seen.largest > 1.0 else ()
+    sizes = sorted({1.0, *forced, *((2.0, 5.0) if allowed else ())})
+    rows = _sphere_rows(c, sizes, max((1.0, *forced)), tr)
     paragraphs = [
         tr(
             "Uncertainty of compensated force and of tilt from the parameters, over all "
@@ -221,9 +225,12 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
         else tr(
             "The calibration holds within what was applied, up to {size} g. Beyond, terms that the "
             "positions cannot show may grow without limit.",
-            size=f"{float(np.linalg.norm(c.reference, axis=1).max()):.4g}",
+            size=f"{seen.largest:.4g}",
         ),
     ]
+    if c.readings.forced.any():
+        told = seen.in_words(sensed_axes(c.model))
+        paragraphs.append(tr("Forces that were applied beside gravity: {range}.", range=told))
     header = ("Quantity", "At", "Unit", "rms u", "worst u", "k", "U", "Worst direction")
     return Section(
         tr("Compensated force and tilt"),
@@ -239,8 +246,10 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     )
 
 
-def _sphere_rows(c: Calibration, sizes: Sequence[float], tr: Translator) -> list[tuple[str, ...]]:
-    """Return force at each size [g] and tilt at 1 g, by axis."""
+def _sphere_rows(
+    c: Calibration, sizes: Sequence[float], seen: float, tr: Translator
+) -> list[tuple[str, ...]]:
+    """Return force at each size [g], beyond `seen` marked, and tilt at 1 g, by axis."""
     words = {"force": ("force along {axis}", "g"), "tilt_deg": ("tilt of {axis}", "deg")}
     rows: list[tuple[str, ...]] = []
     for size in sizes:
@@ -251,7 +260,7 @@ def _sphere_rows(c: Calibration, sizes: Sequence[float], tr: Translator) -> list
                 rows.append(
                     (
                         tr(text, axis=axis),
-                        f"{size:g} g" + ("" if size <= 1.0 else " *"),
+                        f"{size:g} g" + ("" if size <= seen else " *"),
                         unit,
                         number(entry["rms"], 2),
                         number(entry["worst"], 2),

@@ -253,8 +253,14 @@ class Calibration(Result):
 
     @cached_property
     def linearity(self) -> dict[str, dict[str, float]]:
-        """Linearity of each output with and without the model, in percent of ±1 g."""
-        return linearity(self.model, self.reference, self.readings.values, self.residuals)
+        """Linearity of each output with and without the model, in percent of the span."""
+        return linearity(
+            self.model,
+            self.reference,
+            self.readings.values,
+            self.residuals,
+            forced=bool(self.readings.forced.any()),
+        )
 
     @cached_property
     def intrinsic(self) -> dict[str, dict[str, derived.Value]] | None:

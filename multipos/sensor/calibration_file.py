@@ -40,7 +40,9 @@ from multipos.files.records import (
 )
 from multipos.files.trees import read_json
 from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
+from multipos.positions.forces import known_rows
 from multipos.positions.readings import Readings
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, Status
@@ -151,6 +153,8 @@ CALIBRATION = Fields(
         "environment": Named(Numbers(1, gaps=True)),
         "attitude": Numbers(3, gaps=True),
         "up": Numbers(2, gaps=True),
+        "force": Numbers(2, gaps=True),
+        "reference_u": Numbers(2),
         "robust_weight": _BY_POSITION,
         "orientation_error_deg": _BY_POSITION,
         "group_rotation_deg": Named(Listed(ANY_NUMBER, 3, 3)),
@@ -251,6 +255,8 @@ def _known_of(readings: Readings) -> dict[str, Any]:
         "environment": dict(readings.environment) or None,
         "attitude": readings.rotation,
         "up": readings.up,
+        "force": readings.force,
+        "reference_u": readings.reference_u,
     }
     return _told(known)
 
@@ -358,12 +364,13 @@ def _model(content: Mapping[str, Any]) -> Model:
 
 
 def _readings(content: Mapping[str, Any], model: Model) -> Readings:
-    reference = _numbers(content["reference"])
+    reference, force = _numbers(content["reference"]), _numbers(content.get("force"))
     size = np.linalg.norm(reference, axis=1)
-    if not (np.isfinite(size) & (size > 0.0)).all():
+    at_rest = np.ones(len(size), dtype=bool) if force is None else ~known_rows(force)
+    if not (np.isfinite(size) & ((size > 0.0) | ~at_rest)).all():
         raise ValueError("its reference is zero or not finite")
     sign = -1.0 if content["convention"] == "gravity" else 1.0
-    up = reference / size[:, None] * sign + 0.0
+    up = directions(reference) * sign + 0.0
     sd_deg = content.get("orientation_sd_deg")
     return Readings(
         values=_numbers(content["readings"]),
@@ -371,6 +378,8 @@ def _readings(content: Mapping[str, Any], model: Model) -> Readings:
         positions=tuple(content["positions"]),
         up=_numbers(content["up"]) if "up" in content else up,
         rotation=_numbers(content.get("attitude")),
+        force=force,
+        reference_u=_numbers(content.get("reference_u")),
         u=_numbers(content.get("reading_u")),
         covariance=_numbers(content.get("reading_covariance")),
         sd=_numbers(content.get("reading_sd")),
@@ -477,6 +486,8 @@ def _check_shapes(c: Mapping[str, Any]) -> None:
         "group": (n,),
         "attitude": (n, 3, 3),
         "up": (n, 3),
+        "force": (n, 3),
+        "reference_u": (n, 3),
     }
     shapes = [(key, c[key], shape) for key, shape in known.items() if key in c]
     shapes.append(("diagnostics.leverage", c["diagnostics"]["leverage"], (n, m)))

@@ -8,8 +8,8 @@ t_k follows Student's t with ν − 1 degrees of freedom [1]_; a position is an 
 passes the 1 % point divided by the number of readings (Bonferroni).
 
 Linearity of an output against its own reference: with the least-squares line through the
-readings and its span S from −1 to +1 g, the largest |reading − line| and the largest
-|residual of the model|, both over S, in percent.
+readings and its span S from −1 to +1 g (where forces are known, to the largest), the largest
+|reading − line| and the largest |residual of the model|, both over S, in percent.
 
 References
 ----------
@@ -138,9 +138,12 @@ def find_outlying_positions(
 
 
 def linearity(
-    model: Model, reference: Array, values: Array, residuals: Array
+    model: Model, reference: Array, values: Array, residuals: Array, *, forced: bool = False
 ) -> dict[str, dict[str, float]]:
-    """Return {output: {without_model_percent, with_model_percent}}; NaN where no line fits."""
+    """Return {output: {without_model_percent, with_model_percent}}; NaN where no line fits.
+
+    The span is that of ±1 g, of `forced` readings that of the largest force along the axis.
+    """
     result = {}
     for column, (output, axis) in enumerate(zip(model.outputs, model.axes, strict=True)):
         own = reference[:, COMPONENTS.index(axis)]
@@ -152,7 +155,8 @@ def linearity(
             continue
         slope = float(centred @ reading) / square
         from_line = reading - reading.mean() - slope * centred
-        span = abs(2.0 * slope) or np.nan
+        largest = float(np.abs(own).max()) if forced else 1.0
+        span = abs(2.0 * slope) * largest or np.nan
         result[output] = {
             "without_model_percent": 100.0 * float(np.abs(from_line).max()) / span,
             "with_model_percent": 100.0 * float(np.abs(residuals[:, column]).max()) / span,

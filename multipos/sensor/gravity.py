@@ -1,9 +1,10 @@
 """The local gravity: what options state of it, and what its uncertainty does to a calibration.
 
-An uncertain gravity scales every reference alike. A coefficient of degree d in force is
-proportional to g^-d, so its sensitivity and the covariance all parameters share are
+An uncertain gravity scales the reference of every position at rest alike. Where all are, a
+coefficient of degree d in force is proportional to g^-d, so that its sensitivity (of every case:
+`multipos.estimation.gains`) and the covariance that all parameters share are
 
-    c_j = -d_j p_j / g,      cov p += c c' u_g²,                                            (1)
+    c_j = d_j p_j / g,       cov p += c c' u_g²,                                            (1)
 
 with infinite degrees of freedom; the effective ones of the sum are Welch and Satterthwaite's,
 
@@ -20,7 +21,6 @@ import numpy as np
 
 from multipos.errors import UsageError
 from multipos.numerics.arrays import LARGEST, Array
-from multipos.sensor.model import Model
 from multipos.units import gravity_ratio, normal_gravity
 
 
@@ -72,17 +72,17 @@ def signed_size(gravity: Gravity | None, convention: str) -> float:
 
 
 def add_gravity(
-    model: Model, parameters: Array, covariance: Array, dof: Array, gravity: Gravity
+    covariance: Array, dof: Array, gravity: Gravity, sensitivity: Array
 ) -> tuple[Array, Array]:
     """Return covariance and degrees of freedom with the common term of gravity, eqs. (1), (2).
 
     Parameters
     ----------
-    model : Model
-    parameters, covariance, dof : (p,), (p, p), (p,) arrays
+    covariance, dof : (p, p), (p,) arrays
     gravity : Gravity
+    sensitivity : (p,) array
+        c of eq. (1).
     """
-    sensitivity = -model.force_degrees * parameters / gravity.value
     combined = covariance + np.outer(sensitivity, sensitivity) * gravity.u**2
     before, after = np.diag(covariance), np.diag(combined)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

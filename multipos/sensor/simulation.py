@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from multipos.errors import UsageError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import LARGEST, Array
+from multipos.positions.forces import FORCE, known_rows
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
@@ -37,8 +38,8 @@ _LARGEST = 200_000_000  # samples
 class Simulation(Columns):
     """Readings of a simulated session, the columns of a readings file.
 
-    They are position, up_x, up_y, up_z as the scheme has them, the outputs, and the columns that
-    the model uses.
+    They are position, up_x, up_y, up_z as the scheme has them (f_x, f_y, f_z where it has known
+    forces), the outputs, and the columns that the model uses.
     """
 
 
@@ -84,11 +85,22 @@ def simulate(
     return Simulation(
         {
             "position": list(labels),
-            **dict(zip(("up_x", "up_y", "up_z"), known.up.T, strict=True)),
+            **_stood(known),
             **dict(zip(calibration.outputs, values.T, strict=True)),
             **environment,
         }
     )
+
+
+def _stood(scheme: Scheme) -> dict[str, Array]:
+    """Return the columns that say where the sensor stood, or what force was applied."""
+    names = ("up_x", "up_y", "up_z")
+    if scheme.force is None:
+        return dict(zip(names, scheme.up.T, strict=True))
+    forced = known_rows(scheme.force)
+    forces = dict(zip(FORCE, scheme.force.T, strict=True))
+    up = np.where(forced[:, None], np.nan, scheme.up)
+    return forces if forced.all() else {**dict(zip(names, up.T, strict=True)), **forces}
 
 
 def simulate_log(
@@ -162,8 +174,10 @@ def _session(
     sign = calibration.sign
     size = gravity_ratio(None if calibration.gravity is None else calibration.gravity.value)
     tilt = np.radians(orientation_sd) * rng.normal(size=scheme.up.shape)
-    up = _turned(scheme.up, -tilt)
-    return sign * size * up, _surroundings(calibration, len(scheme), temperature)
+    force = size * scheme.up
+    if scheme.force is not None:
+        force = np.where(np.isfinite(scheme.force), scheme.force, force)
+    return sign * _turned(force, -tilt), _surroundings(calibration, len(scheme), temperature)
 
 
 def _surroundings(

@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from multipos.estimation.gains import estimator_gain
 from multipos.estimation.restatement import noise_factor, restate, return_to_optimum
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator, VarianceComponents
 from multipos.uncertainty.budgets import Quantity, read_budget
 from multipos.uncertainty.propagation import evaluate_budget
-from multipos.uncertainty.sensitivities import estimator_gain, reading_moves, turn_axes
+from multipos.uncertainty.sensitivities import reading_moves, turn_axes
 
 
 class Draws:
@@ -97,7 +98,8 @@ class Draws:
         force = _rotate(np.broadcast_to(c.reference, vectors.shape), vectors)
         for quantity in scaled:
             assert c.gravity is not None
-            force = force * (1.0 + self._law(quantity, (trials, 1, 1)) / c.gravity.value)
+            at_rest = ~c.readings.forced[:, None]
+            force = force * (1.0 + at_rest * self._law(quantity, (trials, 1, 1)) / c.gravity.value)
         flat = force.reshape(-1, 3)
         environment = {
             name: np.tile(c.readings.environment[name], trials) for name in c.model.environment

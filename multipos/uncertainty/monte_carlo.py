@@ -28,13 +28,14 @@ from numpy.typing import NDArray
 
 from multipos.errors import UsageError
 from multipos.estimation.descent import maximise
+from multipos.estimation.gains import estimator_gain
 from multipos.estimation.problem import start_state
 from multipos.estimation.restatement import restate
 from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import directions
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.draws import Draws
-from multipos.uncertainty.sensitivities import estimator_gain
 
 Solve = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (trials, p)
 
@@ -230,7 +231,7 @@ def _own_estimator(c: Calibration) -> Solve:
         raise UsageError("give `estimator`, a function of the readings, for a robust calibration.")
     # About the solution itself: its reference is the listed one, already turned and stepped.
     problem = replace(restate(c), reference=c.reference)
-    direction = c.reference / np.linalg.norm(c.reference, axis=1)[:, None]
+    direction = directions(c.reference)
 
     def estimate(values: Array) -> Array:
         drawn = replace(problem, values=values)

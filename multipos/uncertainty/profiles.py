@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import ConvergenceError, MultiposError
 from multipos.estimation.descent import maximise
+from multipos.estimation.gains import estimator_gain
 from multipos.estimation.known import chi_squares
 from multipos.estimation.likelihood import linearise, moved, recentred
 from multipos.estimation.restatement import restate, return_to_optimum
@@ -39,7 +40,6 @@ from multipos.numerics.quantiles import coverage_factor
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.uncertainty.propagation import evaluate_budget
-from multipos.uncertainty.sensitivities import estimator_gain
 
 Profile = Callable[[float], float]  # how much a parameter's value costs, S_j(t) - S_min
 

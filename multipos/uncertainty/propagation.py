@@ -25,12 +25,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
 from multipos.uncertainty.budgets import Budget, BudgetSource, Quantity, read_budget
-from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects
+from multipos.uncertainty.sensitivities import parameter_effects
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 Every estimator is described near its solution by its gain, how the parameters follow the
 readings (output running fastest),
 
-    G = dp/dy  (p, n M);      (X'V⁻¹X)⁻¹ X'V⁻¹  where the orientations are known.           (1)
+    G = dp/dy  (p, n M),      `multipos.estimation.gains`.                                  (1)
 
 An input quantity x (gravity, the level of the table, the gain of a voltmeter) enters by how it
 would move the readings y = h(f; p), so for every estimator and every scheme
@@ -11,7 +11,7 @@ would move the readings y = h(f; p), so for every estimator and every scheme
     dp/dx = G dy/dx,                                                                        (2)
 
 ============  =========================================  =====================================
-gravity g     dy = J f / g, or dp = d p / g at once       d the degree of the term in force
+gravity g     dy = J f / g, or dp = d p / g at once       rows at rest; d the degree in force
 level         dy = J (a × f)                             J = dh/df; a = east, north, case axes
 orientation   dy_k = J_k (e × f_k), one k alone          e = the case axes
 index         dy = J (a × f) cos mt, … sin mt            a = the shaft, t the angle about it
@@ -28,47 +28,15 @@ JCGM 100:2008, clause 5.1; docs/theory/budget.md.
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.estimation.gains import uncertain_gain
-from multipos.estimation.six_positions import closed_form_gain
+from multipos.estimation.gains import gravity_effect
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
-from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.budgets import Quantity
 from multipos.uncertainty.stated_stability import zero_moves
 
 _DEGREE = 1e-2  # [degC] of central differences: exact for terms up to the second degree
-
-
-def estimator_gain(calibration: Calibration) -> Array:
-    """Return how the parameters follow the readings, G of eq. (1).
-
-    Returns
-    -------
-    (p, n M) array
-        Output running fastest.
-    """
-    c = calibration
-    if c.estimator is Estimator.CLOSED_FORM:
-        return closed_form_gain(c.model, c.reference)
-    if not c.estimator.exact:
-        return uncertain_gain(c)
-    n, m = c.readings.values.shape
-    design = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment).reshape(
-        n * m, -1
-    )
-    noise = c.noise
-    if noise is not None and noise.ndim == 2:
-        whitener = np.linalg.inv(np.linalg.cholesky(noise))
-        Q, R = np.linalg.qr(whitener @ design)
-        return np.asarray(np.linalg.solve(R, Q.T @ whitener))
-    sd = np.ones(n * m) if noise is None else np.sqrt(noise)
-    result = np.zeros((design.shape[1], n * m))
-    for output, part in enumerate(c.model.slices):  # block by block: the outputs are independent
-        Q, R = np.linalg.qr(design[output::m, part] / sd[output::m, None])
-        result[part, output::m] = np.linalg.solve(R, Q.T) / sd[output::m]
-    return result
 
 
 def parameter_effects(c: Calibration, gain: Array, quantity: Quantity) -> Array:
@@ -78,7 +46,7 @@ def parameter_effects(c: Calibration, gain: Array, quantity: Quantity) -> Array:
     ----------
     c : Calibration
     gain : (p, n M) array
-        From `estimator_gain`.
+        From `multipos.estimation.gains.estimator_gain`.
     quantity : Quantity
 
     Returns
@@ -90,9 +58,7 @@ def parameter_effects(c: Calibration, gain: Array, quantity: Quantity) -> Array:
     if quantity.name == "resolution":
         return gain
     if quantity.name == "gravity" and c.gravity is not None:
-        # A coefficient of degree d in force goes with g^-d, whatever the residuals.
-        degree = np.array([term.force_degree for _, term in c.model.keys])
-        return np.asarray((degree * c.parameters / c.gravity.value)[:, None])
+        return gravity_effect(c)[:, None]
     if c.estimator is Estimator.UNKNOWN and quantity.name in ("level", "index"):
         return np.zeros((len(gain), 1))  # orientations that were not used cannot be wrong
     if quantity.name == "orientation":

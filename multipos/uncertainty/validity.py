@@ -8,21 +8,23 @@ The tilt of a sensed axis i is the angle above the horizon of that axis of the c
 a calibration is worth what it gives at its worst direction and, as root mean square, over all of
 them. The reading that is compensated adds its own noise, which is not in these numbers.
 
-Beyond the forces that were applied, a third-order term κ_i f_i³ (relative to the scale factor s_i)
-that the positions could not show grows. The fit absorbed it as far as it looks like the model,
-so with the gain G of the estimator compensated force is off by
+What was applied is a sphere of |f| = g, and known forces, which along an axis go from the smallest
+component to the largest and in size to the largest of them. Beyond, a third-order term κ_i f_i³
+(relative to the scale factor s_i) that the positions could not show grows. The fit absorbed it as
+far as it looks like the model, so with the gain G of the estimator compensated force is off by
 
     δf(f) = J⁺ (e_i s_i κ_i f_i³ - φ(f)' G e_i s_i κ_i f_i³ at the positions),               (2)
 
 nothing at ±1 g and (f² - 1) f κ beyond, for positions along the axes.
 """
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS, linear_term
@@ -32,9 +34,58 @@ from multipos.sensor.inverse import inverse_covariance, sensed_axes
 from multipos.sensor.inverse import sensitivities as inverse_sensitivities
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.propagation import evaluate_budget
-from multipos.uncertainty.sensitivities import estimator_gain
 
+# Noise and placement make |f| of a sensor at rest differ from 1 g; only more than this is outside.
+_MARGIN = 0.01
+_MARGIN_RMS = 4.0
 POINTS = "fibonacci-1000"  # even directions: the worst of them is within 1 % of the worst of all
+
+
+class Applied(NamedTuple):
+    """The forces that a calibration has seen [g].
+
+    Inside is what is no larger than `sphere`, and what is no larger than `largest` with components
+    between `low` and `high`, all with a margin for noise and placement.
+    """
+
+    sphere: float
+    largest: float
+    low: Array  # (3,)
+    high: Array  # (3,)
+    margin: float
+
+    def holds(self, force: Array, axes: Sequence[int]) -> NDArray[np.bool_]:
+        """Tell which forces (n, K) along K axes are inside; NaN is not."""
+        size = np.sqrt(np.einsum("ni,ni->n", force, force))
+        if self.sphere == self.largest:
+            return np.asarray(size <= self._limit(self.largest))
+        room = self.margin + _MARGIN * self.largest
+        within = (force >= self.low[axes] - room) & (force <= self.high[axes] + room)
+        seen = (size <= self._limit(self.largest)) & within.all(axis=1)
+        return np.asarray((size <= self._limit(self.sphere)) | seen)
+
+    def _limit(self, size: float) -> float:
+        return size * (1.0 + _MARGIN) + self.margin
+
+    def in_words(self, axes: Sequence[int]) -> str:
+        """Return what was applied, along K axes."""
+        if self.sphere == self.largest:
+            return f"up to {self.largest:.4g} g"
+        parts = [f"{COMPONENTS[i]} {self.low[i]:.4g} to {self.high[i]:.4g}" for i in axes]
+        return f"{', '.join(parts)} g"
+
+
+def applied(calibration: Calibration) -> Applied:
+    """Return the forces that a calibration has seen."""
+    c = calibration
+    forced = c.readings.forced
+    size = np.linalg.norm(c.reference, axis=1)
+    largest, margin = float(size.max()), _MARGIN_RMS * c.rms
+    sphere = float(size[~forced].max(initial=0.0))
+    known = c.reference[forced]
+    low = known.min(axis=0, initial=-sphere)
+    high = known.max(axis=0, initial=sphere)
+    return Applied(sphere, largest, np.asarray(low), np.asarray(high), margin)
 
 
 def force_covariance(

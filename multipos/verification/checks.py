@@ -6,8 +6,8 @@ tilt [degrees]: before by the nominal conversion (raw − bias)/scale, after by 
     e = f − f_ref,    u² = u²(f) + u²(f_ref),    U = k u,                                   (1)
 
 with u(f) of eq. (4) of `multipos.sensor.tilt`, the noise of the run's own readings in it, and
-u(f_ref) from ``orientation_sd_deg`` where the run states it. Verdicts are those of
-`multipos.verification.verdicts`.
+u(f_ref) from ``orientation_sd_deg`` and ``reference_u_x`` … where it states them. Verdicts are
+those of `multipos.verification.verdicts`.
 
 Linearity is the largest departure from the least-squares line against the reference, in percent of
 that line's span: from −1 to +1 g for force, over the angles of the run for tilt. The positions
@@ -33,7 +33,7 @@ from multipos.positions.readings import Readings, require_range, spread_reading_
 from multipos.positions.scheme import Scheme
 from multipos.regression.result import Regression
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.inverse import invert, sensed_axes
 from multipos.sensor.tilt import (
     at_rest,
     coverage_factors,
@@ -139,10 +139,11 @@ def _check_run(
 ) -> Check:
     """Return errors and verdicts of a run whose positions and noise (n, M) are known."""
     assert data.up is not None
+    _require_known(calibration, data, tilt)
     axes = list(sensed_axes(calibration.model))
     errors = _tilt_errors if tilt else _force_errors
     reference, before, after, u, U = errors(calibration, data, data.up, nominal, noise)
-    level = np.degrees(true_tilt(data.up))[:, axes]
+    level = np.nan_to_num(np.degrees(true_tilt(data.up)))[:, axes]
     # A hair's breadth more, so that 60 degrees from a cosine is within 60.
     counted = np.abs(level) <= (90.0 if within_deg is None else within_deg) + 1e-6
     if not counted.any():
@@ -221,14 +222,47 @@ def _force_errors(
     calibration: Calibration, data: Readings, up: Array, nominal: Sequence[float], noise: Array
 ) -> _Errors:
     axes = list(sensed_axes(calibration.model))
-    reference = (calibration.sign * magnitude_of(calibration) * up)[:, axes]
+    known = calibration.sign * magnitude_of(calibration) * up
     rest = at_rest(calibration, data.values, data.environment, up)
+    if data.force is not None:
+        forced = data.forced[:, None]
+        known = np.where(forced, calibration.sign * data.force, known)
+        rest = np.where(forced, _explained(calibration, data, known), rest)
+    reference = known[:, axes]
     covariance, dof = force_uncertainty(calibration, rest, data.environment, noise)
-    across = np.sqrt(np.maximum(magnitude_of(calibration) ** 2 - reference**2, 0.0))
+    square = np.einsum("ni,ni->n", known, known)[:, None]
+    across = np.sqrt(np.maximum(square - reference**2, 0.0))
     own = np.sqrt(np.einsum("nkk->nk", covariance))
     u = np.hypot(own, across * _placement(data))
+    if data.reference_u is not None:
+        u = np.hypot(u, data.reference_u[:, axes])
     before = _nominal(calibration, data, nominal) - reference
     return reference, before, rest[:, axes] - reference, u, _expanded(calibration, own, u, dof) * u
+
+
+def _explained(calibration: Calibration, data: Readings, known: Array) -> Array:
+    """Return the force (n, 3) [g] that explains the readings, what no output senses as known."""
+    force = known.copy()
+    force[:, list(sensed_axes(calibration.model))] = invert(
+        calibration.model, calibration.parameters, data.values, data.environment, unseen=known
+    )
+    return force
+
+
+def _require_known(calibration: Calibration, data: Readings, tilt: bool) -> None:
+    """Refuse known forces where tilt is asked for, or beside a gravity of unknown size."""
+    forced = data.forced
+    if tilt and forced.any():
+        raise MultiposError(
+            f"{data.source or 'the run'}: position '{data.labels[int(np.argmax(forced))]}' has a "
+            "known force and is not at rest, which has no tilt; compare force, or leave it out."
+        )
+    both = np.concatenate([forced, calibration.readings.forced])
+    if calibration.gravity is None and both.any() and not both.all():
+        raise MultiposError(
+            f"{data.source or 'the run'}: known forces are in standard g, and what that is in "
+            "local gravity the calibration does not know; fit it with --gravity or --latitude."
+        )
 
 
 def _tilt_errors(

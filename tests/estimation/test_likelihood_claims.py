@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 import multipos as mp
 from multipos.doubts.joint_tests import judge_terms_jointly
 from multipos.errors import MultiposError
+from multipos.estimation.gains import estimator_gain
 from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.numerics.quantiles import chi2_tail
 from multipos.numerics.rotations import rotation_matrix
@@ -21,7 +22,7 @@ from multipos.reports.documents import write_report
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.uncertainty.profiles import profile_interval
-from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects
+from multipos.uncertainty.sensitivities import parameter_effects
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
 BIAS = np.array([0.01, -0.02, 0.015])

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.doubts.criticism import aicc, find_influence, fourier_residuals, judge_terms
 from multipos.errors import ConvergenceError, MultiposError, UsageError
+from multipos.estimation.gains import estimator_gain
 from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.found import Placed, VarianceComponents
@@ -22,7 +23,6 @@ from multipos.uncertainty.draws import Draws
 from multipos.uncertainty.monte_carlo import numerical_tolerance, simulate_budget
 from multipos.uncertainty.profiles import profile_interval, search_interval
 from multipos.uncertainty.propagation import evaluate_budget
-from multipos.uncertainty.sensitivities import estimator_gain
 from multipos.uncertainty.validity import evaluate_sphere
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])

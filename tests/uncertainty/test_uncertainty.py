@@ -11,11 +11,12 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
+from multipos.estimation.gains import estimator_gain
 from multipos.files.trees import read_json
 from multipos.positions.scheme import read_scheme
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.propagation import evaluate_budget, state_budget, welch_satterthwaite
-from multipos.uncertainty.sensitivities import estimator_gain, parameter_effects, reading_moves
+from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
 from multipos.uncertainty.validity import (
     evaluate_sphere,
     force_covariance,

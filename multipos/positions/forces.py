@@ -1,0 +1,148 @@
+"""Known specific forces beside orientations: a centrifuge, a shaker, a scale of weights.
+
+Where the sensor is not at rest in gravity alone, a row states the specific force itself, in case
+axes and standard g, of any size. Each row of a table is then one of
+
+    f = f_stated  (columns f_x, f_y, f_z),        f = (gravity/9.80665) u                   (1)
+
+and a reference is +f, or −f under the convention 'gravity'. A stated force is taken as it stands:
+local gravity and its uncertainty scale the rows of u alone. ``reference_u_x`` … are the standard
+uncertainties of its components, independent from row to row.
+
+Columns of these names are not always positions: `apply` writes its compensated force under them,
+and a sensor may call its outputs so. They are none where the caller names them as outputs, where
+``apply`` left its column ``outside`` beside them, where every row has its orientation in another
+form, and where no other column could be an output.
+"""
+
+import re
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.files.tables import Table
+from multipos.numerics.arrays import LARGEST, Array
+
+FORCE = ("f_x", "f_y", "f_z")
+REFERENCE_U = ("reference_u_x", "reference_u_y", "reference_u_z")
+_APPLIED = re.compile(r"([uU]_)?(f_[xyz]|tilt_[xyz]_deg)|outside|parity|fault")
+_LENGTHS = 0.01  # by which up vectors, rounded for print, are longer or shorter than one
+
+
+class Forces(NamedTuple):
+    """Known forces (n, 3) and their standard uncertainty (n, 3) [g]; NaN in rows without."""
+
+    force: Array
+    u: Array
+
+
+def left_by_apply(table: Table) -> tuple[str, ...]:
+    """Return the columns that `apply` added to a table, by its mark ``outside``."""
+    if "outside" not in table or not any(name in table for name in FORCE):
+        return ()
+    return tuple(name for name in table.columns if _APPLIED.fullmatch(name))
+
+
+def states_forces(table: Table, oriented: NDArray[np.bool_] | None) -> bool:
+    """Tell whether the columns f_x, f_y, f_z state forces, and not what was compensated.
+
+    Parameters
+    ----------
+    table : Table
+        Without the columns that are outputs.
+    oriented : (n,) array of bool, optional
+        Rows that have their orientation in another form.
+    """
+    if not all(name in table for name in FORCE) or left_by_apply(table):
+        return False
+    return oriented is None or not oriented.all()
+
+
+def known_rows(force: Array) -> NDArray[np.bool_]:
+    """Return the rows (n,) of forces (n, 3) that are known."""
+    return np.asarray(np.isfinite(force).all(axis=1))
+
+
+def read_forces(table: Table, oriented: NDArray[np.bool_] | None) -> Array:
+    """Return the forces (n, 3) [g] that a table states, NaN in rows that state none.
+
+    Raises
+    ------
+    MultiposError
+        A cell is missing or no number, or a row has an orientation as well.
+    """
+    empty = oriented is not None
+    force = np.column_stack([table.number(name, empty=empty, largest=LARGEST) for name in FORCE])
+    given = np.isfinite(force)
+    partly = np.asarray(given.any(axis=1) & ~given.all(axis=1))
+    if partly.any():
+        row = int(np.argmax(partly))
+        missing = FORCE[int(np.argmin(given[row]))]
+        raise MultiposError(f"{table.where(row, missing)}: empty; a force has three components.")
+    if oriented is not None:
+        both = known_rows(force) & oriented
+        if both.any():
+            row = int(np.argmax(both))
+            raise MultiposError(
+                f"{table.where(row, FORCE[0])}: the row states a force and an orientation; "
+                "keep one of them."
+            )
+    return force
+
+
+def along_forces(force: Array, up: Array | None) -> Array:
+    """Return up vectors (n, 3), where a force is known along it, NaN where it has no size."""
+    result = np.full(force.shape, np.nan) if up is None else up.copy()
+    rows = known_rows(force)
+    size = np.linalg.norm(force[rows], axis=1)[:, None]
+    result[rows] = np.where(size > 0.0, force[rows] / np.where(size > 0.0, size, 1.0), np.nan)
+    return result
+
+
+def read_reference_u(table: Table, force: Array | None) -> Array | None:
+    """Return the standard uncertainty (n, 3) [g] of the reference, 0 where a row states none.
+
+    Raises
+    ------
+    MultiposError
+        A column of the three is missing, a cell is negative, or empty beside a force.
+    """
+    present = [name for name in REFERENCE_U if name in table]
+    if not present:
+        return None
+    missing = [name for name in REFERENCE_U if name not in table]
+    if missing:
+        raise MultiposError(
+            f"{table.source}: column '{missing[0]}' is missing beside '{present[0]}'; give the "
+            "uncertainty of all three components, 0 where one is exact."
+        )
+    u = np.column_stack([table.number(name, empty=True, largest=LARGEST) for name in REFERENCE_U])
+    known = np.zeros(len(u), dtype=bool) if force is None else known_rows(force)
+    faults: tuple[tuple[NDArray[np.bool_], str], ...] = (
+        (np.asarray(u < 0.0), "negative; a standard uncertainty is 0 or more"),
+        (np.isnan(u) & known[:, None], "empty beside a known force; write 0 where it is exact"),
+    )
+    for bad, fault in faults:
+        if bad.any():
+            row, i = np.argwhere(bad)[0].tolist()
+            raise MultiposError(f"{table.where(row, REFERENCE_U[i])}: {fault}.")
+    return np.nan_to_num(u)
+
+
+def said_of_lengths(table: Table, names: Iterable[str]) -> tuple[str, ...]:
+    """Say where up vectors have lengths that somebody may have meant as forces."""
+    up = np.column_stack([table.number(name, empty=True) for name in names])
+    size = np.linalg.norm(up, axis=1)
+    size = size[np.isfinite(size)]
+    if not len(size) or np.abs(size - 1.0).max() <= _LENGTHS:
+        return ()
+    low, high = (f"{end:.4g}" for end in (size.min(), size.max()))
+    lengths = low if low == high else f"{low} to {high}"
+    said = (
+        f"the up vectors have lengths of {lengths} and are taken as directions; a known force [g] "
+        f"goes into {', '.join(FORCE)}"
+    )
+    return (said,)
