@@ -6,13 +6,13 @@ import numpy as np
 
 import multipos as mp
 from benchmarks.timing import Ratio, paired_ratio
+from multipos.estimation.gains import estimator_gain
 from multipos.numerics.least_squares import solve
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report
 from multipos.sensor.derived import propagate
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.uncertainty.propagation import evaluate_budget
-from multipos.estimation.gains import estimator_gain
 
 TRIALS = 100_000
 THERMOMETER = np.array(
