@@ -4,10 +4,10 @@ import argparse
 from pathlib import Path
 
 from multipos.commands.answers import STDOUT, Answer, Output
+from multipos.compensation.parts import load_parts
 from multipos.compensation.target import self_test
 from multipos.compensation.targets import TARGETS, export, named_target
 from multipos.files.trees import to_json
-from multipos.sensor.calibration_file import load
 
 
 def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
@@ -31,9 +31,19 @@ OUTPUT = Output(
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
-    add("calibration", metavar="CAL.json", help="calibration to export")
+    add(
+        "calibration",
+        nargs="+",
+        metavar="CAL.json|REG.json",
+        help="calibration to export, or regressions, or both, the calibration first",
+    )
     targets = ", ".join(target.name for target in TARGETS)
     add("--to", required=True, metavar="TARGET", help=f"one of {targets}")
+    add(
+        "--correct",
+        metavar="COLUMN,…",
+        help="what each regression corrects, in C; without, it gives the predicted responses",
+    )
     add_export_options(parser)
 
 
@@ -52,11 +62,12 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     exported = export(
-        load(arguments.calibration),
+        load_parts(arguments.calibration),
         arguments.to,
         name=arguments.name,
         float=arguments.float,
         allow_lossy=arguments.allow_lossy,
+        correct=arguments.correct,
     )
     names = [arguments.output, *map(str, _beside(arguments))]
     listing = {"target": exported.target, "files": names, "notes": exported.notes}

@@ -82,6 +82,8 @@ def _add_time(group: argparse._ArgumentGroup) -> None:
         metavar="W",
         help="width of the smoothed derivative, in the unit of time (default 20 rows)",
     )
+    add("--causal", action="store_true", help="rates from past rows only, as the exported C has")
+    add("--run", metavar="COLUMN", help="what tells one switch-on from another")
     add(
         "--robust",
         default="hac",

@@ -3,18 +3,28 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
+from multipos.compensation.parts import load_parts
 from multipos.compensation.reading_back import verify_export
 from multipos.files.trees import to_json
-from multipos.sensor.calibration_file import load
 
-INPUTS = ("file", "calibration")
+INPUTS = ("file", "calibration", "data")
 OUTPUT = Output("OUT", "write the result to OUT as well", "text", ("json",))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("file", metavar="FILE", help="file that export wrote")
-    parser.add_argument("calibration", metavar="CAL.json", help="calibration it came from")
+    parser.add_argument(
+        "calibration",
+        nargs="+",
+        metavar="CAL.json|REG.json",
+        help="what it came from, in the order of export",
+    )
+    parser.add_argument(
+        "--data",
+        metavar="DATA.csv",
+        help="what a regression was fitted to, replayed in place of rows that are made up",
+    )
     parser.add_argument(
         "--run-foreign-code",
         action="store_true",
@@ -26,7 +36,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     found = verify_export(
         arguments.file,
-        load(arguments.calibration),
+        load_parts(arguments.calibration),
+        data=arguments.data,
         run_foreign_code=arguments.run_foreign_code,
     )
     return Answer(text=lambda: str(found), json=lambda: to_json(found.to_dict()))

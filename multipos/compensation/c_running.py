@@ -50,11 +50,6 @@ def run_c(
     path: str, text: bytes, calibration: Calibration, name: str, single: bool, rows: Array
 ) -> Array:
     """Return what the function of a C file makes of rows (n, M + E), in a folder of its own."""
-    compiler = next(filter(None, map(shutil.which, _COMPILERS)), None)
-    if compiler is None:
-        raise MultiposError(
-            f"no C compiler ({', '.join(_COMPILERS)}) was found to run {path}; install one."
-        )
     kind, axes = "float" if single else "double", len(sensed_axes(calibration.model))
     raw, count = len(calibration.outputs), len(calibration.model.environment)
     environment = (
@@ -72,6 +67,19 @@ def run_c(
         between="env, " if count else "",
         name=name,
     )
+    return compile_and_run(path, text, main, rows, axes)
+
+
+def compile_and_run(path: str, text: bytes, main: str, rows: Array, columns: int) -> Array:
+    """Return what a program makes of rows of numbers, `columns` for each, in a folder of its own.
+
+    The program reads the file ``readings`` and writes ``forces``.
+    """
+    compiler = next(filter(None, map(shutil.which, _COMPILERS)), None)
+    if compiler is None:
+        raise MultiposError(
+            f"no C compiler ({', '.join(_COMPILERS)}) was found to run {path}; install one."
+        )
     with tempfile.TemporaryDirectory() as folder:
         inside = Path(folder)
         (inside / "main.c").write_text(main, encoding="utf-8")
@@ -89,9 +97,9 @@ def run_c(
         _call([*command, "-lm"], inside, path)
         _call([str(inside / "main")], inside, path)
         forces = inside / "forces"
-        if not forces.is_file() or forces.stat().st_size != 8 * axes * len(rows):
+        if not forces.is_file() or forces.stat().st_size != 8 * columns * len(rows):
             raise MultiposError(f"{path}: the compiled function stopped; export again.")
-        return np.frombuffer(forces.read_bytes()).reshape(-1, axes)
+        return np.frombuffer(forces.read_bytes()).reshape(-1, columns)
 
 
 def _call(command: list[str], folder: Path, path: str) -> None:

@@ -72,7 +72,7 @@ def c_test(calibration: Calibration, name: str, *, single: bool) -> str:
     raw, env, force = _vectors(calibration, single)
     tolerance = "5e-7f" if single else "1e-9"
     arrays = [("raw", raw), *([("env", env)] if env.shape[1] else []), ("expected", force)]
-    text = "\n".join(_array(key, values, single) for key, values in arrays)
+    text = "\n".join(array(key, values, single) for key, values in arrays)
     call = ", ".join(f"{key}[i]" for key, _ in arrays[:-1])
     return f"""\
 /* Self-test of {name}_compensate: compile with the file that holds it, and run.
@@ -162,7 +162,7 @@ def _header(calibration: Calibration, name: str, how: str) -> str:
         "",
         *table(["parameter", "unit", "value(u)", "U"], rows).splitlines(),
     ]
-    return "/*\n" + "\n".join(f" * {_comment(line)}".rstrip() for line in lines) + "\n */"
+    return "/*\n" + "\n".join(f" * {comment(line)}".rstrip() for line in lines) + "\n */"
 
 
 def _validity(calibration: Calibration, axes: Sequence[int]) -> str:
@@ -170,7 +170,7 @@ def _validity(calibration: Calibration, axes: Sequence[int]) -> str:
     return words if calibration.readings.forced.any() else f"|accel| {words}"
 
 
-def _comment(text: str) -> str:
+def comment(text: str) -> str:
     """Return text that stays on its line of a comment: it ends none, begins none, continues none.
 
     A backslash goes first, since it becomes a slash; ``??/`` is a backslash too, a trigraph.
@@ -198,7 +198,8 @@ def _vectors(calibration: Calibration, single: bool) -> tuple[Array, Array, Arra
     return raw[sound], env[sound], force[sound]
 
 
-def _array(name: str, values: Array, single: bool) -> str:
+def array(name: str, values: Array, single: bool) -> str:
+    """Return a constant array of rows, of length ``COUNT``."""
     kind = "float" if single else "double"
     cells = [[literal(value, single) for value in row] for row in values.tolist()]
     rows = ",\n".join(f"    {{{', '.join(row)}}}" for row in cells)

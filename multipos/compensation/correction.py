@@ -29,7 +29,8 @@ from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import largest_value
 from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
-from multipos.regression.rates import smoothed_rate
+from multipos.regression.observations import Rows, number_labels
+from multipos.regression.rates import form_rate
 from multipos.regression.result import Regression
 from multipos.sensor.tilt import coverage_factors
 
@@ -79,8 +80,9 @@ def correct(
     check_noise_options(uncertainty, reading_sd, parameters_only)
     table = read_table(data, what="data")
     target = _target(regression, table, column)
-    columns = read_predictors(regression, table)
-    place = place_rows(regression, columns, table.rows)
+    run = read_runs(regression, table)
+    columns = read_predictors(regression, table, run)
+    place = place_rows(regression, columns, table.rows, run)
     beyond, clamped = _outside(regression, columns, place)
     if outside == "refuse":
         _refuse_outside(table, target or next(iter(columns), ""), beyond)
@@ -140,9 +142,20 @@ def _noise(
     return "what the regression left of its own rows", None
 
 
-def place_rows(regression: Regression, columns: Mapping[str, Array], rows: int) -> NDArray[np.intp]:
+def place_rows(
+    regression: Regression, columns: Mapping[str, Array], rows: int, run: Rows | None
+) -> Rows:
     """Return the number of the segment of every row; without a predictor there is one segment."""
-    return regression.segment_of(columns) if columns else np.zeros(rows, dtype=np.intp)
+    return regression.segment_of(columns, run) if columns else np.zeros(rows, dtype=np.intp)
+
+
+def predict_clamped(
+    regression: Regression, columns: Mapping[str, Array], rows: int, run: Rows | None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return what is predicted of rows with their variables held in range, and which had to be."""
+    place = place_rows(regression, columns, rows, run)
+    beyond, clamped = _outside(regression, columns, place)
+    return _predict(regression, clamped, place), beyond
 
 
 def _refuse_outside(table: Table, target: str, beyond: NDArray[np.bool_]) -> None:
@@ -188,7 +201,14 @@ def _uncertainty(
     return u, coverage_factors(regression.confidence, dof) * u
 
 
-def read_predictors(regression: Regression, table: Table) -> dict[str, Array]:
+def read_runs(regression: Regression, table: Table) -> Rows | None:
+    """Return the number of every row's run; None where the table does not tell runs apart."""
+    if regression.run is None or regression.run not in table:
+        return None
+    return number_labels(np.array(table.text(regression.run)))
+
+
+def read_predictors(regression: Regression, table: Table, run: Rows | None) -> dict[str, Array]:
     """Return the columns that a prediction needs; rates from the time column as for the fit."""
     columns = {}
     terms = [term for segment in regression.segments for term in segment.terms]
@@ -198,14 +218,11 @@ def read_predictors(regression: Regression, table: Table) -> dict[str, Array]:
             _require_columns(table, [name])
             columns[name] = table.number(name, largest=largest_value(terms, name))
         else:
-            columns[name] = _rate(table, name.removesuffix("_rate"), regression.time, window)
+            source = name.removesuffix("_rate")
+            _require_columns(table, [source, regression.time])
+            at, values = (table.number(n, largest=LARGEST) for n in (regression.time, source))
+            columns[name] = form_rate(at, values, window=window, causal=regression.causal, run=run)
     return columns
-
-
-def _rate(table: Table, source: str, time: str, window: float) -> Array:
-    _require_columns(table, [source, time])
-    at, values = (table.number(name, largest=LARGEST) for name in (time, source))
-    return smoothed_rate(at, values, window=window)
 
 
 def _require_columns(table: Table, names: Sequence[str]) -> None:

@@ -2,24 +2,35 @@
 
 import os
 
+from multipos.compensation.parts import Parts, split_parts
 from multipos.compensation.target import GivenFile, Verification
+from multipos.compensation.target_correction import Replay, replay
 from multipos.compensation.targets import recognised_target
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
+from multipos.files.tables import Source
 from multipos.files.whole import read_bytes
-from multipos.sensor.calibration import Calibration
 
 _LONGEST = 10 << 20  # [byte], far above any file that export writes
 
 
 def verify_export(
-    path: str | os.PathLike[str], calibration: Calibration, *, run_foreign_code: bool = False
-) -> Verification:
+    path: str | os.PathLike[str],
+    calibration: Parts,
+    *,
+    data: Source | None = None,
+    run_foreign_code: bool = False,
+) -> Verification | Replay:
     """Apply an exported file to the readings of a calibration, by the consumer's own law.
+
+    The C of regressions is run on rows instead and held to what Python makes of them.
 
     Parameters
     ----------
     path : path
-    calibration : Calibration
+    calibration : Calibration or Regression, or a sequence of them
+        What the file was exported from.
+    data : path, optional
+        What the regressions were fitted to; without, rows are made up over all that was fitted.
     run_foreign_code : bool
         Compile and run C that is not what `export` writes of this calibration.
 
@@ -27,8 +38,13 @@ def verify_export(
     ------
     MultiposError
         The file is of no known kind, does not come from this calibration, or is C and there is
-        no compiler.
+        no compiler; or `data` are not those of the fit.
+    UsageError
+        `data` without a regression.
     """
+    first, regressions = split_parts(calibration)
+    if data is not None and not regressions:
+        raise UsageError("--data are rows of a regression; a calibration holds its own readings.")
     raw = read_bytes(path, "export")
     where = str(path)
     if len(raw) > _LONGEST:
@@ -36,9 +52,13 @@ def verify_export(
             f"{where}: {len(raw)} bytes are more than any file of multipos export has."
         )
     text = raw.decode("utf-8", errors="replace")
+    given = GivenFile(where, raw, text, run_foreign_code)
+    if regressions:
+        return replay(given, first, regressions, data)
     target = recognised_target(text)
     if target is None:
         raise MultiposError(
             f"{path}: neither C nor parameters that export writes; give a file of multipos export."
         )
-    return target.read_back(GivenFile(where, raw, text, run_foreign_code), calibration)
+    assert first is not None  # or there would be regressions
+    return target.read_back(given, first)

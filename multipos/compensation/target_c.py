@@ -47,7 +47,7 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     own = c_source(calibration, name, single=single).encode()
     foreign = raw != own
     if foreign and not file.run_foreign_code:
-        raise MultiposError(f"{path}: {_difference(raw, own)}")
+        raise MultiposError(f"{path}: {difference_of(raw, own)}")
     readings = calibration.readings
     columns = {name: readings.environment[name] for name in names}
     rows = np.column_stack([readings.values, *columns.values()])
@@ -85,7 +85,7 @@ def _check_sizes(path: str, found: re.Match[str], calibration: Calibration) -> N
         )
 
 
-def _difference(raw: bytes, own: bytes) -> str:
+def difference_of(raw: bytes, own: bytes) -> str:
     """Return how a file differs from what export writes, and what to do about it."""
     way = (
         "; export again, or compile and run it as it stands with --run-foreign-code, which does "

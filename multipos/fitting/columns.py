@@ -61,6 +61,8 @@ def regress(
     branches: str | None = None,
     time: str | None = None,
     rate_window: float | None = None,
+    causal: bool = False,
+    run: str | None = None,
     robust: RowDependence = "hac",
     cluster: str | None = None,
     cross_validate: int | None = None,
@@ -100,6 +102,10 @@ def regress(
         The time column; `time` where there is one.
     rate_window : float, optional
         Width of the smoothed derivative, in the unit of time.
+    causal : bool
+        Rates from the rows up to each, by the recursion that the exported C runs.
+    run : str, optional
+        A column that tells one switch-on from another; time may start again in each.
     robust : str
         'hac' or 'effective', for F_robust where rows are correlated in time.
     cluster : str, optional
@@ -126,7 +132,7 @@ def regress(
     limits = thresholds(enter, remove, f_enter, f_remove)
     names, candidates = read_candidates(response, variables, degree, terms)
     _check_options(
-        method, criterion, robust, confidence, cross_validate, response, branches, cluster
+        method, criterion, robust, confidence, cross_validate, response, branches, cluster, run
     )
     plan = Plan(candidates, names, method, limits, criterion, hierarchy, confidence, robust)
     wanted, given = _parse_segment(segment, continuous)
@@ -137,7 +143,9 @@ def regress(
         [*names, *(name for name in (wanted, branches) if name)],
         time=time,
         rate_window=rate_window,
+        causal=causal,
         cluster=cluster,
+        run=run,
         drop_missing=drop_missing,
         largest={name: largest_value(candidates, name) for name in names},
     )
@@ -149,6 +157,8 @@ def regress(
     result = _describe(plan, response, read, cut, cross_validate)
     return replace(
         result,
+        causal=causal,
+        run=run,
         source=visible(source) if sha256 else None,
         sha256=sha256,
         warnings=(*read.notes, *said, *result.warnings),
@@ -236,7 +246,12 @@ def _check_options(
     response: str,
     branches: str | None,
     cluster: str | None,
+    run: str | None,
 ) -> None:
+    if cluster is not None and run is not None:
+        raise UsageError(
+            "--cluster changes the tests alone, --run what is uncertain too; give one of them."
+        )
     if criterion not in CRITERIA:
         raise UsageError(f"--criterion takes {', '.join(CRITERIA)}, got '{criterion}'.")
     if criterion != CRITERIA[0] and method != "subsets":
@@ -247,7 +262,7 @@ def _check_options(
         raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
     if blocks is not None and blocks < 2:
         raise UsageError(f"--cross-validate takes 2 blocks or more, got {blocks}.")
-    for option, name in (("--branches", branches), ("--cluster", cluster)):
+    for option, name in (("--branches", branches), ("--cluster", cluster), ("--run", run)):
         if name == response:
             raise UsageError(f"{option} names the response '{response}'; give another column.")
 

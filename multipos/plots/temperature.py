@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.compensation.correction import correct, range_column, read_predictors
+from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
 from multipos.files.tables import Source, read_table
 from multipos.numerics.selection import Step
 from multipos.plots.style import (
@@ -45,7 +45,7 @@ def draw_correction(
     """
     table = read_table(data, what="data")
     target = column or regression.response
-    columns = read_predictors(regression, table)
+    columns = read_predictors(regression, table, read_runs(regression, table))
     name, x = (
         range_column(regression, table, columns)
         if variable is None

@@ -68,13 +68,15 @@ class TimeOrder:
         return TimeOrder(back[self.order[place]], run)
 
 
-def time_order(time: ArrayLike) -> TimeOrder:
-    """Return the order of rows in time; an interval above five medians is a gap."""
+def time_order(time: ArrayLike, run: NDArray[np.intp] | None = None) -> TimeOrder:
+    """Return the order of rows in time, run by run; an interval above five medians is a gap."""
     t = np.asarray(time, dtype=np.float64)
-    order = np.argsort(t, kind="stable")
+    runs = np.zeros(len(t), dtype=np.intp) if run is None else run
+    order = np.lexsort((t, runs))
+    apart = np.diff(runs[order]) > 0
     steps = np.diff(t[order])
-    moving = steps[steps > 0.0]  # rows may share a time stamp
-    gap = steps > (_GAP * float(np.median(moving)) if len(moving) else 0.0)
+    moving = steps[(steps > 0.0) & ~apart]  # rows may share a time stamp
+    gap = apart | (steps > (_GAP * float(np.median(moving)) if len(moving) else 0.0))
     return TimeOrder(order, np.concatenate(([0], np.cumsum(gap))).astype(np.intp))
 
 

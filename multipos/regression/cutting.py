@@ -94,7 +94,7 @@ def _branches(data: Data, cut: Cut) -> list[_Branch]:
         place = segment_of(data.columns[cut.variable], cut.edges)
     if cut.branch_column is None:
         return [_Branch(None, np.arange(n), place)]
-    sign = branch_of(data.columns[cut.branch_column])
+    sign = branch_of(data.columns[cut.branch_column], data.run)
     return [
         _Branch(name, np.flatnonzero(sign == b), place[sign == b])
         for b, name in enumerate(BRANCHES)

@@ -22,19 +22,26 @@ from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import Term, evaluate_terms
 from multipos.regression.correlation import effective_size
 from multipos.regression.observations import Data
+from multipos.regression.rates import rows_of_runs
 from multipos.regression.segmentation import segment_of
 
 BRANCHES = ("heating", "cooling")
 
 
-def branch_of(rate: Array) -> NDArray[np.intp]:
-    """Return 0 where it heats and 1 where it cools; a row without change is as the one before."""
+def branch_of(rate: Array, run: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
+    """Return 0 where it heats and 1 where it cools.
+
+    A row without change is as the one before in its run; before the first change it heats.
+    """
+    if run is not None:
+        branch = np.empty(len(rate), dtype=np.intp)
+        for rows in rows_of_runs(run):
+            branch[rows] = branch_of(rate[rows])
+        return branch
     sign = np.sign(rate)
-    moving = np.flatnonzero(sign)
-    if not len(moving):
-        return np.zeros(len(rate), dtype=np.intp)
+    moving = np.concatenate(([0], np.flatnonzero(sign)))
     last = np.searchsorted(moving, np.arange(len(rate)), side="right") - 1
-    return (sign[moving[np.maximum(last, 0)]] < 0.0).astype(np.intp)
+    return (sign[moving[last]] < 0.0).astype(np.intp)
 
 
 def compare_branches(
@@ -67,7 +74,7 @@ def compare_branches(
     MultiposError
         The rate has one sign only, or a branch of a segment has too few rows.
     """
-    sign = branch_of(data.columns[column])
+    sign = branch_of(data.columns[column], data.run)
     if sign.min() == sign.max():
         raise MultiposError(
             f"column '{column}' has one sign only, so there are no branches; leave out --branches."

@@ -15,7 +15,7 @@ from multipos.errors import MultiposError
 from multipos.files.tables import Table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.regression.correlation import TimeOrder, time_order
-from multipos.regression.rates import default_window, smoothed_rate
+from multipos.regression.rates import default_window, form_rate, rows_of_runs
 
 Rows = NDArray[np.intp]
 
@@ -24,12 +24,13 @@ _SAME = 1e-10  # relative difference below which two columns are one
 
 @dataclass(frozen=True)
 class Data:
-    """Columns of the rows that are fitted, with their order in time and their clusters."""
+    """Columns of the rows that are fitted, with their order in time, clusters and runs."""
 
     columns: Mapping[str, Array]
     response: Array
     order: TimeOrder | None = None
     cluster: Rows | None = None
+    run: Rows | None = None
 
     def take(self, rows: Rows) -> "Data":
         """Return some of the rows."""
@@ -38,6 +39,7 @@ class Data:
             self.response[rows],
             None if self.order is None else self.order.of(rows),
             None if self.cluster is None else self.cluster[rows],
+            None if self.run is None else self.run[rows],
         )
 
     def __len__(self) -> int:
@@ -62,7 +64,9 @@ def read_observations(
     *,
     time: str | None = None,
     rate_window: float | None = None,
+    causal: bool = False,
     cluster: str | None = None,
+    run: str | None = None,
     drop_missing: bool = False,
     largest: Mapping[str, float],
 ) -> Observations:
@@ -78,7 +82,9 @@ def read_observations(
         The time column; `time` where there is one.
     rate_window : float, optional
         Of rates, in the unit of time.
-    cluster : str, optional
+    causal : bool
+        Rates from the rows up to each.
+    cluster, run : str, optional
     drop_missing : bool
     largest : mapping of str to float
         How large a variable may be for its powers to be numbers.
@@ -93,19 +99,20 @@ def read_observations(
     formed = _rates_to_form(table, wanted)
     plain = [name for name in wanted if name not in formed]
     needed = list(dict.fromkeys([response, *plain, *formed.values(), *_named(time)]))
-    _require_columns(table, [*needed, *_named(cluster)])
+    _require_columns(table, [*needed, *_named(cluster), *_named(run)])
     if formed and time is None:
         raise MultiposError(
             f"{table.source}: no column '{next(iter(formed))}', and no time column to form it "
             "from; name one with --time."
         )
     columns, kept, notes = _read_complete(table, needed, largest, drop_missing)
+    runs = None if run is None else _labelled(table, run, kept, "run")
     rates: dict[str, float] = {}
     if time is not None:
-        rates = _form_rates(table, columns, kept, formed, time, rate_window, largest)
-    order = None if time is None else time_order(columns[time])
-    groups = None if cluster is None else _clusters(table, cluster, kept)
-    data = Data(columns, columns[response], order, groups)
+        rates = _form_rates(table, columns, kept, formed, time, rate_window, causal, runs, largest)
+    order = None if time is None else time_order(columns[time], runs)
+    groups = None if cluster is None else _labelled(table, cluster, kept, "cluster")
+    data = Data(columns, columns[response], order, groups, runs)
     return Observations(data, time, rates, table.rows - len(kept), notes)
 
 
@@ -154,13 +161,15 @@ def _form_rates(
     formed: Mapping[str, str],
     time: str,
     rate_window: float | None,
+    causal: bool,
+    runs: Rows | None,
     largest: Mapping[str, float],
 ) -> dict[str, float]:
     """Put the rates beside the columns they are formed from; return the window of each."""
     windows = {}
     for name, source in formed.items():
-        window = default_window(columns[time]) if rate_window is None else rate_window
-        rate = smoothed_rate(columns[time], columns[source], window=window)
+        window = _usual_window(columns[time], runs) if rate_window is None else rate_window
+        rate = form_rate(columns[time], columns[source], window=window, causal=causal, run=runs)
         far = ~(np.abs(rate) <= largest.get(name, LARGEST))
         if far.any():
             first = int(np.argmax(far))
@@ -172,13 +181,26 @@ def _form_rates(
     return windows
 
 
-def _clusters(table: Table, cluster: str, kept: Rows) -> Rows:
-    """Return the number of the cluster that each row belongs to."""
-    labels = np.array(table.text(cluster))[kept]
-    groups = np.unique(labels, return_inverse=True)[1]
+def _usual_window(time: Array, runs: Rows | None) -> float:
+    """Return the default window of a log, in which time may start again with every run."""
+    if runs is None:
+        return default_window(time)
+    windows = [default_window(time[rows]) for rows in rows_of_runs(runs) if len(rows) > 1]
+    return float(np.median(windows)) if windows else np.nan
+
+
+def _labelled(table: Table, column: str, kept: Rows, what: str) -> Rows:
+    """Return the number of the cluster or run that each row belongs to."""
+    groups = number_labels(np.array(table.text(column))[kept])
     if groups.max() == 0:
-        raise MultiposError(f"{table.source}: column '{cluster}' holds one cluster only.")
+        raise MultiposError(f"{table.source}: column '{column}' holds one {what} only.")
     return groups
+
+
+def number_labels(labels: NDArray[np.str_]) -> Rows:
+    """Return labels as numbers from 0, in the order in which they first stand."""
+    _, first, numbers = np.unique(labels, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[numbers]
 
 
 def _complete(

@@ -72,7 +72,8 @@ REGRESSION = Fields(
         ),
         "warnings": TEXTS,
         "segments": Listed(SEGMENT, 1),
-    }
+    },
+    {"causal": Flag(), "run": Maybe(ANY_TEXT)},
 )
 
 
@@ -97,6 +98,8 @@ def regression_dict(r: Regression) -> dict[str, Any]:
         "branch_column": r.branch_column,
         "time": r.time,
         "rates": dict(r.rates),
+        "causal": r.causal,
+        "run": r.run,
         "segments": [segment_to_dict(segment) for segment in r.segments],
         "hysteresis": r.hysteresis,
         "cross_validation": r.cross_validation,
@@ -148,6 +151,8 @@ def _from_dict(c: Mapping[str, Any]) -> Regression:
         created=c["created"],
         version=c["multipos_version"],
         thresholds=c["thresholds"],
+        causal=c.get("causal", False),
+        run=c.get("run"),
     )
     _check_cuts(regression)
     _check_variables(regression)

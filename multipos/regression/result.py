@@ -46,6 +46,10 @@ class Regression(Result):
     time : str or None
     rates : mapping of str to float
         Columns formed from the time column, with the window of each.
+    causal : bool
+        Whether rates are from the rows up to each, as the exported C forms them.
+    run : str or None
+        The column that tells one switch-on from another.
     confidence : float
     n, dropped : int
     hysteresis, cross_validation : mapping or None
@@ -75,15 +79,19 @@ class Regression(Result):
     created: str = field(compare=False)
     version: str
     thresholds: Mapping[str, float] = field(default_factory=dict)
+    causal: bool = False
+    run: str | None = None
 
-    def segment_of(self, columns: Mapping[str, Array]) -> NDArray[np.intp]:
-        """Return the number of the segment of every row of columns (n,)."""
+    def segment_of(
+        self, columns: Mapping[str, Array], run: NDArray[np.intp] | None = None
+    ) -> NDArray[np.intp]:
+        """Return the number of the segment of every row of columns (n,), of numbered runs."""
         n = len(next(iter(columns.values())))
         place = np.zeros(n, dtype=np.intp)
         if self.segment_variable is not None:
             place = segment_of(columns[self.segment_variable], self.edges)
         if self.branch_column is not None:
-            place = place + branch_of(columns[self.branch_column]) * (len(self.edges) + 1)
+            place = place + branch_of(columns[self.branch_column], run) * (len(self.edges) + 1)
         return place
 
     @property
@@ -158,7 +166,8 @@ def _outline(r: Regression) -> list[str]:
         f"response   {r.response}, {counted}",
         f"terms      {len(r.candidates)} candidates, {method}",
     ]
-    lines += [f"rate       {name}: window {window:.6g}" for name, window in r.rates.items()]
+    past = ", of past rows" if r.causal else ""
+    lines += [f"rate       {name}: window {w:.6g}{past}" for name, w in r.rates.items()]
     if r.edges:
         edges = ", ".join(f"{edge:.6g}" for edge in r.edges)
         joined = ", continuous" if r.continuous else ""

@@ -58,13 +58,19 @@ class Applied(NamedTuple):
         """Tell which forces (n, K) along K axes are inside; NaN is not."""
         size = np.sqrt(np.einsum("ni,ni->n", force, force))
         if self.sphere == self.largest:
-            return np.asarray(size <= self._limit(self.largest))
-        room = self.margin + _MARGIN * self.largest
-        within = (force >= self.low[axes] - room) & (force <= self.high[axes] + room)
-        seen = (size <= self._limit(self.largest)) & within.all(axis=1)
-        return np.asarray((size <= self._limit(self.sphere)) | seen)
+            return np.asarray(size <= self.limit(self.largest))
+        low, high = self.box(axes)
+        within = (force >= low) & (force <= high)
+        seen = (size <= self.limit(self.largest)) & within.all(axis=1)
+        return np.asarray((size <= self.limit(self.sphere)) | seen)
 
-    def _limit(self, size: float) -> float:
+    def box(self, axes: Sequence[int]) -> tuple[Array, Array]:
+        """Return between what the components along K axes may be, low (K,) and high (K,)."""
+        room = self.margin + _MARGIN * self.largest
+        return self.low[axes] - room, self.high[axes] + room
+
+    def limit(self, size: float) -> float:
+        """Return how large |f| may be where a size was applied."""
         return size * (1.0 + _MARGIN) + self.margin
 
     def in_words(self, axes: Sequence[int]) -> str:

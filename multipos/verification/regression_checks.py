@@ -13,7 +13,13 @@ nothing there.
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.compensation.correction import correct, place_rows, range_column, read_predictors
+from multipos.compensation.correction import (
+    correct,
+    place_rows,
+    range_column,
+    read_predictors,
+    read_runs,
+)
 from multipos.errors import MultiposError
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
@@ -58,8 +64,9 @@ def check_regression(
             f"{table.source}: all {table.rows} rows are outside what the regression was fitted to; "
             "a check needs a run within it."
         )
-    columns = read_predictors(r, table)
-    place = place_rows(r, columns, table.rows)
+    run = read_runs(r, table)
+    columns = read_predictors(r, table, run)
+    place = place_rows(r, columns, table.rows, run)
     against, reference = range_column(r, table, columns)
     after, u = (np.asarray(found[name])[:, None] for name in ("corrected", "u_corrected"))
     counted = ~outside[:, None]

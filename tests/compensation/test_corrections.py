@@ -1,0 +1,361 @@
+"""C of regressions against Python: rates, segments, branches and limits, row by row."""
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from test_exporters import SANITIZERS, WARNINGS, made
+
+import multipos as mp
+from multipos.cli import main
+from multipos.compensation.c_correction import Correction, declarations
+from multipos.compensation.replay import Drive, expected_rows, fitted_rows
+from multipos.compensation.target_correction import _MAIN
+from multipos.errors import MultiposError, UsageError
+from multipos.regression.rates import causal_rate
+
+ROWS = 100_000
+
+
+def chamber(seed=1, n=600):
+    """A run over temperature: heating, cooling, an error that knows both and the voltage."""
+    rng = np.random.default_rng(seed)
+    time = 0.5 * np.arange(float(n)) + rng.uniform(0.0, 0.1, n)
+    device = 10.0 + 40.0 * np.sin(2 * np.pi * time / 150.0)
+    rate = 40.0 * 2 * np.pi / 150.0 * np.cos(2 * np.pi * time / 150.0)
+    force = np.array([1.0, -1.0, 0.0])[(time // 4.0).astype(int) % 3]
+    error = 0.02 + 5e-4 * device + 4e-6 * device**2 + 1e-3 * rate + 1e-4 * device * force
+    error += np.where(rate > 0, 2e-4 * device, 0.0) + rng.normal(0.0, 2e-4, n)
+    columns = {"time": time, "V": force + error, "temperature": device, "error": error}
+    return {name: np.round(column, 6) for name, column in columns.items()}
+
+
+VARIABLES = "V,temperature,temperature_rate"
+MODELS = {
+    "rates and segments": {"variables": VARIABLES, "degree": 2, "segment": "temperature:-10.1,20"},
+    "branches": {
+        "variables": "V,temperature",
+        "segment": "temperature:10",
+        "branches": "temperature_rate",
+    },
+    "segments of a rate": {"variables": VARIABLES, "segment": "temperature_rate:-0.3,0.4"},
+    "no rates": {"variables": "V,temperature", "degree": 3, "stepwise": True},
+    "a modulus": {"terms": "1 + temperature + |temperature| + V*|temperature|"},
+    "no constant": {"terms": "V + temperature^2"},
+}
+
+
+def fitted(name, seed=1):
+    return mp.regress(chamber(seed), response="error", causal=True, rate_window=5.0, **MODELS[name])
+
+
+def drive(c, rows=ROWS):
+    """Rows that wander over and beyond what was fitted, at steps of any length."""
+    rng = np.random.default_rng(7)
+    time = np.cumsum(rng.uniform(0.1, 1.0, rows))
+    run = np.arange(rows) // (rows // 4)
+    columns = []
+    for name in c.inputs:
+        if name == "temperature":
+            swing = 60.0 * np.sin(time / 40.0) + 5.0 * np.sin(time / 3.0)
+            columns.append(10.0 + swing)
+        else:
+            columns.append(rng.uniform(-1.3, 1.3, rows))
+    return Drive(run, time, np.column_stack(columns))
+
+
+def program(folder, compiler, c, text, name, single, *options):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no {compiler} on this machine")
+    state, start, correct = declarations(c, name, single=single)
+    main_c = _MAIN.format(
+        name=name,
+        state=state,
+        start=start,
+        correct=correct,
+        kind="float" if single else "double",
+        columns=len(c.inputs) + 2,
+        inputs=len(c.inputs),
+        outputs=len(c.regressions),
+    )
+    (folder / "main.c").write_text(main_c)
+    (folder / "export.c").write_text(text)
+    command = [compiler, *WARNINGS, "-O2", *options, "main.c", "export.c", "-o", "run"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return folder / "run"
+
+
+def replayed(folder, compiler, c, text, rows, *, single, options=()):
+    run = program(folder, compiler, c, text, "multipos", single, *options)
+    table = np.column_stack([rows.begins.astype(float), rows.time, rows.values])
+    (folder / "readings").write_bytes(table.tobytes())
+    subprocess.run([run], cwd=folder, check=True)
+    back = np.frombuffer((folder / "forces").read_bytes())
+    return back.reshape(-1, len(c.regressions) + 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "compiler"),
+    [(name, ("gcc", "clang")[i % 2]) for i, name in enumerate(MODELS)]
+    + [("rates and segments", "clang")],
+)
+def test_c_is_apply(tmp_path, compiler, name):
+    """1e-12 of the largest output over 1e5 rows, 4 runs, steps of any length, 0 and 1 alike."""
+    regression = fitted(name)
+    exported = mp.export(regression, "c")
+    c = Correction(None, (regression,))
+    rows = drive(c, ROWS if name == "rates and segments" else ROWS // 10)
+    out, beyond, certain = expected_rows(c, rows, single=False)
+    back = replayed(
+        tmp_path, compiler, c, exported.text, rows, single=False, options=SANITIZERS[compiler]
+    )
+    assert certain.mean() > 0.999
+    assert 0.05 < beyond.mean() < 0.95  # both sides are met
+    np.testing.assert_array_equal(back[certain, 0], beyond[certain])
+    np.testing.assert_allclose(
+        back[certain, 1:], out[certain], rtol=0, atol=1e-12 * np.abs(out).max()
+    )
+
+
+@pytest.mark.parametrize("name", ["rates and segments", "branches", "no rates"])
+def test_single_precision_keeps_its_figure(tmp_path, name):
+    """The file verifies itself by the figure in its header; here the figure is not idle either."""
+    regression = fitted(name)
+    path = tmp_path / "export.c"
+    mp.export(regression, "c", float=True).save(path)
+    found = mp.verify_export(path, regression)
+    assert found.target == "c, single precision"
+    assert 0.0 < found.difference.max() <= found.allowed.max() < 1e-5
+
+
+@pytest.mark.parametrize(("compiler", "single"), [("gcc", False), ("clang", True)])
+def test_three_axes_behind_a_calibration(tmp_path, compiler, single):
+    """The compensated forces are what is corrected, and variables of it."""
+    calibration = made("1 + x + y + z + temperature", "xyz", 1e-3, 0.3)
+    columns = chamber()
+    fits = []
+    for axis in "xyz":
+        force = {f"f_{axis}": columns["V"], f"e{axis}": columns["error"]}
+        fits.append(
+            mp.regress(
+                columns | force,
+                response=f"e{axis}",
+                variables=f"f_{axis},temperature,temperature_rate",
+                degree=2,
+                causal=True,
+            )
+        )
+    parts = [calibration, *fits]
+    correct = ("f_x", "f_y", "f_z")
+    exported = mp.export(parts, "c", correct=correct, float=single)
+    assert exported.text.count("void multipos_compensate(") == 1
+    (tmp_path / "export.c").write_text(exported.text)
+    (tmp_path / "export_test.c").write_text(exported.test)
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no {compiler} on this machine")
+    command = [compiler, *WARNINGS, *SANITIZERS[compiler], "export.c", "export_test.c", "-o", "t"]
+    subprocess.run([*command, "-lm"], cwd=tmp_path, check=True)
+    said = subprocess.run([tmp_path / "t"], capture_output=True, text=True, check=False)
+    assert said.stdout == "multipos_correct: all values met\n"
+    found = mp.verify_export(tmp_path / "export.c", parts)
+    assert found.outputs == tuple(f"f_{a}, corrected by e{a}" for a in "xyz")
+    # the same by hand: apply, then correct
+    c = Correction(calibration, tuple(fits), correct)
+    assert c.inputs == ("a1", "a2", "a3", "temperature")
+    rng = np.random.default_rng(3)
+    values = np.column_stack([rng.uniform(-0.5, 0.5, (400, 3)), rng.uniform(0.0, 40.0, 400)])
+    rows = Drive(np.zeros(400, int), np.arange(400.0), values)
+    table = {**dict(zip(c.inputs, values.T, strict=True)), "time": rows.time}
+    applied = dict(mp.apply(calibration, table, outside="clamp"))
+    del applied["outside"]
+    for k, (fit, name) in enumerate(zip(fits, correct, strict=True)):
+        by_hand = mp.correct(fit, applied, column=name, outside="clamp")["corrected"]
+        out = expected_rows(c, rows, single=False).out[:, k]
+        np.testing.assert_allclose(out, by_hand, rtol=0, atol=1e-15)
+
+
+def test_rows_of_the_fit_are_replayed(tmp_path, capsys):
+    """Through the command line: the data by their checksum, made-up rows without them."""
+    data, other = tmp_path / "data.csv", tmp_path / "other.csv"
+    mp.write_table(data, chamber())
+    mp.write_table(other, chamber(2))
+    reg, c = tmp_path / "reg.json", tmp_path / "reg.c"
+    options = ["--response", "error", "--variables", VARIABLES, "--causal", "--rate-window", "5"]
+    assert main(["regress", str(data), *options, "-o", str(reg)]) == 0
+    assert main(["export", str(reg), "--to", "c", "--correct", "V", "-o", str(c)]) == 0
+    capsys.readouterr()
+    assert main(["verify-export", str(c), str(reg), "--data", str(data), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["rows"], found["outside"], found["foreign"]) == (600, 0, False)
+    assert found["difference"] <= found["outputs"][0]["allowed"] < 2e-12
+    assert main(["verify-export", str(c), str(reg)]) == 0
+    assert "made up over all that was fitted" in capsys.readouterr().out
+    assert main(["verify-export", str(c), str(reg), "--data", str(other)]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "not the data that the regression of 'error' was fitted to" in err
+    text = c.read_text().replace("dt * s0", "dt * 2.0 * s0", 1)
+    c.write_text(text)
+    assert main(["verify-export", str(c), str(reg)]) == 1
+    assert "where export writes" in capsys.readouterr().err
+    assert main(["verify-export", str(c), str(reg), "--run-foreign-code"]) == 1
+    assert "exported from another regression or changed since" in capsys.readouterr().err
+
+
+def test_time_that_does_not_rise_leaves_the_state(tmp_path):
+    regression = fitted("rates and segments")
+    c = Correction(None, (regression,))
+    text = mp.export(regression, "c").text
+    rows = drive(c, 8)
+    values = rows.values.copy()
+    values[5, c.inputs.index("temperature")] = np.nan
+    time = rows.time.copy()
+    time[3] = time[2]
+    time[6] = np.nan
+    begins = Drive(np.zeros(8, int), time, values)
+    back = replayed(tmp_path, "gcc", c, text, begins, single=False)
+    assert back[[3, 5, 6], 0].tolist() == [2.0, 2.0, 2.0]
+    kept = [0, 1, 2, 4, 7]
+    clean = Drive(np.zeros(5, int), time[kept], values[kept])
+    out = expected_rows(c, clean, single=False).out
+    np.testing.assert_allclose(back[kept, 1], out[:, 0], rtol=0, atol=1e-14)
+
+
+def test_cost_of_a_row(tmp_path):
+    """Instructions, not seconds: no more than a tenth above C written by hand for this model."""
+    if shutil.which("gcc") is None:
+        pytest.skip("no gcc on this machine")
+    regression = fitted("rates and segments")
+    c = Correction(None, (regression,))
+    ours = mp.export(regression, "c").text
+    assert operations(tmp_path, "gcc", ours) <= 1.1 * operations(tmp_path, "gcc", by_hand(c))
+
+
+def by_hand(c):
+    """The same model as one would write it: a rate, three segments, ten terms each, clamped."""
+    (r,) = c.regressions
+    lines = [
+        "typedef struct { int started; double time, last, behind, rate; } S;",
+        "void hand_start(S *s) { s->started = 0; s->rate = 0; s->behind = 0; }",
+        "int hand(S *s, double time, const double *in, double *out) {",
+        "double T = in[1], dT, V = in[0], p; int bad = 0;",
+        "if (s->started) { if (!(time > s->time)) return 2;",
+        "double dt = time - s->time, g = 1.0 / (1.25 + dt), a = s->behind + T - s->last;",
+        "double m = a * dt * g; s->behind = a - m; s->rate += (m - s->rate * dt) * g; }",
+        "s->last = T; s->time = time; s->started = 1; dT = s->rate;",
+    ]
+    names = {"V": "V", "temperature": "T", "temperature_rate": "dT"}
+    for i, s in enumerate(r.segments):
+        lines.append(
+            ("if" if i == 0 else "else if") + f" (T < {r.edges[i]!r}) {{" if i < 2 else "else {"
+        )
+        for name, short in names.items():
+            low, high = s.range if name == "temperature" else s.limits[name]
+            lines.append(f"if (!({short} >= {low!r})) {{ {short} = {low!r}; bad = 1; }}")
+            lines.append(f"else if ({short} > {high!r}) {{ {short} = {high!r}; bad = 1; }}")
+        products = [
+            "*".join([repr(b), *(names[f.variable] for f in t.factors for _ in range(f.power))])
+            for b, t in zip(s.values.tolist(), s.terms, strict=True)
+        ]
+        lines.append(f"p = {' + '.join(products)}; }}")
+    return "\n".join([*lines, "*out = p; return bad; }"])
+
+
+def operations(folder, compiler, text):
+    """Floating-point instructions in the compiled text."""
+    (folder / "one.c").write_text(text)
+    command = [compiler, "-std=c99", "-O2", "-S", "one.c", "-o", "one.s"]
+    subprocess.run(command, cwd=folder, check=True)
+    words = [
+        line.split()[0] for line in (folder / "one.s").read_text().splitlines() if line.split()
+    ]
+    return sum(
+        word.startswith(("mul", "add", "sub", "div", "fmul", "fadd", "fsub")) for word in words
+    )
+
+
+# --- refusals
+
+
+def test_rates_from_later_rows_are_refused():
+    smooth = mp.regress(chamber(), response="error", variables=VARIABLES)
+    with pytest.raises(MultiposError, match="fit it again with --causal"):
+        mp.export(smooth, "c")
+
+
+def test_options_that_contradict():
+    regression = fitted("no rates")
+    calibration = made("linear", "xyz", 0.0, 0.3)
+    with pytest.raises(UsageError, match="exported --to c"):
+        mp.export(regression, "px4")
+    with pytest.raises(UsageError, match="names 2 columns for 1 regressions"):
+        mp.export(regression, "c", correct="V,error")
+    with pytest.raises(UsageError, match="--correct goes with a regression"):
+        mp.export(calibration, "c", correct="V")
+    with pytest.raises(UsageError, match="comes before the regressions"):
+        mp.export([regression, calibration], "c")
+    with pytest.raises(UsageError, match="no C identifier"):
+        mp.export(regression, "c", name="a b")
+    with pytest.raises(UsageError, match="--data are rows of a regression"):
+        mp.verify_export(__file__, calibration, data="x.csv")
+
+
+def test_rows_of_the_fit_may_have_gaps():
+    columns = chamber()
+    columns["V"][5] = np.nan
+    regression = mp.regress(
+        columns, response="error", variables=VARIABLES, causal=True, drop_missing=True
+    )
+    from multipos.files.tables import read_table
+
+    rows = fitted_rows(Correction(None, (regression,)), read_table(columns, what="data"))
+    assert len(rows.time) == 599
+
+
+# --- the recursion
+
+
+def test_causal_rate_by_hand():
+    """w = 4, T = 1: the first step by hand, ahead = 2, followed = 1, rate = (1 − 0) / 2."""
+    rate = causal_rate([0.0, 1.0, 2.0], [0.0, 2.0, 2.0], window=4.0)
+    # second: ahead 1 + 0, followed .5, rate .5 + (.5 − .5)/2
+    assert rate.tolist() == [0.0, 0.5, 0.5]
+
+
+def test_causal_rate_of_a_ramp_is_exact_at_any_spacing():
+    rng = np.random.default_rng(1)
+    time = np.cumsum(rng.uniform(0.1, 3.0, 400))
+    rate = causal_rate(time, 5.0 - 0.25 * time, window=8.0)
+    # what is left of the start falls by 1/(1 + Δt/T) a row, 400 rows of .1 to 3, T = 2
+    np.testing.assert_allclose(rate[200:], -0.25, rtol=1e-12)
+
+
+def test_causal_rate_is_as_late_as_half_its_window_and_as_quiet_as_said():
+    """Lag of a ramp's start by its area, w/2; noise s √Δt / (2 T^1.5), T = w/4."""
+    step, window = 0.01, 4.0
+    time = step * np.arange(200_000)
+    ramp = causal_rate(time, np.maximum(time - 5.0, 0.0), window=window)
+    assert step * (1.0 - ramp[time >= 5.0]).sum() == pytest.approx(window / 2, rel=0.01)
+    noise = np.random.default_rng(2).normal(0.0, 0.1, len(time))
+    expected = 0.1 * np.sqrt(step) / 2.0
+    # 200000 rows over a memory of some 400: a few percent of scatter; Δt/T adds half a percent
+    assert causal_rate(time, noise, window=window).std() == pytest.approx(expected, rel=0.1)
+
+
+def test_each_run_starts_at_rest(tmp_path):
+    one, two = chamber(1, 100), chamber(2, 100)
+    both = {name: np.concatenate([one[name], two[name]]) for name in one}
+    both["run"] = np.repeat(["a", "b"], 100)
+    options = {"response": "error", "variables": VARIABLES, "rate_window": 5.0, "causal": True}
+    regression = mp.regress(both, run="run", **options)
+    alone = mp.correct(regression, {name: column[100:] for name, column in both.items()})
+    together = mp.correct(regression, both)
+    np.testing.assert_array_equal(alone["predicted"], together["predicted"][100:])
+    with pytest.raises(MultiposError, match=r"does not increase at row 101.*--run"):
+        mp.regress(both, **options)
+    regression.save(tmp_path / "reg.json")
+    assert mp.load_regression(tmp_path / "reg.json") == regression
