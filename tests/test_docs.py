@@ -39,6 +39,11 @@ MODULES = sorted(
     for module in pkgutil.walk_packages(multipos.__path__, "multipos.")
     if not module.name.endswith(".__main__")
 )
+# Studies simulate what they say as they are read, which takes a while.
+RUN = [
+    pytest.param(page, marks=[pytest.mark.slow] if page.parent.name == "studies" else [])
+    for page in PAGES
+]
 # What users import, as docs/reference/api.md says: all else moves without a word.
 PUBLIC_MODULES = {"multipos", "multipos.plots"}
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS | doctest.REPORT_UDIFF
@@ -190,7 +195,7 @@ def environment() -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("page", RUN, ids=lambda page: str(page.relative_to(ROOT)))
 def test_page_prints_what_it_says(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     problems = run_page(page, tmp_path)

@@ -140,10 +140,10 @@ def test_a_claim_far_above_the_residuals_is_the_noise():
 @pytest.mark.parametrize(
     ("n", "pool", "price", "mean", "worst"),
     [
-        (6, True, 1.30, 0.93, 0.925),
+        pytest.param(6, True, 1.30, 0.93, 0.925, marks=pytest.mark.slow),
         (12, True, 1.15, 0.93, 0.925),
-        (24, True, 1.12, 0.93, 0.925),
-        (6, False, 1.35, 0.87, 0.84),
+        pytest.param(24, True, 1.12, 0.93, 0.925, marks=pytest.mark.slow),
+        pytest.param(6, False, 1.35, 0.87, 0.84, marks=pytest.mark.slow),
     ],
 )
 def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst):

@@ -129,6 +129,7 @@ def drawn():
     return draw()
 
 
+@pytest.mark.slow
 def test_reports_from_eight_threads_are_those_from_one():
     alone, before = drawn(), dict(matplotlib.rcParams)
     with ThreadPoolExecutor(8) as pool:
