@@ -26,6 +26,7 @@ from multipos.commands.answers import deliver, print_out, settle
 from multipos.commands.options import warn
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.characters import one_line
+from multipos.files.lists import near
 
 COMMANDS = {
     "demo": "calibrate the six-position paper's own readings, end to end",
@@ -45,7 +46,9 @@ COMMANDS = {
     "schemes": "list schemes and what they can tell about a model",
     "design": "find the best positions for a model, with proof",
     "worth": "tell what one more position would bring to a calibration",
+    "completion": "print a script that lets a shell complete commands and options",
 }
+_INTERRUPTED = 130  # the status by which shells know Ctrl-C
 
 
 class _Ended(BaseException):
@@ -81,7 +84,7 @@ def _guarded(argv: list[str]) -> int:
     except MemoryError:
         return _complain("the data do not fit into memory; give fewer rows.", 1)
     except KeyboardInterrupt:
-        return _complain("interrupted.", 1)
+        return _complain("interrupted.", _INTERRUPTED)
     except _Ended:
         return 1
     except Exception as error:
@@ -94,7 +97,10 @@ def _guarded(argv: list[str]) -> int:
 def _run(argv: list[str]) -> None:
     if not argv or argv[0] not in COMMANDS:
         parser = _top_parser()
-        if _parse(parser, argv) is None:
+        if argv and not argv[0].startswith("-"):
+            way = near(argv[0], COMMANDS).removesuffix(".")
+            raise UsageError(f"there is no command '{argv[0]}'{way}; see 'multipos --help'.")
+        if _parse(parser, argv or ["--help"]) is None:
             return
         parser.error("the command must come first")
     name, *rest = argv
@@ -102,11 +108,14 @@ def _run(argv: list[str]) -> None:
     if arguments is None:
         return
     command = _command(name)
+    quiet = arguments.__dict__.pop("quiet")  # no option of the function
+    if quiet:
+        warnings.simplefilter("ignore")
     order = settle(name, arguments, command.INPUTS, command.OUTPUT)
     with ExitStack() as stack:
         for pipe in order.pipes:
             stack.enter_context(closing(pipe))
-        deliver(command.run(arguments), arguments, order)
+        deliver(command.run(arguments), arguments, order, quiet=quiet)
 
 
 def _fill_closed_streams() -> None:
@@ -179,6 +188,7 @@ def command_parser(name: str) -> argparse.ArgumentParser:
     """Return the parser of one command, which the documentation prints as well."""
     parser = _Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
+    parser.add_argument("-q", "--quiet", action="store_true", help="print no warnings")
     command = _command(name)
     command.add_options(parser)
     command.OUTPUT.add_to(parser)
@@ -220,6 +230,10 @@ class _Parser(argparse.ArgumentParser):
             super()._print_message(message, file)
 
     def error(self, message: str) -> NoReturn:
+        unknown = message.removeprefix("unrecognized arguments: ").split(maxsplit=1)[:1]
+        if message.startswith("unrecognized") and unknown[0].startswith("--"):
+            given = unknown[0].partition("=")[0]
+            message += near(given, self._option_string_actions).rstrip(".?")
         if sys.stderr is not None:
             self.print_usage(sys.stderr)
         raise UsageError(f"{message}; see '{self.prog} --help'.")

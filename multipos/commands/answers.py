@@ -251,8 +251,12 @@ def _same(a: os.stat_result | None, b: os.stat_result | None) -> bool:
     return a is not None and b is not None and os.path.samestat(a, b)
 
 
-def deliver(answer: Answer, arguments: argparse.Namespace, order: Order) -> None:
+def deliver(
+    answer: Answer, arguments: argparse.Namespace, order: Order, *, quiet: bool = False
+) -> None:
     """Make what was asked for, print what goes to stdout, then put files in their places.
+
+    Warnings go to stderr unless it is to be quiet.
 
     Raises
     ------
@@ -272,7 +276,8 @@ def deliver(answer: Answer, arguments: argparse.Namespace, order: Order) -> None
         if answer.failure:
             made = ""
         pieces = _complete(made, stack)
-        warn(answer.warnings())
+        if not quiet:
+            warn(answer.warnings())
         verbatim = path == STDOUT or (answer.verbatim and not arguments.json)
         print_out(pieces, verbatim=verbatim)
     if answer.failure:

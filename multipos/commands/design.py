@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_model, add_orientation, numbers
+from multipos.commands.options import add_model, add_orientation, numbers, progress_bar
 from multipos.designs.designing import Design, design, design_csv, design_text
 from multipos.designs.information import nothing_to_weigh
 from multipos.designs.sizes import smaller_designs
@@ -77,7 +77,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         seed=arguments.seed,
         **setting,
     )
-    found = make(arguments.positions)
+    with progress_bar("searching positions"):
+        found = make(arguments.positions)
     return Answer(
         text=lambda: design_text(found),
         json=lambda: to_json(found),

@@ -16,6 +16,7 @@ from multipos.numerics.terms import NAMED
 
 T = TypeVar("T")
 
+_PATIENCE = 2.0  # [s] before a bar shows
 _LARGE = 1 << 24  # bytes; a smaller file is read before a bar could be seen
 
 
@@ -132,20 +133,30 @@ def warn(warnings: Sequence[str]) -> None:
 
 
 @contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Callable[[int], object]]:
-    """Show how much of a long task is done, on stderr and only on a terminal.
+def progress_bar(what: str, total: int | None = None) -> Iterator[Callable[[int], object]]:
+    """Show how much of a long task is done, on stderr, only on a terminal, and after two seconds.
 
-    Yields the function that is told how much is done.
+    Yields the function that is told how much is done; without a total the bar only moves.
     """
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda done: None
         return
+    from threading import Timer
+
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(what, total=total)
+    progress = Progress(console=Console(stderr=True), transient=True)
+    task = progress.add_task(what, total=total)
+    patience = Timer(_PATIENCE, progress.start)
+    patience.daemon = True
+    patience.start()
+    try:
         yield lambda done: progress.update(task, completed=done)
+    finally:
+        patience.cancel()
+        patience.join()
+        progress.stop()
 
 
 @contextmanager

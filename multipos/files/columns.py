@@ -16,6 +16,8 @@ import numpy as np
 from multipos.numerics.arrays import Array
 
 _PIECE = 1 << 22  # bytes
+_WIDE = 100  # columns, from which on
+_SHORT = 1 << 26  # fewer bytes are taken apart once: each column by itself would split all the text
 
 
 class Plain(NamedTuple):
@@ -112,7 +114,7 @@ def read_plain(raw: bytes) -> Plain | None:
         if not found.take(start, end):
             return None
         start = end
-    return found.plain() if found.rows else None
+    return found.plain() if found.rows and not found.wide else None
 
 
 class _Pieces:
@@ -125,6 +127,11 @@ class _Pieces:
         self._pieces: list[_Piece] = []
         self._numbers: list[Sequence[int]] = []
         self.rows = 0
+
+    @property
+    def wide(self) -> bool:
+        """Whether the table is better taken apart once."""
+        return len(self._header) > _WIDE and len(self._raw) < _SHORT
 
     def take(self, start: int, end: int) -> bool:
         """Take up a piece; tell whether it is UTF-8 and all its rows have all their cells."""

@@ -1,6 +1,7 @@
 """Logs that are arrays: in memory, or in NumPy's and MATLAB's formats."""
 
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -119,10 +120,10 @@ def read_npy(path: os.PathLike[str]) -> Mapping[str, Any]:
             "sample (n, columns)."
         )
     if array.dtype.names:
-        return {name: array[name] for name in array.dtype.names}
+        return _legible(path, {name: array[name] for name in array.dtype.names})
     if array.ndim == 1:
         array = array[:, None]
-    return {str(i + 1): array[:, i] for i in range(array.shape[1])}
+    return _legible(path, {str(i + 1): array[:, i] for i in range(array.shape[1])})
 
 
 def read_npz(path: os.PathLike[str]) -> Mapping[str, Any]:
@@ -132,8 +133,21 @@ def read_npz(path: os.PathLike[str]) -> Mapping[str, Any]:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             return dict(archive)
 
-    found: dict[str, Any] = loaded(path, load)
-    return found
+    return _legible(path, loaded(path, load))
+
+
+def _legible(path: os.PathLike[str], columns: dict[str, Any]) -> dict[str, Any]:
+    """Return columns whose texts are made of characters: NumPy reads any four bytes as one."""
+    for name, column in columns.items():
+        if column.dtype.kind != "U" or not column.dtype.itemsize:
+            continue
+        number = np.dtype(np.uint32).newbyteorder(column.dtype.byteorder)
+        if (np.ascontiguousarray(column).view(number) > sys.maxunicode).any():
+            raise MultiposError(
+                f"{path}: cannot read the log: column '{name}' has text that is none; the file is "
+                "damaged, write it again."
+            )
+    return columns
 
 
 def read_mat(path: os.PathLike[str]) -> Mapping[str, Any]:

@@ -155,8 +155,8 @@ def test_bad_options_get_one_line(options, status, message, as_json, here, capsy
 
 
 COMMANDS = {
-    "no command": ([], 2, "required: COMMAND; see 'multipos --help'"),
-    "unknown command": (["fitt"], 2, "invalid choice: 'fitt'"),
+    "unknown command": (["fitt"], 2, "there is no command 'fitt'; did you mean 'fit'?; see"),
+    "misspelt option": (["fit", "six.csv", "--modle", "linear"], 2, "did you mean '--model'; see"),
     "option before the command": (["--json", "fit", "six.csv"], 2, "unrecognized arguments"),
     "dashes before the command": (["--", "fit"], 2, "the command must come first"),
     "no readings": (["fit"], 2, "required: READINGS; see 'multipos fit --help'"),
@@ -347,8 +347,28 @@ def test_schemes_lists_all_and_shows_one(here, capsys):
     assert "log det" in text
 
 
+def test_quiet_prints_no_warnings(here, capsys):
+    options = ("fit", "six.csv", "--reading-sd", "1e-9")
+    assert "multipos: warning:" in run(capsys, *options)[2]
+    status, out, err = run(capsys, *options, "-q")
+    assert (status, err) == (0, "")
+    assert out
+
+
+def test_interrupted_by_hand(here, capsys, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("multipos.commands.fit.run", interrupt)
+    assert run(capsys, "fit", "six.csv") == (130, "", "multipos: error: interrupted.\n")
+
+
 def test_help_and_version(capsys):
-    for arguments, words in ((["--help"], "commands:"), (["--version"], mp.__version__)):
+    for arguments, words in (
+        ([], "commands:"),
+        (["--help"], "commands:"),
+        (["--version"], mp.__version__),
+    ):
         status, out, err = run(capsys, *arguments)
         assert (status, err) == (0, "")
         assert words in out
@@ -420,7 +440,7 @@ def test_a_terminal_without_chinese_gets_escapes(here, monkeypatch):
     [
         (MultiposError("two\nlines"), 1),
         (UsageError("two\nlines"), 2),
-        (KeyboardInterrupt(), 1),
+        (KeyboardInterrupt(), 130),
         (MemoryError(), 1),
     ],
 )

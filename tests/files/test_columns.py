@@ -111,3 +111,22 @@ def test_a_header_of_many_columns_is_checked_in_one_pass(tmp_path, monkeypatch):
     assert compared < 2 * len(names)
     with pytest.raises(MultiposError, match="column 'c7' appears twice"):
         files._check_header(tmp_path, [*names, "c7"])
+
+
+def test_a_wide_table_is_taken_apart_once(tmp_path, monkeypatch):
+    path = tmp_path / "t.csv"
+    row = ",".join(map(str, range(3_000)))
+    path.write_text("\n".join([",".join(f"c{i}" for i in range(3_000)), *[row] * 300]) + "\n")
+    monkeypatch.setattr(files, "_LONG", -1)
+    split = 0
+    kept = columns._kept
+
+    def counted(text):
+        nonlocal split
+        split += 1
+        return kept(text)
+
+    monkeypatch.setattr(columns, "_kept", counted)
+    table = files.read_table(path)
+    assert [table.number(name)[-1] for name in table.columns] == list(range(3_000))
+    assert split == 1

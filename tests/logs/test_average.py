@@ -523,6 +523,18 @@ def test_an_array_that_is_no_table_is_refused(shape, tmp_path, capsys):
         assert f"an array of shape {shape}; a log is one column (n,), or one row" in error
 
 
+@pytest.mark.parametrize("order", "<>")
+def test_an_array_of_what_is_no_text_is_refused(order, tmp_path, capsys):
+    np.save(tmp_path / "log.npy", np.full((50, 3), "0.25", dtype=f"{order}U4"))
+    whole = (tmp_path / "log.npy").read_bytes()
+    (tmp_path / "log.npy").write_bytes(whole[:-64] + b"\xff" * 64)
+    sensor().save(tmp_path / "cal.json")
+    for argv in (["average"], ["apply", tmp_path / "cal.json", "--columns", "ax,ay,az"]):
+        status, error = failing(capsys, *argv, tmp_path / "log.npy")
+        assert status == 1
+        assert "log.npy: cannot read the log: column '1' has text that is none" in error
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
