@@ -16,38 +16,18 @@ import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from importlib import import_module
 from pathlib import Path
-from types import FrameType, ModuleType
-from typing import Any, NoReturn, TextIO
+from types import FrameType
+from typing import NoReturn, TextIO
 
 from multipos import __version__
-from multipos.commands.answers import deliver, print_out, settle
+from multipos.commands.answers import deliver, settle
 from multipos.commands.options import warn
+from multipos.commands.parsers import COMMANDS, Parser, command, command_parser
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.characters import one_line
 from multipos.files.lists import near
 
-COMMANDS = {
-    "demo": "calibrate the six-position paper's own readings, end to end",
-    "calibrate": "calibrate from raw logs, and export, in one go",
-    "fit": "calibrate from readings at static positions",
-    "report": "write the report of a calibration",
-    "apply": "compensate raw readings with a calibration",
-    "compare": "compare repeated calibrations of one unit",
-    "regress": "describe a column by others, in segments, with terms the data support",
-    "average": "average the rests of a raw log into readings",
-    "export": "write a calibration as a C function or for another program",
-    "verify-export": "show what the consumer of an exported file will see",
-    "simulate": "make readings or a raw log of a calibrated sensor",
-    "check": "errors of an independent run at known positions, before and after",
-    "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",
-    "stability": "noise, drift, warm-up and repeatability of a sensor at rest",
-    "schemes": "list schemes and what they can tell about a model",
-    "design": "find the best positions for a model, with proof",
-    "worth": "tell what one more position would bring to a calibration",
-    "completion": "print a script that lets a shell complete commands and options",
-}
 _INTERRUPTED = 130  # the status by which shells know Ctrl-C
 
 
@@ -107,15 +87,15 @@ def _run(argv: list[str]) -> None:
     arguments = _parse(command_parser(name), rest)
     if arguments is None:
         return
-    command = _command(name)
+    module = command(name)
     quiet = arguments.__dict__.pop("quiet")  # no option of the function
     if quiet:
         warnings.simplefilter("ignore")
-    order = settle(name, arguments, command.INPUTS, command.OUTPUT)
+    order = settle(name, arguments, module.INPUTS, module.OUTPUT)
     with ExitStack() as stack:
         for pipe in order.pipes:
             stack.enter_context(closing(pipe))
-        deliver(command.run(arguments), arguments, order, quiet=quiet)
+        deliver(module.run(arguments), arguments, order, quiet=quiet)
 
 
 def _fill_closed_streams() -> None:
@@ -184,17 +164,6 @@ def _show_warning(
     warn([f"{message} ({category.__name__} at {Path(filename).name} line {lineno})"])
 
 
-def command_parser(name: str) -> argparse.ArgumentParser:
-    """Return the parser of one command, which the documentation prints as well."""
-    parser = _Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
-    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
-    parser.add_argument("-q", "--quiet", action="store_true", help="print no warnings")
-    command = _command(name)
-    command.add_options(parser)
-    command.OUTPUT.add_to(parser)
-    return parser
-
-
 def _parse(parser: argparse.ArgumentParser, argv: list[str]) -> argparse.Namespace | None:
     """Return the arguments; None where argparse has printed what was asked for, such as help."""
     try:
@@ -203,13 +172,9 @@ def _parse(parser: argparse.ArgumentParser, argv: list[str]) -> argparse.Namespa
         return None
 
 
-def _command(name: str) -> ModuleType:
-    return import_module(f"multipos.commands.{name.replace('-', '_')}")
-
-
 def _top_parser() -> argparse.ArgumentParser:
     listing = "\n".join(f"  {name:<15}{text}" for name, text in COMMANDS.items())
-    parser = _Parser(
+    parser = Parser(
         prog="multipos",
         description="Calibrate accelerometers from static positions in gravity.",
         epilog=f"commands:\n{listing}\n\n'multipos COMMAND --help' lists a command's options.",
@@ -219,24 +184,6 @@ def _top_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"multipos {__version__}")
     parser.add_argument("command", metavar="COMMAND", choices=list(COMMANDS), help="see below")
     return parser
-
-
-class _Parser(argparse.ArgumentParser):
-    def _print_message(self, message: str, file: Any = None) -> None:
-        # argparse's own says nothing where stdout cannot be written.
-        if file is sys.stdout:
-            print_out([message])
-        else:
-            super()._print_message(message, file)
-
-    def error(self, message: str) -> NoReturn:
-        unknown = message.removeprefix("unrecognized arguments: ").split(maxsplit=1)[:1]
-        if message.startswith("unrecognized") and unknown[0].startswith("--"):
-            given = unknown[0].partition("=")[0]
-            message += near(given, self._option_string_actions).rstrip(".?")
-        if sys.stderr is not None:
-            self.print_usage(sys.stderr)
-        raise UsageError(f"{message}; see '{self.prog} --help'.")
 
 
 def _complain(error: object, status: int) -> int:

@@ -9,6 +9,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 
 from multipos.commands.answers import Answer, Output
+from multipos.commands.parsers import COMMANDS, command_parser
 
 INPUTS = ()
 OUTPUT = Output("FILE", "write the script to FILE as well", "text")
@@ -27,9 +28,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    # Imported here, for the list of commands holds this one.
-    from multipos.cli import COMMANDS, command_parser
-
     script = SHELLS[arguments.shell]({name: command_parser(name) for name in COMMANDS})
     return Answer(
         text=lambda: script,

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
 from multipos.files.lists import Names, near, split_names
+from multipos.files.records import LONGEST
 from multipos.numerics.arrays import Array
 from multipos.numerics.factors import function_forms
 from multipos.numerics.terms import (
@@ -364,6 +365,11 @@ def build_model(
     """
     check_axes(outputs, axes, inputs)
     name = " ".join(text.split())  # what is said of it stands on one line
+    if len(name) > LONGEST:
+        raise UsageError(
+            f"the formula has {len(name)} characters, and the file of a calibration holds at most "
+            f"{LONGEST}; write every term once."
+        )
     formula = NAMED.get(name, name)
     words = (*NAMED, *COMPONENTS, "1", "own", *(known or ()))
     if re.fullmatch(r"[\w-]+", name) and name not in words:

@@ -92,6 +92,7 @@ def test_formulas(formula, expected):
         ("x; import os", "cannot read"),
         ("own-kwadratic", "unknown model 'own-kwadratic'; give linear, own-quadratic"),
         ("quartic", "unknown model 'quartic'"),
+        (" + ".join(["x*y"] * 2_000), "the formula has 11997 characters"),
         ("1 + x + humidity", "unknown term 'humidity' in model"),
     ],
 )

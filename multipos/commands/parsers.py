@@ -1,0 +1,69 @@
+"""All commands by name, and the parser of each."""
+
+import argparse
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import Any, NoReturn
+
+from multipos.commands.answers import print_out
+from multipos.errors import UsageError
+from multipos.files.lists import near
+
+COMMANDS = {
+    "demo": "calibrate the six-position paper's own readings, end to end",
+    "calibrate": "calibrate from raw logs, and export, in one go",
+    "fit": "calibrate from readings at static positions",
+    "report": "write the report of a calibration",
+    "apply": "compensate raw readings with a calibration",
+    "compare": "compare repeated calibrations of one unit",
+    "regress": "describe a column by others, in segments, with terms the data support",
+    "average": "average the rests of a raw log into readings",
+    "export": "write a calibration as a C function or for another program",
+    "verify-export": "show what the consumer of an exported file will see",
+    "simulate": "make readings or a raw log of a calibrated sensor",
+    "check": "errors of an independent run at known positions, before and after",
+    "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",
+    "stability": "noise, drift, warm-up and repeatability of a sensor at rest",
+    "schemes": "list schemes and what they can tell about a model",
+    "design": "find the best positions for a model, with proof",
+    "worth": "tell what one more position would bring to a calibration",
+    "completion": "print a script that lets a shell complete commands and options",
+}
+
+
+def command(name: str) -> ModuleType:
+    """Return the module of a command."""
+    return import_module(f"multipos.commands.{name.replace('-', '_')}")
+
+
+def command_parser(name: str) -> argparse.ArgumentParser:
+    """Return the parser of one command, which the documentation prints as well."""
+    parser = Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
+    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
+    parser.add_argument("-q", "--quiet", action="store_true", help="print no warnings")
+    module = command(name)
+    module.add_options(parser)
+    module.OUTPUT.add_to(parser)
+    return parser
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that ends in our own words, and offers the option that was meant."""
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        # argparse's own says nothing where stdout cannot be written.
+        if file is sys.stdout:
+            print_out([message])
+        else:
+            super()._print_message(message, file)
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage, and raise the message with what was meant."""
+        unknown = message.removeprefix("unrecognized arguments: ").split(maxsplit=1)[:1]
+        if message.startswith("unrecognized") and unknown[0].startswith("--"):
+            given = unknown[0].partition("=")[0]
+            message += near(given, self._option_string_actions).rstrip(".?")
+        if sys.stderr is not None:
+            self.print_usage(sys.stderr)
+        raise UsageError(f"{message}; see '{self.prog} --help'.")
