@@ -37,6 +37,7 @@ from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import COMPONENTS, Term
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import build_model
 
 _CANDIDATES = "1 + x + y + z + own^2 + own^3 + OWN*OTHER"  # what a reader asks of: K2, K3, Kip
@@ -95,6 +96,8 @@ def judge_terms(calibration: Calibration) -> list[TermTest]:
     """
     c = calibration
     _require_known(c)
+    if isinstance(c.model, ExpressionModel):
+        return []  # its parameters are no terms, and what it lacks is no term of it
     result = []
     for column, (output, axis) in enumerate(zip(c.outputs, c.model.axes, strict=True)):
         terms = c.model.terms[column]
@@ -167,9 +170,9 @@ def find_influence(calibration: Calibration) -> Influence:
         t = np.where(nu > 1.0, t, math.nan)
         left_out = c.residuals / left
     shift = np.empty((n, m))
-    phi = c.model.basis(c.reference, c.readings.environment)
-    for column, columns in enumerate(c.model.columns):
-        X = phi[:, columns] / sd[:, [column]]
+    _, blocks = c.model.respond(c.parameters, c.reference, c.readings.environment)
+    for column, (_, slopes) in enumerate(blocks):
+        X = slopes / sd[:, [column]]
         cofactor = np.linalg.inv(X.T @ X)
         moved = (X @ cofactor) * (e[:, column] / left[:, column])[:, None]
         shift[:, column] = np.abs(moved / np.sqrt(s2[column] * np.diag(cofactor))).max(axis=1)

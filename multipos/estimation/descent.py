@@ -19,6 +19,7 @@ from multipos.estimation.likelihood import evaluate, linearise, moved, recentred
 from multipos.estimation.problem import Normal, Optimum, Point, Problem, State
 from multipos.estimation.sphere import SphereSearch, Surface
 from multipos.numerics.arrays import Array
+from multipos.sensor.expressions import ExpressionModel
 
 _ITERATIONS = 200
 _DECREMENT = 1e-16  # of F
@@ -30,7 +31,17 @@ _ROUNDING = 1e-8  # of F, or of theta: what the last digits of the readings can 
 
 
 def maximise(problem: Problem, state: State) -> Optimum:
-    """Maximise the likelihood from a state."""
+    """Maximise the likelihood from a state; parameters with bounds by what has none."""
+    model = problem.model
+    if isinstance(model, ExpressionModel) and model.bounded:
+        inner = replace(problem, model=replace(model, inner=True))
+        found = _maximise(inner, replace(state, theta=model.inward(state.theta)))
+        back = replace(found.state, theta=model.outward(found.state.theta)[0])
+        return replace(found, state=back, point=evaluate(problem, back))
+    return _maximise(problem, state)
+
+
+def _maximise(problem: Problem, state: State) -> Optimum:
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a trial may run away
         if SphereSearch.fits(problem):
             sphere = SphereSearch(problem)

@@ -29,6 +29,7 @@ from multipos.estimation.six_positions import closed_form_gain
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 
@@ -56,6 +57,8 @@ def estimator_gain(calibration: Calibration) -> Array:
         Q, R = np.linalg.qr(whitener @ design)
         return np.asarray(np.linalg.solve(R, Q.T @ whitener))
     sd = np.ones(n * m) if noise is None else np.sqrt(noise)
+    if isinstance(c.model, ExpressionModel) and (c.model.shared or c.model.beliefs.any()):
+        return _tied_gain(c, design, np.tile(c.residual_sd, n) if noise is None else sd)
     result = np.zeros((design.shape[1], n * m))
     for output, part in enumerate(c.model.slices):  # block by block: the outputs are independent
         Q, R = np.linalg.qr(design[output::m, part] / sd[output::m, None])
@@ -63,12 +66,19 @@ def estimator_gain(calibration: Calibration) -> Array:
     return result
 
 
+def _tied_gain(c: Calibration, design: Array, sd: Array) -> Array:
+    """Return G of eq. (1) where priors or shared parameters tie the outputs."""
+    weighted = design / sd[:, None] ** 2
+    information = weighted.T @ design + np.diag(c.model.beliefs)
+    return np.asarray(np.linalg.solve(information, weighted.T))
+
+
 def gravity_effect(calibration: Calibration) -> Array:
     """Return dp/dg (p,) per m/s² of the local gravity, eq. (3); not at all of known forces."""
     c = calibration
     assert c.gravity is not None
     forced = c.readings.forced
-    if not forced.any():  # whatever the residuals
+    if not forced.any() and not isinstance(c.model, ExpressionModel):  # whatever the residuals
         return np.asarray(c.model.force_degrees * c.parameters / c.gravity.value)
     at_rest = np.where(forced[:, None], 0.0, c.reference)
     slopes = c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)

@@ -17,6 +17,7 @@ The maximum a posteriori estimate minimises, with rho(q) = q or a robust loss,
 
     F = sum_k rho(q_k) + |tau|²/s_level²,   q_k = r_k' Sigma_k^-1 r_k + |t_k|²/s_k²,        (4)
 
+and, where parameters have a prior N(m_j, s_j²) of their own, + sum_j (theta_j − m_j)²/s_j²;
 r_k = y_k − h; `multipos.estimation.descent` searches for it. Each t_k touches position k only,
 so it is eliminated there: with J_k = dh/df df/dt and H_k = J_k' Sigma_k^-1 J_k + I/s_k²,
 
@@ -69,6 +70,8 @@ def evaluate(problem: Problem, state: State) -> Point:
         q += problem.prior * np.einsum("ni,ni->n", state.step, state.step)
     total = q if problem.robust is None else loss(problem.robust, q, problem.degrees)
     objective = float(np.sum(total))
+    if problem.believed:
+        objective += float(np.sum(problem.model.belief(state.theta)[0] ** 2))
     if problem.level_sd > 0.0:
         objective += float(state.tilt @ state.tilt) / problem.level_sd**2
     return Point(force, blocks, residuals, q, objective)
@@ -96,6 +99,11 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
         push = weight[:, None] * push
     shared = _by_shared(problem, state, point, by_force)
     information, right = assemble(len(state.theta), point.blocks, marginal, push, shared)
+    if problem.believed:
+        excess, slope = problem.model.belief(state.theta)
+        places = np.arange(len(slope))
+        information[places, places] += slope**2
+        right[places] -= slope * excess
     if problem.level_sd > 0.0:
         information[-2:, -2:] += np.eye(2) / problem.level_sd**2
         right[-2:] -= state.tilt / problem.level_sd**2

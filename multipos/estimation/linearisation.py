@@ -28,6 +28,7 @@ class Linearised:
     orientation_sd: Array  # (n,) [rad]
     prior: Array  # (p + q,) information of the unknowns themselves
     p: int
+    pull: Array | float = 0.0  # (p + q,) of the priors of parameters towards their centres
 
 
 def linearised(problem: Problem, optimum: Optimum) -> Linearised:
@@ -39,6 +40,10 @@ def linearised(problem: Problem, optimum: Optimum) -> Linearised:
         problem.model, state.theta, optimum.point.force, problem.environment
     )
     prior = np.zeros(p + problem.shared)
+    pull = np.zeros(p + problem.shared)
+    if problem.believed:
+        excess, slope = problem.model.belief(state.theta)
+        prior[:p], pull[:p] = slope**2, -slope * excess
     if problem.level_sd > 0.0:
         prior[-2:] = 1.0 / problem.level_sd**2
     precision = problem.precision
@@ -49,5 +54,6 @@ def linearised(problem: Problem, optimum: Optimum) -> Linearised:
         precision=precision if precision.ndim == 3 else precision[:, :, None] * np.eye(m),
         orientation_sd=problem.orientation_sd,
         prior=prior,
+        pull=pull,
         p=p,
     )

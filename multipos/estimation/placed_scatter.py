@@ -279,7 +279,7 @@ def _evaluate_few(
     X = (W @ linear.design).reshape(G, n * m, -1)  # V⁻¹A
     plain = np.einsum("gnij,nj->gni", W, linear.error).reshape(G, -1)
     C, log_information = _invert(A.T @ X + np.diag(linear.prior))
-    right = plain @ A
+    right = plain @ A + linear.pull
     moves = np.einsum("gpq,gq->gp", C, right)
     log = -0.5 * (
         log_det

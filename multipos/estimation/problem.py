@@ -118,6 +118,11 @@ class Problem:
         """Number of parameters and shared unknowns; a tilt, tied to zero, costs none."""
         return len(self.model.keys) + 3 * self.groups
 
+    @cached_property
+    def believed(self) -> bool:
+        """Whether parameters have priors of their own."""
+        return bool(self.model.beliefs.any())
+
     @property
     def has_prior(self) -> bool:
         """Whether orientations are tied to where they should be by a standard deviation."""

@@ -6,13 +6,17 @@ directions where some are, is the other. The second is tried where the first fai
 positions may be further off than five degrees; the lower minimum wins.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from multipos.errors import ConvergenceError, MultiposError, RankError
 from multipos.estimation.descent import maximise
 from multipos.estimation.ellipsoid import ellipsoid_start, symmetric_root
+from multipos.estimation.guesses import first_guesses
 from multipos.estimation.identifiability import (
     CANDIDATES,
     condition,
@@ -44,7 +48,7 @@ def search(problem: Problem) -> Optimum:
     best: tuple[State, Optimum] | None = None
     fault: MultiposError | None = None
     wide = bool((problem.orientation_sd[problem.listed] > _WIDE).any())
-    for start in (_listed_start, _ellipsoid_start):
+    for start in _ways(problem):
         try:
             state = start(problem)
         except MultiposError as error:
@@ -62,7 +66,7 @@ def search(problem: Problem) -> Optimum:
             -best[1].point.objective,
         )
         best = (state, found) if better else best
-        if best is not None and best[1].converged and not wide:
+        if best is not None and best[1].converged and not wide and not _several(problem):
             break
     if best is None:
         raise fault or MultiposError("no start could be found; give the orientations.")
@@ -73,6 +77,40 @@ def search(problem: Problem) -> Optimum:
     if np.isinf(problem.orientation_sd).all():  # where lever arms come from the readings themselves
         _require_told(problem, *best)
     return best[1]
+
+
+def _ways(problem: Problem) -> list[Callable[[Problem], State | None]]:
+    """Return what makes a start, the most trusted first."""
+    if not isinstance(problem.model, ExpressionModel):
+        return [_listed_start, _ellipsoid_start]
+    return [partial(_given, state) for state in own_starts(problem)]
+
+
+def _given(state: State, problem: Problem) -> State:
+    return state
+
+
+def _several(problem: Problem) -> bool:
+    """Tell whether all starts are searched from: those of a model of one's own may end apart."""
+    return isinstance(problem.model, ExpressionModel)
+
+
+def own_starts(problem: Problem) -> list[State]:
+    """Return where the search for a model of one's own starts: `multipos.estimation.guesses`.
+
+    At the listed directions, or at those that the ellipsoid of the readings gives.
+    """
+    model, rows = problem.model, problem.listed
+    assert isinstance(model, ExpressionModel)
+    if rows.any():
+        here = {name: column[rows] for name, column in problem.environment.items()}
+        guesses = first_guesses(model, problem.values[rows], problem.reference[rows], here)
+        return [_placed(problem, theta) for theta in guesses]
+    seen = _on_ellipsoid(problem)
+    force = seen.direction * problem.magnitude[:, None]
+    guesses = first_guesses(model, problem.values, force, problem.environment)
+    turns = _turns(problem, seen.direction)
+    return [start_state(problem, theta, seen.direction, turns) for theta in guesses]
 
 
 def _why_not(problem: Problem, start: State, optimum: Optimum) -> MultiposError:
@@ -129,7 +167,7 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
     """Refuse readings that scatter about their ellipsoid by a good part of its size."""
     if not np.isinf(problem.orientation_sd).all():
         return
-    scale = float(np.abs(optimum.state.theta[list(problem.model.own_scales)]).mean())
+    scale = _own_scale(problem, optimum)
     # by the median, so that a few bad positions of a robust fit do not condemn the others
     size = float(np.median(np.linalg.norm(optimum.point.residuals, axis=1)))
     nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
@@ -143,6 +181,16 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
         )
 
 
+def _own_scale(problem: Problem, optimum: Optimum) -> float:
+    """Return the mean size of the scale factors along the own axes."""
+    model, theta = problem.model, optimum.state.theta
+    if not isinstance(model, ExpressionModel):
+        return float(np.abs(theta[list(model.own_scales)]).mean())
+    slopes = model.force_jacobian(theta, optimum.point.force, problem.environment)
+    own = [COMPONENTS.index(axis) for axis in model.axes]
+    return float(np.abs(slopes[:, np.arange(len(own)), own]).mean())
+
+
 def _listed_start(problem: Problem) -> State | None:
     """Least squares at the listed directions, where there are enough of them."""
     model, rows = problem.model, problem.listed
@@ -150,8 +198,6 @@ def _listed_start(problem: Problem) -> State | None:
         return None
     values, reference = problem.values[rows], problem.reference[rows]
     environment = {name: column[rows] for name, column in problem.environment.items()}
-    if isinstance(model, ExpressionModel):
-        return _placed(problem, model.first_guess(values, reference))
     theta = np.zeros(len(model.keys))
     _, blocks = model.respond(theta, reference, environment)
     for output, (places, design) in enumerate(blocks):
@@ -181,11 +227,31 @@ def _turns(problem: Problem, direction: Array) -> Array:
 def _ellipsoid_start(problem: Problem) -> State | None:
     """The ellipsoid of the readings, turned to the listed directions where some are."""
     model = problem.model
-    if sorted(model.axes) != ["x", "y", "z"] or isinstance(model, ExpressionModel):
+    if sorted(model.axes) != ["x", "y", "z"]:
         return None
+    seen = _on_ellipsoid(problem)
+    theta = np.zeros(len(model.keys))
+    for i, (output, term) in enumerate(model.keys):
+        column = {"1": 0, "x": 1, "y": 2, "z": 3}.get(str(term))
+        if column is not None:
+            theta[i] = seen.linear[model.outputs.index(output), column]
+    return start_state(problem, theta, seen.direction, _turns(problem, seen.direction))
+
+
+class _Seen(NamedTuple):
+    """What an ellipsoid says: constant and linear terms (3, 4), and directions (n, 3)."""
+
+    linear: Array
+    direction: Array
+
+
+def _on_ellipsoid(problem: Problem) -> _Seen:
+    """Return the ellipsoid of a triad's readings, turned to the listed directions if any."""
+    model = problem.model
     order = [model.axes.index(axis) for axis in ("x", "y", "z")]
     magnitude = float(np.linalg.norm(problem.reference, axis=1).mean())
-    crossed = any(name.startswith("cross_") for name in model.names)
+    named = any(name.startswith("cross_") for name in model.names)
+    crossed = named or isinstance(model, ExpressionModel)
     find = ellipsoid_start if problem.robust is None else _median_ellipsoid
     bias, matrix = find(problem.values[:, order], magnitude, crossed=crossed)
     if model.gauge == "symmetric":
@@ -196,12 +262,7 @@ def _ellipsoid_start(problem: Problem) -> State | None:
     matrix, direction = matrix @ turn.T, direction @ turn.T
     linear = np.empty((3, 4))
     linear[order] = np.column_stack([bias, matrix])
-    theta = np.zeros(len(model.keys))
-    for i, (output, term) in enumerate(model.keys):
-        column = {"1": 0, "x": 1, "y": 2, "z": 3}.get(str(term))
-        if column is not None:
-            theta[i] = linear[model.outputs.index(output), column]
-    return start_state(problem, theta, direction, _turns(problem, direction))
+    return _Seen(linear, direction)
 
 
 def _hand(problem: Problem, direction: Array) -> Array:
@@ -339,7 +400,8 @@ def too_few(problem: Problem) -> RankError:
     n, p = len(problem.values), len(model.keys)
     equations = int(problem.degrees.sum()) - (problem.unknowns - p)
     said = f"{n} positions give {max(equations, 0)} equations for {p} parameters"
-    if not np.isinf(problem.orientation_sd).all() or sorted(model.axes) != ["x", "y", "z"]:
+    own = isinstance(model, ExpressionModel)
+    if own or not np.isinf(problem.orientation_sd).all() or sorted(model.axes) != ["x", "y", "z"]:
         return RankError(
             f"{said}; add positions or choose a model with fewer terms.",
             rank=min(equations, p),

@@ -26,6 +26,8 @@ from dataclasses import replace
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.estimation.believed import judge_tied, with_degrees
+from multipos.estimation.free_rotations import rotations_to_hold
 from multipos.estimation.identifiability import condition, formal_only
 from multipos.estimation.likelihood import linearise
 from multipos.estimation.losses import Loss
@@ -33,17 +35,18 @@ from multipos.estimation.noise import Appraisal, judge_noise
 from multipos.estimation.problem import Optimum, Problem, state_problem
 from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.solution import Solution
-from multipos.estimation.starts import reduced_information, search, too_few
+from multipos.estimation.starts import own_starts, reduced_information, search, too_few
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.placement import Placement
 from multipos.positions.readings import Readings, select_outputs
 from multipos.sensor.calibration import Status
 from multipos.sensor.diagnostics import find_outlying_positions
-from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.expressions import ExpressionModel, at_bounds
 from multipos.sensor.found import FoundOrientations
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Gauge, Model
+from multipos.sensor.own_models import hold
 
 _STATED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is stated
 
@@ -82,19 +85,32 @@ def solve_uncertain(
     MultiposError
         Too few positions, or readings that do not spread.
     """
-    if placement.exact and len(model.outputs) > 1 and not (pool or _correlated(readings)):
+    own = isinstance(model, ExpressionModel)
+    tied = isinstance(model, ExpressionModel) and bool(model.shared)
+    if placement.exact and len(model.outputs) > 1 and not (pool or tied or _correlated(readings)):
         return _solve_separately(model, readings, placement, robust)
     if not placement.listed.any():
         _require_triad(model)
-        model = model.with_gauge(gauge)
+        model = model if own else model.with_gauge(gauge)
     elif np.isinf(placement.orientation_sd).any():
         _require_triad(model)
     problem = state_problem(model, readings, placement, None if robust is None else "huber")
     nu = float(problem.degrees.sum()) - problem.unknowns
+    nu += int(np.count_nonzero(model.beliefs))
     if nu < 0:
         raise too_few(problem)
+    held: tuple[str, ...] = ()
+    if own and problem.adrift:
+        problem, held = _without_free_rotations(problem, gauge)
+        nu = float(problem.degrees.sum()) - problem.unknowns + np.count_nonzero(model.beliefs)
     optimum = search(problem)
     stated = readings.noise is not None
+    loose = not (stated or placement.estimated or problem.has_prior or robust is not None)
+    if loose and (problem.believed or (tied and not pool)):
+        problem, optimum, worth, dof = judge_tied(problem, optimum)
+        worth = replace(worth, warnings=(*held, *worth.warnings))
+        found = _solution(problem, optimum, readings, nu, worth)
+        return with_degrees(found, problem, optimum, dof)
     if robust is not None:
         problem, optimum, worth = judge_robustly(
             problem, optimum, robust, readings.labels, stated=stated
@@ -103,7 +119,21 @@ def solve_uncertain(
         problem, optimum, worth = judge_noise(
             problem, optimum, nu, stated=stated, estimate_sd=placement.estimated
         )
+    worth = replace(worth, warnings=(*held, *worth.warnings))
     return _solution(problem, optimum, readings, nu, worth)
+
+
+def _without_free_rotations(problem: Problem, gauge: Gauge) -> tuple[Problem, tuple[str, ...]]:
+    """Return the problem with what a rotation of the case leaves free held, and say so."""
+    model = problem.model
+    assert isinstance(model, ExpressionModel)
+    fixed = rotations_to_hold(problem, own_starts(problem)[0], gauge)
+    if not fixed:
+        said = "no rotation of the case is free: the model itself says where its axes lie"
+        return problem, (said,)
+    names = ", ".join(f"`{name}` of {output} at {value:g}" for output, name, value in fixed)
+    said = f"a rotation of the case is free in this model; it is fixed by holding {names}"
+    return replace(problem, model=hold(model, fixed)), (said,)
 
 
 def _correlated(readings: Readings) -> bool:
@@ -212,7 +242,11 @@ def _solution(
         ),
         condition=condition(information),
         unidentifiable=formal_only(model, state.theta, u, magnitude),
-        warnings=(*worth.warnings, *_scale_bias(problem, state.theta, u, residual_sd, magnitude)),
+        warnings=(
+            *worth.warnings,
+            *at_bounds(model, state.theta),
+            *_scale_bias(problem, state.theta, u, residual_sd, magnitude),
+        ),
         status=_status(optimum),
         orientation_sd=worth.orientation_sd,
         variance_components=worth.components,

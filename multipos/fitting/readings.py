@@ -36,10 +36,13 @@ from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, spread_reading_sd
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import Expression, ExpressionModel, build_expression
+from multipos.sensor.expressions import Expression, ExpressionModel
 from multipos.sensor.found import Chosen, Estimator
+from multipos.sensor.functions import build_expression
 from multipos.sensor.gravity import Gravity, resolve_gravity, signed_size
 from multipos.sensor.model import GAUGES, Gauge, Model, build_model, default_axes
+from multipos.sensor.own_models import build_sketch
+from multipos.sensor.sketches import Sketch, read_model
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.uncertainty.propagation import state_budget
 from multipos.uncertainty.turntable import roll_warnings
@@ -158,13 +161,14 @@ def fit(
     )
     stated = None if budget is None else read_budget(budget)
     local = _gravity_of(stated, resolve_gravity(gravity, gravity_u, latitude, height))
-    used = formula_columns(model) if isinstance(model, str) else ()
+    written = model if callable(model) else read_model(model)
+    used = _columns_named(written)
     data = read_readings(readings, outputs=outputs, unit=unit, environment=used)
     if range is not None:
         require_range(data, range)
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
-    built = _build(model, data, axes, inputs)
+    built = _build(written, data, axes, inputs)
     _check_environment(data, built)
     data, placement = resolve(
         data,
@@ -286,17 +290,28 @@ def _with_roll_warnings(calibration: Calibration) -> Calibration:
     return replace(calibration, diagnostics=replace(found, warnings=(*found.warnings, *said)))
 
 
+def _columns_named(model: str | Expression | Sketch) -> tuple[str, ...]:
+    """Return the names in a model that are columns, where the readings have such."""
+    if isinstance(model, Sketch):
+        return model.possible_columns
+    return formula_columns(model) if isinstance(model, str) else ()
+
+
 def _build(
-    model: str | Expression,
+    model: str | Expression | Sketch,
     readings: Readings,
     axes: Names | None,
     inputs: Names,
 ) -> Model:
     own = default_axes(readings.outputs, axes)
     columns = tuple(readings.environment)
+    seen = split_names(inputs, "--inputs")
+    if isinstance(model, Sketch):
+        used = model.columns_among(columns)
+        model.require_no_near_miss(used, (*columns, *readings.outputs))
+        return build_sketch(model, readings.outputs, own, seen, readings.unit, used)
     if not isinstance(model, str):
         return build_expression(model, readings.outputs, own, readings.unit, columns)
-    seen = split_names(inputs, "--inputs")
     return build_model(model, readings.outputs, own, seen, readings.unit, columns)
 
 

@@ -12,6 +12,7 @@ from multipos.reports.page import Figure, PageTable, Section, draw_svg
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration, Parameter
 from multipos.sensor.derived import intrinsic_gradient
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation
@@ -23,10 +24,7 @@ def parameters_section(c: Calibration, tr: Translator) -> Section:
     return Section(
         tr("Results"),
         (
-            tr(
-                "The model of output i is y_i = sum of coefficients times terms of the reference "
-                "in g; the terms of each output are in the table."
-            ),
+            _equation(c, tr),
             tr(
                 "U = k u is the expanded uncertainty for a coverage probability of {percent} %, "
                 "with k from Student's t at the effective degrees of freedom (dof). It says how "
@@ -36,6 +34,19 @@ def parameters_section(c: Calibration, tr: Translator) -> Section:
             ),
         ),
         tables=(_parameter_table(c, tr),),
+    )
+
+
+def _equation(c: Calibration, tr: Translator) -> str:
+    """Return the measurement equation: the terms of the table, or formulas as they were written."""
+    if isinstance(c.model, ExpressionModel):
+        return tr(
+            "Each output reads, in the reference x, y, z and that along its own axis [g]: {model}.",
+            model=c.model.text,
+        )
+    return tr(
+        "The model of output i is y_i = sum of coefficients times terms of the reference "
+        "in g; the terms of each output are in the table."
     )
 
 

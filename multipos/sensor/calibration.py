@@ -39,7 +39,6 @@ from multipos.sensor.found import (
 )
 from multipos.sensor.gravity import Gravity
 from multipos.sensor.model import Model, paper_symbol
-from multipos.sensor.names import parameter_label
 
 
 class Parameter(NamedTuple):
@@ -163,6 +162,11 @@ class Calibration(Result):
     def sign(self) -> float:
         """+1 where the axis that points up reads +1, −1 under 'gravity'."""
         return -1.0 if self.convention == "gravity" else 1.0
+
+    @property
+    def dof_of_outputs(self) -> Array:
+        """Degrees of freedom (p,) of the output of each parameter; of all, for what they share."""
+        return np.asarray(np.append(self.dof, self.dof.sum())[self.model.output_of])
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -344,7 +348,6 @@ class Calibration(Result):
 
     def _parameter(self, index: int) -> Parameter:
         output, term = self.model.keys[index]
-        axis = self.model.axes[self.outputs.index(output)]
         value, u, k = float(self.parameters[index]), float(self.u[index]), float(self.k[index])
         return Parameter(
             output=output,
@@ -356,7 +359,7 @@ class Calibration(Result):
             k=k,
             U=k * u,
             unit=self.model.units[index],
-            label=parameter_label(output, axis, term),
+            label=self.model.label(index),
             symbol=paper_symbol(self.model, index),
         )
 

@@ -48,7 +48,6 @@ from multipos.results import plain
 from multipos.sensor.calibration import Calibration, Status
 from multipos.sensor.diagnostics import Diagnostics
 from multipos.sensor.doubt import DOUBTS, Doubt
-from multipos.sensor.expressions import expression_dict, load_expression
 from multipos.sensor.found import (
     Chosen,
     Component,
@@ -59,8 +58,10 @@ from multipos.sensor.found import (
     StatedBudget,
     VarianceComponents,
 )
+from multipos.sensor.functions import load_expression
 from multipos.sensor.gravity import Gravity
 from multipos.sensor.model import Model, build_model
+from multipos.sensor.own_models import expression_dict, load_sketch
 
 SCHEMA = "multipos/calibration/1"
 _DIAGNOSTICS = (
@@ -84,6 +85,16 @@ _COMPONENT = Fields({"value": POSITIVE, "u": POSITIVE})
 _KEYS = ("value", "u", "determined")
 _PLACED = Fields({"value": POSITIVE, "u": POSITIVE}, {"determined": Flag()})
 _REST_TO_REST = Named(Fields({"value": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": _DOF}))
+_QUANTITY = Fields(
+    {},
+    {
+        "start": ANY_NUMBER,
+        "sd": ANY_NUMBER,
+        "unit": ANY_TEXT,
+        "low": ANY_NUMBER,
+        "high": ANY_NUMBER,
+    },
+)
 _TESTED = Fields({"term": ANY_TEXT, "F": FIGURE, "p": P_VALUE})
 
 CALIBRATION = Fields(
@@ -184,6 +195,16 @@ CALIBRATION = Fields(
                 "rows": Listed(Fields({"quantity": ANY_TEXT, "contribution": Named(FIGURE)})),
             },
             {"scatter": VARIANCES},
+        ),
+        "own_model": Fields(
+            {
+                "parameters": Named(_QUANTITY),
+                "outputs": Named(ANY_TEXT),
+                "columns": TEXTS,
+                "fixed": Listed(
+                    Fields({"output": ANY_TEXT, "name": ANY_TEXT, "value": ANY_NUMBER})
+                ),
+            }
         ),
         "expression": Fields(
             {
@@ -344,6 +365,8 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
 
 
 def _model(content: Mapping[str, Any]) -> Model:
+    if "own_model" in content:
+        return load_sketch(content)
     if "expression" in content:
         model: Model = load_expression(content)
     else:

@@ -1,41 +1,47 @@
-"""Models written as Python expressions, for sensors that no polynomial describes.
+"""Models of one's own: what a Python function or a formula says that each output reads.
 
-A model is a function of the reference components and of the parameters to be found, one output
-at a time; its arguments say which is which:
+    y_i = h_i(f, e, p),    f the reference [g], e other columns of the readings, p parameters (1)
+
+A formula comes as a line of text or a file (`multipos.sensor.sketches`); a Python function is
+called once with CasADi symbols, its arguments say which is which:
 
     def saturating(own, x, y, z, bias, scale, limit=0.0):
         linear = bias + scale * own
         return linear / (1 + limit * linear**2)
 
 `own`, `x`, `y`, `z` and columns of the readings are variables, every other argument is a
-parameter, which each output has for itself. The function is called once with CasADi symbols, and
-CasADi's exact derivatives take it through the same likelihood as every other model. The search
-starts where ``bias`` and ``scale`` are those of a straight line through the readings and every
-other parameter has its default, or zero.
+parameter, which each output has for itself; a default is where the search for it starts. Exact
+derivatives (`multipos.sensor.compiled`) take either through the same likelihood as every other
+model. A parameter with bounds is searched for as t, without bounds,
+
+    p = low + (high - low)(1 + sin t)/2,    p = low - 1 + sqrt(t^2 + 1)  or its mirror,     (2)
+
+and one with a prior N(start, sd^2) adds ((p - start)/sd)^2 to what the search makes least.
+
+Source of (2): F. James, MINUIT Reference Manual, CERN Program Library D506, section 1.3.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
-from inspect import Parameter, signature
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, Term
-from multipos.sensor.instructions import (
-    Instruction,
-    read_instructions,
-    require_instructions,
-    write_instructions,
-)
-from multipos.sensor.model import Block, Gauge, Model, check_axes
+from multipos.numerics.terms import Term
+from multipos.sensor.compiled import Compiled, Values, compile_model
+from multipos.sensor.instructions import Instruction
+from multipos.sensor.model import Block, Gauge, Model
+from multipos.sensor.sketches import SHARED, Quantity, Sketch
 from multipos.units import unit_per
 
 Expression = Callable[..., Any]
+Key = tuple[str, str]  # output and name of a parameter
+
+_INSIDE = 1e-6  # of the way between bounds that a start keeps from them, where (2) has no slope
 
 
 def load_casadi() -> Any:
@@ -64,16 +70,39 @@ class ExpressionModel(Model):
     Attributes
     ----------
     functions : tuple of M tuples
-        Instructions (`multipos.sensor.instructions`) of y(f, e, p).
+        Instructions (`multipos.sensor.instructions`) of y(f, e, p), p the output's own parameters
+        and then those that it shares.
     columns_used : tuple of str
         Columns of the readings, e.
-    start : tuple of float
-        Where the parameters of an output start, beside bias and scale.
+    shared : tuple of Symbol
+        Parameters that outputs share, last among all.
+    shared_by : tuple of M tuples of int
+        Which of these each output uses.
+    quantities : tuple of p Quantity
+        What is known of each parameter.
+    sketch : Sketch or None
+        The formulas as they were written; None for a Python function.
+    fixed : mapping of (output, name) to float
+        Parameters that are held at a value, and so are none.
+    inner : bool
+        Whether parameters are the t of eq. (2).
     """
 
     functions: tuple[tuple[Instruction, ...], ...] = ()
     columns_used: tuple[str, ...] = ()
-    start: tuple[float, ...] = ()
+    shared: tuple[Symbol, ...] = ()
+    shared_by: tuple[tuple[int, ...], ...] = ()
+    quantities: tuple[Quantity, ...] = ()
+    sketch: Sketch | None = None
+    fixed: tuple[tuple[str, str, float], ...] = ()
+    inner: bool = False
+
+    @cached_property
+    def keys(self) -> tuple[tuple[str, Term], ...]:
+        """(output, parameter) of each parameter; those that outputs share are of 'common'."""
+        own = zip(self.outputs, self.terms, strict=True)
+        keys: list[tuple[str, Term]] = [(output, term) for output, terms in own for term in terms]
+        return (*keys, *((SHARED, symbol) for symbol in self.shared))
 
     @property
     def environment(self) -> tuple[str, ...]:
@@ -83,13 +112,25 @@ class ExpressionModel(Model):
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Parameter names such as ``limit_ax``."""
-        return tuple(f"{term}_{output}" for output, term in self.keys)
+        return tuple(
+            str(term) if output == SHARED else f"{term}_{output}" for output, term in self.keys
+        )
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """Parameter units: known for bias and scale, else left open."""
+        """Parameter units: as stated, known for bias and scale, else left open."""
         known = {"bias": self.unit, "scale": unit_per(self.unit, 1)}
-        return tuple(known.get(str(term), "-") for _, term in self.keys)
+        return tuple(q.unit or known.get(q.name, "-") for q in self.quantities)
+
+    def label(self, index: int) -> str:
+        """Return a parameter in plain words, for reports."""
+        output, term = self.keys[index]
+        return f"parameter {term} of {'all outputs' if output == SHARED else output}"
+
+    @property
+    def own_scales(self) -> tuple[int, ...]:
+        """No parameter is known to be a scale factor."""
+        return ()
 
     @property
     def is_linear(self) -> bool:
@@ -101,24 +142,51 @@ class ExpressionModel(Model):
         """Whether bias and scale factor mean what they do in a polynomial."""
         return False
 
+    @cached_property
+    def places(self) -> tuple[NDArray[np.intp], ...]:
+        """Where the parameters of each output stand, those that it shares last."""
+        first = len(self.keys) - len(self.shared)
+        return tuple(
+            np.array([*range(part.start, part.stop), *(first + i for i in used)], dtype=np.intp)
+            for part, used in zip(self.slices, self.shared_by, strict=True)
+        )
+
+    @property
+    def compiled(self) -> Compiled:
+        """The compiled function of all outputs."""
+        places = tuple(tuple(own.tolist()) for own in self.places)
+        return compile_model(self.functions, places, len(self.columns_used), len(self.keys))
+
+    def values(
+        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+    ) -> Values:
+        """Return outputs and slopes at force (n, 3) [g]."""
+        return self.compiled.evaluate(force, self._columns(force, environment), parameters)
+
+    def _columns(self, force: Array, environment: Mapping[str, ArrayLike]) -> Array:
+        variables = self.variables(force, environment)
+        columns = np.empty((len(force), len(self.columns_used)))
+        for j, name in enumerate(self.columns_used):
+            columns[:, j] = variables[name]
+        return columns
+
     def respond(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
     ) -> tuple[Array, tuple[Block, ...]]:
         """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i)."""
-        found = self._evaluate(parameters, force, environment)
-        outputs = np.column_stack([y for y, _, _ in found])
-        blocks = tuple(
-            (np.arange(part.start, part.stop), slope)
-            for part, (_, slope, _) in zip(self.slices, found, strict=True)
-        )
-        return outputs, blocks
+        outer, slope = (self.outward(parameters)) if self.inner else (parameters, None)
+        found = self.values(outer, force, environment)
+        slopes = found.slopes
+        if slope is not None:
+            slopes = tuple(s * slope[own] for s, own in zip(slopes, self.places, strict=True))
+        return found.outputs, tuple(zip(self.places, slopes, strict=True))
 
     def force_jacobian(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
     ) -> Array:
         """Return dy/df (n, M, 3)."""
-        found = self._evaluate(parameters, force, environment)
-        return np.stack([by_force for _, _, by_force in found], axis=1)
+        outer = self.outward(parameters)[0] if self.inner else parameters
+        return self.values(outer, force, environment).by_force
 
     def predict(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
@@ -126,202 +194,111 @@ class ExpressionModel(Model):
         """Return the outputs (n, M)."""
         return self.respond(parameters, force, environment)[0]
 
-    def first_guess(self, values: Array, force: Array) -> Array:
-        """Return where the search starts, (p,), from readings (n, M) at force (n, 3)."""
-        theta = np.tile(self.start, len(self.outputs)).astype(np.float64)
-        for output, (axis, part) in enumerate(zip(self.axes, self.slices, strict=True)):
-            own = force[:, COMPONENTS.index(axis)]
-            slope, level = np.polyfit(own, values[:, output], 1)
-            for place, term in zip(range(part.start, part.stop), self.terms[output], strict=True):
-                theta[place] = {"bias": level, "scale": slope}.get(str(term), theta[place])
-        return theta
+    def second_derivatives(
+        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+    ) -> Array:
+        """Return d²y/dp² (n, M, p, p)."""
+        return self.compiled.bends(force, self._columns(force, environment), parameters)
+
+    def linear_part(self, parameters: Array, environment: Mapping[str, float]) -> Array:
+        """Return the constant and the slopes by x, y and z (M, 4) of each output, at no force."""
+        force = np.zeros((1, 3))
+        found = self.values(parameters, force, {k: np.array([v]) for k, v in environment.items()})
+        return np.column_stack([found.outputs[0], found.by_force[0]])
+
+    @cached_property
+    def starts(self) -> Array:
+        """Where the search for each parameter starts (p,), NaN where nothing is stated."""
+        given = [np.nan if q.start is None else q.start for q in self.quantities]
+        return np.array(given, dtype=np.float64)
+
+    @cached_property
+    def beliefs(self) -> Array:
+        """The information of the priors (p,), 0 where there is none."""
+        return np.array([0.0 if q.sd is None else q.sd**-2 for q in self.quantities])
+
+    @property
+    def bounded(self) -> bool:
+        """Whether a parameter has bounds, and is not searched for as t yet."""
+        return not self.inner and any(quantity.bounded for quantity in self.quantities)
+
+    def belief(self, parameters: Array) -> tuple[Array, Array]:
+        """Return the excess (p,) of parameters over their priors in sd, and its slopes (p,)."""
+        outer, slope = self.outward(parameters) if self.inner else (parameters, 1.0)
+        root = np.sqrt(self.beliefs)
+        centre = np.where(root > 0.0, np.nan_to_num(self.starts), outer)
+        return root * (outer - centre), root * slope
+
+    def outward(self, inner: Array) -> tuple[Array, Array]:
+        """Return the parameters of eq. (2) and their slopes, (p,) each, from t."""
+        outer, slope = inner.copy(), np.ones(len(inner))
+        for i, q in enumerate(self.quantities):
+            t = inner[i]
+            if np.isfinite(q.low) and np.isfinite(q.high):
+                half = (q.high - q.low) / 2.0
+                outer[i], slope[i] = q.low + half * (1.0 + np.sin(t)), half * np.cos(t)
+            elif q.bounded:
+                side = 1.0 if np.isfinite(q.low) else -1.0
+                end = q.low if np.isfinite(q.low) else q.high
+                root = np.hypot(t, 1.0)
+                outer[i], slope[i] = end + side * (root - 1.0), side * t / root
+        return outer, slope
+
+    def inward(self, outer: Array) -> Array:
+        """Return t of eq. (2), (p,), a little inside the bounds."""
+        inner = outer.copy()
+        for i, q in enumerate(self.quantities):
+            if np.isfinite(q.low) and np.isfinite(q.high):
+                share = (outer[i] - q.low) / (q.high - q.low)
+                inner[i] = np.arcsin(2.0 * np.clip(share, _INSIDE, 1.0 - _INSIDE) - 1.0)
+            elif q.bounded:
+                away = outer[i] - q.low if np.isfinite(q.low) else q.high - outer[i]
+                away = max(away, _INSIDE)
+                inner[i] = np.sqrt(away * (away + 2.0))
+        return inner
 
     def only(self, output: str) -> "ExpressionModel":
-        """Return the model of one output alone."""
+        """Return the model of one output alone, which shares no parameter."""
         i = self.outputs.index(output)
-        return ExpressionModel(
-            self.text,
-            (output,),
-            (self.axes[i],),
-            self.inputs,
-            self.unit,
-            (self.terms[i],),
-            None,
-            (self.functions[i],),
-            self.columns_used,
-            self.start,
+        return replace(
+            self,
+            outputs=(output,),
+            axes=(self.axes[i],),
+            terms=(self.terms[i],),
+            functions=(self.functions[i],),
+            shared_by=((),),
+            quantities=self.quantities[self.slices[i]],
         )
 
     def with_gauge(self, gauge: Gauge) -> "Model":
-        """Refuse: which parameters a rotation of the case mixes is not known of an expression."""
+        """Refuse: which parameters a rotation mixes is found where readings are at hand."""
         raise UsageError(
-            "a model written as an expression needs positions whose orientation is listed; "
-            "give --orientation-sd for those that are uncertain."
+            "a model of one's own is not assessed for unknown orientations without readings; "
+            "leave --unknown-orientation out, or fit readings."
         )
 
-    @cached_property
-    def compiled(self) -> tuple[Any, ...]:
-        """CasADi functions (f, e, p) -> (y, dy/dp, dy/df), one for each output."""
-        sizes = (len(COMPONENTS), len(self.columns_used), len(self.terms[0]))
-        return tuple(_differentiated(program, sizes) for program in self.functions)
-
-    def _evaluate(
-        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
-    ) -> list[tuple[Array, Array, Array]]:
-        n = len(force)
-        variables = self.variables(force, environment)
-        columns = np.array([variables[name] for name in self.columns_used]).reshape(-1, n)
-        result = []
-        for function, part in zip(self.compiled, self.slices, strict=True):
-            own = np.repeat(parameters[part][:, None], n, axis=1)
-            y, by_parameter, by_force = function.map(n)(force.T, columns, own)
-            result.append(
-                (
-                    np.asarray(y).ravel(),
-                    np.asarray(by_parameter).T,
-                    np.asarray(by_force).T,
-                )
+    def index(self, output: str, term: "str | Term") -> int:
+        """Return the place of a parameter by output and name."""
+        known = [(name, str(own)) for name, own in self.keys]
+        if (output, str(term)) not in known:
+            raise KeyError(
+                f"no parameter ({output!r}, {str(term)!r}); the model has "
+                + ", ".join(f"({o!r}, {t!r})" for o, t in known)
             )
-        return result
+        return known.index((output, str(term)))
 
 
-def build_expression(
-    expression: Expression,
-    outputs: tuple[str, ...],
-    axes: tuple[str, ...],
-    unit: str,
-    known: tuple[str, ...],
-) -> ExpressionModel:
-    """Return the model of a Python function of the components, one for each output.
-
-    Raises
-    ------
-    UsageError
-        The function takes no parameter, or does not return one expression.
-    """
-    casadi = load_casadi()
-    arguments = tuple(signature(expression).parameters.values())
-    columns, parameters = _told_apart(arguments, known)
-    force = casadi.SX.sym("f", 3)
-    surroundings = casadi.SX.sym("e", len(columns))
-    unknown = casadi.SX.sym("p", len(parameters))
-    values = {axis: force[i] for i, axis in enumerate(COMPONENTS)}
-    values |= {name: surroundings[i] for i, name in enumerate(columns)}
-    values |= {a.name: unknown[i] for i, a in enumerate(parameters)}
-    functions = []
-    for axis in axes:
-        given = {**values, "own": values[axis]}
-        y = _called(expression, {a.name: given[a.name] for a in arguments})
-        functions.append(_program(y, [force, surroundings, unknown], expression))
-    start = tuple(0.0 if a.default is Parameter.empty else float(a.default) for a in parameters)
-    symbols = tuple(Symbol(name=a.name) for a in parameters)
-    name = getattr(expression, "__name__", "expression")
-    return ExpressionModel(
-        f"expression {name}",
-        outputs,
-        axes,
-        COMPONENTS,
-        unit,
-        (symbols,) * len(outputs),
-        None,
-        tuple(functions),
-        columns,
-        start,
-    )
-
-
-def _told_apart(
-    arguments: Sequence[Parameter], known: tuple[str, ...]
-) -> tuple[tuple[str, ...], list[Parameter]]:
-    """Return the columns of the readings among the arguments, and the parameters to be found."""
-    if any(a.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD) for a in arguments):
-        raise UsageError("the model's function must name each of its arguments.")
-    columns = tuple(a.name for a in arguments if a.name in known)
-    parameters = [a for a in arguments if a.name not in (*COMPONENTS, "own", *columns)]
-    if not parameters:
-        raise UsageError("the model's function has no parameter to fit beside x, y, z and own.")
-    return columns, parameters
-
-
-def _called(expression: Expression, arguments: Mapping[str, Any]) -> Any:
-    """Return what the function makes of symbols, which must be one value (SX)."""
-    casadi = load_casadi()
-    try:
-        y = casadi.SX(expression(**arguments))
-    except (NotImplementedError, RuntimeError, TypeError) as error:
-        why = str(error).partition("\n")[0]
-        raise UsageError(
-            f"the model's function must return one value made of its arguments: {why}; for a "
-            "condition use casadi.if_else."
-        ) from None
-    if y.shape != (1, 1):
-        raise UsageError(f"the model's function must return one value, got shape {y.shape}.")
-    return y
-
-
-def _program(y: Any, arguments: list[Any], expression: Expression) -> tuple[Instruction, ...]:
-    import casadi
-
-    try:
-        function = casadi.Function("output", arguments, [casadi.densify(y)])
-        return write_instructions(function)
-    except (RuntimeError, KeyError):
-        raise UsageError(
-            f"{getattr(expression, '__name__', 'the model')} uses an operation or a symbol that "
-            "a model cannot be made of; use arithmetic and elementary functions of its arguments."
-        ) from None
-
-
-def _differentiated(program: Sequence[Sequence[Any]], sizes: tuple[int, int, int]) -> Any:
-    """Return the CasADi function (f, e, p) -> (y, dy/dp, dy/df) of a program."""
-    import casadi
-
-    force, surroundings, unknown = (casadi.SX.sym("a", size) for size in sizes)
-    y = read_instructions(program, (force, surroundings, unknown))
-    slopes = (casadi.jacobian(y, unknown).T, casadi.jacobian(y, force).T)
-    dense = [casadi.densify(item) for item in (y, *slopes)]
-    return casadi.Function("output", [force, surroundings, unknown], dense)
-
-
-def expression_dict(model: Model) -> dict[str, Any]:
-    """Return what a calibration's file needs to rebuild an expression; nothing for others."""
+def at_bounds(model: Model, parameters: Array) -> tuple[str, ...]:
+    """Name the parameters of a model of one's own that ended at a bound."""
     if not isinstance(model, ExpressionModel):
-        return {}
-    return {
-        "expression": {
-            "functions": model.functions,
-            "columns": model.columns_used,
-            "parameters": [str(term) for term in model.terms[0]],
-        }
-    }
-
-
-def load_expression(content: Mapping[str, Any]) -> ExpressionModel:
-    """Return the model that `expression_dict` described, from a calibration's file.
-
-    Raises
-    ------
-    ValueError
-        Instructions that cannot be read, or that do not fit the outputs.
-    """
-    outputs, expression = tuple(content["outputs"]), content["expression"]
-    axes, inputs = tuple(content["axes"]), tuple(content["inputs"])
-    check_axes(outputs, axes, inputs)
-    if len(expression["functions"]) != len(outputs):
-        raise ValueError(f"it has {len(expression['functions'])} expressions for its outputs")
-    sizes = (len(COMPONENTS), len(expression["columns"]), len(expression["parameters"]))
-    for program in expression["functions"]:
-        require_instructions(program, sizes)
-    symbols = tuple(Symbol(name=name) for name in expression["parameters"])
-    return ExpressionModel(
-        content["model"],
-        outputs,
-        axes,
-        inputs,
-        content["unit"],
-        (symbols,) * len(outputs),
-        None,
-        tuple(tuple(map(tuple, program)) for program in expression["functions"]),
-        tuple(expression["columns"]),
-        (0.0,) * len(symbols),
-    )
+        return ()
+    said = []
+    for name, q, value in zip(model.names, model.quantities, parameters.tolist(), strict=True):
+        width = q.high - q.low
+        reach = _INSIDE * (width if np.isfinite(width) else max(abs(value), 1.0))
+        for word, end in (("low", q.low), ("high", q.high)):
+            if abs(value - end) <= reach:
+                said.append(
+                    f"`{name}` ended at its bound, {word} = {end:g}: the readings ask for more"
+                )
+    return tuple(said)

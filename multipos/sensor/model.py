@@ -36,7 +36,7 @@ from multipos.numerics.terms import (
     split_terms,
 )
 from multipos.results import Result
-from multipos.sensor.names import parameter_name
+from multipos.sensor.names import parameter_label, parameter_name
 from multipos.units import unit_per
 
 Block = tuple[NDArray[np.intp], Array]  # places in the parameter vector, and dy/dp (n, p_i)
@@ -95,6 +95,13 @@ class Model(Result):
     def units(self) -> tuple[str, ...]:
         """Parameter units such as ``V/g``."""
         return tuple(unit_per(self.unit, t.force_degree, t.environment) for _, t in self.keys)
+
+    @cached_property
+    def output_of(self) -> NDArray[np.intp]:
+        """The output of each parameter (p,), M for what outputs share."""
+        places = {output: i for i, output in enumerate(self.outputs)}
+        last = len(self.outputs)
+        return np.array([places.get(output, last) for output, _ in self.keys], dtype=np.intp)
 
     @cached_property
     def own_scales(self) -> tuple[int, ...]:
@@ -270,6 +277,30 @@ class Model(Result):
             place = 1 + COMPONENTS.index(force[0].variable) if force else 0
             weight = Term(tuple(f for f in term.factors if f not in force)).evaluate(environment)
             result[:, place] += weight * theta[:, :, column].T
+        return result
+
+    @property
+    def bounded(self) -> bool:
+        """Whether a parameter has bounds: only those of one's own models can."""
+        return False
+
+    @property
+    def beliefs(self) -> Array:
+        """The information of the parameters' priors (p,): none but in models of one's own."""
+        return np.zeros(len(self.keys))
+
+    def belief(self, parameters: Array) -> tuple[Array, Array]:
+        """Return the excess (p,) of parameters over their priors in sd, and its slopes (p,)."""
+        return np.zeros(len(parameters)), np.zeros(len(parameters))
+
+    def label(self, index: int) -> str:
+        """Return a parameter in plain words, for reports."""
+        output, term = self.keys[index]
+        return parameter_label(output, self.axes[self.outputs.index(output)], term)
+
+    def linear_part(self, parameters: Array, environment: Mapping[str, float]) -> Array:
+        """Return the constant and the coefficients of x, y and z (M, 4) of each output."""
+        result: Array = self.linear_map(environment) @ parameters
         return result
 
     def only(self, output: str) -> "Model":

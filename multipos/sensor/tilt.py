@@ -186,7 +186,7 @@ def coverage_factors(confidence: float, dof: Array) -> Array:
 
 def _unseen_circle(calibration: Calibration, rest: Array) -> Array:
     """Return the variance (n,) [g²] from cross terms on two components of unknown direction."""
-    linear = calibration.model.linear_map(calibration.mean_environment) @ calibration.parameters
+    linear = calibration.model.linear_part(calibration.parameters, calibration.mean_environment)
     (own,) = sensed_axes(calibration.model)
     others = list(unseen_axes(calibration.model))
     weight = np.mean((linear[:, [1 + axis for axis in others]] / linear[:, [1 + own]]) ** 2, axis=0)

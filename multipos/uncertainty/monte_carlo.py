@@ -35,6 +35,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
 from multipos.uncertainty.draws import Draws
 
 Solve = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (trials, p)
@@ -144,8 +145,8 @@ def simulate_budget(
     solve = estimator or _own_estimator(c)
     draw = Draws(c, generator)
     delta = numerical_tolerance(c.u, digits)
-    exists = np.where(np.repeat(c.dof, [len(t) for t in c.model.terms]) > 2.0, 1.0, math.nan)
-    one_by_one = estimator is None and not c.estimator.exact
+    exists = np.where(c.dof_of_outputs > 2.0, 1.0, math.nan)
+    one_by_one = estimator is None and not _is_product(c)
     size = _FEW if one_by_one and trials is not None else _BLOCK
     blocks = _blocks(solve, draw, trials or _MOST, size, progress)
     if trials is None:
@@ -224,7 +225,7 @@ def numerical_tolerance(u: Array, digits: int) -> Array:
 
 def _own_estimator(c: Calibration) -> Solve:
     """The calibration's own estimator, run in full."""
-    if c.estimator.exact:
+    if _is_product(c):
         gain = estimator_gain(c)
         return lambda readings: np.asarray(readings.reshape(len(readings), -1) @ gain.T)
     if c.robust_weight is not None:
@@ -238,6 +239,11 @@ def _own_estimator(c: Calibration) -> Solve:
         return maximise(drawn, start_state(drawn, c.parameters.copy(), direction)).state.theta
 
     return lambda readings: np.array([estimate(one) for one in readings])
+
+
+def _is_product(c: Calibration) -> bool:
+    """Whether the estimate is one matrix product with the readings."""
+    return c.estimator.exact and not isinstance(c.model, ExpressionModel)
 
 
 def _sorted(trials: Array) -> Array:

@@ -259,13 +259,11 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
     kept = None if c.budget is None else c.budget.scatter
     added = sum(row.added for row in others)
     rest = c.covariance - added if kept is None else kept
-    count = [len(terms) for terms in c.model.terms]
-    output_of = np.repeat(np.arange(len(count)), count)
-    dof = c.dof[output_of]
+    output_of, dof = c.model.output_of, c.dof_of_outputs
     apart = output_of[:, None] != output_of
     scale = np.sqrt(np.abs(np.diag(rest)))
     joint = bool((np.abs(rest) > 1e-9 * np.outer(scale, scale))[apart].any())
-    blocks = [np.ones(len(dof), bool)] if joint else [output_of == i for i in range(len(count))]
+    blocks = [np.ones(len(dof), bool)] if joint else [output_of == i for i in range(len(c.outputs))]
     stated = bool(np.isinf(c.dof).all())
     return [
         Row(
@@ -288,8 +286,7 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
 def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
     c, kind = calibration, quantity.kind
     effects = parameter_effects(c, gain, quantity)
-    estimated = np.isfinite(c.dof)
-    contained = np.repeat(estimated, [len(terms) for terms in c.model.terms])
+    contained = np.isfinite(c.dof_of_outputs)
     if quantity.name == "orientation" and not c.estimator.exact:
         contained[:] = True  # it is part of that likelihood
     return Row(

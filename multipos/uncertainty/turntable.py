@@ -29,14 +29,16 @@ import numpy as np
 
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import block_design, separability, solve
+from multipos.numerics.least_squares import separability, solve
 from multipos.numerics.quantiles import coverage_factor, t_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
 from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
+from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model, build_model
 from multipos.sensor.tilt import magnitude_of
 
@@ -116,7 +118,7 @@ def table_errors(calibration: Calibration) -> TableErrors:
     """
     model, readings = calibration.model, calibration.readings
     rolls = find_rolls(readings)
-    linear = (model.linear_map(calibration.mean_environment) @ calibration.parameters)[:, 1:]
+    linear = model.linear_part(calibration.parameters, calibration.mean_environment)[:, 1:]
     own = np.array([[float(axis == name) for name in COMPONENTS] for axis in model.axes])
     effect = _effects(calibration, rolls, linear)
     # What can be told is a matter of structure: small cross terms must not seem to tell it.
@@ -126,7 +128,10 @@ def table_errors(calibration: Calibration) -> TableErrors:
     weight = _weights(calibration)
     if (not kept and not shifts) or len(design) <= design.shape[1]:
         return TableErrors(_described(calibration, rolls, nominal, {}), (), 0.0)
-    found = solve(design * weight[:, None], readings.values.ravel() * weight)
+    response = readings.values.ravel()
+    if isinstance(model, ExpressionModel):  # about its solution, where it is linear
+        response = calibration.residuals.ravel() + sensor @ calibration.parameters
+    found = solve(design * weight[:, None], response * weight)
     dof = float(found.dof)
     u = np.sqrt(np.diag(found.cofactor) * float(found.rss) / dof)
     k = coverage_factor(calibration.confidence, dof)
@@ -207,7 +212,7 @@ def state_bench(
     """
     model, readings = calibration.model, calibration.readings
     rolls = find_rolls(readings)
-    linear = (model.linear_map(calibration.mean_environment) @ calibration.parameters)[:, 1:]
+    linear = model.linear_part(calibration.parameters, calibration.mean_environment)[:, 1:]
     n, m = readings.values.shape
     covariance = np.eye(n * m) * reading_sd**2
     for roll in rolls:
@@ -247,9 +252,12 @@ def _effects(calibration: Calibration, rolls: tuple[Roll, ...], linear: Array) -
 
 def _design(model: Model, calibration: Calibration) -> Array:
     """Return the model's design over all outputs (n M, p), output running fastest."""
-    phi = model.basis(calibration.reference, calibration.readings.environment)
-    whole = block_design([phi[:, columns] for columns in model.columns])
-    return whole.reshape(-1, len(model.keys))
+    own = model is calibration.model
+    parameters = calibration.parameters if own else np.zeros(len(model.keys))
+    slopes = parameter_jacobian(
+        model, parameters, calibration.reference, calibration.readings.environment
+    )
+    return slopes.reshape(-1, len(model.keys))
 
 
 def _shifts(

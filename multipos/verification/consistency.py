@@ -215,8 +215,7 @@ def _quadratic(values: Array, covariances: Array) -> float:
 def _families(found: Sequence[Calibration]) -> list[_Family]:
     """Return the parameters grouped by what scatter they are judged by."""
     covariances = np.array([evaluate_budget(c).independent for c in found])
-    count = [len(terms) for terms in found[0].model.terms]
-    output_of = np.repeat(np.arange(len(count)), count)
+    output_of, count = found[0].model.output_of, found[0].outputs
     apart = all(
         _is_apart(c, covariance, output_of)
         for c, covariance in zip(found, covariances, strict=True)

@@ -749,9 +749,11 @@ def test_expressions_that_are_none(model, message):
         mp.fit(readings_of(SENSOR, UP, rng()), model=model)
 
 
-def test_an_expression_has_no_gauge():
-    with pytest.raises(mp.UsageError, match="needs positions whose orientation is listed"):
-        mp.fit(mp.Readings(SENSOR.read(UP)), model=saturating, unknown_orientation=True)
+def test_an_expression_without_cross_terms_says_itself_where_its_axes_lie():
+    values = saturating(UP, None, None, None, 0.02, 1.01, 0.03)
+    cal = mp.fit(mp.Readings(values), model=saturating, unknown_orientation=True)
+    assert_allclose(cal.parameters, np.tile((0.02, 1.01, 0.03), 3), rtol=0, atol=1e-7)
+    assert any("no rotation of the case is free" in said for said in cal.diagnostics.warnings)
 
 
 # --- what positions cannot tell

@@ -1,0 +1,145 @@
+"""Where the search for the parameters of a model of one's own starts: no guess but what is stated.
+
+Parameters enter linearly where no second derivative joins two of them. Given the others, q, they
+are those of least squares,
+
+    l(q) = argmin |y - h(q, 0) - A l|,    A = dh/dl at q,                                    (1)
+
+and where q has no stated start it is tried at a few values, all together and one by one; what
+leaves the least misfit after a step of Gauss and Newton on all that is not stated is where the
+search starts. Priors are starts.
+"""
+
+from collections.abc import Iterator, Mapping
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.numerics.arrays import Array
+from multipos.sensor.expressions import ExpressionModel
+
+_TRIED = (0.0, 1.0, 0.1, 10.0)  # values of what has no start
+_ALONE = 3  # parameters of an output up to which all their combinations are tried
+_KEPT = 3  # guesses that are worth a search
+_RANK = 1e-9  # of the largest, a direction that least squares of a guess leaves alone
+
+
+def first_guesses(
+    model: ExpressionModel, values: Array, force: Array, environment: Mapping[str, Array]
+) -> list[Array]:
+    """Return where searches start, the best first, (p,) each.
+
+    Parameters
+    ----------
+    model : ExpressionModel
+    values : (n, M) array
+        Readings.
+    force : (n, 3) array [g]
+    environment : mapping of str to (n,) array
+
+    Raises
+    ------
+    MultiposError
+        The model has no value at any of them.
+    """
+    linear = linear_parameters(model)
+    stated = np.isfinite(model.starts)
+    free = ~stated & ~linear
+    sought = (linear & (model.beliefs == 0.0)) | free
+    found: list[tuple[float, Array]] = []
+    with np.errstate(all="ignore"):
+        for start in _trials(model, np.where(stated, model.starts, 0.0), free):
+            theta = _within(model, start)
+            for _ in range(2):
+                theta = _improved(model, theta, sought, values, force, environment)
+            misfit = _misfit(model, theta, values, force, environment)
+            told = _misfit(model, _within(model, start), values, force, environment)
+            if not np.isfinite(misfit):
+                misfit, theta = told, _within(model, start)
+            if np.isfinite(misfit):
+                found.append((misfit, theta))
+    if not found:
+        names = [name for name, one in zip(model.names, free.tolist(), strict=True) if one]
+        which = ", ".join(f"`{name}`" for name in names) or "its parameters"
+        raise MultiposError(
+            f"the model has no value at the start of the search; state a start for {which} in "
+            "[parameters] of a TOML file."
+        )
+    found.sort(key=lambda each: each[0])
+    return [theta for _, theta in found[: _KEPT if free.any() else 1]]
+
+
+def linear_parameters(model: ExpressionModel) -> NDArray[np.bool_]:
+    """Return which parameters enter linearly together, (p,): as many as can."""
+    curved = np.array(model.compiled.curved())
+    chosen: list[int] = []
+    for place in np.argsort(curved.sum(axis=1), kind="stable").tolist():
+        if not curved[place, place] and not curved[place, chosen].any():
+            chosen.append(place)
+    return np.isin(np.arange(len(curved)), chosen)
+
+
+def _trials(model: ExpressionModel, start: Array, free: NDArray[np.bool_]) -> Iterator[Array]:
+    """Yield starts whose free parameters have values to be tried, alike for all outputs."""
+    names = list(dict.fromkeys(str(model.keys[i][1]) for i in np.flatnonzero(free)))
+    if len(names) <= _ALONE:
+        values = list(product(_TRIED, repeat=len(names)))
+    else:
+        values = [(value,) * len(names) for value in _TRIED]
+    for tried in values:
+        theta = start.copy()
+        for name, value in zip(names, tried, strict=True):
+            for i in np.flatnonzero(free).tolist():
+                if str(model.keys[i][1]) == name:
+                    theta[i] = value
+        yield theta
+
+
+def _within(model: ExpressionModel, theta: Array) -> Array:
+    """Return parameters within their bounds."""
+    low = np.array([q.low for q in model.quantities])
+    high = np.array([q.high for q in model.quantities])
+    return np.clip(theta, low, high)
+
+
+def _improved(
+    model: ExpressionModel,
+    theta: Array,
+    sought: NDArray[np.bool_],
+    values: Array,
+    force: Array,
+    environment: Mapping[str, Array],
+) -> Array:
+    """Return parameters after a step of Gauss and Newton on those that are sought, eq. (1)."""
+    outputs, blocks = model.respond(theta, force, environment)
+    n, m = outputs.shape
+    design = np.zeros((m, n, len(theta)))
+    for output, (places, slopes) in enumerate(blocks):
+        design[output][:, places] = slopes
+    # Each output counts by its spread: what they share must not be that of the largest alone.
+    weight = 1.0 / np.maximum(np.std(values, axis=0), 1e-300)
+    A = (design * weight[:, None, None]).reshape(m * n, -1)[:, sought]
+    left = ((values - outputs) * weight).T.ravel()
+    if not (np.isfinite(A).all() and np.isfinite(left).all()):
+        return theta
+    size = np.linalg.norm(A, axis=0)
+    scale = np.where(size > 0.0, size, 1.0)
+    moved = theta.copy()
+    moved[sought] += np.linalg.lstsq(A / scale, left, rcond=_RANK)[0] / scale
+    return _within(model, moved)
+
+
+def _misfit(
+    model: ExpressionModel,
+    theta: Array,
+    values: Array,
+    force: Array,
+    environment: Mapping[str, Array],
+) -> float:
+    outputs, blocks = model.respond(theta, force, environment)
+    if not all(np.isfinite(slopes).all() for _, slopes in blocks):
+        return np.inf
+    spread = np.maximum(np.std(values, axis=0), 1e-300)
+    return float(np.sum(((values - outputs) / spread) ** 2))

@@ -1,0 +1,186 @@
+"""From a model of one's own as it is written to the model that is fitted, and to its file.
+
+Every output gets the formula that is its own, or that of `each`; names that are neither components
+nor columns are its parameters. The file of a calibration holds the formulas, which are parsed again
+when it is read.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from multipos.errors import UsageError
+from multipos.files.lists import near
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.expressions import ExpressionModel, Symbol
+from multipos.sensor.formulas import Formula, instruct
+from multipos.sensor.model import Model, check_axes
+from multipos.sensor.sketches import (
+    EACH,
+    SHARED,
+    Quantity,
+    Sketch,
+    sketch_dict,
+    sketch_from_dict,
+)
+
+Fixed = Sequence[tuple[str, str, float]]  # output, name, value
+
+
+def build_sketch(
+    sketch: Sketch,
+    outputs: tuple[str, ...],
+    axes: tuple[str, ...],
+    inputs: tuple[str, ...],
+    unit: str,
+    columns: tuple[str, ...],
+    fixed: Fixed = (),
+) -> ExpressionModel:
+    """Return the model that a sketch describes, for outputs.
+
+    Parameters
+    ----------
+    sketch : Sketch
+    outputs, axes, inputs, unit
+        As in `Model`.
+    columns : tuple of str
+        Names in the formulas that are columns of the readings.
+    fixed : sequence of (output, name, value)
+        Parameters that are held.
+
+    Raises
+    ------
+    UsageError
+        An output without a line, a line without an output, or a component that is no input.
+    """
+    check_axes(outputs, axes, inputs)
+    formulas = _formula_of_each(sketch, outputs)
+    held = {(output, name): value for output, name, value in fixed}
+    own: list[list[str]] = []
+    shared: list[str] = []
+    for output, formula in zip(outputs, formulas, strict=True):
+        names = [n for n in formula.names if n not in (*COMPONENTS, "own", *columns)]
+        _require_inputs(formula, inputs)
+        mine = [n for n in names if not n.startswith(f"{SHARED}_")]
+        own.append([n for n in mine if (output, n) not in held])
+        common = (n for n in names if n not in mine and (SHARED, n) not in held)
+        shared += [n for n in common if n not in shared]
+    functions, used = [], []
+    for output, axis, formula, names in zip(outputs, axes, formulas, own, strict=True):
+        mine = [n for n in shared if n in formula.names]
+        places: dict[str, tuple[int, int] | float] = {
+            component: (0, i) for i, component in enumerate(COMPONENTS)
+        }
+        places["own"] = places[axis]
+        places |= {name: (1, j) for j, name in enumerate(columns)}
+        places |= {name: (2, i) for i, name in enumerate([*names, *mine])}
+        places |= {n: v for (who, n), v in held.items() if who in (output, SHARED)}
+        functions.append(tuple(instruct(formula, places)))
+        used.append(tuple(shared.index(n) for n in mine))
+    names = [*(n for part in own for n in part), *shared]
+    if not names:
+        raise sketch.fault(f"{sketch.where}: no parameter to fit beside x, y, z and own.")
+    return ExpressionModel(
+        sketch.text,
+        outputs,
+        axes,
+        inputs,
+        unit,
+        tuple(tuple(Symbol(name=n) for n in part) for part in own),
+        None,
+        tuple(functions),
+        columns,
+        tuple(Symbol(name=n) for n in shared),
+        tuple(used),
+        tuple(sketch.stated.get(n, Quantity(n)) for n in names),
+        sketch,
+        tuple((output, name, value) for output, name, value in fixed),
+    )
+
+
+def _formula_of_each(sketch: Sketch, outputs: tuple[str, ...]) -> list[Formula]:
+    """Return the formula of every output."""
+    formulas = sketch.formulas
+    strange = [name for name in formulas if name not in (*outputs, EACH)]
+    if strange:
+        raise sketch.fault(
+            f"{sketch.where}: '{strange[0]}' is no output{near(strange[0], (*outputs, EACH))} "
+            f"The outputs are {', '.join(outputs)}; '{EACH}' stands for all that have no line."
+        )
+    without = [name for name in outputs if name not in formulas and EACH not in formulas]
+    if without:
+        raise sketch.fault(
+            f"{sketch.where}: output '{without[0]}' has no line; add '{without[0]} = …', or "
+            f"'{EACH} = …' for all that have none."
+        )
+    return [formulas.get(name) or formulas[EACH] for name in outputs]
+
+
+def _require_inputs(formula: Formula, inputs: tuple[str, ...]) -> None:
+    for name, character in formula.names.items():
+        if name in COMPONENTS and name not in inputs:
+            formula.fail(character, f"'{name}' is not among --inputs {','.join(inputs)}")
+
+
+def hold(model: ExpressionModel, fixed: Fixed) -> ExpressionModel:
+    """Return a model with parameters held at values, which fixes its gauge.
+
+    Raises
+    ------
+    UsageError
+        The model is a Python function, whose parameters stay what they are.
+    """
+    if model.sketch is None:
+        names = ", ".join(f"{name} of {output}" for output, name, _ in fixed)
+        raise UsageError(
+            "a rotation of the case leaves the readings of this function as they are, so some of "
+            f"its parameters must be held: write it as a formula, or leave out {names}."
+        )
+    built = build_sketch(
+        model.sketch,
+        model.outputs,
+        model.axes,
+        model.inputs,
+        model.unit,
+        model.columns_used,
+        (*model.fixed, *fixed),
+    )
+    return replace(built, gauge="lower")
+
+
+def expression_dict(model: Model) -> dict[str, Any]:
+    """Return what a calibration's file needs to rebuild an expression; nothing for others."""
+    if not isinstance(model, ExpressionModel):
+        return {}
+    if model.sketch is not None:
+        fixed = [{"output": o, "name": n, "value": v} for o, n, v in model.fixed]
+        content = {**sketch_dict(model.sketch), "columns": model.columns_used, "fixed": fixed}
+        return {"own_model": content}
+    return {
+        "expression": {
+            "functions": model.functions,
+            "columns": model.columns_used,
+            "parameters": [str(term) for term in model.terms[0]],
+        }
+    }
+
+
+def load_sketch(content: Mapping[str, Any]) -> ExpressionModel:
+    """Return the model whose formulas a calibration's file holds; they are parsed again.
+
+    Raises
+    ------
+    MultiposError
+        Formulas that cannot be parsed, or parameters that are none.
+    """
+    own = content["own_model"]
+    built = build_sketch(
+        sketch_from_dict({key: own[key] for key in ("parameters", "outputs")}),
+        tuple(content["outputs"]),
+        tuple(content["axes"]),
+        tuple(content["inputs"]),
+        content["unit"],
+        tuple(own["columns"]),
+        [(part["output"], part["name"], part["value"]) for part in own["fixed"]],
+    )
+    return replace(built, gauge=content["gauge"])

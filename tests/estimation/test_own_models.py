@@ -1,0 +1,234 @@
+"""Models of one's own: fitted as written, held to SciPy, to polynomials and to numbers by hand."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
+
+import multipos as mp
+from multipos.positions.scheme import read_scheme
+
+UP = read_scheme("all-26").up
+SATURATING = "each = b + s*own/(1 + k*own^2)"
+TRUTH = np.array([[0.02, 1.01, 0.03], [0.01, 0.99, 0.02], [-0.03, 1.02, 0.05]])
+
+
+def saturating(theta, force):
+    b, s, k = theta.T
+    return b + s * force / (1.0 + k * force**2)
+
+
+def readings(sd=1e-4, seed=1, force=UP, **columns):
+    noise = sd * np.random.default_rng(seed).standard_normal(force.shape)
+    return mp.Readings(saturating(TRUTH, force) + noise, up=UP, **columns)
+
+
+def test_the_fit_is_that_of_scipy():
+    data = readings()
+    cal = mp.fit(data, model=SATURATING)
+    for i, output in enumerate(cal.outputs):
+        own = UP[:, i]
+
+        def left(p, own=own, i=i):
+            return p[0] + p[1] * own / (1 + p[2] * own**2) - data.values[:, i]
+
+        found = least_squares(left, [0.0, 1.0, 0.0], xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        covariance = np.linalg.inv(found.jac.T @ found.jac) * 2.0 * found.cost / 23.0
+        mine = [cal[output, name] for name in "bsk"]
+        assert_allclose([p.value for p in mine], found.x, rtol=0, atol=1e-6 * mine[2].u)
+        # SciPy's slopes are differences, good to half of the digits
+        assert_allclose([p.u for p in mine], np.sqrt(np.diag(covariance)), rtol=1e-5)
+        assert mine[0].dof == 23.0
+
+
+@pytest.mark.parametrize(
+    ("formula", "model"),
+    [
+        ("each = a + p*x + q*y + r*z", "linear"),
+        ("each = a + p*x + q*y + r*z + k*own^2", "own-quadratic"),
+    ],
+)
+@pytest.mark.parametrize("how", [{}, {"reading_sd": 1e-4}, {"robust": "huber"}])
+def test_a_polynomial_written_both_ways_is_one(formula, model, how):
+    generator = np.random.default_rng(3)
+    values = UP @ (np.eye(3) + 0.01) + 0.02 + 1e-4 * generator.standard_normal(UP.shape)
+    if "robust" in how:
+        values[3, 0] += 0.05
+    data = mp.Readings(values, up=UP)
+    plain, own = mp.fit(data, model=model, **how), mp.fit(data, model=formula, **how)
+    assert_allclose(own.parameters, plain.parameters, rtol=0, atol=1e-10)
+    assert_allclose(own.compensate(values), plain.compensate(values), rtol=0, atol=1e-10)
+    if how != {"reading_sd": 1e-4}:  # one scatter for all outputs against one for each
+        assert_allclose(own.u, plain.u, rtol=1e-7)
+
+
+def test_a_cross_model_of_unknown_orientation_holds_what_a_rotation_leaves_free():
+    """With all linear terms the three rotations are free, as in the lower gauge of `linear`."""
+    generator = np.random.default_rng(5)
+    matrix = np.eye(3) + 0.02 * generator.standard_normal((3, 3))
+    values = UP @ matrix.T + 0.02 + 1e-5 * generator.standard_normal(UP.shape)
+    plain = mp.fit(mp.Readings(values), unknown_orientation=True)
+    own = mp.fit(mp.Readings(values), model="each = a + p*x + q*y + r*z", unknown_orientation=True)
+    assert own.model.fixed == (("ax", "q", 0.0), ("ax", "r", 0.0), ("ay", "r", 0.0))
+    assert own.model.gauge == "lower"
+    assert_allclose(own.parameters, plain.parameters, rtol=0, atol=1e-3 * plain.u.min())
+    assert_allclose(own.u, plain.u, rtol=1e-4)
+    (said,) = (s for s in own.diagnostics.warnings if "rotation" in s)
+    assert "holding `q` of ax at 0" in said
+
+
+@pytest.mark.parametrize("how", [{"orientation_sd": 0.02}, {"unknown_orientation": True}])
+def test_uncertain_and_unknown_orientations_find_the_truth(how):
+    turned = UP + 3e-4 * np.random.default_rng(8).standard_normal(UP.shape)
+    turned /= np.linalg.norm(turned, axis=1)[:, None]
+    cal = mp.fit(readings(1e-5, 2, turned), model=SATURATING, **how)
+    assert (np.abs(cal.parameters - TRUTH.ravel()) < 4.0 * cal.u).all()
+
+
+def test_the_file_holds_the_formula_and_nothing_that_runs(tmp_path):
+    cal = mp.fit(readings(), model=SATURATING)
+    path = tmp_path / "cal.json"
+    cal.save(path)
+    content = json.loads(path.read_text())
+    assert content["own_model"]["outputs"] == {"each": "b + s*own/(1 + k*own^2)"}
+    assert content["model"] == SATURATING
+    again = mp.load(path)
+    assert again.model == cal.model
+    raw = saturating(TRUTH, UP)
+    assert_allclose(again.compensate(raw), cal.compensate(raw), rtol=0, atol=0)
+    content["own_model"]["outputs"]["each"] = "__import__('os').system('true')"
+    path.write_text(json.dumps(content))
+    with pytest.raises(mp.MultiposError, match="unknown function '__import__'"):
+        mp.load(path)
+
+
+def test_compensation_is_the_inverse_and_flags_what_has_none():
+    cal = mp.fit(readings(0.0), model=SATURATING)
+    assert_allclose(cal.compensate(saturating(TRUTH, UP)), UP, rtol=0, atol=1e-10)
+    # b + s f/(1 + k f²) has its top at f = k^-1/2: 0.02 + 1.01/(2*0.03^0.5) = 2.94
+    assert np.isnan(cal.compensate([[3.0, 0.0, 0.0]])).any()
+
+
+def test_a_prior_pulls_by_its_weight(tmp_path):
+    """One linear parameter by hand: the mean of prior and readings, weighted by information."""
+    force = np.column_stack([np.ones(4), np.zeros((4, 2))])
+    force[2:, 0] = -1.0
+    values = np.array([[1.00], [1.02], [-0.99], [-1.01]])
+    path = written(tmp_path, "s = {start = 0.9, sd = 0.01}", 'each = "s*own"')
+    cal = mp.fit(mp.Readings(values, up=force), model=path, axes="x", reading_sd=0.02)
+    tau = next(iter(cal.variance_components.rest_to_rest.values())).value
+    w, prior = 4.0 / (0.02**2 + tau**2), 1.0 / 0.01**2
+    assert_allclose(cal.parameters[0], (w * 1.005 + prior * 0.9) / (w + prior), rtol=1e-9)
+
+
+def written(folder, parameters, outputs):
+    path = folder / "own.toml"
+    path.write_text(f"[parameters]\n{parameters}\n\n[outputs]\n{outputs}\n")
+    return str(path)
+
+
+def test_a_prior_beside_noise_that_only_residuals_tell(tmp_path):
+    """By hand: s² from the residuals on n - (share of the readings) degrees of freedom."""
+    generator = np.random.default_rng(4)
+    up = np.tile([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], (6, 1))
+    values = 1.02 * up[:, :1] + 0.02 * generator.standard_normal((12, 1))
+    path = written(tmp_path, "s = {start = 1.0, sd = 0.01}", 'each = "s*own"')
+    cal = mp.fit(mp.Readings(values, up=up), model=path, axes="x")
+    plain, s2 = float(np.mean(values * up[:, :1])), 1e-4
+    for _ in range(100):
+        w = 12.0 / s2 / (12.0 / s2 + 1e4)
+        estimate = w * plain + (1.0 - w)
+        s2 = float(np.sum((values - estimate * up[:, :1]) ** 2)) / (12.0 - w)
+    assert_allclose(cal.parameters[0], estimate, rtol=1e-6)
+    assert_allclose(cal.u[0], (12.0 / s2 + 1e4) ** -0.5, rtol=1e-4)
+
+
+def test_bounds_hold_and_are_said(tmp_path):
+    data = readings()
+    path = written(tmp_path, "k = {start = 0.01, low = 0, high = 0.04}", SATURATING_FILE)
+    cal = mp.fit(data, model=path)
+    free = mp.fit(data, model=SATURATING)
+    # where the bound is not in the way, nothing changes
+    assert_allclose(cal.parameters[:6], free.parameters[:6], rtol=0, atol=1e-4 * free.u.min())
+    assert_allclose(cal.u[:6], free.u[:6], rtol=1e-4)
+    assert_allclose(cal["k_az"].value, 0.04, rtol=1e-6)
+    (said,) = (s for s in cal.diagnostics.warnings if "bound" in s)
+    assert "`k_az` ended at its bound, high = 0.04" in said
+
+
+SATURATING_FILE = 'each = "b + s*own/(1 + k*own^2)"'
+
+
+def test_outputs_that_share_a_parameter_are_fitted_together():
+    """Two chips on one axis, one drift over temperature; the second route is SciPy's."""
+    generator = np.random.default_rng(6)
+    t = np.linspace(10.0, 40.0, len(UP))
+    sd = np.array([1e-4, 3e-4])
+    values = np.column_stack([0.1 + UP[:, 0], 0.2 + 1.1 * UP[:, 0]]) + 2e-3 * t[:, None]
+    values += sd * generator.standard_normal(values.shape)
+    data = mp.Readings(values, up=UP, outputs=("a", "b"), environment={"temperature": t})
+    model = "each = o + s*own + common_d*temperature"
+    cal = mp.fit(data, model=model, axes="x,x")
+    assert cal.names == ("o_a", "s_a", "o_b", "s_b", "common_d")
+    assert cal["common", "common_d"].value == cal["common_d"].value
+    found = cal.residual_sd
+    design = np.zeros((2, len(UP), 5))
+    for i in range(2):
+        design[i, :, 2 * i], design[i, :, 2 * i + 1], design[i, :, 4] = 1.0, UP[:, 0], t
+    A = (design / found[:, None, None]).reshape(-1, 5)
+    y = (values / found).T.ravel()
+    assert_allclose(cal.parameters, np.linalg.lstsq(A, y, rcond=None)[0], rtol=1e-7)
+    assert_allclose(cal.u, np.sqrt(np.diag(np.linalg.inv(A.T @ A))), rtol=1e-6)
+    # the degrees of freedom of both outputs together are 52 - 5; the drift is told by the better
+    assert_allclose(cal.dof.sum(), 47.0, rtol=1e-9)
+    assert 20.0 < cal["common_d"].dof < 47.0
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        ("each = b + s*onw", "character 14: 'onw' is no column; did you mean 'own'"),
+        ("each = b + s*own*temprature", "did you mean 'temperature'"),
+        ("each = b + s*own*voltge", "did you mean 'voltage'"),
+        ("each = b + s*own*Voltage", "did you mean 'voltage'"),
+    ],
+)
+def test_a_misspelt_column_does_not_become_a_parameter(model, said):
+    columns = {f"up_{axis}": UP[:, i] for i, axis in enumerate("xyz")}
+    table = {**columns, "voltage": np.full(26, 5.0), "ax": 0.1 + UP[:, 0]}
+    with pytest.raises(mp.UsageError) as caught:
+        mp.fit(table, model=model, axes="x,y")
+    assert said in str(caught.value)
+
+
+def test_a_start_is_found_where_none_is_stated():
+    """A sine has no slope at zero amplitude: other starts are tried."""
+    own = UP[:, [0]]
+    values = 0.3 + 2.0 * np.sin(0.7 * own) + 1e-5 * np.random.default_rng(2).normal(size=own.shape)
+    cal = mp.fit(mp.Readings(values, up=UP), model="each = b + a*sin(c*own)", axes="x")
+    assert_allclose(cal.parameters, [0.3, 2.0, 0.7], rtol=0, atol=1e-3)
+
+
+def test_what_positions_cannot_tell_is_named():
+    with pytest.raises(mp.RankError, match=r"`p_ax`.*`q_ax`|`q_ax`.*`p_ax`"):
+        mp.fit(readings(), model="each = b + (p + q)*own")
+
+
+def test_gravity_reaches_parameters_as_it_does_in_a_polynomial():
+    data = readings()
+    how = {"gravity": 9.81, "gravity_u": 0.01}
+    plain, own = mp.fit(data, **how), mp.fit(data, model="each = a + p*x + q*y + r*z", **how)
+    assert_allclose(own.covariance, plain.covariance, rtol=0, atol=1e-7 * plain.covariance.max())
+    saturated = mp.fit(data, model=SATURATING, **how)
+    # b + s f/(1 + k f²): s goes with 1/g, k with 1/g²
+    g = 0.01 / 9.81
+    assert_allclose(saturated["s_ax"].u, g * saturated["s_ax"].value, rtol=1e-2)
+
+
+def test_an_empty_line_and_a_missing_output_are_errors():
+    with pytest.raises(mp.UsageError, match="output 'ay' has no line"):
+        mp.fit(readings(), model="ax = b + own")
+    with pytest.raises(mp.UsageError, match="expected a number"):
+        mp.fit(readings(), model="each =")
