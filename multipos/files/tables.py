@@ -72,7 +72,7 @@ class Table:
             column.
         """
         cells = self.columns[name]
-        values = self._numbers(cells)
+        values = self.numbers(name)
         bad = ~np.isfinite(values)
         if empty and isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
             bad &= ~np.isnan(values)
@@ -93,14 +93,16 @@ class Table:
 
     def is_text(self, name: str) -> bool:
         """Tell whether no cell of the column is a number."""
-        return not np.isfinite(self._numbers(self.columns[name])).any()
+        return not np.isfinite(self.numbers(name)).any()
 
     def where(self, row: int, name: str) -> str:
         """Return the place of a cell in words."""
         line = "" if self.lines is None else f" (line {self.lines[row]})"
         return f"{self.source}: row {self.first + row + 1}{line}, column '{name}'"
 
-    def _numbers(self, cells: Column) -> NDArray[np.float64]:
+    def numbers(self, name: str) -> NDArray[np.float64]:
+        """Return a column as numbers (n,), NaN where a cell is none."""
+        cells = self.columns[name]
         if isinstance(cells, Cells):
             return cells.numbers(self._parse, decimal_comma=self.decimal_comma)
         return self._parse(cells)

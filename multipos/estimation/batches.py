@@ -1,0 +1,269 @@
+"""Many units on the same positions: known linear least squares in a few matrix products.
+
+B units that were read at the same positions share the design X (n, p) of an output, and with it
+everything that costs time: the factorisation X = Q R, the inverse X⁺ = R⁻¹ Q' and the cofactor
+C = R⁻¹ R⁻ᵀ. With the readings of one output as rows, Y (B, n),
+
+    b₀ = Y X⁺',    r = Y − b₀ X',    b = b₀ + r X⁺',    u² = s² diag C,   s² = r r'/(n − p),    (1)
+
+which is `multipos.estimation.known` unit by unit. That one refines its answer until it is exact
+for the numbers given; so does this: b is the exact answer but for a relative κε of the *residuals*,
+where r is formed without rounding of the size of the readings. For that b₀ is rounded to a grid of
+20 bits and X split at 26, X = X₁ + X₂, so that no sum of products b₀ X₁' rounds:
+
+    r = ((Y − b₀ X₁') − b₀ X₂') − (b − b₀) X',   error below 2⁻⁷⁰ |Y|.                        (2)
+
+What is left after compensation, f − f_ref, follows from the residuals alone where the model is
+linear: A (f − f_ref) = r, A the sensitivities. Otherwise it is found by steps of that matrix.
+
+A unit for which this cannot be as good as the fit by itself (no degree of freedom, residuals that
+are only rounding, sensitivities that cannot be inverted) is left to that one.
+
+Sources: Å. Björck, *Numerical Methods for Least Squares Problems*, SIAM 1996, section 2.9 (fixed
+design, iterative refinement). K. Ozaki, T. Ogita, S. Oishi, S. M. Rump, Numer. Algorithms 59, 2012
+(products of split matrices without rounding).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.known import FLOOR, per_parameter
+from multipos.files.records import LARGEST
+from multipos.numerics.arrays import Array
+from multipos.numerics.least_squares import solve
+from multipos.numerics.terms import COMPONENTS, Term
+from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.model import Model
+
+_COARSE = 20  # bits of the coefficients that multiply without rounding
+_SPLIT = 26  # bits of the design that they multiply
+_WORST = 1e6  # condition beyond which the cofactor needs more than double precision
+_ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
+_STEPS = 30  # of the compensation: three gain what the model's curvature costs
+_XTOL = 1e-15  # [g], where a step is only rounding
+_SINGULAR = 1e-8  # determinant of A'A, its rows of length one, below which A is not inverted
+
+
+@dataclass(frozen=True)
+class SharedDesign:
+    """What units on the same positions share, output by output.
+
+    Attributes
+    ----------
+    model : Model
+    reference : (n, 3) array [g]
+    environment : mapping of str to (n,) array
+        Other columns of the model.
+    designs, inverses : tuples of M (n, p_i) and (p_i, n) arrays
+    cofactors : tuple of M (p_i,) arrays
+        The diagonal of C.
+    """
+
+    model: Model
+    reference: Array
+    environment: Mapping[str, Array]
+    designs: tuple[Array, ...]
+    inverses: tuple[Array, ...]
+    cofactors: tuple[Array, ...]
+
+
+class Estimates(NamedTuple):
+    """What a batch found of B units; rows that are not `sound` are for the fit of one unit.
+
+    Attributes
+    ----------
+    parameters, u : (B, p) arrays
+    dof : (p,) array
+    rms : (B,) array [g]
+    residuals : M arrays (B, n), in reading units
+    inverse : (B, K, M) array
+        Of the sensitivities to the K components that the sensor has.
+    sound : (B,) array of bool
+    """
+
+    parameters: Array
+    u: Array
+    dof: Array
+    rms: Array
+    residuals: tuple[Array, ...]
+    inverse: Array
+    sound: NDArray[np.bool_]
+
+
+def share_design(
+    model: Model, reference: Array, environment: Mapping[str, Array]
+) -> SharedDesign | None:
+    """Return what units share, or None where a batch would not be as good as one fit.
+
+    Parameters
+    ----------
+    model : Model
+    reference : (n, 3) array [g]
+    environment : mapping of str to (n,) array
+        Other columns that the model uses.
+
+    Raises
+    ------
+    RankError
+        The positions cannot separate the parameters; the fit of one unit says it better.
+    """
+    n = len(reference)
+    basis = model.basis(reference, environment)
+    designs, inverses, cofactors = [], [], []
+    known: dict[tuple[int, ...], int] = {}
+    for output, columns in enumerate(model.columns):
+        same = known.setdefault(tuple(columns.tolist()), output)
+        if same < output:
+            designs.append(designs[same])
+            inverses.append(inverses[same])
+            cofactors.append(cofactors[same])
+            continue
+        design = np.ascontiguousarray(basis[:, columns])
+        found = solve(design, np.zeros(n), floor=FLOOR, names=model.names[model.slices[output]])
+        if found.dof == 0 or found.condition > _WORST:
+            return None
+        Q, R = np.linalg.qr(design)
+        designs.append(design)
+        inverses.append(np.linalg.inv(R) @ Q.T)
+        cofactors.append(np.diag(found.cofactor))
+    used = {name: environment[name] for name in model.environment}
+    return SharedDesign(
+        model, reference, used, tuple(designs), tuple(inverses), tuple(cofactors)
+    )
+
+
+def estimate_batch(shared: SharedDesign, values: Sequence[Array], *, pool: bool = False) -> Estimates:
+    """Fit B units by least squares, eqs. (1) and (2).
+
+    Parameters
+    ----------
+    shared : SharedDesign
+    values : sequence of M (B, n) arrays
+        Readings of each output.
+    pool : bool
+        One residual variance for all outputs of a unit.
+    """
+    model = shared.model
+    count, n = values[0].shape
+    parameters = np.empty((count, len(model.keys)))
+    squares = np.empty((len(values), count))
+    residuals = []
+    sound = np.ones(count, dtype=np.bool_)
+    for i, y in enumerate(values):
+        b, r = _fit_output(shared.designs[i], shared.inverses[i], y)
+        parameters[:, model.slices[i]] = b
+        residuals.append(r)
+        squares[i] = np.einsum("bn,bn->b", r, r)
+        sound &= squares[i] > _ROUNDING**2 * np.einsum("bn,bn->b", y, y)
+    dof = np.array([n - design.shape[1] for design in shared.designs], dtype=np.float64)
+    variance = squares / dof[:, None]
+    if pool:
+        variance[:] = squares.sum(axis=0) / dof.sum()
+        dof[:] = dof.sum()
+    u = np.empty_like(parameters)
+    for i, cofactor in enumerate(shared.cofactors):
+        u[:, model.slices[i]] = np.sqrt(variance[i][:, None] * cofactor)
+    theta = np.zeros((count, len(model.outputs), len(model.basis_terms)))
+    for output, (part, columns) in enumerate(zip(model.slices, model.columns, strict=True)):
+        theta[:, output, columns] = parameters[:, part]
+    inverse, inverted = _invert(shared, theta)
+    if model.is_linear:
+        rms = _rms(inverse, residuals)
+    else:
+        rms, ended = _rms_of_compensated(shared, theta, inverse, values, residuals)
+        inverted &= ended
+    sound &= inverted & (np.abs(parameters).max(axis=1) <= LARGEST)
+    return Estimates(
+        parameters, u, per_parameter(model, dof), rms, tuple(residuals), inverse, sound
+    )
+
+
+def _fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
+    """Return coefficients (B, p) and residuals (B, n) of one output, eq. (2)."""
+    shift = np.frexp(np.abs(design).max(axis=0))[1]  # columns below 1 by powers of two: exact
+    scaled = np.ldexp(design, -shift)
+    high = np.ldexp(np.rint(np.ldexp(scaled, _SPLIT)), -_SPLIT)
+    b = np.ldexp(y @ inverse.T, shift)
+    grid = np.frexp(np.abs(b).max(axis=1, keepdims=True))[1] - _COARSE
+    coarse = np.ldexp(np.rint(np.ldexp(b, -grid)), grid)
+    r = y - coarse @ high.T
+    r -= np.hstack((coarse, b - coarse)) @ np.hstack((scaled - high, scaled)).T
+    step = r @ inverse.T
+    r -= step @ design.T
+    return np.ldexp(b, -shift) + step, r
+
+
+def _invert(shared: SharedDesign, theta: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the inverse (B, K, M) of the sensitivities, and of which units there is one."""
+    sensed = list(sensed_axes(shared.model))
+    matrix = _linear_part(shared, theta)[:, :, sensed]
+    inverted = _can_be_inverted(matrix)
+    matrix[~inverted] = np.eye(*matrix.shape[1:])
+    square = len(sensed) == matrix.shape[1]
+    return np.asarray(np.linalg.inv(matrix) if square else np.linalg.pinv(matrix)), inverted
+
+
+def _rms(inverse: Array, residuals: Sequence[Array]) -> Array:
+    """Return what is left after compensation (B,) [g], of a model that is linear."""
+    total = np.zeros(len(inverse))
+    for row in range(inverse.shape[1]):
+        left = inverse[:, row, 0, None] * residuals[0]
+        for i, residual in enumerate(residuals[1:], start=1):
+            left += inverse[:, row, i, None] * residual
+        total += np.einsum("bn,bn->b", left, left)
+    return np.asarray(np.sqrt(total / residuals[0].shape[1]))
+
+
+def _linear_part(shared: SharedDesign, theta: Array) -> Array:
+    """Return the sensitivities (B, M, 3) to the components, in the mean environment."""
+    matrix = np.zeros((*theta.shape[:2], 3))
+    for column, term in enumerate(shared.model.basis_terms):
+        if term.along is None:
+            continue
+        beside = Term(tuple(f for f in term.factors if f.variable not in COMPONENTS))
+        weight = np.mean(beside.evaluate(shared.environment))
+        matrix[:, :, COMPONENTS.index(term.along)] += weight * theta[:, :, column]
+    return matrix
+
+
+def _can_be_inverted(matrix: Array) -> NDArray[np.bool_]:
+    """Tell which matrices (B, M, K) are far from singular."""
+    size = np.linalg.norm(matrix, axis=2, keepdims=True)
+    scaled = matrix / np.where(size > 0.0, size, 1.0)
+    information = scaled.transpose(0, 2, 1) @ scaled
+    return np.asarray(np.linalg.det(information) > _SINGULAR)
+
+
+def _rms_of_compensated(
+    shared: SharedDesign,
+    theta: Array,
+    inverse: Array,
+    values: Sequence[Array],
+    residuals: Sequence[Array],
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the same of any model, and of which units the compensation came to its end."""
+    model = shared.model
+    count, n = values[0].shape
+    sensed = list(sensed_axes(model))
+    if len(sensed) != len(values):  # then the steps below would end at another force
+        return np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
+    raw = np.stack(values, axis=2)
+    misfit = np.stack(residuals, axis=2)
+    left = np.zeros((count, n, len(sensed)))
+    force = np.repeat(shared.reference[None], count, axis=0)
+    size = np.full(count, np.inf)
+    columns = {name: np.tile(column, count) for name, column in shared.environment.items()}
+    for _ in range(_STEPS):
+        step = misfit @ inverse.transpose(0, 2, 1)
+        left += step
+        size = np.abs(step).max(axis=(1, 2))
+        if not (size > _XTOL).any():
+            break
+        force[:, :, sensed] = shared.reference[:, sensed] + left
+        basis = model.basis(force.reshape(-1, 3), columns).reshape(count, n, -1)
+        misfit = raw - basis @ theta.transpose(0, 2, 1)
+    return np.sqrt(np.einsum("bnk,bnk->b", left, left) / n), size <= 10.0 * _XTOL

@@ -1,0 +1,4 @@
+"""Many units at once: each one's calibration, and what only all of them together can tell.
+
+Open `fitting` first.
+"""

@@ -1,0 +1,161 @@
+"""Units out of rows: which rows are whose, and which units were read under the same conditions.
+
+The conditions of a unit are what a fit reads beside its outputs: labels, orientations, stated
+uncertainties, columns of the model. Units with the same share one design and are solved together.
+They are found by a sum of products modulo 2⁶⁴ of every unit's cells with random odd numbers, which
+two units of different conditions share once in 10¹⁹ pairs.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.fleets.labels import Labels
+from multipos.fleets.sources import Rows
+from multipos.numerics.arrays import LARGEST, SMALLEST, Array
+from multipos.positions import attitudes
+
+_LABELLED = ("position", "group", "direction", "roll_axis")  # beside these, conditions are numbers
+_SEED = 20261  # of the random numbers: any serve, and the same ones every time
+
+Places = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Grouped:
+    """The units of a fleet, in the order in which they first come.
+
+    A unit that was at several stations is one at each of them.
+
+    Attributes
+    ----------
+    order : (N,) array of int
+        Rows of the table, those of a unit together and in their order.
+    starts : (B + 1,) array of int
+        Where each unit begins in `order`.
+    unit, station : Labels
+        Of every unit (B,).
+    """
+
+    order: Places
+    starts: Places
+    unit: Labels
+    station: Labels
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @property
+    def counts(self) -> Places:
+        """Rows of every unit (B,)."""
+        return np.diff(self.starts)
+
+    def rows(self, unit: int) -> Places:
+        """Return the rows of the table that are of a unit."""
+        return self.order[self.starts[unit] : self.starts[unit + 1]]
+
+
+def group_rows(rows: Rows) -> Grouped:
+    """Return the units of the rows of tables."""
+    stations = len(rows.station.names)
+    key = rows.unit.codes.astype(np.int64) * stations + rows.station.codes
+    heads = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
+    order = np.arange(len(key))
+    if len(np.unique(key[heads])) < len(heads):  # rows of a unit stand apart
+        _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+        rank = np.empty(len(first), dtype=np.intp)
+        rank[np.argsort(first)] = np.arange(len(first))
+        appeared = rank[inverse]
+        order = np.argsort(appeared, kind="stable")
+        key = appeared[order]
+        heads = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
+    firsts = order[heads]
+    return Grouped(
+        order,
+        np.append(heads, len(key)),
+        Labels(rows.unit.codes[firsts], rows.unit.names),
+        Labels(rows.station.codes[firsts], rows.station.names),
+    )
+
+
+class Conditions:
+    """The outputs of every row, and under which conditions its unit was read."""
+
+    def __init__(
+        self, rows: Rows, grouped: Grouped, outputs: Sequence[str], used: Sequence[str]
+    ) -> None:
+        """Read the columns that are used; `used` are those of the model's formula."""
+        self._grouped = grouped
+        self._sorted = bool(np.all(grouped.order[1:] > grouped.order[:-1]))
+        self.values = [self._in_order(rows.numbers(name)) for name in outputs]
+        self._sound = self._sound_units(rows)
+        self._cells = [
+            self._cells_of(rows, name) for name in rows.columns if _is_used(name, outputs, used)
+        ]
+
+    def groups(self) -> Iterator[Places]:
+        """Yield units that share all conditions; one whose cells are at fault comes alone."""
+        for n in np.unique(self._grouped.counts).tolist():
+            units = np.flatnonzero(self._grouped.counts == n)
+            sound = self._sound[units]
+            yield from units[~sound][:, None]
+            yield from self._alike(units[sound], n)
+
+    def of(self, units: Places, n: int) -> list[Array]:
+        """Return the readings of units of n rows, (B, n) each output."""
+        starts = self._grouped.starts[units]
+        if len(units) and starts[-1] - starts[0] == n * (len(units) - 1):
+            piece = slice(starts[0], starts[0] + n * len(units))
+            return [column[piece].reshape(len(units), n) for column in self.values]
+        places = starts[:, None] + np.arange(n)
+        return [column[places] for column in self.values]
+
+    def _in_order(self, column: Array) -> Array:
+        return column if self._sorted else column[self._grouped.order]
+
+    def _sound_units(self, rows: Rows) -> NDArray[np.bool_]:
+        """Tell of which units all cells can be what a fit takes."""
+        bad = np.zeros(len(self._grouped.order), dtype=np.bool_)
+        for column in self.values:
+            bad |= ~(np.abs(column) <= LARGEST)
+        for name in rows.columns:
+            if name == "n" or name.startswith("sd_"):
+                cells = self._in_order(rows.numbers(name))
+                bad |= ~((cells > 0.0) if name == "n" else (cells >= 0.0))
+        starts = self._grouped.starts[:-1]
+        sound = ~np.logical_or.reduceat(bad, starts)
+        for column in self.values:
+            sound &= ~(np.maximum.reduceat(np.abs(column), starts) < SMALLEST)
+        return sound
+
+    def _cells_of(self, rows: Rows, name: str) -> NDArray[np.uint64]:
+        numbers = None if name in _LABELLED else rows.numbers(name)
+        if numbers is None or np.isnan(numbers).any():
+            return self._in_order(rows.labels(name).codes.astype(np.uint64))
+        return self._in_order(numbers + 0.0).view(np.uint64)
+
+    def _alike(self, units: Places, n: int) -> Iterator[Places]:
+        rng = np.random.default_rng(_SEED)
+        starts = self._grouped.starts[units]
+        total = np.zeros(len(units), dtype=np.uint64)
+        for cells in self._cells:
+            for row in range(n):
+                factor = rng.integers(0, 2**63, dtype=np.uint64) * np.uint64(2) + np.uint64(1)
+                total += cells[starts + row] * factor
+        _, first, inverse = np.unique(total, return_index=True, return_inverse=True)
+        by_group = np.argsort(inverse, kind="stable")
+        ends = np.cumsum(np.bincount(inverse, minlength=len(first)))[:-1]
+        for alike in np.split(by_group, ends):
+            if len(alike):
+                yield units[alike]
+
+
+def _is_used(name: str, outputs: Sequence[str], used: Sequence[str]) -> bool:
+    """Tell whether a column bears on the fit of a unit beside its outputs."""
+    if name in outputs:
+        return False
+    beside = {f"{kind}_{output}" for kind in ("u", "dof") for output in outputs}
+    known = attitudes.COLUMNS | {"position", "group", "orientation_sd_deg"} | beside
+    return name in known or name in used or name.startswith("reference_u_")

@@ -1,0 +1,77 @@
+"""Columns of labels as numbers: a text that comes a million times is kept once."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.files.tables import Column, Table
+
+Codes = NDArray[np.int32]
+
+
+class Labels(Sequence[str]):
+    """A column of texts: `codes` (n,), places in `names`, which are all different."""
+
+    def __init__(self, codes: Codes, names: Sequence[str]) -> None:
+        self.codes = codes
+        self.names = tuple(names)
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+    @overload
+    def __getitem__(self, row: int) -> str: ...
+
+    @overload
+    def __getitem__(self, row: slice) -> "Labels": ...
+
+    def __getitem__(self, row: int | slice) -> "str | Labels":
+        if isinstance(row, slice):
+            return Labels(self.codes[row], self.names)
+        return self.names[self.codes[row]]
+
+    def __iter__(self) -> Iterator[str]:
+        return map(self.names.__getitem__, self.codes.tolist())
+
+
+def labels_of(table: Table, name: str) -> Labels:
+    """Return a column of a table as labels, in the order in which they first come."""
+    column = table.columns[name]
+    if isinstance(column, Labels):
+        return column
+    if isinstance(column, np.ndarray) and len(column):
+        # a label that stays for many rows is looked at once
+        heads = np.flatnonzero(np.concatenate(([True], column[1:] != column[:-1])))
+        short = _coded(table, name, column[heads].tolist())
+        return Labels(np.repeat(short.codes, np.diff([*heads, len(column)])), short.names)
+    return _coded(table, name, column)
+
+
+def _coded(table: Table, name: str, cells: Sequence[Any]) -> Labels:
+    places: dict[Any, int] = {}
+    codes = np.fromiter(
+        (places.setdefault(cell, len(places)) for cell in cells), dtype=np.int32, count=len(cells)
+    )
+    different = Table(table.source, {name: list(places)}, len(places)).text(name)
+    return joined_labels([Labels(codes, different)])
+
+
+def joined_labels(parts: Sequence[Labels]) -> Labels:
+    """Return labels one after another."""
+    places: dict[str, int] = {}
+    codes = []
+    for part in parts:
+        there = [places.setdefault(name, len(places)) for name in part.names]
+        codes.append(np.array(there, dtype=np.int32)[part.codes])
+    return Labels(np.concatenate(codes), tuple(places))
+
+
+def joined_columns(parts: Sequence[Column]) -> Column:
+    """Return parts of a column one after another."""
+    if len(parts) == 1:
+        return parts[0]
+    if all(isinstance(part, np.ndarray) and part.dtype.kind in "fiub" for part in parts):
+        return np.concatenate([np.asarray(part) for part in parts])
+    return [cell for part in parts for cell in part]

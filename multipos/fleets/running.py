@@ -1,0 +1,214 @@
+"""All tasks of a fleet, by whatever engine, and where a run that was stopped goes on.
+
+A task is some thousand units, so that memory does not grow with their number beyond the table and
+the result. Its content has a name, the SHA-256 of all that its numbers depend on; what it found is
+kept under that name until the run has ended, and a task that is found there is not solved again.
+"""
+
+import hashlib
+import io
+import json
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from multipos import __version__
+from multipos.errors import MultiposError, UsageError
+from multipos.files.whole import write_text
+from multipos.fleets.nests import NestSums
+from multipos.fleets.solving import Solved, Task, solve_task
+
+Engine = Literal["threads", "processes", "dask"]
+ENGINES: tuple[Engine, ...] = ("threads", "processes", "dask")
+_AHEAD = 2  # tasks a worker has waiting
+
+
+@contextmanager
+def open_engine(engine: str, scheduler: str | None = None) -> Iterator[Executor]:
+    """Open an executor by its name.
+
+    Parameters
+    ----------
+    engine : str
+        'threads', 'processes' or 'dask'.
+    scheduler : str, optional
+        Address of a Dask scheduler, such as tcp://10.0.0.1:8786; a cluster on this machine if not
+        given.
+
+    Raises
+    ------
+    UsageError
+        There is no such engine, or a scheduler is named for another one.
+    MultiposError
+        Dask is not installed, or its scheduler does not answer.
+    """
+    if engine not in ENGINES:
+        raise UsageError(f"--engine takes {', '.join(ENGINES)}, got '{engine}'.")
+    if scheduler is not None and engine != "dask":
+        raise UsageError("--scheduler is the address of a Dask scheduler; it needs --engine dask.")
+    workers = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
+    if engine == "threads":
+        with ThreadPoolExecutor(workers) as executor:
+            yield executor
+    elif engine == "processes":
+        from concurrent.futures import ProcessPoolExecutor
+        from multiprocessing import get_context
+
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as processes:
+            yield processes
+    else:
+        with _dask_client(scheduler) as client:
+            yield client.get_executor()
+
+
+def _dask_client(scheduler: str | None) -> Any:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MultiposError(
+            "--engine dask needs Dask, which is not installed; install it with "
+            "pip install 'multipos[dask]', or use --engine threads."
+        ) from None
+    try:
+        return Client(scheduler, dashboard_address=None) if scheduler is None else Client(scheduler)
+    except (OSError, ValueError) as error:
+        raise MultiposError(
+            f"--scheduler {scheduler}: no Dask scheduler answers there ({error}); check the address."
+        ) from None
+
+
+def solve_all(
+    tasks: Iterable[Task],
+    executor: Executor,
+    *,
+    folder: Path | None = None,
+    told: Callable[[int], object] = lambda done: None,
+) -> Iterator[Solved]:
+    """Yield what every task found, in their order.
+
+    Parameters
+    ----------
+    tasks : iterable of Task
+    executor : concurrent.futures.Executor
+    folder : path, optional
+        Where finished tasks are kept, and found again.
+    told : callable
+        Is told how many units are done.
+    """
+    waiting: deque[tuple[Path | None, Solved | Future[Solved]]] = deque()
+    most = _AHEAD * int(getattr(executor, "_max_workers", 8)) + 1
+    done = 0
+    try:
+        for task in tasks:
+            path = None if folder is None else folder / f"{_name(task)}.npz"
+            kept = None if path is None else _load(path)
+            waiting.append((path, executor.submit(solve_task, task) if kept is None else kept))
+            while len(waiting) >= most:
+                solved = _finish(*waiting.popleft())
+                done += len(solved.units)
+                told(done)
+                yield solved
+        while waiting:
+            solved = _finish(*waiting.popleft())
+            done += len(solved.units)
+            told(done)
+            yield solved
+    finally:
+        for _, each in waiting:
+            if isinstance(each, Future):
+                each.cancel()
+
+
+def _finish(path: Path | None, each: "Solved | Future[Solved]") -> Solved:
+    if isinstance(each, Solved):
+        return each
+    solved = each.result()
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, _packed(solved))
+    return solved
+
+
+def _name(task: Task) -> str:
+    """Return the SHA-256 of all that the numbers of a task depend on."""
+    digest = hashlib.sha256(f"{__version__} {_said(task.options)}".encode())
+    for array in (task.units, task.stations, *task.values):
+        digest.update(np.ascontiguousarray(array))
+    if task.pattern is not None:
+        shared = task.pattern.shared
+        digest.update(repr((shared.model.text, shared.model.names, task.pattern.gravity)).encode())
+        for array in (shared.reference, *shared.designs):
+            digest.update(np.ascontiguousarray(array))
+    for table in task.tables.values():
+        for name, column in table.columns.items():
+            digest.update(f"{name}={[str(cell) for cell in column]}".encode())
+    return digest.hexdigest()
+
+
+def _said(options: Mapping[str, Any]) -> str:
+    """Return options as text; a file by its name, as the table that it holds is read by `fit`."""
+    return repr(sorted((name, str(value)) for name, value in options.items()))
+
+
+def _packed(solved: Solved) -> bytes:
+    """Return what a task found as the bytes of a file."""
+    stream = io.BytesIO()
+    words = {
+        "names": solved.names,
+        "doubts": solved.doubts,
+        "reasons": solved.reasons,
+        "nests": [[each.station, each.labels, each.count] for each in solved.nests],
+    }
+    arrays = {f"told{i}": each.told for i, each in enumerate(solved.nests)}
+    arrays |= {f"total{i}": each.total for i, each in enumerate(solved.nests)}
+    arrays |= {f"square{i}": each.square for i, each in enumerate(solved.nests)}
+    np.savez(
+        stream,
+        words=np.frombuffer(json.dumps(words).encode(), dtype=np.uint8),
+        units=solved.units,
+        parameters=solved.parameters,
+        u=solved.u,
+        dof=solved.dof,
+        rms=solved.rms,
+        **arrays,
+    )
+    return stream.getvalue()
+
+
+def _load(path: Path) -> Solved | None:
+    """Return what a finished task found; None where it is not there, or not whole."""
+    from zipfile import BadZipFile
+
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            words = json.loads(kept["words"].tobytes())
+            nests = tuple(
+                NestSums(
+                    station,
+                    tuple(labels),
+                    kept[f"told{i}"],
+                    count,
+                    kept[f"total{i}"],
+                    kept[f"square{i}"],
+                )
+                for i, (station, labels, count) in enumerate(words["nests"])
+            )
+            return Solved(
+                kept["units"],
+                tuple(words["names"]),
+                kept["parameters"],
+                kept["u"],
+                kept["dof"],
+                kept["rms"],
+                words["doubts"],
+                words["reasons"],
+                nests,
+            )
+    except (OSError, ValueError, KeyError, BadZipFile):
+        return None

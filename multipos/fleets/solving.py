@@ -1,0 +1,210 @@
+"""One task of a fleet: some units to their numbers, in one batch or one by one.
+
+A task is all that a worker needs and can be sent to another process. Units that were read under the
+same conditions are solved together where `multipos.estimation.batches` can do what `fit` does with
+them; all others, and whatever unit a batch does not answer for, by `fit` itself, so that nothing
+depends on which way was taken.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError, RankError, UsageError
+from multipos.estimation.batches import Estimates, SharedDesign, estimate_batch, share_design
+from multipos.files.tables import Table
+from multipos.fitting.readings import fit
+from multipos.fleets.nests import Nest, NestSums, sum_nests
+from multipos.numerics.arrays import Array
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.found import Estimator
+from multipos.sensor.gravity import Gravity
+
+Places = NDArray[np.intp]
+_TRIED = 3  # units of a group that may be at fault before it is taken one by one
+
+
+class Solved(NamedTuple):
+    """What a task found of its units (B,); NaN and a reason where a unit failed.
+
+    Attributes
+    ----------
+    units : (B,) array of int
+    names : tuple of p str
+    parameters, u, dof : (B, p) arrays
+    rms : (B,) array [g]
+    doubts, reasons : lists of B str
+    nests : tuple of NestSums
+    """
+
+    units: Places
+    names: tuple[str, ...]
+    parameters: Array
+    u: Array
+    dof: Array
+    rms: Array
+    doubts: list[str]
+    reasons: list[str]
+    nests: tuple[NestSums, ...] = ()
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """What units of one group share, found from one of them.
+
+    Attributes
+    ----------
+    shared : SharedDesign
+    nest : Nest or None
+        Where the angles of the positions can be told from residuals.
+    gravity : Gravity or None
+    """
+
+    shared: SharedDesign
+    nest: Nest | None
+    gravity: Gravity | None
+
+
+@dataclass(frozen=True)
+class Task:
+    """Units to solve.
+
+    Attributes
+    ----------
+    units : (B,) array of int
+    stations : (B,) array of int
+    pattern : Pattern or None
+        None: one by one.
+    values : tuple of M (B, n) arrays
+        Where there is a pattern.
+    tables : mapping of unit to Table
+        Of those that are taken one by one.
+    options : mapping
+        Of `fit`.
+    """
+
+    units: Places
+    stations: Places
+    pattern: Pattern | None
+    values: tuple[Array, ...]
+    tables: Mapping[int, Table]
+    options: Mapping[str, Any]
+
+
+def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Pattern | None:
+    """Return what units share with one that was fitted; None where there is no batch for them."""
+    c = calibration
+    plain = (
+        c.estimator is Estimator.LINEAR
+        and not isinstance(c.model, ExpressionModel)
+        and c.readings.noise is None
+        and c.robust_weight is None
+        and c.budget is None
+    )
+    if not plain or options.get("range") is not None:
+        return None
+    try:
+        shared = share_design(c.model, c.reference, c.readings.environment)
+    except RankError:
+        return None
+    if shared is None:
+        return None
+    return Pattern(shared, Nest.of(shared, c.readings.labels), c.gravity)
+
+
+def solve_task(task: Task) -> Solved:
+    """Return what a task finds of its units; those a batch does not answer for are left NaN."""
+    if task.pattern is None:
+        return _solve_each(task)
+    found = estimate_batch(task.pattern.shared, task.values, pool=bool(task.options.get("pool")))
+    u, dof = _with_gravity(task.pattern, found)
+    count = len(task.units)
+    nests: tuple[NestSums, ...] = ()
+    if task.pattern.nest is not None:
+        nests = sum_nests(task.pattern.nest, found, task.stations)
+    reasons = ["" if sound else LEFT for sound in found.sound.tolist()]
+    return Solved(
+        task.units,
+        task.pattern.shared.model.names,
+        found.parameters,
+        u,
+        dof,
+        found.rms,
+        [""] * count,
+        reasons,
+        nests,
+    )
+
+
+LEFT = "\0left"  # the reason of a unit that a batch leaves to the fit of one
+
+
+def _with_gravity(pattern: Pattern, found: Estimates) -> tuple[Array, Array]:
+    """Return u and degrees of freedom (B, p) with gravity's common term, as `add_gravity` has it."""
+    dof = np.broadcast_to(found.dof, found.u.shape)
+    gravity = pattern.gravity
+    if gravity is None or not gravity.u > 0.0:
+        return found.u, dof
+    relative = pattern.shared.model.force_degrees * gravity.u / gravity.value
+    u = np.hypot(found.u, relative * found.parameters)
+    return u, dof * (u / found.u) ** 4
+
+
+def _solve_each(task: Task) -> Solved:
+    """Fit units one by one; one that fails has its reason."""
+    fitted: list[Calibration | str] = []
+    for unit in task.units.tolist():
+        fitted.append(fit_one(task.tables[unit], task.options))
+    return gather(task.units, fitted)
+
+
+def fit_one(table: Table, options: Mapping[str, Any]) -> Calibration | str:
+    """Return the calibration of a unit, or why there is none.
+
+    Raises
+    ------
+    UsageError
+        An option is at fault, which no unit can help.
+    """
+    try:
+        return fit(table, **options)
+    except UsageError:
+        raise
+    except MultiposError as error:
+        return " ".join(str(error).split())
+
+
+def gather(units: Places, fitted: list[Calibration | str]) -> Solved:
+    """Return what fits of single units found, failures with their reasons."""
+    names = next((each.names for each in fitted if isinstance(each, Calibration)), ())
+    shape = (len(fitted), len(names))
+    parameters, u, dof = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
+    rms = np.full(len(fitted), np.nan)
+    doubts, reasons = [""] * len(fitted), [""] * len(fitted)
+    for row, each in enumerate(fitted):
+        if isinstance(each, str):
+            reasons[row] = each
+            continue
+        if each.names != names:
+            reasons[row] = "the columns of this unit give other parameters than those of others."
+            continue
+        parameters[row], u[row], dof[row] = each.parameters, each.u, each.parameter_dof
+        doubts[row] = " ".join(_doubts_of(each))
+        rms[row] = _rms_of(each)
+    return Solved(units, names, parameters, u, dof, rms, doubts, reasons)
+
+
+def _doubts_of(calibration: Calibration) -> list[str]:
+    found = getattr(calibration.diagnostics, "doubts", ())
+    return list(dict.fromkeys(doubt.code for doubt in found))
+
+
+def _rms_of(calibration: Calibration) -> float:
+    try:
+        return calibration.rms
+    except MultiposError:
+        return float("nan")  # an output that does not respond cannot be compensated

@@ -1,0 +1,229 @@
+"""The rows of a fleet: tables in files, folders and patterns, one row per unit and position.
+
+A file is CSV, or Parquet by the extra ``parquet``; a folder stands for all such files in it, a
+pattern (``line-*.csv``) for those it fits, in the order of their names. Parquet is read in this
+process, other than a log (`multipos.logs.isolation`): its texts stay what they are in the file, a
+dictionary and numbers, which is what lets twenty million rows stay in memory.
+"""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from glob import glob, has_magic
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.files.lists import near
+from multipos.files.pipes import rereadable
+from multipos.files.tables import Column, Source, Table, read_table
+from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
+from multipos.logs.extras import require_extra
+from multipos.positions.readings import quoted
+
+_ENDINGS = (".csv", ".parquet")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """All rows of a fleet, in one or several tables that have the same columns.
+
+    Attributes
+    ----------
+    tables : tuple of Table
+        Without the columns of unit and station.
+    starts : tuple of int
+        First row of each table, and the number of all.
+    unit, station : Labels
+        Of every row; a single station '' where no column names them.
+    """
+
+    tables: tuple[Table, ...]
+    starts: tuple[int, ...]
+    unit: Labels
+    station: Labels
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns that are left."""
+        return tuple(self.tables[0].columns)
+
+    def select(self, rows: Sequence[int]) -> Table:
+        """Return some rows as a table; messages still name file and line where it is one file."""
+        places = np.searchsorted(self.starts, rows, side="right") - 1
+        parts = [
+            self.tables[place].select([row - self.starts[place] for row in _at(rows, places, place)])
+            for place in dict.fromkeys(places.tolist())
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        columns = {name: joined_columns([part.columns[name] for part in parts]) for name in self.columns}
+        source = " and ".join(part.source for part in parts)
+        return Table(source, columns, sum(part.rows for part in parts))
+
+    def numbers(self, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """Return a column as numbers, NaN where a cell is none."""
+        parts = [table.numbers(name) for table in self.tables]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def labels(self, name: str) -> Labels:
+        """Return a column as labels."""
+        return joined_labels([labels_of(table, name) for table in self.tables])
+
+
+def _at(rows: Sequence[int], places: Any, place: int) -> list[int]:
+    return [row for row, at in zip(rows, places.tolist(), strict=True) if at == place]
+
+
+def read_rows(
+    sources: Sequence[Source], unit_column: str, station_column: str | None = None
+) -> Rows:
+    """Return the rows of tables.
+
+    Parameters
+    ----------
+    sources : paths, folders, patterns, mappings of columns, or data frames
+    unit_column, station_column : str
+        Which columns name the unit and the station.
+
+    Raises
+    ------
+    MultiposError
+        No such file or column, a table that cannot be read, or one whose columns differ from
+        those of the first; a row without a unit.
+    """
+    tables = [_read(source) for source in _expanded(sources)]
+    first = tables[0]
+    for table in tables:
+        for name in (unit_column, station_column):
+            if name is not None and name not in table:
+                raise MultiposError(
+                    f"{table.source}: no column '{name}'{near(name, list(table.columns))} The "
+                    f"columns are {quoted(table.columns)}."
+                )
+        if set(table.columns) != set(first.columns):
+            odd = set(table.columns) ^ set(first.columns)
+            raise MultiposError(
+                f"{table.source}: column {quoted(sorted(odd))} is not in both it and "
+                f"{first.source}; give tables with the same columns."
+            )
+    unit = joined_labels([labels_of(table, unit_column) for table in tables])
+    _require_units(tables, unit, unit_column)
+    station = Labels(np.zeros(len(unit), dtype=np.int32), ("",))
+    if station_column is not None:
+        station = joined_labels([labels_of(table, station_column) for table in tables])
+    starts = np.cumsum([0, *(table.rows for table in tables)]).tolist()
+    apart = {unit_column, station_column}
+    return Rows(tuple(_without(table, apart) for table in tables), tuple(starts), unit, station)
+
+
+def _require_units(tables: Sequence[Table], unit: Labels, column: str) -> None:
+    """Refuse a row that says no unit: nobody could tell whose it is."""
+    if "" not in unit.names:
+        return
+    row = int(np.argmax(unit.codes == unit.names.index("")))
+    for table in tables:
+        if row < table.rows:
+            raise MultiposError(
+                f"{table.where(row, column)}: the cell is empty; every row needs its unit."
+            )
+        row -= table.rows
+
+
+def _without(table: Table, names: set[str | None]) -> Table:
+    columns = {name: column for name, column in table.columns.items() if name not in names}
+    if not columns:
+        raise MultiposError(f"{table.source}: no column is left beside the unit's.")
+    return replace(table, columns=columns)
+
+
+def _expanded(sources: Sequence[Source]) -> list[Source]:
+    """Return sources with folders and patterns replaced by the files they stand for."""
+    found: list[Source] = []
+    for source in sources:
+        if not isinstance(source, str | os.PathLike):
+            found.append(source)
+            continue
+        name = os.fspath(source)
+        if Path(name).is_dir():
+            files = [path for path in sorted(Path(name).iterdir()) if path.suffix in _ENDINGS]
+            if not files:
+                raise MultiposError(f"{name}: the folder has no {' or '.join(_ENDINGS)} files.")
+            found += files
+        elif has_magic(name) and not Path(name).exists():
+            fitting = sorted(glob(name, recursive=True))
+            if not fitting:
+                raise MultiposError(f"{name}: no file fits the pattern; check the path.")
+            found += fitting
+        else:
+            found.append(rereadable(source))
+    if not found:
+        raise MultiposError("no table; give at least one.")
+    return found
+
+
+def _read(source: Source) -> Table:
+    is_parquet = isinstance(source, str | os.PathLike) and _is_parquet(source)
+    return _read_parquet(source) if is_parquet else read_table(source, what="table")
+
+
+def _is_parquet(path: str | os.PathLike[str]) -> bool:
+    try:
+        with Path(path).open("rb") as stream:
+            return stream.read(4) == b"PAR1"
+    except OSError:
+        return False  # what cannot be read is refused where it is read
+
+
+def _read_parquet(path: str | os.PathLike[str]) -> Table:
+    require_extra(Path(path), "a Parquet file", "pyarrow", "parquet")
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(path) as file:
+            texts = [
+                field.name
+                for field in file.schema_arrow
+                if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)
+            ]
+        table = parquet.read_table(path, read_dictionary=texts)
+    except (pa.ArrowException, OSError) as error:
+        said = " ".join(str(error).split())[:200]
+        raise MultiposError(f"{path}: cannot be read as Parquet ({said}); write it again.") from None
+    columns: dict[str, Column] = {}
+    for name in table.column_names:
+        columns[name] = _column(table.column(name), str(path), name)
+    if not table.num_rows or not columns:
+        raise MultiposError(f"{path}: no rows; give one row per unit and position.")
+    return Table(str(path), columns, table.num_rows, sha256=_sha256(path))
+
+
+def _column(chunked: Any, source: str, name: str) -> Column:
+    import pyarrow as pa
+
+    kind = chunked.type
+    if pa.types.is_dictionary(kind) and not pa.types.is_floating(kind.value_type):
+        chunked = chunked.unify_dictionaries()
+        parts = [
+            Labels(
+                part.indices.fill_null(len(part.dictionary)).to_numpy().astype(np.int32),
+                ["" if text is None else str(text) for text in part.dictionary.to_pylist()] + [""],
+            )
+            for part in chunked.chunks
+        ]
+        return joined_labels(parts)
+    try:
+        return np.asarray(chunked.to_numpy())
+    except (pa.ArrowException, ValueError):
+        raise MultiposError(
+            f"{source}: column '{name}' holds {kind}, which is no number and no text; leave it out."
+        ) from None
+
+
+def _sha256(path: str | os.PathLike[str]) -> str:
+    with Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
