@@ -24,6 +24,7 @@ _PUBLIC = {
     "Check": "verification.verdicts",
     "ConvergenceError": "errors",
     "Doubt": "sensor.doubt",
+    "Fleet": "fleets.fleet",
     "Model": "sensor.model",
     "MultiposError": "errors",
     "RankError": "errors",
@@ -45,6 +46,8 @@ _PUBLIC = {
     "evaluate_sphere": "uncertainty.validity",
     "export": "compensation.targets",
     "fit": "fitting.readings",
+    "fit_many": "fleets.fitting",
+    "fleet": "fleets.fleet",
     "judge_terms_jointly": "doubts.joint_tests",
     "load": "sensor.calibration_file",
     "load_check": "verification.check_file",
@@ -92,6 +95,9 @@ if TYPE_CHECKING:
     from multipos.fitting.columns import regress as regress
     from multipos.fitting.logs import calibrate as calibrate
     from multipos.fitting.readings import fit as fit
+    from multipos.fleets.fitting import fit_many as fit_many
+    from multipos.fleets.fleet import Fleet as Fleet
+    from multipos.fleets.fleet import fleet as fleet
     from multipos.logs.averages import Averages as Averages
     from multipos.logs.averaging import average as average
     from multipos.positions.reading_tables import read_readings as read_readings

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import pytest
+from fleet_bench import line
 
 import multipos as mp
 from multipos.doubts.criticism import find_influence, judge_terms
@@ -160,6 +161,7 @@ RESULTS = {
     "Doubt": doubted,
     "Evaluation": lambda: evaluate_budget(calibrated(), read_budget(BUDGET)),
     "Exported": lambda: mp.export(sensor(), to="c"),
+    "Fleet": lambda: mp.fleet(line(5), unit_column="unit", station_column="station"),
     "Influence": lambda: find_influence(calibrated()),
     "Joint tests": lambda: tuple(judge_terms_jointly(calibrated())),
     "Model": lambda: calibrated().model,

@@ -1,12 +1,17 @@
 """``multipos report``."""
 
 import argparse
+from pathlib import Path
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import progress_bar
-from multipos.files.trees import to_json
-from multipos.reports.certificate import build_content
+from multipos.errors import UsageError
+from multipos.files.trees import read_schema, to_json
+from multipos.fleets.fleet import SCHEMA as FLEET
+from multipos.fleets.folder import read_summary
+from multipos.reports.certificate import Content, build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report
+from multipos.reports.fleets import fleet_content
 from multipos.sensor.calibration_file import load
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.verification.check_file import load_check
@@ -18,7 +23,11 @@ OUTPUT = Output("REPORT.html", "file to write", "html", ("markdown", "text"), re
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
-    add("calibration", metavar="CAL.json", help="calibration to report")
+    add(
+        "calibration",
+        metavar="CAL.json|FLEET",
+        help="calibration to report, or what multipos fleet wrote",
+    )
     add("--lab", metavar="FILE", help="TOML file of what only the laboratory knows")
     add(
         "--check", metavar="CHECK.json", help="what check -o CHECK.json wrote of an independent run"
@@ -32,8 +41,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _of_fleet(arguments: argparse.Namespace) -> Answer:
+    """Return the report of a fleet, from its folder or its fleet.json."""
+    if arguments.lab or arguments.check or arguments.monte_carlo or arguments.language != "en":
+        raise UsageError("--lab, --check, --language and --monte-carlo are of one calibration.")
+    found = read_summary(arguments.calibration)
+    content = fleet_content(found)
+    listing = {"report": arguments.output, "created": found["created"]}
+    return _answer(arguments, content, listing)
+
+
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
+    if Path(arguments.calibration).is_dir() or read_schema(arguments.calibration) == FLEET:
+        return _of_fleet(arguments)
     calibration = load(arguments.calibration)
     simulated = None
     if arguments.monte_carlo is not None:
@@ -49,6 +70,12 @@ def run(arguments: argparse.Namespace) -> Answer:
         check=None if arguments.check is None else load_check(arguments.check),
     )
     listing = {"report": arguments.output, "created": calibration.created}
+    return _answer(arguments, content, listing)
+
+
+def _answer(
+    arguments: argparse.Namespace, content: Content, listing: dict[str, str | None]
+) -> Answer:
     return Answer(
         text=lambda: f"Written to {arguments.output}\n",
         json=lambda: to_json(listing),

@@ -113,7 +113,9 @@ def share_design(
     """
     n = len(reference)
     basis = model.basis(reference, environment)
-    designs, inverses, cofactors = [], [], []
+    designs: list[Array] = []
+    inverses: list[Array] = []
+    cofactors: list[Array] = []
     known: dict[tuple[int, ...], int] = {}
     for output, columns in enumerate(model.columns):
         same = known.setdefault(tuple(columns.tolist()), output)
@@ -131,12 +133,12 @@ def share_design(
         inverses.append(np.linalg.inv(R) @ Q.T)
         cofactors.append(np.diag(found.cofactor))
     used = {name: environment[name] for name in model.environment}
-    return SharedDesign(
-        model, reference, used, tuple(designs), tuple(inverses), tuple(cofactors)
-    )
+    return SharedDesign(model, reference, used, tuple(designs), tuple(inverses), tuple(cofactors))
 
 
-def estimate_batch(shared: SharedDesign, values: Sequence[Array], *, pool: bool = False) -> Estimates:
+def estimate_batch(
+    shared: SharedDesign, values: Sequence[Array], *, pool: bool = False
+) -> Estimates:
     """Fit B units by least squares, eqs. (1) and (2).
 
     Parameters

@@ -1,8 +1,6 @@
 """From a solution to a complete `Calibration`: gravity's uncertainty and the diagnostics."""
 
-import os
 from dataclasses import replace
-from datetime import UTC, datetime
 
 import numpy as np
 
@@ -11,6 +9,7 @@ from multipos.errors import MultiposError
 from multipos.estimation.gains import gravity_effect
 from multipos.estimation.six_positions import closed_form_difference
 from multipos.estimation.solution import Solution
+from multipos.files.moments import now
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import linear_term
@@ -72,7 +71,7 @@ def complete(
         confidence=confidence,
         diagnostics=_diagnose(solution, readings, convention, estimator),
         status=solution.status,
-        created=_now(),
+        created=now(),
         version=__version__,
         cross_check=closed_form_difference(model, listed, readings),
         variance_components=solution.variance_components,
@@ -160,10 +159,3 @@ def _lack_of_fit(
             f, lack, pure, p = tested
             result[output] = {"F": f, "dof": [lack, pure], "p": p}
     return result
-
-
-def _now() -> str:
-    """Return the time in UTC; SOURCE_DATE_EPOCH, where set, makes results reproducible."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    moment = datetime.now(UTC) if epoch is None else datetime.fromtimestamp(int(epoch), UTC)
-    return moment.isoformat(timespec="seconds")

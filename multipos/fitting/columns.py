@@ -7,10 +7,8 @@ know before believing it.
 Where a rate is named, heating and cooling are modelled apart if they differ.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +18,7 @@ from multipos import __version__
 from multipos.errors import UsageError
 from multipos.files.characters import visible
 from multipos.files.lists import Names, split_numbers
+from multipos.files.moments import now
 from multipos.files.tables import Source, read_table
 from multipos.numerics.selection import thresholds
 from multipos.numerics.subsets import CRITERIA, SubsetCriterion
@@ -219,7 +218,7 @@ def _assemble(plan: Plan, response: str, segments: Sequence[Segment], cut: Cut) 
         warnings=(),
         source=None,
         sha256=None,
-        created=_now(),
+        created=now(),
         version=__version__,
         thresholds={name: value for name, value in used.items() if value is not None},
     )
@@ -344,10 +343,3 @@ def _segment_warnings(plan: Plan, segment: Segment, where: str) -> list[str]:
     if robust is not None and segment.significant and not robust.p < 1.0 - plan.confidence:
         said.append(f"{where}: significant by F, not by F_robust (p = {robust.p:.2g})")
     return said
-
-
-def _now() -> str:
-    """Return the time in UTC; SOURCE_DATE_EPOCH, where set, makes results reproducible."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    moment = datetime.now(UTC) if epoch is None else datetime.fromtimestamp(int(epoch), UTC)
-    return moment.isoformat(timespec="seconds")

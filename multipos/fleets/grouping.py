@@ -17,7 +17,7 @@ from multipos.fleets.sources import Rows
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
 
-_LABELLED = ("position", "group", "direction", "roll_axis")  # beside these, conditions are numbers
+_LABELLED = ("position", "group", "direction", "roll_axis")  # all other conditions are numbers
 _SEED = 20261  # of the random numbers: any serve, and the same ones every time
 
 Places = NDArray[np.intp]
@@ -131,9 +131,10 @@ class Conditions:
         return sound
 
     def _cells_of(self, rows: Rows, name: str) -> NDArray[np.uint64]:
-        numbers = None if name in _LABELLED else rows.numbers(name)
+        numbers = None if name in _LABELLED and rows.is_text(name) else rows.numbers(name)
         if numbers is None or np.isnan(numbers).any():
-            return self._in_order(rows.labels(name).codes.astype(np.uint64))
+            codes = rows.labels(name).codes.astype(np.float64)
+            return self._in_order(codes).view(np.uint64)
         return self._in_order(numbers + 0.0).view(np.uint64)
 
     def _alike(self, units: Places, n: int) -> Iterator[Places]:

@@ -30,7 +30,8 @@ class Labels(Sequence[str]):
     def __getitem__(self, row: int | slice) -> "str | Labels":
         if isinstance(row, slice):
             return Labels(self.codes[row], self.names)
-        return self.names[self.codes[row]]
+        name: str = self.names[self.codes[row]]
+        return name
 
     def __iter__(self) -> Iterator[str]:
         return map(self.names.__getitem__, self.codes.tolist())
@@ -46,7 +47,7 @@ def labels_of(table: Table, name: str) -> Labels:
         heads = np.flatnonzero(np.concatenate(([True], column[1:] != column[:-1])))
         short = _coded(table, name, column[heads].tolist())
         return Labels(np.repeat(short.codes, np.diff([*heads, len(column)])), short.names)
-    return _coded(table, name, column)
+    return _coded(table, name, column if isinstance(column, Sequence) else column.tolist())
 
 
 def _coded(table: Table, name: str, cells: Sequence[Any]) -> Labels:

@@ -88,7 +88,7 @@ class NestSums(NamedTuple):
     station: int
     labels: tuple[str, ...]
     told: NDArray[np.bool_]
-    count: int
+    units: int
     total: Array
     square: Array
 

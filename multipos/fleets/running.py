@@ -79,7 +79,7 @@ def _dask_client(scheduler: str | None) -> Any:
         return Client(scheduler, dashboard_address=None) if scheduler is None else Client(scheduler)
     except (OSError, ValueError) as error:
         raise MultiposError(
-            f"--scheduler {scheduler}: no Dask scheduler answers there ({error}); check the address."
+            f"--scheduler {scheduler}: no Dask scheduler answers there ({error}); check it."
         ) from None
 
 
@@ -139,12 +139,12 @@ def _name(task: Task) -> str:
     """Return the SHA-256 of all that the numbers of a task depend on."""
     digest = hashlib.sha256(f"{__version__} {_said(task.options)}".encode())
     for array in (task.units, task.stations, *task.values):
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).tobytes())
     if task.pattern is not None:
         shared = task.pattern.shared
         digest.update(repr((shared.model.text, shared.model.names, task.pattern.gravity)).encode())
         for array in (shared.reference, *shared.designs):
-            digest.update(np.ascontiguousarray(array))
+            digest.update(np.ascontiguousarray(array).tobytes())
     for table in task.tables.values():
         for name, column in table.columns.items():
             digest.update(f"{name}={[str(cell) for cell in column]}".encode())
@@ -163,9 +163,9 @@ def _packed(solved: Solved) -> bytes:
         "names": solved.names,
         "doubts": solved.doubts,
         "reasons": solved.reasons,
-        "nests": [[each.station, each.labels, each.count] for each in solved.nests],
+        "nests": [[each.station, each.labels, each.units] for each in solved.nests],
     }
-    arrays = {f"told{i}": each.told for i, each in enumerate(solved.nests)}
+    arrays: dict[str, Any] = {f"told{i}": each.told for i, each in enumerate(solved.nests)}
     arrays |= {f"total{i}": each.total for i, each in enumerate(solved.nests)}
     arrays |= {f"square{i}": each.square for i, each in enumerate(solved.nests)}
     np.savez(
@@ -176,6 +176,7 @@ def _packed(solved: Solved) -> bytes:
         u=solved.u,
         dof=solved.dof,
         rms=solved.rms,
+        implausible=solved.implausible,
         **arrays,
     )
     return stream.getvalue()
@@ -208,6 +209,7 @@ def _load(path: Path) -> Solved | None:
                 kept["rms"],
                 words["doubts"],
                 words["reasons"],
+                kept["implausible"],
                 nests,
             )
     except (OSError, ValueError, KeyError, BadZipFile):

@@ -20,12 +20,12 @@ from multipos.fitting.readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.doubt import implausible
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Gravity
 
 Places = NDArray[np.intp]
-_TRIED = 3  # units of a group that may be at fault before it is taken one by one
 
 
 class Solved(NamedTuple):
@@ -38,6 +38,7 @@ class Solved(NamedTuple):
     parameters, u, dof : (B, p) arrays
     rms : (B,) array [g]
     doubts, reasons : lists of B str
+    implausible : (B,) array of bool
     nests : tuple of NestSums
     """
 
@@ -49,6 +50,7 @@ class Solved(NamedTuple):
     rms: Array
     doubts: list[str]
     reasons: list[str]
+    implausible: NDArray[np.bool_]
     nests: tuple[NestSums, ...] = ()
 
 
@@ -104,6 +106,7 @@ def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Patter
         and c.readings.noise is None
         and c.robust_weight is None
         and c.budget is None
+        and not c.readings.forced.any()
     )
     if not plain or options.get("range") is not None:
         return None
@@ -136,6 +139,7 @@ def solve_task(task: Task) -> Solved:
         found.rms,
         [""] * count,
         reasons,
+        np.zeros(count, dtype=np.bool_),
         nests,
     )
 
@@ -144,7 +148,7 @@ LEFT = "\0left"  # the reason of a unit that a batch leaves to the fit of one
 
 
 def _with_gravity(pattern: Pattern, found: Estimates) -> tuple[Array, Array]:
-    """Return u and degrees of freedom (B, p) with gravity's common term, as `add_gravity` has it."""
+    """Return u and its degrees of freedom, with the common term of gravity, as by `add_gravity`."""
     dof = np.broadcast_to(found.dof, found.u.shape)
     gravity = pattern.gravity
     if gravity is None or not gravity.u > 0.0:
@@ -185,6 +189,7 @@ def gather(units: Places, fitted: list[Calibration | str]) -> Solved:
     parameters, u, dof = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     rms = np.full(len(fitted), np.nan)
     doubts, reasons = [""] * len(fitted), [""] * len(fitted)
+    wrong = np.zeros(len(fitted), dtype=np.bool_)
     for row, each in enumerate(fitted):
         if isinstance(each, str):
             reasons[row] = each
@@ -193,18 +198,8 @@ def gather(units: Places, fitted: list[Calibration | str]) -> Solved:
             reasons[row] = "the columns of this unit give other parameters than those of others."
             continue
         parameters[row], u[row], dof[row] = each.parameters, each.u, each.parameter_dof
-        doubts[row] = " ".join(_doubts_of(each))
-        rms[row] = _rms_of(each)
-    return Solved(units, names, parameters, u, dof, rms, doubts, reasons)
-
-
-def _doubts_of(calibration: Calibration) -> list[str]:
-    found = getattr(calibration.diagnostics, "doubts", ())
-    return list(dict.fromkeys(doubt.code for doubt in found))
-
-
-def _rms_of(calibration: Calibration) -> float:
-    try:
-        return calibration.rms
-    except MultiposError:
-        return float("nan")  # an output that does not respond cannot be compensated
+        found = each.diagnostics.doubts
+        doubts[row] = " ".join(dict.fromkeys(doubt.code for doubt in found))
+        wrong[row] = bool(implausible(found))
+        rms[row] = each.rms
+    return Solved(units, names, parameters, u, dof, rms, doubts, reasons, wrong)

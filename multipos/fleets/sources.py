@@ -22,6 +22,7 @@ from multipos.files.pipes import rereadable
 from multipos.files.tables import Column, Source, Table, read_table
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
 from multipos.logs.extras import require_extra
+from multipos.numerics.arrays import Array
 from multipos.positions.readings import quoted
 
 _ENDINGS = (".csv", ".parquet")
@@ -55,19 +56,29 @@ class Rows:
         """Return some rows as a table; messages still name file and line where it is one file."""
         places = np.searchsorted(self.starts, rows, side="right") - 1
         parts = [
-            self.tables[place].select([row - self.starts[place] for row in _at(rows, places, place)])
+            self.tables[place].select(
+                [row - self.starts[place] for row in _at(rows, places, place)]
+            )
             for place in dict.fromkeys(places.tolist())
         ]
         if len(parts) == 1:
-            return parts[0]
-        columns = {name: joined_columns([part.columns[name] for part in parts]) for name in self.columns}
+            only: Table = parts[0]
+            return only
+        columns = {
+            name: joined_columns([part.columns[name] for part in parts]) for name in self.columns
+        }
         source = " and ".join(part.source for part in parts)
         return Table(source, columns, sum(part.rows for part in parts))
 
-    def numbers(self, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    def numbers(self, name: str) -> Array:
         """Return a column as numbers, NaN where a cell is none."""
         parts = [table.numbers(name) for table in self.tables]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def is_text(self, name: str) -> bool:
+        """Tell whether a column is kept as text, in any of the tables."""
+        columns = [table.columns[name] for table in self.tables]
+        return not all(isinstance(c, np.ndarray) and c.dtype.kind in "fiub" for c in columns)
 
     def labels(self, name: str) -> Labels:
         """Return a column as labels."""
@@ -154,7 +165,7 @@ def _expanded(sources: Sequence[Source]) -> list[Source]:
                 raise MultiposError(f"{name}: the folder has no {' or '.join(_ENDINGS)} files.")
             found += files
         elif has_magic(name) and not Path(name).exists():
-            fitting = sorted(glob(name, recursive=True))
+            fitting = sorted(glob(name, recursive=True))  # noqa: PTH207 – any path, not one below
             if not fitting:
                 raise MultiposError(f"{name}: no file fits the pattern; check the path.")
             found += fitting
@@ -166,8 +177,9 @@ def _expanded(sources: Sequence[Source]) -> list[Source]:
 
 
 def _read(source: Source) -> Table:
-    is_parquet = isinstance(source, str | os.PathLike) and _is_parquet(source)
-    return _read_parquet(source) if is_parquet else read_table(source, what="table")
+    if isinstance(source, str | os.PathLike) and _is_parquet(source):
+        return _read_parquet(source)
+    return read_table(source, what="table")
 
 
 def _is_parquet(path: str | os.PathLike[str]) -> bool:
@@ -193,7 +205,9 @@ def _read_parquet(path: str | os.PathLike[str]) -> Table:
         table = parquet.read_table(path, read_dictionary=texts)
     except (pa.ArrowException, OSError) as error:
         said = " ".join(str(error).split())[:200]
-        raise MultiposError(f"{path}: cannot be read as Parquet ({said}); write it again.") from None
+        raise MultiposError(
+            f"{path}: cannot be read as Parquet ({said}); write it again."
+        ) from None
     columns: dict[str, Column] = {}
     for name in table.column_names:
         columns[name] = _column(table.column(name), str(path), name)
@@ -207,21 +221,23 @@ def _column(chunked: Any, source: str, name: str) -> Column:
 
     kind = chunked.type
     if pa.types.is_dictionary(kind) and not pa.types.is_floating(kind.value_type):
-        chunked = chunked.unify_dictionaries()
-        parts = [
-            Labels(
-                part.indices.fill_null(len(part.dictionary)).to_numpy().astype(np.int32),
-                ["" if text is None else str(text) for text in part.dictionary.to_pylist()] + [""],
-            )
-            for part in chunked.chunks
-        ]
-        return joined_labels(parts)
+        return joined_labels([_labels(part) for part in chunked.chunks])
     try:
         return np.asarray(chunked.to_numpy())
     except (pa.ArrowException, ValueError):
         raise MultiposError(
             f"{source}: column '{name}' holds {kind}, which is no number and no text; leave it out."
         ) from None
+
+
+def _labels(part: Any) -> Labels:
+    """Return a dictionary of Arrow as labels; what is missing is ''."""
+    names = ["" if text is None else str(text) for text in part.dictionary.to_pylist()]
+    indices = part.indices
+    if indices.null_count:
+        indices = indices.fill_null(len(names))
+        names.append("")
+    return Labels(indices.to_numpy(zero_copy_only=False).astype(np.int32), names)
 
 
 def _sha256(path: str | os.PathLike[str]) -> str:

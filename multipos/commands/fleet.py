@@ -1,0 +1,112 @@
+"""``multipos fleet``."""
+
+import argparse
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from shutil import rmtree
+
+from multipos.commands.answers import Answer, Output
+from multipos.commands.fit import add_fit_options
+from multipos.commands.options import progress_bar
+from multipos.errors import UsageError
+from multipos.files.trees import to_json
+from multipos.fleets.fleet import Fleet, fleet
+from multipos.fleets.folder import CSV, file_names, has_parquet, progress_folder, write_fleet
+from multipos.fleets.running import ENGINES
+from multipos.fleets.text import fleet_text
+from multipos.reports.documents import html_report
+from multipos.reports.fleets import fleet_content
+
+INPUTS = ("tables", "scheme", "budget", "limits")
+OUTPUT = Output(
+    "DIR",
+    "folder for calibrations.parquet, units.csv, fleet.json and report.html",
+    "folder",
+    required=True,
+    beside=lambda arguments: [Path(arguments.output) / name for name in file_names()],
+)
+_OWN = ("tables", "json", "output")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add = parser.add_argument
+    add(
+        "tables",
+        nargs="+",
+        metavar="TABLE",
+        help="CSV or Parquet, one row per unit and position: files, folders or patterns",
+    )
+    add("--unit-column", required=True, metavar="C", help="column that names the unit")
+    add("--station-column", metavar="C", help="column that names the station")
+    add(
+        "--limits",
+        metavar="FILE",
+        help="CSV name,lsl,usl or TOML name = [lsl, usl]: of a parameter, U:NAME or rms",
+    )
+    add(
+        "--engine",
+        default="threads",
+        metavar="|".join(ENGINES),
+        help="what runs the tasks (default threads)",
+    )
+    add("--scheduler", metavar="ADDRESS", help="of Dask, such as tcp://10.0.0.1:8786")
+    add_fit_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
+    folder = Path(arguments.output)
+    if any(
+        Path(table).is_dir() and folder.exists() and folder.samefile(table)
+        for table in map(str, arguments.tables)
+    ):
+        raise UsageError(f"-o {folder} is the folder that is read; give another.")
+    options = {name: value for name, value in vars(arguments).items() if name not in _OWN}
+    with progress_bar("units", 0) as told, _kept_if_stopped(folder) as kept:
+        found = fleet(*arguments.tables, progress_folder=kept, progress=told, **options)
+        write_fleet(found, folder, html_report(fleet_content(found.to_dict())))
+    return Answer(
+        text=lambda: (
+            f"{fleet_text(found.to_dict())}\nWritten to {folder}: {', '.join(file_names())}\n"
+        ),
+        json=lambda: to_json(found.to_dict()),
+        warnings=lambda: _warnings(found),
+    )
+
+
+@contextmanager
+def _kept_if_stopped(folder: Path) -> Iterator[Path]:
+    """Yield where finished tasks are kept; they stay where the run is stopped, and only then."""
+    kept = progress_folder(folder)
+    try:
+        yield kept
+    except Exception:
+        rmtree(kept, ignore_errors=True)
+        with suppress(OSError):  # it may hold files of an earlier run
+            folder.rmdir()
+        raise
+
+
+def _warnings(found: Fleet) -> Sequence[str]:
+    said = []
+    if found["failed"]:
+        first = next(
+            (unit, reason)
+            for unit, verdict, reason in zip(
+                found.verdicts["unit"],
+                found.verdicts["verdict"],
+                found.verdicts["reasons"],
+                strict=True,
+            )
+            if verdict == "failed"
+        )
+        said.append(
+            f"{found['failed']} of {found['units']} units failed, first {first[0]}: {first[1]}"
+        )
+    if not has_parquet():
+        said.append(
+            f"the table is {CSV}, as Parquet is not installed; pip install 'multipos[parquet]'"
+        )
+    return said

@@ -1,0 +1,396 @@
+"""The front door `fit_many`: a table of many units, to one row of numbers a unit.
+
+Every number is that of `fit` of the unit's rows alone; what units share is worked out once. The
+first unit whose columns can be read says which columns are outputs, for all of them.
+"""
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypedDict, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multipos.errors import CalibrationWarning, MultiposError, UsageError
+from multipos.estimation.losses import Loss
+from multipos.files.lists import Names
+from multipos.files.tables import Source
+from multipos.fleets.grouping import Conditions, Grouped, Places, group_rows
+from multipos.fleets.nests import NestSums
+from multipos.fleets.running import open_engine, solve_all
+from multipos.fleets.solving import LEFT, Pattern, Solved, Task, find_pattern, fit_one
+from multipos.fleets.sources import Rows, read_rows
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import formula_columns
+from multipos.positions.attitudes import Convention
+from multipos.positions.reading_tables import read_readings
+from multipos.positions.scheme import Scheme, read_scheme
+from multipos.results import Columns
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import Expression
+from multipos.sensor.model import Gauge, Model
+from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
+
+_READINGS = 200_000  # of an output in a task
+_ALONE = 64  # units of a task that are fitted one by one
+_TRIED = 3  # units of a group that may be at fault before it is taken one by one
+_FEWEST = 2  # units that share anything
+
+
+class FitOptions(TypedDict, total=False):
+    """Options of `multipos.fit`, which `fit_many` and `fleet` hand on for every unit."""
+
+    scheme: "Source | Scheme | None"
+    model: str | Expression
+    convention: Convention
+    outputs: Names | None
+    axes: Names | None
+    inputs: Names
+    closed_form: bool
+    unknown_orientation: bool
+    orientation_sd: float | Literal["auto"] | None
+    gauge: Gauge
+    robust: Loss | None
+    pool: bool
+    stepwise: bool
+    reading_sd: ArrayLike | None
+    gravity: float | None
+    gravity_u: float | None
+    latitude: float | None
+    height: float | None
+    level_sd: float
+    budget: "BudgetSource | Budget | None"
+    unit: str | None
+    range: Sequence[float] | None
+    confidence: float
+
+
+@dataclass(frozen=True)
+class Units:
+    """Every unit's numbers, (B,) or (B, p); NaN and a reason where a unit failed.
+
+    Attributes
+    ----------
+    unit, station : tuples of B str
+        A station '' where no column names them.
+    model : Model or None
+        None where every unit failed.
+    names : tuple of p str
+    parameters, u, dof : (B, p) arrays
+    rms : (B,) array [g]
+    doubts : tuple of B str
+        Codes, with spaces between them.
+    implausible : (B,) array of bool
+        Whose calibration is not fit for use.
+    reasons : tuple of B str
+        Why a unit failed; '' where it did not.
+    first, time : (B,) arrays
+        The first row of each unit in the tables, and the mean of its column `time`, NaN without.
+    nests : tuple of NestSums
+    confidence : float
+    gravity_u : float
+        Relative uncertainty of gravity, which all units have in common.
+    sources : tuple of (name, SHA-256)
+    """
+
+    unit: tuple[str, ...]
+    station: tuple[str, ...]
+    model: Model | None
+    names: tuple[str, ...]
+    parameters: Array
+    u: Array
+    dof: Array
+    rms: Array
+    doubts: tuple[str, ...]
+    implausible: NDArray[np.bool_]
+    reasons: tuple[str, ...]
+    first: NDArray[np.intp]
+    time: Array
+    nests: tuple[NestSums, ...]
+    confidence: float
+    gravity_u: float
+    sources: tuple[tuple[str, str | None], ...]
+
+    def __len__(self) -> int:
+        return len(self.unit)
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Which units have no numbers."""
+        return np.array([bool(reason) for reason in self.reasons])
+
+    def columns(self) -> Columns:
+        """Return the table of calibrations, one row a unit."""
+        columns: dict[str, Any] = {
+            "unit": np.array(self.unit, dtype=np.str_),
+            "station": np.array(self.station, dtype=np.str_),
+        }
+        columns |= {name: self.parameters[:, i] for i, name in enumerate(self.names)}
+        columns |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.names)}
+        columns |= {f"dof_{name}": self.dof[:, i] for i, name in enumerate(self.names)}
+        columns["rms"] = self.rms
+        columns["doubts"] = np.array(self.doubts, dtype=np.str_)
+        columns["reason"] = np.array(self.reasons, dtype=np.str_)
+        return Columns(columns)
+
+
+def fit_many(
+    *tables: Source,
+    unit_column: str,
+    station_column: str | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[int], object] | None = None,
+    **options: Unpack[FitOptions],
+) -> Columns:
+    """Calibrate every unit of a table, each as `fit` would by itself.
+
+    Parameters
+    ----------
+    tables : paths, folders, patterns, mappings of columns, or data frames
+        One row per unit and position; rows of a unit may stand anywhere.
+    unit_column, station_column : str
+        The columns that name the unit and, optional, the station.
+    executor : concurrent.futures.Executor, optional
+        What runs the tasks; threads of this process if not given.
+    progress : callable, optional
+        Is told how many units are done.
+    options
+        Of `fit`; `stepwise` is refused, as all units have one model.
+
+    Returns
+    -------
+    Columns
+        `unit`, `station`, every parameter by name, `u_<name>`, `dof_<name>`, `rms` [g], `doubts`
+        and, of a unit that failed, `reason`; (B,) each.
+
+    Raises
+    ------
+    MultiposError
+        A table or a column is missing or cannot be read.
+    UsageError
+        An option is at fault.
+    """
+    opened = open_engine("threads") if executor is None else nullcontext(executor)
+    with opened as running:
+        found = fit_units(
+            tables,
+            unit_column,
+            station_column,
+            options,
+            running,
+            told=progress or (lambda done: None),
+        )
+    return found.columns()
+
+
+def fit_units(
+    tables: Sequence[Source],
+    unit_column: str,
+    station_column: str | None,
+    options: Mapping[str, Any],
+    executor: Executor,
+    *,
+    folder: Path | None = None,
+    told: Callable[[int], object] = lambda done: None,
+) -> Units:
+    """Return every unit's numbers; parameters are those of `fit_many`.
+
+    Parameters
+    ----------
+    folder : path, optional
+        Where finished tasks are kept, and found again.
+    """
+    given = _read_options(options)
+    rows = read_rows(tables, unit_column, station_column)
+    grouped = group_rows(rows)
+    with _quiet():
+        return _Fleet(rows, grouped, given).solve(executor, folder, told)
+
+
+def _read_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options with the files that they name read once."""
+    given = dict(options)
+    if given.pop("stepwise", False):
+        raise UsageError("--stepwise gives every unit another model; choose one for all of them.")
+    if given.get("scheme") is not None:
+        given["scheme"] = read_scheme(given["scheme"])
+    if given.get("budget") is not None:
+        given["budget"] = read_budget(given["budget"])
+    return given
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Leave out the warnings of single fits: what they say is a column of the result."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CalibrationWarning)
+        yield
+
+
+class _Fleet:
+    """The units while they are solved."""
+
+    def __init__(self, rows: Rows, grouped: Grouped, options: dict[str, Any]) -> None:
+        self._rows, self._grouped, self._options = rows, grouped, options
+        self._stations = grouped.station.codes.astype(np.intp)
+        self._model: Model | None = None
+        self._gravity_u = 0.0
+        outputs = self._outputs()
+        self._options = {**options, "outputs": outputs}
+        model = options.get("model", "linear")
+        used = formula_columns(model) if isinstance(model, str) else ()
+        self._conditions = Conditions(rows, grouped, outputs, used)
+
+    def solve(
+        self, executor: Executor, folder: Path | None, told: Callable[[int], object]
+    ) -> Units:
+        """Solve all units, those that batches leave over last."""
+        count = len(self._grouped)
+        found = _Found(count)
+        left: list[Places] = []
+        for solved in solve_all(self._tasks(), executor, folder=folder, told=told):
+            found.take(solved)
+            left.append(solved.units[[reason == LEFT for reason in solved.reasons]])
+        rest = np.concatenate(left) if left else np.zeros(0, dtype=np.intp)
+        for solved in solve_all(self._alone(rest), executor, folder=folder):
+            found.take(solved)
+        firsts = self._grouped.order[self._grouped.starts[:-1]]
+        return Units(
+            unit=tuple(self._grouped.unit),
+            station=tuple(self._grouped.station),
+            model=self._model,
+            names=found.names,
+            parameters=found.parameters,
+            u=found.u,
+            dof=found.dof,
+            rms=found.rms,
+            doubts=tuple(found.doubts),
+            implausible=found.implausible,
+            reasons=tuple(found.reasons),
+            first=firsts,
+            time=self._times(),
+            nests=tuple(found.nests),
+            confidence=float(self._options.get("confidence", 0.95)),
+            gravity_u=self._gravity_u,
+            sources=tuple((table.source, table.sha256) for table in self._rows.tables),
+        )
+
+    def _outputs(self) -> tuple[str, ...]:
+        """Return the outputs, as the first units say them that can be fitted."""
+        said = ""
+        for unit in range(min(len(self._grouped), _TRIED * 10)):
+            fitted = self._fit(unit)
+            if isinstance(fitted, Calibration):
+                return fitted.outputs
+            said = said or fitted
+        return self._outputs_by_columns(said)
+
+    def _outputs_by_columns(self, said: str) -> tuple[str, ...]:
+        """Return the outputs where none of the first units can be fitted, or say why."""
+        model = self._options.get("model", "linear")
+        used = formula_columns(model) if isinstance(model, str) else ()
+        for unit in range(min(len(self._grouped), _TRIED * 10)):
+            try:
+                table = self._rows.select(self._grouped.rows(unit).tolist())
+                wanted = self._options.get("outputs")
+                return read_readings(table, outputs=wanted, environment=used).outputs
+            except MultiposError:
+                continue
+        raise MultiposError(f"none of the first units can be read: {said}")
+
+    def _fit(self, unit: int) -> Calibration | str:
+        fitted = fit_one(self._rows.select(self._grouped.rows(unit).tolist()), self._options)
+        if isinstance(fitted, Calibration):
+            self._know(fitted)
+        return fitted
+
+    def _know(self, fitted: Calibration) -> None:
+        if self._model is None:
+            self._model = fitted.model
+            gravity = fitted.gravity
+            self._gravity_u = 0.0 if gravity is None else gravity.u / gravity.value
+
+    def _tasks(self) -> Iterator[Task]:
+        alone: list[Places] = []
+        for units in self._conditions.groups():
+            pattern = self._pattern(units) if len(units) >= _FEWEST else None
+            if pattern is None:
+                alone.append(units)
+            else:
+                yield from self._batches(units, pattern)
+        if alone:
+            yield from self._alone(np.sort(np.concatenate(alone)))
+
+    def _pattern(self, units: Places) -> Pattern | None:
+        """Return what the units of a group share, from the first of them that can be fitted."""
+        for unit in units[:_TRIED].tolist():
+            fitted = self._fit(unit)
+            if isinstance(fitted, Calibration):
+                return find_pattern(fitted, self._options)
+        return None
+
+    def _batches(self, units: Places, pattern: Pattern) -> Iterator[Task]:
+        n = len(pattern.shared.reference)
+        size = max(1, _READINGS // n)
+        for start in range(0, len(units), size):
+            mine = units[start : start + size]
+            values = tuple(self._conditions.of(mine, n))
+            yield Task(mine, self._stations[mine], pattern, values, {}, self._options)
+
+    def _alone(self, units: Places) -> Iterator[Task]:
+        for start in range(0, len(units), _ALONE):
+            mine = units[start : start + _ALONE]
+            tables = {
+                unit: self._rows.select(self._grouped.rows(unit).tolist()) for unit in mine.tolist()
+            }
+            yield Task(mine, self._stations[mine], None, (), tables, self._options)
+
+    def _times(self) -> Array:
+        """Return the mean of the column `time` of every unit, NaN where there is none."""
+        count = len(self._grouped)
+        if "time" not in self._rows.columns:
+            return np.full(count, np.nan)
+        try:
+            time = self._rows.numbers("time")[self._grouped.order]
+        except MultiposError:
+            return np.full(count, np.nan)
+        return np.asarray(np.add.reduceat(time, self._grouped.starts[:-1]) / self._grouped.counts)
+
+
+class _Found:
+    """What tasks have found so far, by unit."""
+
+    def __init__(self, count: int) -> None:
+        self.names: tuple[str, ...] = ()
+        self.parameters = self.u = self.dof = np.empty((count, 0))
+        self.rms = np.full(count, np.nan)
+        self.doubts, self.reasons = [""] * count, [""] * count
+        self.implausible = np.zeros(count, dtype=np.bool_)
+        self.nests: list[NestSums] = []
+
+    def take(self, solved: Solved) -> None:
+        """Take up what a task found."""
+        if solved.names and not self.names:
+            self.names = solved.names
+            shape = (len(self.rms), len(solved.names))
+            self.parameters, self.u, self.dof = (np.full(shape, np.nan) for _ in range(3))
+        same = solved.names == self.names
+        for row, unit in enumerate(solved.units.tolist()):
+            reason = solved.reasons[row]
+            if not reason and not same:
+                reason = "its columns give other parameters than those of the other units."
+            self.reasons[unit] = reason
+            self.doubts[unit] = "" if reason else solved.doubts[row]
+        good = np.array([not self.reasons[unit] for unit in solved.units.tolist()], dtype=np.bool_)
+        units = solved.units[good]
+        if len(units):
+            self.parameters[units] = solved.parameters[good]
+            self.u[units] = solved.u[good]
+            self.dof[units] = solved.dof[good]
+            self.rms[units] = solved.rms[good]
+            self.implausible[units] = solved.implausible[good]
+        self.nests += solved.nests

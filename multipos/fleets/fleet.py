@@ -1,0 +1,205 @@
+"""The result `Fleet`, and the front door `fleet`: many units, and what all of them tell.
+
+Numbers of the line are those of units that count: fitted, and fit for use. What is left out of
+them is counted and listed.
+"""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
+from typing import Any, Unpack
+
+import numpy as np
+
+from multipos import __version__
+from multipos.errors import UsageError
+from multipos.files.moments import now
+from multipos.files.tables import Source
+from multipos.fleets.belonging import find_outliers
+from multipos.fleets.drift import find_drift
+from multipos.fleets.fitting import FitOptions, Units, fit_units
+from multipos.fleets.limits import (
+    PASS,
+    Limit,
+    LimitsSource,
+    Verdicts,
+    column,
+    judge_units,
+    read_limits,
+)
+from multipos.fleets.pictures import charts, histogram
+from multipos.fleets.quality import describe, proportion
+from multipos.fleets.running import Engine, open_engine
+from multipos.fleets.stations import describe_stations
+from multipos.results import Columns, Result, plain
+
+SCHEMA = "multipos/fleet/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet(Result):
+    """Many units: each one's calibration and verdict, and what only all of them tell.
+
+    Attributes
+    ----------
+    summary : mapping
+        What `fleet.json` holds: units, fitted, failed, yield, parameters, outliers, stations,
+        drift, and beside them causes, verdicts, limits.
+    calibrations : Columns
+        One row a unit: every parameter, ``u_…``, ``dof_…``, rms [g], doubts.
+    verdicts : Columns
+        unit, verdict, reasons.
+    time : (B,) array
+        Mean of the column `time` of every unit; NaN without.
+    created, version : str
+    """
+
+    summary: Mapping[str, Any]
+    calibrations: Columns
+    verdicts: Columns
+    time: np.ndarray[Any, np.dtype[np.float64]]
+    created: str = field(compare=False)
+    version: str
+
+    def __getitem__(self, key: str) -> Any:
+        return self.summary[key]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what `fleet.json` holds."""
+        head = {"schema": SCHEMA, "multipos_version": self.version, "created": self.created}
+        found: dict[str, Any] = plain(head | dict(self.summary))
+        return found
+
+    def to_pandas(self) -> Any:
+        """Return the table of calibrations, with the verdicts, as a pandas data frame."""
+        beside = {name: self.verdicts[name] for name in ("verdict", "reasons")}
+        return Columns(dict(self.calibrations) | beside).to_pandas()
+
+
+def fleet(
+    *tables: Source,
+    unit_column: str,
+    station_column: str | None = None,
+    limits: LimitsSource | None = None,
+    engine: Engine = "threads",
+    scheduler: str | None = None,
+    executor: Executor | None = None,
+    progress_folder: Path | None = None,
+    progress: Callable[[int], object] | None = None,
+    **options: Unpack[FitOptions],
+) -> Fleet:
+    """Calibrate every unit of a table, and say what all of them together tell.
+
+    Parameters
+    ----------
+    tables, unit_column, station_column, options
+        As in `fit_many`.
+    limits : path or mapping of name to (lsl, usl), optional
+        Of the numbers of a unit (`multipos.fleets.limits`).
+    engine, scheduler : str
+        'threads', 'processes', or 'dask' with the address of its scheduler.
+    executor : concurrent.futures.Executor, optional
+        Instead of an engine.
+    progress_folder : path, optional
+        Where finished tasks are kept while the run goes on, so that one that was stopped goes on.
+    progress : callable, optional
+        Is told how many units are done.
+
+    Returns
+    -------
+    Fleet
+
+    Raises
+    ------
+    MultiposError
+        A table, a column or the limits are missing or cannot be read.
+    UsageError
+        An option is at fault.
+    """
+    given = () if limits is None else read_limits(limits)
+    if len({limit.name for limit in given}) < len(given):
+        raise UsageError("--limits names a number twice; give one pair of limits for each.")
+    opened = open_engine(engine, scheduler) if executor is None else nullcontext(executor)
+    with opened as running:
+        units = fit_units(
+            tables,
+            unit_column,
+            station_column,
+            options,
+            running,
+            folder=progress_folder,
+            told=progress or (lambda done: None),
+        )
+    return assemble(units, given)
+
+
+def assemble(units: Units, limits: tuple[Limit, ...]) -> Fleet:
+    """Return the fleet of solved units."""
+    implausible = units.implausible
+    judged = judge_units(units, limits, implausible)
+    counted = ~units.failed & ~implausible
+    failed = int(units.failed.sum())
+    passed = int(np.sum(judged.verdict == PASS))
+    total = len(units)
+    summary = {
+        "input": [
+            {"file": PurePath(name).name, "sha256": sha256} for name, sha256 in units.sources
+        ],
+        "units": total,
+        "fitted": total - failed,
+        "failed": failed,
+        "counted": int(counted.sum()),
+        "yield": proportion(passed, total).to_dict(),
+        "verdicts": {name: int(np.sum(judged.verdict == name)) for name in _order(judged)},
+        "causes": dict(sorted(judged.causes.items(), key=lambda item: -item[1])),
+        "parameters": _parameters(units, limits, counted),
+        "outliers": find_outliers(units, counted),
+        "stations": describe_stations(units, counted),
+        "drift": find_drift(units, counted),
+    }
+    verdicts = Columns(
+        {
+            "unit": np.array(units.unit, dtype=np.str_),
+            "verdict": judged.verdict,
+            "reasons": np.array(judged.reasons, dtype=np.str_),
+        }
+    )
+    return Fleet(_settled(summary), units.columns(), verdicts, units.time, now(), __version__)
+
+
+def _settled(value: Any) -> Any:
+    """Return nested lists as tuples, which a result cannot change."""
+    if isinstance(value, dict):
+        return {key: _settled(each) for key, each in value.items()}
+    return tuple(map(_settled, value)) if isinstance(value, list) else value
+
+
+def _order(judged: Verdicts) -> list[str]:
+    return sorted(set(judged.verdict.tolist()), key=("pass", "fail", "doubt", "failed").index)
+
+
+def _parameters(
+    units: Units, limits: tuple[Limit, ...], counted: np.ndarray[Any, np.dtype[np.bool_]]
+) -> list[dict[str, Any]]:
+    """Return what is said of every parameter, and of what else is limited."""
+    by_name = {limit.name: (limit.lsl, limit.usl) for limit in limits}
+    _, stations = np.unique(np.array(units.station)[counted], return_inverse=True)
+    lines = charts(units, counted)
+    described = []
+    for place, name in enumerate(units.names):
+        unit = "" if units.model is None else units.model.units[place]
+        values = units.parameters[counted, place]
+        own = units.u[counted, place]
+        if units.gravity_u > 0.0 and units.model is not None:
+            common = units.model.force_degrees[place] * units.gravity_u * values
+            own = np.sqrt(np.maximum(own**2 - common**2, 0.0))
+        limit = by_name.pop(name, None)
+        said = describe(name, unit, values, own, stations, limit, units.confidence)
+        described.append(said | {"histogram": histogram(values), "chart": lines[place]})
+    for name, limit in by_name.items():
+        values = column(units, name)[counted]
+        said = describe(name, "", values, None, stations, limit, units.confidence)
+        described.append(said | {"histogram": histogram(values), "chart": []})
+    return described

@@ -1,0 +1,59 @@
+"""What the figures of a fleet are drawn from: counts and means, as few for a million as for ten."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.fleets.fitting import Units
+from multipos.fleets.stations import NORMAL
+from multipos.numerics.arrays import Array
+
+_BINS = 40
+_REACH = 6.0  # robust standard deviations that a histogram goes to at most
+_POINTS = 40  # of a station's line
+_FEWEST = 5  # units of a point
+
+
+def histogram(values: Array) -> dict[str, Any] | None:
+    """Return counts of values (n,) between low and high, and how many are beyond."""
+    told = values[np.isfinite(values)]
+    if len(told) < 2 or np.ptp(told) == 0.0:
+        return None
+    middle = float(np.median(told))
+    reach = _REACH * NORMAL * float(np.median(np.abs(told - middle)))
+    low, high = float(told.min()), float(told.max())
+    if reach > 0.0:
+        low, high = max(low, middle - reach), min(high, middle + reach)
+    counts, _ = np.histogram(told, bins=_BINS, range=(low, high))
+    return {
+        "low": low,
+        "high": high,
+        "counts": counts.tolist(),
+        "below": int(np.sum(told < low)),
+        "above": int(np.sum(told > high)),
+    }
+
+
+def line_order(units: Units) -> tuple[NDArray[np.intp], bool]:
+    """Return the units in the order of time, else of their rows, and whether it is of time."""
+    timed = bool(len(units) and np.isfinite(units.time).all())
+    return np.argsort(units.time if timed else units.first, kind="stable"), timed
+
+
+def charts(units: Units, counted: NDArray[np.bool_]) -> list[list[dict[str, Any]]]:
+    """Return of every parameter the lines of its stations: medians of consecutive units."""
+    order, _ = line_order(units)
+    stations = np.array(units.station, dtype=np.str_)
+    result: list[list[dict[str, Any]]] = [[] for _ in units.names]
+    for station in dict.fromkeys(units.station):
+        places = np.flatnonzero((counted & (stations == station))[order])
+        groups = min(_POINTS, len(places) // _FEWEST)
+        if groups < 2:
+            continue
+        parts = np.array_split(places, groups)
+        share = [float(np.mean(part)) / len(order) for part in parts]
+        table = np.array([np.median(units.parameters[order[part]], axis=0) for part in parts])
+        for place, lines in enumerate(result):
+            lines.append({"station": station, "place": share, "mean": table[:, place].tolist()})
+    return result

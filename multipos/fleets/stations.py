@@ -1,0 +1,240 @@
+"""What stations do to their units: level, zero, and how well that can be told.
+
+Units are allotted to stations at random; that is what these figures rest on. A number y of unit j
+at station s is
+
+    y_js = θ_s + b_j + e_js,    b ~ (0, σ_b²),  e ~ (0, σ_w²),                               (1)
+
+and θ is its weighted least squares with σ_b², what units differ by, in its covariance: two
+stations of a thousand units differ by chance however well each unit was measured. A unit that was
+at several stations is in it with all its rows and so compares them within itself; σ_w² then comes
+from what is left within units, and is not needed where there are none. Where every unit was at one
+station, θ_s is the mean of its units and its variance (σ_b² + σ_w²)/n_s.
+
+The level of station s is the rotation ω_s that turns its listed references into the true ones,
+f_true = f + ω_s × f. With A the mean sensitivities of all units, the sensitivities A_j that a unit
+shows under listed references are A (1 + [ω]×), so that
+
+    ω_j = axial vector of the antisymmetric part of A⁻¹ A_j.                                (2)
+
+A station's shift is that of the bias. Both are against the mean of all stations, since nothing in
+a fleet tells what these have in common.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.fleets.fitting import Units
+from multipos.fleets.nests import NestSums
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
+from multipos.sensor.model import Model
+
+_FAR = 6.0  # robust standard deviations beyond which a unit tells nothing of its station
+NORMAL = 1.482602218505602  # standard deviation over median absolute deviation, of a normal law
+
+Codes = NDArray[np.intp]
+
+
+def describe_stations(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, Any]]:
+    """Return what is said of every station.
+
+    Parameters
+    ----------
+    units : Units
+    counted : (B,) array of bool
+        Units whose numbers count.
+    """
+    names = tuple(dict.fromkeys(units.station))
+    places = {name: place for place, name in enumerate(names)}
+    stations = np.array([places[name] for name in units.station], dtype=np.intp)
+    same = {name: place for place, name in enumerate(dict.fromkeys(units.unit))}
+    who = np.array([same[name] for name in units.unit], dtype=np.intp)
+    told = units.model is not None and len(names) > 1
+    levels = _levels(units, counted, stations, who, len(names)) if told else None
+    shifts = _shifts(units, counted, stations, who, len(names)) if told else None
+    angles = _angles(units.nests)
+    return [
+        {
+            "station": name,
+            "units": int(np.sum(stations == place)),
+            "level_deg": None if levels is None else levels[place],
+            "shift": None if shifts is None else shifts[place],
+            "positions_deg": angles.get(place, []),
+        }
+        for place, name in enumerate(names)
+    ]
+
+
+def _levels(
+    units: Units, counted: NDArray[np.bool_], stations: Codes, who: Codes, count: int
+) -> list[dict[str, Any] | None] | None:
+    matrix = None if units.model is None else sensitivities(units.model, units.parameters)
+    if matrix is None:
+        return None
+    usable = counted & np.isfinite(matrix).all(axis=(1, 2))
+    if not usable.any():
+        return None
+    typical = np.median(matrix[usable], axis=0)
+    relative = np.linalg.solve(typical, np.where(usable[:, None, None], matrix, np.eye(3)))
+    turned = np.degrees((relative - relative.transpose(0, 2, 1)) / 2.0)
+    found = {
+        axis: _against_mean(turned[:, row, col], usable, stations, who, count)
+        for axis, (row, col) in zip(COMPONENTS, ((2, 1), (0, 2), (1, 0)), strict=True)
+    }
+    return _by_station(found, count)
+
+
+def sensitivities(model: Model, parameters: Array) -> Array | None:
+    """Return the linear part (B, 3, 3) of a triad's parameters, None where a term is missing."""
+    places = []
+    if sorted(model.axes) != sorted(COMPONENTS) or model.gauge is not None:
+        return None
+    for axis in COMPONENTS:
+        output = model.outputs[model.axes.index(axis)]
+        keys = [(output, linear_term(other)) for other in COMPONENTS]
+        if any(key not in model.keys for key in keys):
+            return None
+        places.append([model.keys.index(key) for key in keys])
+    return parameters[:, np.array(places)]
+
+
+def _shifts(
+    units: Units, counted: NDArray[np.bool_], stations: Codes, who: Codes, count: int
+) -> list[dict[str, Any] | None] | None:
+    model = units.model
+    assert model is not None
+    found = {}
+    for output in model.outputs:
+        if (output, CONSTANT) in model.keys:
+            values = units.parameters[:, model.keys.index((output, CONSTANT))]
+            usable = counted & np.isfinite(values)
+            found[output] = _against_mean(values, usable, stations, who, count)
+    return _by_station(found, count) if found else None
+
+
+def _by_station(
+    found: dict[str, list[dict[str, float]] | None], count: int
+) -> list[dict[str, Any] | None]:
+    """Return {name: {value, u}} of every station, None where one of them is not told."""
+    return [
+        None
+        if any(each is None for each in found.values())
+        else {name: each[place] for name, each in found.items() if each is not None}
+        for place in range(count)
+    ]
+
+
+def _against_mean(
+    values: Array, usable: NDArray[np.bool_], stations: Codes, who: Codes, count: int
+) -> list[dict[str, float]] | None:
+    """Return every station's effect against the mean of all, None where a station has no unit."""
+    kept = usable & near_median(values, usable, stations)
+    present = np.bincount(stations[kept], minlength=count)
+    if not (present > 0).all() or kept.sum() <= count:
+        return None
+    _, mine = np.unique(who[kept], return_inverse=True)
+    effect, covariance = station_effects(values[kept], stations[kept], mine)
+    contrast = np.eye(count) - 1.0 / count
+    u = np.sqrt(np.diag(contrast @ covariance @ contrast.T))
+    return [
+        {"value": value, "u": each}
+        for value, each in zip((contrast @ effect).tolist(), u.tolist(), strict=True)
+    ]
+
+
+def near_median(values: Array, usable: NDArray[np.bool_], stations: Codes) -> NDArray[np.bool_]:
+    """Tell which values are not far from the median of their station."""
+    near = np.zeros(len(values), dtype=np.bool_)
+    for station in np.unique(stations[usable]).tolist():
+        mine = np.flatnonzero(usable & (stations == station))
+        away = np.abs(values[mine] - np.median(values[mine]))
+        spread = NORMAL * float(np.median(away))
+        near[mine] = away <= _FAR * spread if spread > 0.0 else True
+    return near
+
+
+def station_effects(values: Array, stations: Codes, who: Codes) -> tuple[Array, Array]:
+    """Return the effects θ (S,) of eq. (1) and their covariance.
+
+    Parameters
+    ----------
+    values : (n,) array
+    stations, who : (n,) arrays of int
+        Station and unit of each value, both 0, 1, …, with none left out.
+    """
+    count, times = int(stations.max()) + 1, np.bincount(who)
+    seen = np.bincount(stations)
+    means = np.bincount(stations, values) / seen
+    total = float(np.sum((values - means[stations]) ** 2)) / (len(values) - count)
+    if times.max() == 1:
+        return means, np.diag(total / seen)
+    several = times[who] > 1
+    rows, units = _centred(values[several], stations[several], who[several], count)
+    within = _within(rows, units, int(several.sum()) - len(np.unique(who[several])))
+    between = max(total - within, 0.0)
+    information = np.zeros((count, count))
+    right = np.zeros(count)
+    for k in np.unique(times).tolist():
+        mine = times[who] == k
+        share = between / (within + k * between)
+        y, s = values[mine], stations[mine]
+        _, place = np.unique(who[mine], return_inverse=True)
+        visits = np.zeros((int(place.max()) + 1, count))
+        np.add.at(visits, (place, s), 1.0)
+        sums = np.bincount(place, y)
+        information += np.diag(np.bincount(s, minlength=count)) - share * visits.T @ visits
+        right += np.bincount(s, y, minlength=count) - share * visits.T @ sums
+    covariance = within * np.linalg.inv(information)
+    return covariance @ right / within, np.asarray(covariance)
+
+
+def _centred(values: Array, stations: Codes, who: Codes, count: int) -> tuple[Array, Array]:
+    """Return values and station columns, less their means within units."""
+    _, place = np.unique(who, return_inverse=True)
+    times = np.bincount(place)
+    columns = np.eye(count)[stations]
+    means = np.zeros((len(times), count))
+    np.add.at(means, place, columns)
+    centred = columns - (means / times[:, None])[place]
+    return values - (np.bincount(place, values) / times)[place], centred
+
+
+def _within(values: Array, columns: Array, dof: int) -> float:
+    """Return σ_w² from what stations leave of values, both centred within units."""
+    effect, _, rank, _ = np.linalg.lstsq(columns, values, rcond=1e-10)
+    left = values - columns @ effect
+    return max(float(left @ left) / max(dof - int(rank), 1), 1e-300)
+
+
+def _angles(nests: Sequence[NestSums]) -> dict[int, list[dict[str, Any]]]:
+    """Return the angles of the nest of every station [degrees], of its commonest positions."""
+    joined: dict[tuple[int, tuple[str, ...], bytes], list[NestSums]] = {}
+    for each in nests:
+        key = (each.station, each.labels, each.told.tobytes())
+        joined.setdefault(key, []).append(each)
+    most: dict[int, list[NestSums]] = {}
+    for (station, _, _), parts in joined.items():
+        known = most.get(station, [])
+        if sum(p.units for p in parts) > sum(p.units for p in known):
+            most[station] = parts
+    return {station: _angles_of(parts) for station, parts in most.items()}
+
+
+def _angles_of(parts: Sequence[NestSums]) -> list[dict[str, Any]]:
+    count = sum(part.units for part in parts)
+    mean = sum((part.total for part in parts), np.zeros(())) / count
+    square = sum((part.square for part in parts), np.zeros(())) / count
+    variance = np.maximum(square - mean**2, 0.0) / max(count - 1, 1)
+    value, u = np.degrees(mean), np.degrees(np.sqrt(variance))
+    found = []
+    for row, (label, told) in enumerate(zip(parts[0].labels, parts[0].told, strict=True)):
+        angles = {
+            axis: {"value": float(value[row, i]), "u": float(u[row, i])} if count > 1 else None
+            for i, axis in enumerate(COMPONENTS)
+        }
+        found.append({"position": label, **(angles if told else dict.fromkeys(COMPONENTS))})
+    return found

@@ -1,0 +1,137 @@
+"""A fleet as the command prints it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from multipos.files.numbers import number, table, uncertain
+
+_SHOWN = 10  # outliers, causes and moves that are listed
+
+
+def fleet_text(found: Mapping[str, Any]) -> str:
+    """Return the summary of a fleet, as `fleet.json` holds it, as text."""
+    parts = [_head(found), _table("Parameters", *parameter_rows(found))]
+    if len(found["stations"]) > 1:
+        parts.append(_table("Stations, against their mean", *station_rows(found)))
+    for title, (header, rows) in (
+        ("Why units do not pass", cause_rows(found)),
+        ("Units that do not belong", outlier_rows(found)),
+        ("What moved", drift_rows(found)),
+    ):
+        if rows:
+            more = f" (the first {_SHOWN} of {len(rows)})" if len(rows) > _SHOWN else ""
+            parts.append(_table(f"{title}{more}", header, rows[:_SHOWN]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _head(found: Mapping[str, Any]) -> str:
+    good = found["yield"]
+    counts = ", ".join(f"{count} {name}" for name, count in found["verdicts"].items())
+    return (
+        f"{found['units']} units: {counts}\n"
+        f"yield {percent(good['value'])}, {percent(good['low'])} to {percent(good['high'])} "
+        "with 95 % confidence"
+    )
+
+
+def percent(share: float) -> str:
+    """Return a share in percent."""
+    return f"{100.0 * share:.2f} %"
+
+
+def _table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return f"{title}\n{table(header, rows)}"
+
+
+Rows = tuple[tuple[str, ...], Sequence[tuple[str, ...]]]
+
+
+def parameter_rows(found: Mapping[str, Any]) -> Rows:
+    """Return how every parameter spreads over the line."""
+    header = ("parameter", "unit", "mean", "sd", "sd of units", "lsl", "usl", "Cpk", "Ppk", "true")
+    rows = [
+        (
+            each["name"],
+            each["unit"],
+            number(each["mean"], 5),
+            number(each["sd"], 3),
+            number(each["sd_true"], 3),
+            number(each["lsl"]),
+            number(each["usl"]),
+            *(_interval(each[key]) for key in ("cpk", "ppk", "ppk_true")),
+        )
+        for each in found["parameters"]
+    ]
+    return header, rows
+
+
+def _interval(figure: Mapping[str, float] | None) -> str:
+    if figure is None:
+        return "-"
+    return f"{figure['value']:.2f} [{figure['low']:.2f}, {figure['high']:.2f}]"
+
+
+def station_rows(found: Mapping[str, Any]) -> Rows:
+    """Return the level and the shift of every station."""
+    first = found["stations"][0]
+    turned = list(first["level_deg"] or ())
+    shifted = list(first["shift"] or ())
+    header = (
+        "station",
+        "units",
+        *(f"level {axis} [deg]" for axis in turned),
+        *(f"shift {output}" for output in shifted),
+    )
+    rows = [
+        (
+            each["station"] or "-",
+            str(each["units"]),
+            *(_uncertain((each["level_deg"] or {}).get(axis)) for axis in turned),
+            *(_uncertain((each["shift"] or {}).get(output)) for output in shifted),
+        )
+        for each in found["stations"]
+    ]
+    return header, rows
+
+
+def _uncertain(figure: Mapping[str, float] | None) -> str:
+    return "-" if figure is None else uncertain(figure["value"], figure["u"])
+
+
+def cause_rows(found: Mapping[str, Any]) -> Rows:
+    """Return why units do not pass, the commonest cause first."""
+    rows = [(cause, str(count)) for cause, count in found["causes"].items()]
+    return ("cause", "units"), rows
+
+
+def outlier_rows(found: Mapping[str, Any]) -> Rows:
+    """Return the units that do not belong to the others, the farthest first."""
+    header = ("unit", "station", "T^2", "p", "what is farthest, in standard deviations")
+    rows = [
+        (
+            each["unit"],
+            each["station"] or "-",
+            number(each["statistic"]),
+            number(each["p"], 2),
+            ", ".join(f"{p['name']} {p['deviation']:+.1f}" for p in each["parameters"]),
+        )
+        for each in found["outliers"]
+    ]
+    return header, rows
+
+
+def drift_rows(found: Mapping[str, Any]) -> Rows:
+    """Return what moved, the surest first."""
+    header = ("parameter", "station", "move", "by", "from unit", "p")
+    rows = [
+        (
+            each["name"],
+            each["station"] or "-",
+            each["kind"],
+            uncertain(each["value"], each["u"]),
+            each["from_unit"],
+            number(each["p"], 2),
+        )
+        for each in found["drift"]
+    ]
+    return header, rows

@@ -1,0 +1,56 @@
+"""Figures of many units, drawn from counts and means and never from the units themselves."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multipos.plots.style import COLOURS, MARKERS, name_series
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MOST = 10  # causes that get a bar
+
+
+def draw_causes(causes: Mapping[str, int], axes: "Axes") -> None:
+    """Draw why units do not pass, the commonest cause on top."""
+    shown = list(causes.items())[:_MOST]
+    places = np.arange(len(shown))
+    axes.barh(places, [count for _, count in shown], color=COLOURS[0], height=0.7)
+    axes.set_yticks(places, [cause for cause, _ in shown])
+    axes.invert_yaxis()
+    axes.set_xlabel("units")
+
+
+def draw_histogram(parameter: Mapping[str, Any], axes: "Axes") -> None:
+    """Draw how many units have which value, and the limits."""
+    drawn = parameter["histogram"]
+    edges = np.linspace(drawn["low"], drawn["high"], len(drawn["counts"]) + 1)
+    axes.stairs(drawn["counts"], edges, fill=True, color=COLOURS[5])
+    low, high = axes.get_xlim()
+    for side in ("lsl", "usl"):
+        if parameter[side] is not None:
+            axes.axvline(parameter[side], color=COLOURS[1], linestyle="--", linewidth=1.0)
+            low, high = min(low, parameter[side]), max(high, parameter[side])
+    margin = 0.02 * (high - low)
+    axes.set_xlim(low - margin, high + margin)
+    axes.set_xlabel(f"{parameter['name']} [{parameter['unit']}]")
+    axes.set_ylabel("units")
+
+
+def draw_chart(parameter: Mapping[str, Any], axes: "Axes") -> None:
+    """Draw the means of consecutive units of every station."""
+    for series, line in enumerate(parameter["chart"]):
+        axes.plot(
+            line["place"],
+            line["mean"],
+            color=COLOURS[series % 6],
+            marker=MARKERS[series % 8],
+            markersize=2.5,
+            linewidth=0.9,
+            label=line["station"] or parameter["name"],
+        )
+    axes.set_xlabel("share of the line's units")
+    axes.set_ylabel(f"{parameter['name']} [{parameter['unit']}]")
+    name_series(axes, 3)

@@ -1,0 +1,202 @@
+"""`multipos fleet`: its files, and what a user does wrong."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from fleet_bench import line, rows_of
+
+import multipos as mp
+from multipos.cli import main
+from multipos.fleets import folder as fleet_folder
+
+LIMITS = "name,lsl,usl\nbias_ax,-0.02,0.02\nscale_ax,0.9,\nU:bias_ay,,0.01\n"
+APART = ["--unit-column", "unit", "--station-column", "station"]
+
+
+def write(path, table):
+    mp.write_table(path, table)
+    return str(path)
+
+
+@pytest.fixture
+def table(tmp_path):
+    return write(tmp_path / "line.csv", line(30, stations=3, scheme="faces-corners-14"))
+
+
+@pytest.fixture
+def limits(tmp_path):
+    path = tmp_path / "limits.csv"
+    path.write_text(LIMITS)
+    return str(path)
+
+
+def test_the_files_have_what_they_promise(tmp_path, table, limits, capsys):
+    pq = pytest.importorskip("pyarrow.parquet")
+    out = tmp_path / "out"
+    assert main(["fleet", table, *APART, "--limits", limits, "-o", str(out), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    found = json.loads((out / "fleet.json").read_text("utf-8"))
+    assert said == found
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        ["calibrations.parquet", "units.csv", "fleet.json", "report.html"]
+    )
+    assert (found["units"], found["fitted"], found["failed"]) == (30, 30, 0)
+    rows = pq.read_table(out / "calibrations.parquet").to_pydict()
+    whole = line(30, stations=3, scheme="faces-corners-14")
+    cal = mp.fit(rows_of(whole, "U0007"))
+    place = rows["unit"].index("U0007")
+    for parameter in cal.entries:
+        assert rows[parameter.name][place] == pytest.approx(parameter.value, rel=1e-10)
+        assert rows[f"u_{parameter.name}"][place] == pytest.approx(parameter.u, rel=1e-10)
+        assert rows[f"dof_{parameter.name}"][place] == parameter.dof
+    assert rows["rms"][place] == pytest.approx(cal.rms, rel=1e-10)
+    assert rows["doubts"][place] == ""
+
+    with (out / "units.csv").open(encoding="utf-8") as stream:
+        verdicts = {row["unit"]: row for row in csv.DictReader(stream)}
+    outside = {u for u, b in zip(rows["unit"], rows["bias_ax"], strict=True) if abs(b) > 0.02}
+    assert {u for u, row in verdicts.items() if row["verdict"] == "fail"} == outside
+    assert all("bias_ax" in verdicts[unit]["reasons"] for unit in outside)
+    assert found["yield"]["value"] == pytest.approx(1.0 - len(outside) / 30)
+    (bias,) = (each for each in found["parameters"] if each["name"] == "bias_ax")
+    assert (bias["lsl"], bias["usl"]) == (-0.02, 0.02)
+    assert bias["mean"] == pytest.approx(np.mean(rows["bias_ax"]))
+    assert bias["sd"] == pytest.approx(np.std(rows["bias_ax"], ddof=1))
+    for key in ("cpk", "ppk", "ppk_true"):
+        assert bias[key]["low"] < bias[key]["value"] < bias[key]["high"]
+    assert [each["station"] for each in found["stations"]] == list(dict.fromkeys(rows["station"]))
+    page = (out / "report.html").read_text("utf-8")
+    assert "bias_ax" in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+
+
+def test_without_parquet_the_table_is_csv_and_that_is_said(tmp_path, table, capsys, monkeypatch):
+    monkeypatch.setattr(fleet_folder, "find_spec", lambda name: None)
+    out = tmp_path / "out"
+    assert main(["fleet", table, *APART, "-o", str(out)]) == 0
+    assert "pip install 'multipos[parquet]'" in capsys.readouterr().err
+    with (out / "calibrations.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 30
+    assert {"unit", "station", "bias_ax", "u_bias_ax", "dof_bias_ax", "rms", "doubts"} <= {*rows[0]}
+
+
+def test_parquet_folders_and_patterns_are_read_as_the_same(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    table = line(8, scheme="faces-corners-14")
+    whole = mp.fit_many(table, unit_column="unit", station_column="station")
+    lots = tmp_path / "lots"
+    lots.mkdir()
+    half = 4 * 14 + 5  # in the middle of a unit
+    for name, piece in (("a", slice(None, half)), ("b", slice(half, None))):
+        part = {column: cells[piece] for column, cells in table.items()}
+        parquet.write_table(pa.table(part), lots / f"{name}.parquet")
+    for source in (lots, lots / "*.parquet"):
+        found = mp.fit_many(str(source), unit_column="unit", station_column="station")
+        assert found == whole
+
+
+def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
+    from multipos.fleets import running
+
+    table = line(6, scheme="faces-corners-14")
+    monkeypatch.setattr("multipos.fleets.fitting._READINGS", 2 * 14)
+    kept = tmp_path / ".progress"
+    options = {"unit_column": "unit", "station_column": "station", "progress_folder": kept}
+    solve = running.solve_task
+    solved = []
+
+    def stop_after_two(task):
+        if len(solved) == 2:
+            raise KeyboardInterrupt
+        solved.append(task.units.tolist())
+        return solve(task)
+
+    monkeypatch.setattr(running, "solve_task", stop_after_two)
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as executor, pytest.raises(KeyboardInterrupt):
+        mp.fleet(table, executor=executor, **options)
+    assert len(list(kept.glob("*.npz"))) == 2
+    again = []
+    monkeypatch.setattr(running, "solve_task", lambda t: again.append(t.units.tolist()) or solve(t))
+    with ThreadPoolExecutor(1) as executor:
+        found = mp.fleet(table, executor=executor, **options)
+    assert solved + again == [[0, 1], [2, 3], [4, 5]]
+    monkeypatch.undo()
+    assert (
+        found.calibrations
+        == mp.fleet(table, unit_column="unit", station_column="station").calibrations
+    )
+
+
+def test_the_report_is_written_again_from_the_folder(tmp_path, table, capsys):
+    out = tmp_path / "out"
+    assert main(["fleet", table, *APART, "-o", str(out)]) == 0
+    for source in (out, out / "fleet.json"):
+        again = tmp_path / "again.html"
+        assert main(["report", str(source), "-o", str(again)]) == 0
+        assert again.read_bytes() == (out / "report.html").read_bytes()
+    assert main(["report", str(out), "-o", str(tmp_path / "again.md")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "said"),
+    [
+        (["--unit-column", "serial"], 1, "no column 'serial'"),
+        ([*APART, "--engine", "gpu"], 2, "--engine takes threads, processes, dask"),
+        ([*APART, "--scheduler", "tcp://x:1"], 2, "needs --engine dask"),
+        ([*APART, "--limits", "missing.csv"], 1, "missing.csv: no such file"),
+        ([*APART, "--model", "linnear"], 2, "unknown model 'linnear'"),
+        ([*APART, "--stepwise"], 2, "another model"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_what_is_wrong_is_said_and_nothing_is_left(tmp_path, table, options, status, said, capsys):
+    out = tmp_path / "out"
+    assert main(["fleet", table, *options, "-o", str(out)]) == status
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    last = captured.err.splitlines()[-1]
+    assert last.startswith("multipos: error: ")
+    assert said in last
+    assert not out.exists()
+
+
+def test_the_folder_that_is_read_is_not_written(tmp_path, table, capsys):
+    assert main(["fleet", str(tmp_path), *APART, "-o", str(tmp_path)]) == 2
+    assert "is the folder that is read" in capsys.readouterr().err
+    assert main(["fleet", table, *APART]) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name,lsl,usl\nbias_ay,1,0\n", "lsl 1, which is not below usl 0"),
+        ("name,lsl,usl\nbias_ay,a,0\n", "row 1 (line 2), column 'lsl': 'a' is not a number"),
+        ("name,lsl\nbias_ay,1\n", "no column 'usl'"),
+        ("name,lsl,usl\nbias_q,0,1\n", "'bias_q', which no unit has; did you mean"),
+        ("name,lsl,usl\nbias_ax,0,1\nbias_ax,0,2\n", "twice"),
+    ],
+)
+def test_limits_that_are_none(tmp_path, table, text, said, capsys):
+    path = tmp_path / "limits.csv"
+    path.write_text(text)
+    out = tmp_path / "out"
+    assert main(["fleet", table, *APART, "--limits", str(path), "-o", str(out)]) in (1, 2)
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_limits_of_toml_are_those_of_csv(tmp_path):
+    from multipos.fleets.limits import read_limits
+
+    one, other = tmp_path / "limits.csv", tmp_path / "limits.toml"
+    one.write_text(LIMITS)
+    other.write_text('bias_ax = [-0.02, 0.02]\nscale_ax = [0.9, inf]\n"U:bias_ay" = [-inf, 0.01]\n')
+    assert read_limits(one) == read_limits(other)
+    assert read_limits({"bias_ax": (None, 1.0)})[0].lsl == -np.inf
