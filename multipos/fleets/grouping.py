@@ -16,6 +16,7 @@ from multipos.fleets.labels import Labels
 from multipos.fleets.sources import Rows
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
+from multipos.positions.forces import FORCE
 
 _LABELLED = ("position", "group", "direction", "roll_axis")  # all other conditions are numbers
 _SEED = 20261  # of the random numbers: any serve, and the same ones every time
@@ -158,5 +159,5 @@ def _is_used(name: str, outputs: Sequence[str], used: Sequence[str]) -> bool:
     if name in outputs:
         return False
     beside = {f"{kind}_{output}" for kind in ("u", "dof") for output in outputs}
-    known = attitudes.COLUMNS | {"position", "group", "orientation_sd_deg"} | beside
+    known = {*attitudes.COLUMNS, *FORCE, "position", "group", "orientation_sd_deg"} | beside
     return name in known or name in used or name.startswith("reference_u_")
