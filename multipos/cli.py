@@ -29,26 +29,6 @@ from multipos.files.characters import one_line
 from multipos.files.lists import near
 
 _INTERRUPTED = 130  # the status by which shells know Ctrl-C
-COMMANDS = {
-    "demo": "calibrate the six-position paper's own readings, end to end",
-    "calibrate": "calibrate from raw logs, and export, in one go",
-    "fit": "calibrate from readings at static positions",
-    "report": "write the report of a calibration",
-    "apply": "compensate raw readings with a calibration",
-    "compare": "compare repeated calibrations of one unit",
-    "regress": "describe a column by others, in segments, with terms the data support",
-    "average": "average the rests of a raw log into readings",
-    "export": "write a calibration as a C function or for another program",
-    "verify-export": "show what the consumer of an exported file will see",
-    "simulate": "make readings or a raw log of a calibrated sensor",
-    "check": "errors of an independent run at known positions, before and after",
-    "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",
-    "fleet": "calibrate many units, and tell what only all of them can",
-    "stability": "noise, drift, warm-up and repeatability of a sensor at rest",
-    "schemes": "list schemes and what they can tell about a model",
-    "design": "find the best positions for a model, with proof",
-    "worth": "tell what one more position would bring to a calibration",
-}
 
 
 class _Ended(BaseException):

@@ -24,6 +24,7 @@ COMMANDS = {
     "simulate": "make readings or a raw log of a calibrated sensor",
     "check": "errors of an independent run at known positions, before and after",
     "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",
+    "fleet": "calibrate many units, and tell what only all of them can",
     "stability": "noise, drift, warm-up and repeatability of a sensor at rest",
     "schemes": "list schemes and what they can tell about a model",
     "design": "find the best positions for a model, with proof",
