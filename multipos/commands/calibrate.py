@@ -6,10 +6,10 @@ from typing import Any
 
 from multipos.commands.answers import STDOUT, Answer, Output
 from multipos.commands.average import add_log_options, add_logs
-from multipos.commands.export import add_export_options
+from multipos.commands.export import add_export_options, export_options
 from multipos.commands.fit import add_fit_options
 from multipos.commands.options import file_progress
-from multipos.compensation.target import Exported, self_test
+from multipos.compensation.target import Exported, Target, self_test
 from multipos.compensation.targets import TARGETS, beside, export, named_target
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import to_json
@@ -31,7 +31,7 @@ def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
     return tuple(paths)
 
 
-INPUTS = ("logs", "sections", "scheme", "budget")
+INPUTS = ("logs", "sections", "scheme", "budget", "stability")
 OUTPUT = Output(
     "CAL.json",
     "write the calibration to CAL.json, and exports beside it",
@@ -44,7 +44,6 @@ _AVERAGE = (
     *("outputs", "columns", "time_column", "time_unit", "rate", "min_duration", "threshold"),
     *("sections", "label_column", "only", "drop_bad", "accept_faults", "scheme", "convention"),
 )
-_EXPORT = ("to", "name", "float", "allow_lossy")
 _OWN = ("logs", "json", "output")
 
 
@@ -71,7 +70,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     with file_progress(arguments.logs, "reading") as progress:
         chosen = {name: options[name] for name in _AVERAGE}
         found = average(*arguments.logs, progress=progress, **chosen)
-    apart = {*_AVERAGE, *_EXPORT, *_OWN} - {"convention"}
+    apart = {*_AVERAGE, "to", *export_options(arguments), *_OWN} - {"convention"}
     calibration = fit_rests(found, **{k: v for k, v in options.items() if k not in apart})
     exports, refused = _exports(calibration, arguments)
     listing = [
@@ -107,14 +106,24 @@ def run(arguments: argparse.Namespace) -> Answer:
 
 
 def _check_targets(arguments: argparse.Namespace) -> None:
-    if not arguments.to:
-        return
     names = ", ".join(target.name for target in TARGETS)
     strange = [name for name in arguments.to if named_target(name) is None]
     if strange:
         raise UsageError(f"--to takes {names}, got '{strange[0]}'.")
-    if arguments.output in (None, STDOUT):
+    asked = {name for name, value in export_options(arguments).items() if value is not None}
+    for option in ("output_unit", "instance", "device_id", "stability"):
+        owners = [target.name for target in TARGETS if option in target.takes]
+        if option in asked and not set(owners) & set(arguments.to):
+            flag = option.replace("_", "-")
+            raise UsageError(f"--{flag} is for --to {', '.join(owners)}.")
+    if arguments.to and arguments.output in (None, STDOUT):
         raise UsageError("--to writes files beside CAL.json; name it with -o.")
+
+
+def _own(target: Target, options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that one of several targets has, for each has its own."""
+    own = {"name", "allow_lossy", *target.takes, *(("float",) if target.is_code else ())}
+    return {name: value for name, value in options.items() if name in own}
 
 
 def _exports(
@@ -127,11 +136,7 @@ def _exports(
         assert target is not None
         try:
             made[beside(arguments.output, target)] = export(
-                calibration,
-                name,
-                name=arguments.name,
-                float=arguments.float and target.is_code,
-                allow_lossy=arguments.allow_lossy,
+                calibration, name, **_own(target, export_options(arguments))
             )
         except UsageError:
             raise

@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from multipos.commands.answers import STDOUT, Answer, Output
 from multipos.compensation.parts import load_parts
@@ -17,7 +18,12 @@ def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
     return self_test(arguments.output)
 
 
-INPUTS = ("calibration",)
+def _is_json(name: str) -> bool:
+    target = named_target(name)
+    return target is not None and target.suffix == ".json"
+
+
+INPUTS = ("calibration", "stability")
 OUTPUT = Output(
     "FILE",
     "file to write; C gets FILE_test.c, its self-test, as well",
@@ -57,6 +63,28 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="let go of terms that the target cannot express, and say what that costs",
     )
+    add("--output-unit", metavar="g|m/s^2", help="unit of the force, in C (default g)")
+    add("--instance", type=int, metavar="N", help="which accelerometer of the autopilot it is")
+    add(
+        "--device-id",
+        type=_whole,
+        metavar="ID",
+        help="its device, without which the autopilot ignores the file",
+    )
+    add("--stability", metavar="FILE", help="stability.json, whose noise densities go to Kalibr")
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is no whole number") from None
+
+
+def export_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the options that `add_export_options` added, as `export` takes them."""
+    names = ("name", "float", "allow_lossy", "output_unit", "instance", "device_id", "stability")
+    return {name: getattr(arguments, name) for name in names}
 
 
 def run(arguments: argparse.Namespace) -> Answer:
@@ -64,9 +92,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     exported = export(
         load_parts(arguments.calibration),
         arguments.to,
-        name=arguments.name,
-        float=arguments.float,
-        allow_lossy=arguments.allow_lossy,
+        **export_options(arguments),
         correct=arguments.correct,
     )
     names = [arguments.output, *map(str, _beside(arguments))]
@@ -84,7 +110,8 @@ def run(arguments: argparse.Namespace) -> Answer:
             "export": lambda: (
                 exported.text if arguments.output == STDOUT else exported.files(arguments.output)
             ),
-            "json": lambda: to_json(content),
+            # a file of the target that is JSON itself stays as it is
+            "json": lambda: exported.text if _is_json(arguments.to) else to_json(content),
         },
         warnings=lambda: exported.notes,
     )

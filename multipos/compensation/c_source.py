@@ -21,18 +21,20 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.validity import applied
+from multipos.units import STANDARD_GRAVITY
 
 SIGNATURE = re.compile(
     r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const (?P<type>double|float) raw\[(?P<raw>\d{1,6})\]"
     r"(?:, const \w+ env\[(?P<env>\d{1,6})\])?, \w+ accel\[(?P<accel>\d{1,6})\]\)",
     re.MULTILINE | re.ASCII,
 )
+METRES = re.compile(r"^ \* accel\[\d+\] = [^\n]*\[m/s\^2\], convention", re.MULTILINE)
 WRITTEN_BY = re.compile(r"^ \* written by +multipos (?P<version>\S+)$", re.MULTILINE)
 _NEGLIGIBLE = 1e-9  # of the largest linear coefficient: what a precision may lose
 
 
-def c_source(calibration: Calibration, name: str, *, single: bool) -> str:
-    """Return the C99 file of a calibration.
+def c_source(calibration: Calibration, name: str, *, single: bool, in_metres: bool = False) -> str:
+    """Return the C99 file of a calibration, its force in g or in m/s².
 
     Raises
     ------
@@ -50,8 +52,17 @@ def c_source(calibration: Calibration, name: str, *, single: bool) -> str:
     else:
         (body, how), library = function_body(calibration, single=single), False
     include = "#include <math.h>\n\n" if library else ""
-    head = _header(calibration, name, how)
+    if in_metres:
+        body = _in_metres(body, calibration, single)
+    head = _header(calibration, name, how, "m/s^2" if in_metres else "g")
     return f"{head}\n{include}{signature(calibration, name, single)}\n{body}"
+
+
+def _in_metres(body: str, calibration: Calibration, single: bool) -> str:
+    """Return the body of the function with its answer turned from g to m/s² at the end."""
+    axes = len(sensed_axes(calibration.model))
+    last = "\n".join(f"    accel[{k}] *= {literal(STANDARD_GRAVITY, single)};" for k in range(axes))
+    return f"{body.rstrip().removesuffix('}')}{last}\n}}\n"
 
 
 def signature(calibration: Calibration, name: str, single: bool) -> str:
@@ -66,17 +77,20 @@ def signature(calibration: Calibration, name: str, single: bool) -> str:
     )
 
 
-def c_test(calibration: Calibration, name: str, *, single: bool) -> str:
+def c_test(calibration: Calibration, name: str, *, single: bool, in_metres: bool = False) -> str:
     """Return a C99 program that checks the function against values from Python."""
     kind = "float" if single else "double"
     raw, env, force = _vectors(calibration, single)
-    tolerance = "5e-7f" if single else "1e-9"
+    tolerance, unit = "5e-7f" if single else "1e-9", "g"
+    if in_metres:
+        force = force * STANDARD_GRAVITY
+        tolerance, unit = "5e-6f" if single else "1e-8", "m/s^2"
     arrays = [("raw", raw), *([("env", env)] if env.shape[1] else []), ("expected", force)]
     text = "\n".join(array(key, values, single) for key, values in arrays)
     call = ", ".join(f"{key}[i]" for key, _ in arrays[:-1])
     return f"""\
 /* Self-test of {name}_compensate: compile with the file that holds it, and run.
-   Exits with 0 where every value is met within {tolerance} g. */
+   Exits with 0 where every value is met within {tolerance} {unit}. */
 #include <stdio.h>
 
 {signature(calibration, name, single)};
@@ -94,7 +108,7 @@ int main(void)
         for (int k = 0; k < AXES; ++k) {{
             const {kind} off = accel[k] - expected[i][k];
             if (!(off < {tolerance} && -off < {tolerance})) {{
-                printf("vector %d, axis %d: off by %g g\\n", i + 1, k + 1, (double)off);
+                printf("vector %d, axis %d: off by %g {unit}\\n", i + 1, k + 1, (double)off);
                 failed = 1;
             }}
         }}
@@ -132,7 +146,7 @@ def _negligible(calibration: Calibration) -> Array:
     return np.repeat(_NEGLIGIBLE * np.abs(slope).max(axis=1), sizes)
 
 
-def _header(calibration: Calibration, name: str, how: str) -> str:
+def _header(calibration: Calibration, name: str, how: str, unit: str) -> str:
     c = calibration
     model = c.model
     axes = sensed_axes(model)
@@ -145,11 +159,11 @@ def _header(calibration: Calibration, name: str, how: str) -> str:
     rows = [[p.name, p.unit, uncertain(p.value, p.u), number(p.U, 2)] for p in c.entries]
     what = "specific force" if c.convention == "specific-force" else "gravity"
     lines = [
-        f"{name}_compensate: raw accelerometer readings to {what} [g].",
+        f"{name}_compensate: raw accelerometer readings to {what} [{unit}].",
         "",
         f"raw[{len(c.outputs)}] = {', '.join(c.outputs)} [{model.unit}]",
         *env,
-        f"accel[{len(sensed)}] = {', '.join(sensed)} [g], convention {c.convention}",
+        f"accel[{len(sensed)}] = {', '.join(sensed)} [{unit}], convention {c.convention}",
         "raw and accel may be the same array.",
         "",
         f"model       {model.text}",
@@ -162,6 +176,9 @@ def _header(calibration: Calibration, name: str, how: str) -> str:
         "",
         *table(["parameter", "unit", "value(u)", "U"], rows).splitlines(),
     ]
+    if unit != "g":
+        one = "one g, the local gravity, is taken as" if c.gravity is None else "one g is"
+        lines.insert(1, f"{one} 9.80665 m/s^2.")
     return "/*\n" + "\n".join(f" * {comment(line)}".rstrip() for line in lines) + "\n */"
 
 

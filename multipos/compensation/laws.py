@@ -4,14 +4,19 @@ With raw = K f + o and T = K⁻¹, f the specific force in m/s² on axes x, y, z
 
     f = T (raw - o)                                                                        (1)
 
-is all that these consumers can do. A calibration with more in it is fitted again with the terms
-that remain, to the same readings and references, and what that loses is told. A calibration under
-the convention 'gravity' has the sign of its force turned: consumers work in specific force.
+is all that these consumers can do; some take an offset that drifts with the temperature t,
+
+    f = T (raw - o - sum_k c_k (t' - t_0)^k),    k = 1 to 3,                               (2)
+
+t' being t held to the calibrated range. A calibration with more in it is fitted again with the
+terms that remain, to the same readings and references, and what that loses is told. A calibration
+under the convention 'gravity' has the sign of its force turned: consumers work in specific force.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
 from multipos.estimation.known import solve_known
@@ -19,7 +24,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
-from multipos.sensor.model import build_model
+from multipos.sensor.model import Model, build_model
 from multipos.units import STANDARD_GRAVITY
 
 LINEAR = "1 + x + y + z"
@@ -27,22 +32,98 @@ DIAGONAL = "1 + own"
 _METRES = ("m/s^2", "m/s2", "m/s²", "m/s/s", "ms-2", "m s-2", "m s^-2")
 
 
-class Law(NamedTuple):
-    """Matrix T (3, 3) and offset o (3,) of eq. (1), and how well they do on the readings."""
+TEMPERATURE = "temperature"
+_POWERS = (TEMPERATURE, f"{TEMPERATURE}^2", f"{TEMPERATURE}^3")
+
+
+class Drift(NamedTuple):
+    """How the offset drifts with temperature, the sum of eq. (2).
+
+    Attributes
+    ----------
+    slopes : (3, 3) array
+        c_k, a row for each power, columns x, y, z.
+    reference, low, high : float [°C]
+        t_0, and the calibrated range.
+    """
+
+    slopes: Array
+    reference: float
+    low: float
+    high: float
+
+    def offset(self, temperature: ArrayLike) -> Array:
+        """Return the sum of eq. (2) at temperatures (n,) as (n, 3)."""
+        off = np.clip(np.asarray(temperature, dtype=np.float64), self.low, self.high)
+        powers = (off - self.reference)[..., None] ** np.arange(1, 4)
+        return np.asarray(powers @ self.slopes)
+
+    def about(self, reference: float) -> tuple[Array, "Drift"]:
+        """Return the same drift about another t_0: what the offset gains, and the drift."""
+        x = np.polynomial.Polynomial([reference - self.reference, 1.0])
+        found = np.zeros((4, 3))
+        for axis in range(3):
+            moved = np.polynomial.Polynomial([0.0, *self.slopes[:, axis]])(x).coef
+            found[: len(moved), axis] = moved
+        return found[0], self._replace(slopes=found[1:], reference=reference)
+
+    def scaled(self, factor: float) -> "Drift":
+        """Return the drift of readings in another unit."""
+        return self._replace(slopes=self.slopes * factor)
+
+
+class Correction(NamedTuple):
+    """Matrix T (3, 3), offset o (3,) and drift of eqs. (1) and (2)."""
 
     matrix: Array
     offset: Array
+    drift: Drift | None = None
+
+    def of_raw_in(self, metres: float) -> "Correction":
+        """Return the law of raw values in m/s²; `metres` is the m/s² in a unit of the readings."""
+        drift = None if self.drift is None else self.drift.scaled(metres)
+        return Correction(self.matrix / metres, self.offset * metres, drift)
+
+
+class Law(NamedTuple):
+    """What a target's law makes of a calibration, and how well it does on the readings."""
+
+    correction: Correction
     formula: str  # the terms it has
     lost: bool  # whether the calibration says more than this law can
     rms: float  # [g]
 
+    @property
+    def matrix(self) -> Array:
+        """T of eq. (1), (3, 3)."""
+        return self.correction.matrix
+
+    @property
+    def offset(self) -> Array:
+        """The offset o of eq. (1), (3,)."""
+        return self.correction.offset
+
+    @property
+    def drift(self) -> Drift | None:
+        """How the offset drifts, where it does."""
+        return self.correction.drift
+
     def of_raw_in(self, metres: float) -> "Law":
         """Return the law of raw values in m/s²; `metres` is the m/s² in a unit of the readings."""
-        return self._replace(matrix=self.matrix / metres, offset=self.offset * metres)
+        return self._replace(correction=self.correction.of_raw_in(metres))
 
 
-def reduce_to(calibration: Calibration, formula: str, target: str, *, allow_lossy: bool) -> Law:
+def reduce_to(
+    calibration: Calibration,
+    formula: str,
+    target: str,
+    *,
+    allow_lossy: bool,
+    thermal: bool = False,
+) -> Law:
     """Return the law of a formula, LINEAR or DIAGONAL, in the unit of the readings.
+
+    Where it is `thermal`, powers of the temperature that the calibration's offsets have stay in.
 
     Raises
     ------
@@ -50,15 +131,18 @@ def reduce_to(calibration: Calibration, formula: str, target: str, *, allow_loss
         Not a triad; a model with temperature or another column; a model that says more, unless
         `allow_lossy`.
     """
-    _check_inputs(calibration, target)
+    check_inputs(calibration, target, thermal=thermal)
     model = calibration.model
+    if thermal:
+        formula = " + ".join([formula, *_thermal_terms(calibration)])
     reduced = build_model(formula, model.outputs, model.axes, unit=model.unit)
     lost = not all(set(a) <= set(b) for a, b in zip(model.terms, reduced.terms, strict=True))
+    parameters = calibration.parameters
     if lost:
-        solution = solve_known(reduced, calibration.reference, calibration.readings)
-        linear = reduced.linear_map({}) @ solution.parameters
-    else:
-        linear = model.linear_map({}) @ calibration.parameters
+        parameters = solve_known(reduced, calibration.reference, calibration.readings).parameters
+        model = reduced
+    middle = calibration.mean_environment
+    linear = model.linear_map(middle) @ parameters
     sign = calibration.sign
     order = [model.axes.index(axis) for axis in COMPONENTS]
     K = sign * linear[:, 1:] / STANDARD_GRAVITY
@@ -70,18 +154,41 @@ def reduce_to(calibration: Calibration, formula: str, target: str, *, allow_loss
             f"{target} needs the inverse of the sensitivities, and this calibration's have none; "
             "an output does not sense its axis."
         ) from None
-    law = Law(inverse[:, order], linear[order, 0], formula, lost, 0.0)
-    law = law._replace(rms=rms_left(calibration, law_residuals(calibration, *law[:2])))
+    drift = _drift(calibration, model, parameters)
+    found = Correction(inverse[:, order], linear[order, 0], drift)
+    law = Law(found, formula, lost, rms_left(calibration, law_residuals(calibration, found)))
     if lost and not allow_lossy:
         raise MultiposError(f"{loss_text(calibration, law, target)}; accept it with --allow-lossy.")
     return law
 
 
-def law_residuals(calibration: Calibration, matrix: Array, offset: Array) -> Array:
-    """Return the specific force of eq. (1) less the reference (n, 3) [g] at each position."""
+def _thermal_terms(calibration: Calibration) -> list[str]:
+    """Return the powers of the temperature that the offset of some output has."""
+    held = {str(term) for terms in calibration.model.terms for term in terms}
+    return [power for power in _POWERS if power in held]
+
+
+def _drift(calibration: Calibration, model: Model, parameters: Array) -> Drift | None:
+    """Return how the offset of a model drifts about the mean temperature, None where it cannot."""
+    if not any(str(term) in _POWERS for _, term in model.keys):
+        return None
+    seen = calibration.readings.environment[TEMPERATURE]
+    slopes = np.zeros((3, 3))
+    for (output, term), value in zip(model.keys, parameters.tolist(), strict=True):
+        if str(term) in _POWERS:
+            axis = COMPONENTS.index(model.axes[model.outputs.index(output)])
+            slopes[_POWERS.index(str(term)), axis] = value
+    zero = Drift(slopes, 0.0, float(seen.min()), float(seen.max()))
+    return zero.about(float(np.mean(seen)))[1]
+
+
+def law_residuals(calibration: Calibration, law: Correction) -> Array:
+    """Return the specific force of the law less the reference (n, 3) [g] at each position."""
     order = [calibration.model.axes.index(axis) for axis in COMPONENTS]
-    raw = calibration.readings.values[:, order]
-    return (raw - offset) @ matrix.T / STANDARD_GRAVITY - specific_force(calibration)
+    raw = calibration.readings.values[:, order] - law.offset
+    if law.drift is not None:
+        raw = raw - law.drift.offset(calibration.readings.environment[TEMPERATURE])
+    return raw @ law.matrix.T / STANDARD_GRAVITY - specific_force(calibration)
 
 
 def rms_left(calibration: Calibration, residuals: Array) -> float:
@@ -112,19 +219,19 @@ def loss_text(calibration: Calibration, law: Law, target: str) -> str:
 def in_metres(calibration: Calibration, target: str) -> float:
     """Return the m/s² in a unit of the readings, for consumers that hold raw values in m/s².
 
+    The calibration is one that `check_inputs` has let pass.
+
     Raises
     ------
     MultiposError
         The readings are neither in m/s² nor in g.
     """
-    _check_inputs(calibration, target)
     unit = calibration.model.unit
     if unit in _METRES:
         return 1.0
     if unit == "g":
         return STANDARD_GRAVITY
-    slope = calibration.model.force_jacobian(calibration.parameters, np.zeros((1, 3)), {})[0]
-    scale = float(np.abs(slope).max(axis=1).mean())
+    scale = scale_per_g(calibration)
     if unit == "reading" and 0.5 < scale / STANDARD_GRAVITY < 2.0:  # not stated, but plain
         return 1.0
     raise MultiposError(
@@ -133,15 +240,28 @@ def in_metres(calibration: Calibration, target: str) -> float:
     )
 
 
-def _check_inputs(calibration: Calibration, target: str) -> None:
+def scale_per_g(calibration: Calibration) -> float:
+    """Return the size of a g in the unit of the readings, a mean over outputs."""
+    slopes = calibration.model.linear_map(calibration.mean_environment) @ calibration.parameters
+    return float(np.abs(slopes[:, 1:]).max(axis=1).mean())
+
+
+def check_inputs(calibration: Calibration, target: str, *, thermal: bool) -> None:
+    """Refuse what is no triad, or has columns that a target does not take.
+
+    Raises
+    ------
+    MultiposError
+    """
     model = calibration.model
     if sorted(model.axes) != list(COMPONENTS):
         raise MultiposError(
             f"{target} takes three outputs, one on each of x, y, z; this calibration has "
             f"{', '.join(f'{o} on {a}' for o, a in zip(model.outputs, model.axes, strict=True))}."
         )
-    if model.environment:
+    strange = [name for name in model.environment if not (thermal and name == TEMPERATURE)]
+    if strange:
         raise MultiposError(
-            f"the model uses column '{model.environment[0]}', but {target} has no such input; "
+            f"the model uses column '{strange[0]}', but {target} has no such input; "
             "export --to c, or fit a model without it."
         )

@@ -1,8 +1,8 @@
 """Targets that take parameters: a matrix and an offset, or an offset and a scale an axis.
 
-Their consumers compute corrected = T (raw − o), eq. (1) of `multipos.compensation.laws`, raw in
-m/s² or in the unit of the readings. Writing, reading back and what the files share are here; each
-target has a file of its own.
+Their consumers compute corrected = T (raw − o), eq. (1) of `multipos.compensation.laws`, or with a
+drift (2) of the offset, raw in m/s² or in the unit of the readings. Writing, reading back and what
+the files share are here; each target has a file of its own.
 """
 
 import re
@@ -12,7 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from multipos.compensation.laws import Law, in_metres, law_residuals, loss_text, reduce_to, rms_left
+from multipos.compensation.laws import (
+    Correction,
+    Law,
+    check_inputs,
+    in_metres,
+    law_residuals,
+    loss_text,
+    reduce_to,
+    rms_left,
+)
 from multipos.compensation.target import (
     Exported,
     GivenFile,
@@ -21,13 +30,14 @@ from multipos.compensation.target import (
     Wish,
     refuse_strange,
 )
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import visible
 from multipos.files.trees import to_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 
+_LARGEST_ID = 2**31 - 1  # autopilots keep it as a whole number of 32 bits with a sign
 _SAME = 1e-6  # how far the forces of a file may be from those of its law [g]
 
 
@@ -36,10 +46,13 @@ def parameter_target(
     formula: str,
     *,
     raw_in_metres: bool,
-    write: Callable[[Calibration, Law], tuple[str, list[str]]],
+    write: Callable[[Calibration, Law, Wish], tuple[str, list[str]]],
     recognises: Callable[[str], bool],
-    read: Callable[[str, str], tuple[Array, Array]],
+    read: Callable[[str, str], Correction],
     suffix: str,
+    thermal: bool = False,
+    takes: tuple[str, ...] = (),
+    same: Callable[[Calibration], float] = lambda _: _SAME,
 ) -> Target:
     """Return a target whose consumer applies a matrix and an offset.
 
@@ -51,19 +64,27 @@ def parameter_target(
     raw_in_metres : bool
         Whether the consumer holds raw values in m/s², not in the unit of the readings.
     write : function
-        Return the text of a file and notes from a calibration and its law in the consumer's unit.
+        Return the text of a file and notes from a calibration, its law in the consumer's unit, and
+        what the user asks for.
     recognises : function
         Tell from its text whether a file is one of this target.
     read : function
-        Return T (3, 3) and o (3,) in the consumer's unit from the path and the text of a file.
+        Return the law in the consumer's unit from the path and the text of a file.
     suffix : str
         Of its files.
+    thermal : bool
+        Whether the consumer lets the offset drift with temperature.
+    takes : tuple of str
+        Options of `export` that it has.
+    same : function
+        How far [g] the forces of a file may be from those of the law, which it may hold rounded.
     """
 
     def write_file(calibration: Calibration, wish: Wish) -> Exported:
+        check_inputs(calibration, name, thermal=thermal)
         metres = in_metres(calibration, name) if raw_in_metres else 1.0
-        law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy)
-        text, notes = write(calibration, law.of_raw_in(metres))
+        law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy, thermal=thermal)
+        text, notes = write(calibration, law.of_raw_in(metres), wish)
         if law.lost:
             notes = [loss_text(calibration, law, name), *notes]
         if calibration.convention == "gravity":
@@ -72,13 +93,16 @@ def parameter_target(
         return Exported(name, text, notes=tuple(notes))
 
     def read_file(file: GivenFile, calibration: Calibration) -> Verification:
-        matrix, offset = read(file.path, file.text)
-        expected = reduce_to(calibration, formula, name, allow_lossy=True)
+        given = read(file.path, file.text)
+        check_inputs(calibration, name, thermal=thermal)
+        expected = reduce_to(calibration, formula, name, allow_lossy=True, thermal=thermal)
         metres = in_metres(calibration, name) if raw_in_metres else 1.0
         with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
-            residuals = law_residuals(calibration, matrix * metres, offset / metres)
-            should = law_residuals(calibration, expected.matrix, expected.offset)
-            refuse_strange(file.path, float(np.abs(residuals - should).max()), _SAME)
+            if (given.drift is None) != (expected.drift is None):
+                refuse_strange(file.path, np.inf, 0.0)
+            residuals = law_residuals(calibration, given.of_raw_in(1.0 / metres))
+            should = law_residuals(calibration, expected.correction)
+            refuse_strange(file.path, float(np.abs(residuals - should).max()), same(calibration))
         return Verification(
             target=name,
             axes=COMPONENTS,
@@ -89,7 +113,7 @@ def parameter_target(
             difference=None,
         )
 
-    return Target(name, write_file, recognises, read_file, suffix)
+    return Target(name, write_file, recognises, read_file, suffix, takes=takes)
 
 
 def diagonal_values(calibration: Calibration, law: Law, names: tuple[str, ...]) -> list[float]:
@@ -100,13 +124,14 @@ def diagonal_values(calibration: Calibration, law: Law, names: tuple[str, ...]) 
     return values
 
 
-def gives(prefix: str, text: str) -> bool:
-    """Tell whether a parameter whose name begins so stands in a text, outside its comments."""
-    return any(prefix in line for line in text.splitlines() if not line.startswith("#"))
+def read_named(path: str, text: str, names: tuple[str, ...]) -> Array:
+    """Return the values of parameters from lines of names and values.
 
-
-def read_diagonal(names: tuple[str, ...], path: str, text: str) -> tuple[Array, Array]:
-    """Return T and o from the parameters of an autopilot, in m/s²."""
+    Raises
+    ------
+    MultiposError
+        One is missing, no number, or given twice.
+    """
     values: dict[str, str] = {}
     for line in text.splitlines():
         if line.startswith("#"):
@@ -124,8 +149,26 @@ def read_diagonal(names: tuple[str, ...], path: str, text: str) -> tuple[Array, 
     missing = [name for name in names if name not in values]
     if missing:
         raise MultiposError(f"{path}: parameter {missing[0]} is missing; export again.")
-    numbers = read_numbers(path, names[0], [values[name] for name in names], 6)
-    return np.diag(numbers[3:]), numbers[:3]
+    return read_numbers(path, names[0], [values[name] for name in names], len(names))
+
+
+def require_instance(wish: Wish, target: str, allowed: range) -> int:
+    """Return the number of the accelerometer, the first where none is asked for.
+
+    Raises
+    ------
+    UsageError
+        The target has no such number, or the ID is none.
+    """
+    instance = allowed.start if wish.instance is None else wish.instance
+    if instance not in allowed:
+        raise UsageError(
+            f"--instance takes {allowed.start} to {allowed.stop - 1} for --to {target}, got "
+            f"{instance}."
+        )
+    if wish.device_id is not None and not 0 < wish.device_id <= _LARGEST_ID:
+        raise UsageError(f"--device-id takes 1 to {_LARGEST_ID}, got {wish.device_id}.")
+    return instance
 
 
 def require_writable(

@@ -21,14 +21,33 @@ from multipos.files.whole import written
 from multipos.numerics.arrays import Array
 from multipos.results import Result, plain
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.stability import Stability
 
 
 class Wish(NamedTuple):
-    """What the user of `export` asks for: a name, single precision, terms let go."""
+    """What the user of `export` asks for.
+
+    Attributes
+    ----------
+    name : str
+        Of a function.
+    single, allow_lossy : bool
+        Single precision; terms let go.
+    instance, device_id : int or None
+        Which of the autopilot's accelerometers it is: its number, and the ID of its device.
+    in_metres : bool
+        Force in m/s² instead of g.
+    stability : Stability or None
+        Of the sensor, for consumers that want its noise.
+    """
 
     name: str
     single: bool
     allow_lossy: bool
+    instance: int | None = None
+    device_id: int | None = None
+    in_metres: bool = False
+    stability: Stability | None = None
 
 
 class GivenFile(NamedTuple):
@@ -174,6 +193,8 @@ class Target:
         Of its files.
     is_code : bool
         Whether it is a function with a name, a precision and a self-test beside it.
+    takes : tuple of str
+        Options of `export` that not every target has.
     """
 
     name: str
@@ -182,6 +203,7 @@ class Target:
     read_back: Callable[[GivenFile, Calibration], Verification]
     suffix: str
     is_code: bool = False
+    takes: tuple[str, ...] = ()
 
 
 def refuse_strange(path: str, difference: float, allowed: float) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from multipos import __version__
 from multipos.compensation.c_running import run_c
-from multipos.compensation.c_source import SIGNATURE, WRITTEN_BY, c_source, c_test
+from multipos.compensation.c_source import METRES, SIGNATURE, WRITTEN_BY, c_source, c_test
 from multipos.compensation.laws import rms_left
 from multipos.compensation.target import (
     Exported,
@@ -26,14 +26,16 @@ from multipos.files.characters import visible
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
+from multipos.units import STANDARD_GRAVITY
 
 _SHOWN = 60  # characters of a line in a message
 _SAME = {"double": 1e-9, "float": 5e-7}  # how far the forces may be from the calibration's [g]
 
 
 def _write(calibration: Calibration, wish: Wish) -> Exported:
-    text = c_source(calibration, wish.name, single=wish.single)
-    return Exported(C.name, text, c_test(calibration, wish.name, single=wish.single))
+    form = {"single": wish.single, "in_metres": wish.in_metres}
+    text = c_source(calibration, wish.name, **form)
+    return Exported(C.name, text, c_test(calibration, wish.name, **form))
 
 
 def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
@@ -44,7 +46,8 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     names = calibration.model.environment
     sensed = list(sensed_axes(calibration.model))
     name, single = found["name"], found["type"] == "float"
-    own = c_source(calibration, name, single=single).encode()
+    in_metres = METRES.search(file.text) is not None
+    own = c_source(calibration, name, single=single, in_metres=in_metres).encode()
     foreign = raw != own
     if foreign and not file.run_foreign_code:
         raise MultiposError(f"{path}: {difference_of(raw, own)}")
@@ -54,6 +57,8 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     if single:
         rows = rows.astype(np.float32).astype(np.float64)
     force = run_c(path, raw if foreign else own, calibration, name, single, rows)
+    if in_metres:
+        force = force / STANDARD_GRAVITY
     should = calibration.compensate(
         rows[:, : len(calibration.outputs)],
         dict(zip(names, rows[:, len(calibration.outputs) :].T, strict=True)),
@@ -123,4 +128,5 @@ C = Target(
     read_back=_read_back,
     suffix=".c",
     is_code=True,
+    takes=("output_unit",),
 )

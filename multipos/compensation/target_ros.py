@@ -11,20 +11,20 @@ import re
 
 import numpy as np
 
-from multipos.compensation.laws import LINEAR, Law
+from multipos.compensation.laws import LINEAR, Correction, Law
 from multipos.compensation.parameters import (
     origin,
     parameter_target,
     read_numbers,
     require_writable,
 )
+from multipos.compensation.target import Wish
 from multipos.errors import MultiposError
 from multipos.files.characters import visible
-from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 
 
-def _write(calibration: Calibration, law: Law) -> tuple[str, list[str]]:
+def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[str]]:
     matrix, bias = law.matrix, law.matrix @ law.offset
     for key, array in (("SM", matrix), ("bias", bias)):
         for value in array.ravel().tolist():
@@ -44,7 +44,7 @@ def _recognises(text: str) -> bool:
     return all(re.search(rf"^{key}:", text, re.MULTILINE) for key in ("SM", "bias"))
 
 
-def _read(path: str, text: str) -> tuple[Array, Array]:
+def _read(path: str, text: str) -> Correction:
     """Return T and o from the YAML of imu_calib, as its law uses them."""
     found = {}
     for key, count in (("SM", 9), ("bias", 3)):
@@ -53,7 +53,7 @@ def _read(path: str, text: str) -> tuple[Array, Array]:
         found[key] = read_numbers(path, key, cells, count)
     matrix = found["SM"].reshape(3, 3)
     try:
-        return matrix, np.asarray(np.linalg.solve(matrix, found["bias"]))
+        return Correction(matrix, np.asarray(np.linalg.solve(matrix, found["bias"])))
     except np.linalg.LinAlgError:
         raise MultiposError(f"{path}: SM has no inverse; export again.") from None
 

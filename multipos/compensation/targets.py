@@ -2,21 +2,28 @@
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
 from multipos.compensation.parts import Parts, split_parts
 from multipos.compensation.target import Exported, Target, Wish
 from multipos.compensation.target_ardupilot import ARDUPILOT
 from multipos.compensation.target_c import C
 from multipos.compensation.target_correction import correction_of, write_correction
+from multipos.compensation.target_imucal import IMUCAL
+from multipos.compensation.target_inav import INAV
+from multipos.compensation.target_kalibr import KALIBR
 from multipos.compensation.target_px4 import PX4
 from multipos.compensation.target_ros import ROS
 from multipos.errors import UsageError
 from multipos.files.lists import Names
+from multipos.sensor.stability import Stability
+from multipos.sensor.stability_file import load_stability
 
 # In the order of the documentation; the first that recognises a file reads it back.
-TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT)
-Name = Literal["c", "ros-imu-calib", "px4", "ardupilot"]  # for those who check types
+TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, IMUCAL, KALIBR, INAV)
+# for those who check types
+Name = Literal["c", "ros-imu-calib", "px4", "ardupilot", "imucal", "kalibr", "inav"]
+Unit = Literal["g", "m/s^2"]
 
 
 def export(
@@ -26,6 +33,10 @@ def export(
     name: str = "multipos",
     float: bool = False,
     allow_lossy: bool = False,
+    output_unit: Unit | None = None,
+    instance: int | None = None,
+    device_id: int | None = None,
+    stability: "Stability | str | os.PathLike[str] | None" = None,
     correct: Names | None = None,
 ) -> Exported:
     """Return a calibration in the form of a target.
@@ -42,6 +53,13 @@ def export(
         Single instead of double precision, of a target that is code.
     allow_lossy : bool
         Let go of terms that the target cannot express; the rest is fitted again.
+    output_unit : str, optional
+        'g' or 'm/s^2', of C; one g of a calibration without gravity is taken as 9.80665 m/s².
+    instance, device_id : int, optional
+        Which of an autopilot's accelerometers it is, and the ID of its device, without which the
+        autopilot ignores the file.
+    stability : Stability or path, optional
+        Of the sensor, whose noise densities go to Kalibr.
     correct : names, optional
         The column that each regression corrects; without, C gives the predicted responses.
 
@@ -65,14 +83,39 @@ def export(
         codes = ", ".join(target.name for target in TARGETS if target.is_code)
         raise UsageError(f"--float is for --to {codes}; {to} has a precision of its own.")
     first, regressions = split_parts(calibration)
+    others = {
+        "output_unit": output_unit,
+        "instance": instance,
+        "device_id": device_id,
+        "stability": stability,
+    }
+    _check_options(target, {name: value for name, value in others.items() if value is not None})
     if regressions:
+        if output_unit is not None:
+            raise UsageError("--output-unit is of a calibration alone; a regression has its own.")
         if target is not C:
             raise UsageError(f"a regression is exported --to {C.name}; {to} has no place for it.")
         return write_correction(correction_of(first, regressions, correct), name, single=float)
     if correct is not None:
         raise UsageError("--correct goes with a regression; a calibration gives forces.")
     assert first is not None  # or there would be no regression either
-    return target.write(first, Wish(name, float, allow_lossy))
+    if stability is not None and not isinstance(stability, Stability):
+        stability = load_stability(stability)
+    in_metres = output_unit == "m/s^2"
+    wish = Wish(name, float, allow_lossy, instance, device_id, in_metres, stability)
+    return target.write(first, wish)
+
+
+def _check_options(target: Target, given: dict[str, Any]) -> None:
+    """Refuse options that are of other targets, and a unit that is none."""
+    for option in given:
+        if option not in target.takes:
+            owners = ", ".join(each.name for each in TARGETS if option in each.takes)
+            name = option.replace("_", "-")
+            raise UsageError(f"--{name} is for --to {owners}; {target.name} has no such thing.")
+    unit = given.get("output_unit", "g")
+    if unit not in get_args(Unit):
+        raise UsageError(f"--output-unit takes g or m/s^2, got '{unit}'.")
 
 
 def named_target(name: str) -> Target | None:

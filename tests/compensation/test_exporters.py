@@ -304,7 +304,7 @@ def test_autopilots_by_their_law(target, offset, scale, unit):
 def test_a_diagonal_calibration_loses_nothing():
     readings, _ = session()
     cal = mp.fit(readings, model="1 + own")
-    exported = export(cal, "px4")
+    exported = export(cal, "px4", device_id=1310988)
     assert exported.notes == ()
     found = parameters(exported.text)
     assert found["CAL_ACC0_XOFF"] == pytest.approx(cal["ax", "1"].value)
@@ -325,7 +325,7 @@ def test_force_is_turned_for_consumers():
 def test_arducopter_limits_are_named():
     up = mp.read_scheme("faces-6").up
     cal = mp.fit(mp.Readings(9.8 * up + 5.0, up=up, unit="m/s^2"), model="1 + own")
-    (note,) = export(cal, "ardupilot").notes
+    (note,) = export(cal, "ardupilot", device_id=2753036).notes
     assert "INS_ACCOFFS_X, INS_ACCOFFS_Y, INS_ACCOFFS_Z beyond what ArduPilot accepts" in note
 
 
@@ -389,7 +389,13 @@ def test_verify_without_a_compiler(tmp_path, monkeypatch):
         ("linear", ["--to", "matlab"], 2, "--to takes c, ros-imu-calib, px4, ardupilot"),
         ("linear", ["--to", "ros-imu-calib", "--float"], 2, "--float is for --to c"),
         ("linear", ["--to", "px4"], 1, "convert them, or state --unit"),
-        ("temperature", ["--to", "px4", "--allow-lossy"], 1, "has no such input"),
+        ("temperature", ["--to", "px4", "--allow-lossy"], 1, "convert them, or state --unit"),
+        ("temperature", ["--to", "inav", "--allow-lossy"], 1, "has no such input"),
+        ("linear", ["--to", "c", "--instance", "1"], 2, "--instance is for --to px4, ardupilot"),
+        ("linear", ["--to", "px4", "--output-unit", "g"], 2, "--output-unit is for --to c"),
+        ("linear", ["--to", "c", "--output-unit", "gal"], 2, "takes g or m/s^2, got 'gal'"),
+        ("linear", ["--to", "px4", "--stability", "s.json"], 2, "--stability is for --to kalibr"),
+        ("linear", ["--to", "px4", "--device-id", "x"], 2, "'x' is no whole number"),
         ("temperature", ["--to", "ros-imu-calib"], 1, "uses column 'temperature'"),
         ("own-quadratic", ["--to", "ros-imu-calib"], 1, "accept it with --allow-lossy"),
         ("linear, two axes", ["--to", "ardupilot"], 1, "takes three outputs"),

@@ -12,7 +12,7 @@ from log_bench import sensor
 import multipos as mp
 from multipos.cli import main
 from multipos.compensation import targets
-from multipos.compensation.laws import LINEAR
+from multipos.compensation.laws import LINEAR, Correction
 from multipos.compensation.parameters import parameter_target
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "exports.md"
@@ -28,14 +28,14 @@ def calibration(source=None):
 
 def read_plain(path, text):
     held = json.loads(text)
-    return np.array(held["plain T"]), np.array(held["o"])
+    return Correction(np.array(held["plain T"]), np.array(held["o"]))
 
 
 PLAIN = parameter_target(
     "plain",
     LINEAR,
     raw_in_metres=False,
-    write=lambda cal, law: (
+    write=lambda cal, law, wish: (
         json.dumps({"plain T": law.matrix.tolist(), "o": law.offset.tolist()}),
         ["as plain as can be"],
     ),
@@ -63,7 +63,7 @@ def test_a_new_target_is_one_line_in_the_list(tmp_path, monkeypatch, capsys):
     found = mp.verify_export(file, cal)
     assert found.target == "plain"
     assert found.rms == pytest.approx(cal.rms, rel=1e-9)  # the law is all of a linear model
-    with pytest.raises(mp.UsageError, match="px4, ardupilot, plain, got 'other'"):
+    with pytest.raises(mp.UsageError, match="inav, plain, got 'other'"):
         mp.export(cal, "other")
     with pytest.raises(mp.UsageError, match="--float is for --to c; plain has a precision"):
         mp.export(cal, "plain", float=True)
