@@ -64,7 +64,7 @@ def test_every_option_of_average_and_fit_is_one_of_calibrate():
     for name in ("average", "fit", "export"):
         theirs = {action.dest for action in command_parser(name)._actions}
         # a regression is corrected, and calibrate makes none
-    assert theirs - {"readings", "calibration", "correct"} <= options
+        assert theirs - {"readings", "calibration", "correct"} <= options
 
 
 def test_the_command_writes_the_calibration_and_the_exports_beside_it(path, tmp_path, capsys):
