@@ -10,6 +10,9 @@ states, else the rms that the model left in that segment, which is of the same r
 that k is Student's t at their degrees of freedom. Beside a stated noise these grow by Welch and
 Satterthwaite, (u/u_C)⁴ times.
 
+Where runs are told apart (``regress --run``) the next one has a zero of its own, with the scatter
+of those that were seen: u and U are those of eq. (3) of `multipos.regression.runs`.        (2)
+
 A row is outside where a variable that its segment's model uses, or the segment variable itself,
 leaves what the rows of the fit covered. A polynomial says nothing there: the row is flagged, its
 variables are clamped to the range, or the table is refused.
@@ -26,6 +29,7 @@ from multipos.compensation.reading_noise import check_noise_options
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
+from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import largest_value
 from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
@@ -184,8 +188,8 @@ def _uncertainty(
     place: NDArray[np.intp],
     sd: Array | None,
 ) -> tuple[Array, Array]:
-    """Return u and U (n,) of eq. (1); `sd` None: the noise that each segment left."""
-    u, dof = np.empty(len(place)), np.empty(len(place))
+    """Return u and U (n,) of eqs. (1) and (2); `sd` None: the noise that each segment left."""
+    u, U = np.empty(len(place)), np.empty(len(place))
     for number, segment in enumerate(regression.segments):
         rows = np.flatnonzero(place == number)
         X = segment.design(columns, rows)
@@ -193,12 +197,20 @@ def _uncertainty(
         C = segment.covariance if robust is None else robust.covariance
         own = np.einsum("ij,jk,ik->i", X, C, X)
         variance = own + (segment.rms**2 if sd is None else sd[rows] ** 2)
-        u[rows] = np.sqrt(variance)
-        dof[rows] = float(segment.dof[1]) if robust is None else robust.t_dof
+        nu = float(segment.dof[1]) if robust is None else robust.t_dof
+        k: Array | float = coverage_factor(regression.confidence, nu)
         if sd is not None:
             with np.errstate(divide="ignore"):
-                dof[rows] *= np.where(own > 0.0, variance / own, np.inf) ** 2
-    return u, coverage_factors(regression.confidence, dof) * u
+                dof = nu * np.where(own > 0.0, variance / own, np.inf) ** 2
+            k = coverage_factors(regression.confidence, dof)
+        u[rows], U[rows] = np.sqrt(variance), k * np.sqrt(variance)
+        if segment.between is not None:
+            m, scatter = segment.between.runs, segment.between.variance(columns, rows)
+            u[rows] = np.sqrt(variance + scatter)
+            k_runs = coverage_factor(regression.confidence, m - 1.0)
+            rest = np.maximum(variance - scatter / m, 0.0)
+            U[rows] = np.sqrt(k_runs**2 * (1.0 + 1.0 / m) * scatter + k**2 * rest)
+    return u, U
 
 
 def read_runs(regression: Regression, table: Table) -> Rows | None:

@@ -134,6 +134,8 @@ def regress(
         method, criterion, robust, confidence, cross_validate, response, branches, cluster, run
     )
     plan = Plan(candidates, names, method, limits, criterion, hierarchy, confidence, robust)
+    if run is not None and not plan.constant:
+        raise UsageError("--run is about the constant; add 1 to --terms, or leave out --run.")
     wanted, given = _parse_segment(segment, continuous)
     table = read_table(data, what="data")
     read = read_observations(

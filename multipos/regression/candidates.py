@@ -75,3 +75,18 @@ def polynomial(variables: Sequence[str], degree: int) -> tuple[Term, ...]:
             factors = tuple(Factor(v, chosen.count(v)) for v in sorted(set(chosen)))
             terms.append(Term(factors))
     return tuple(terms)
+
+
+def stands_on(terms: Sequence[Term]) -> list[frozenset[int]]:
+    """Return which terms each one stands on: T for T², V and T for V·T."""
+    degrees = [{f.variable: f.degree for f in term.factors} for term in terms]
+    return [
+        frozenset(
+            j
+            for j, lower in enumerate(degrees)
+            if lower
+            and lower != own
+            and all(degree <= own.get(name, 0) for name, degree in lower.items())
+        )
+        for own in degrees
+    ]

@@ -16,6 +16,7 @@ from multipos.regression.hysteresis import BRANCHES, branch_of
 from multipos.regression.observations import Data, Rows
 from multipos.regression.piecewise import Plan, fit_continuous, fit_segment
 from multipos.regression.result import format_span
+from multipos.regression.runs import within_runs
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import check_edges, find_edges, segment_of
 
@@ -62,7 +63,7 @@ def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> 
     minimum = 2 * p if min_rows is None else min_rows
     if minimum <= p and plan.method == "full":
         raise UsageError(f"--min-rows must be above the number of terms, {p}; got {minimum}.")
-    design = evaluate_terms(plan.terms, data.columns, len(data))
+    design, data = within_runs(evaluate_terms(plan.terms, data.columns, len(data)), data)
     values = data.columns[variable]
     worth = 1.0
     if data.order is not None:
@@ -135,7 +136,7 @@ def _fit_apart(plan: Plan, data: Data, cut: Cut, branch: _Branch) -> list[Segmen
             where = _segment_name(number, variable, span, branch)
         mine = branch.rows[branch.place == number]
         some = data if len(mine) == len(data) else data.take(mine)
-        segments.append(fit_segment(plan, some, span, branch.name, where))
+        segments.append(fit_segment(plan, some, variable, span, branch.name, where))
     return segments
 
 

@@ -23,6 +23,7 @@ from multipos.numerics.terms import Term, evaluate_terms
 from multipos.regression.correlation import effective_size
 from multipos.regression.observations import Data
 from multipos.regression.rates import rows_of_runs
+from multipos.regression.runs import within_runs
 from multipos.regression.segmentation import segment_of
 
 BRANCHES = ("heating", "cooling")
@@ -79,7 +80,7 @@ def compare_branches(
         raise MultiposError(
             f"column '{column}' has one sign only, so there are no branches; leave out --branches."
         )
-    design = evaluate_terms(terms, data.columns, len(data))
+    design, data = within_runs(evaluate_terms(terms, data.columns, len(data)), data)
     scale = np.linalg.norm(design, axis=0)
     X, n, p = design / np.where(scale > 0.0, scale, 1.0), len(data), len(terms)
     place = np.zeros(n, dtype=np.intp)

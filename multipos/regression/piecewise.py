@@ -14,7 +14,7 @@ branch, and F is that of Wald, b' C⁻¹ b / k. A segment's rms is on its rows l
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,9 +33,11 @@ from multipos.numerics.selection import (
 )
 from multipos.numerics.subsets import Subset, SubsetCriterion, all_subsets, criteria
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms
+from multipos.regression.candidates import stands_on
 from multipos.regression.correlation import wald
 from multipos.regression.observations import Data, Rows
 from multipos.regression.robust import RobustFit, RowDependence, robust_fit, robust_test
+from multipos.regression.runs import add_between, find_between, runs_lost, within_runs
 from multipos.regression.segment import Robust, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
 
@@ -91,7 +93,12 @@ class _Fit:
 
 
 def fit_segment(
-    plan: Plan, data: Data, span: tuple[float, float], branch: str | None, where: str
+    plan: Plan,
+    data: Data,
+    variable: str,
+    span: tuple[float, float],
+    branch: str | None,
+    where: str,
 ) -> Segment:
     """Fit one segment on its own.
 
@@ -100,6 +107,8 @@ def fit_segment(
     plan : Plan
     data : Data
         The segment's rows.
+    variable : str
+        What the span is of.
     span : (low, high)
     branch : str or None
     where : str
@@ -110,9 +119,10 @@ def fit_segment(
     MultiposError
         Fewer rows than terms, or terms that these rows cannot tell apart.
     """
-    design = evaluate_terms(plan.terms, data.columns, len(data))
+    original, read = evaluate_terms(plan.terms, data.columns, len(data)), data
+    design, data = within_runs(original, data, where)
     names = [str(term) for term in plan.terms]
-    fit = _fit(plan, design, data.response, names, _requires(plan.terms), where)
+    fit = _fit(plan, design, data, names, stands_on(plan.terms), where)
     terms = tuple(plan.terms[j] for j in fit.selection.columns)
     y, e = data.response, fit.residuals
     mean = float(y.mean()) if CONSTANT in terms else 0.0
@@ -124,7 +134,7 @@ def fit_segment(
         F = (explained / k) / (rss / fit.dof) if rss > 0.0 else np.inf
     values = np.zeros(0) if fit.found is None else fit.found.coefficients
     robust = _robust(plan, fit, data)
-    return _segment(
+    segment = _segment(
         plan,
         fit,
         data,
@@ -138,6 +148,11 @@ def fit_segment(
         branch,
         None if robust is None else robust_test(robust, terms, values),
     )
+    if read.run is None:
+        return segment
+    chosen = original[:, list(fit.selection.columns)]
+    size = len(data) if robust is None else robust.n_effective
+    return add_between(segment, find_between(chosen, read, terms, values, variable, size))
 
 
 def fit_continuous(
@@ -161,16 +176,18 @@ def fit_continuous(
     spans : sequence of (low, high)
     """
     extra = hinges(plan.terms, variable, edges)
-    design = np.column_stack(
+    original = np.column_stack(
         (
             evaluate_terms(plan.terms, data.columns, len(data)),
             *(h.evaluate(data.columns) for h in extra),
         )
     )
+    read = data
+    design, data = within_runs(original, data, where)
     names = [*map(str, plan.terms), *map(str, extra)]
     position = {term: j for j, term in enumerate(plan.terms)}
-    requires = [*_requires(plan.terms), *(frozenset({position[h.term]}) for h in extra)]
-    fit = _fit(plan, design, data.response, names, requires, where)
+    requires = [*stands_on(plan.terms), *(frozenset({position[h.term]}) for h in extra)]
+    fit = _fit(plan, design, data, names, requires, where)
     every: tuple[Term | Hinge, ...] = (*plan.terms, *extra)
     chosen = [every[j] for j in fit.selection.columns]
     b = np.zeros(0) if fit.found is None else fit.found.coefficients
@@ -203,7 +220,13 @@ def fit_continuous(
                 local,
             )
         )
-    return segments
+    if read.run is None:
+        return segments
+    size = len(data) if robust is None else robust.n_effective
+    linear = [column if isinstance(column, Term) else None for column in chosen]
+    left = original[:, list(fit.selection.columns)]
+    between = find_between(left, read, linear, b, variable, size)
+    return [add_between(segment, between) for segment in segments]
 
 
 def _local(
@@ -222,37 +245,24 @@ def _local(
     return tuple(rows), np.array(list(rows.values())).reshape(len(rows), len(chosen))
 
 
-def _requires(terms: Sequence[Term]) -> list[frozenset[int]]:
-    """Return which terms each one stands on: T for T², V and T for V·T."""
-    degrees = [{f.variable: f.degree for f in term.factors} for term in terms]
-    return [
-        frozenset(
-            j
-            for j, lower in enumerate(degrees)
-            if lower
-            and lower != own
-            and all(degree <= own.get(name, 0) for name, degree in lower.items())
-        )
-        for own in degrees
-    ]
-
-
 def _fit(
     plan: Plan,
     design: Array,
-    response: Array,
+    data: Data,
     names: list[str],
     requires: list[frozenset[int]],
     where: str,
 ) -> _Fit:
-    n, p = design.shape
-    _require_rows(plan, n, p, where)
+    (n, p), response, lost = design.shape, data.response, runs_lost(data)
+    _require_rows(plan, n, p + lost, where)
     try:
-        selection, subsets = _select(plan, design, response, names, requires)
+        selection, subsets = _select(plan, design, response, names, requires, lost)
         columns = list(selection.columns)
         if not columns:
             zero = np.zeros((0, 0))
-            return _Fit(selection, subsets, None, design[:, :0], response, np.zeros(n), zero, n)
+            return _Fit(
+                selection, subsets, None, design[:, :0], response, np.zeros(n), zero, n - lost
+            )
         chosen = design if len(columns) == p else design[:, columns]
         found = solve(chosen, response, names=[names[j] for j in columns], rows="rows")
         _check_size(found.coefficients, [names[j] for j in columns])
@@ -266,7 +276,8 @@ def _fit(
         ) from None
     except MultiposError as error:
         raise MultiposError(f"{where}: {error}") from None
-    s2 = float(found.rss) / found.dof if found.dof else np.nan
+    dof = found.dof - lost
+    s2 = float(found.rss) / dof if dof else np.nan
     return _Fit(
         selection,
         subsets,
@@ -275,7 +286,7 @@ def _fit(
         found.residuals,
         found.leverage,
         found.cofactor * s2,
-        found.dof,
+        dof,
     )
 
 
@@ -304,11 +315,17 @@ def _robust(plan: Plan, fit: _Fit, data: Data) -> RobustFit | None:
 
 
 def _select(
-    plan: Plan, design: Array, response: Array, names: list[str], requires: list[frozenset[int]]
+    plan: Plan,
+    design: Array,
+    response: Array,
+    names: list[str],
+    requires: list[frozenset[int]],
+    lost: int,
 ) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
     if plan.method == "full":
         return all_columns(names), ()
     triangle = compress(design, response)
+    triangle = replace(triangle, rows=triangle.rows - lost)
     forced = [plan.terms.index(CONSTANT)] if plan.constant else []
     needed = requires if plan.hierarchy else None
     if plan.method == "stepwise":

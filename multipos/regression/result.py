@@ -150,7 +150,7 @@ def _text(r: Regression) -> list[str]:
     lines = [*_outline(r), *_judged(r), "", _overview(r)]
     for i, segment in enumerate(r.segments, start=1):
         span = format_span(r.range_variable, segment.range, segment.branch)
-        lines += ["", f"Segment {i}: {span}", *_segment_text(segment)]
+        lines += ["", f"Segment {i}: {span}", *_segment_text(segment), *_runs_text(segment)]
         last = i == len(r.segments) or r.segments[i].branch != segment.branch
         if last or not r.continuous:  # segments fitted together share their path
             lines += _path_text(segment)
@@ -247,6 +247,17 @@ def _segment_text(s: Segment) -> list[str]:
 
 def _tested_text(tested: Tested) -> str:
     return f"{tested.term} (F = {number(tested.F)}, p = {number(tested.p, 2)})"
+
+
+def _runs_text(s: Segment) -> list[str]:
+    """Say by what runs differ."""
+    if s.between is None:
+        return []
+    b = s.between
+    told = f"between {b.runs} runs: the constant by {b.sd:.2g} (sd on {b.runs - 1} dof)"
+    if b.slope_sd is not None:
+        told += f", the slope of {b.variable} by {b.slope_sd:.2g}"
+    return [told]
 
 
 def _path_text(s: Segment) -> list[str]:

@@ -12,7 +12,7 @@ against the F that chance exceeds with probability 1 − confidence. Without a c
 mean to compare with: ȳ = 0 and n − k.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -24,12 +24,15 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import t_tail
 from multipos.numerics.selection import Step, Tested
 from multipos.numerics.subsets import Subset
-from multipos.numerics.terms import Term, evaluate_terms
+from multipos.numerics.terms import CONSTANT, Term, evaluate_terms, linear_term
 from multipos.results import Result
 
 
 class Coefficient(NamedTuple):
-    """One term with its coefficient; the robust figures are None where rows are independent."""
+    """One term with its coefficient.
+
+    The robust figures are None where rows are independent; `dof` is None without runs.
+    """
 
     term: str
     value: float
@@ -39,6 +42,7 @@ class Coefficient(NamedTuple):
     u_robust: float | None = None
     t_robust: float | None = None
     p_robust: float | None = None
+    dof: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +74,53 @@ class Robust(Result):
 
 
 @dataclass(frozen=True, eq=False)
+class Between(Result):
+    """What differs from run to run, eq. (2) of `multipos.regression.runs`.
+
+    Attributes
+    ----------
+    runs : int
+    variable : str or None
+        Whose slope differs as well; None where it cannot be told.
+    centre : float
+        v̄ of this variable.
+    covariance : (1, 1) or (2, 2) array
+        Ψ, of the constant at v̄ and the slope.
+    """
+
+    runs: int
+    variable: str | None
+    centre: float
+    covariance: Array
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the constant from run to run."""
+        return float(np.sqrt(self.covariance[0, 0]))
+
+    @property
+    def slope_sd(self) -> float | None:
+        """Standard deviation of the slope, where it can be told."""
+        return None if self.variable is None else float(np.sqrt(self.covariance[1, 1]))
+
+    def variance(self, columns: Mapping[str, Array], rows: NDArray[np.intp]) -> Array:
+        """Return z'Ψz of eq. (3) there, at some rows of a table's columns."""
+        z = np.ones((len(rows), len(self.covariance)))
+        if self.variable is not None:
+            z[:, 1] = columns[self.variable][rows] - self.centre
+        return np.asarray(np.einsum("ij,jk,ik->i", z, self.covariance, z))
+
+    def of_coefficients(self, terms: Sequence[Term]) -> Array:
+        """Return what the scatter between runs adds to the covariance of terms, L Ψ L'/m."""
+        L = np.zeros((len(terms), len(self.covariance)))
+        L[terms.index(CONSTANT), 0] = 1.0
+        if self.variable is not None:
+            L[terms.index(linear_term(self.variable)), 1] = 1.0
+            L[terms.index(CONSTANT), 1] = -self.centre
+        return np.asarray(L @ self.covariance @ L.T / self.runs)
+
+
+@dataclass(frozen=True, eq=False)
 class Segment(Result):
     """The model of one segment.
 
@@ -96,6 +147,9 @@ class Segment(Result):
     collinear : tuple of str
     subsets : tuple of (terms, Subset)
     robust : Robust or None
+    between : Between or None
+        What differs from one switch-on to the next, where runs are told apart; then `covariance`
+        has it too.
     """
 
     range: tuple[float, float]
@@ -120,6 +174,7 @@ class Segment(Result):
     collinear: tuple[str, ...] = ()
     subsets: tuple[tuple[tuple[str, ...], Subset], ...] = ()
     robust: Robust | None = None
+    between: Between | None = None
 
     @property
     def significant(self) -> bool:
@@ -132,15 +187,27 @@ class Segment(Result):
         u = np.sqrt(np.diag(self.covariance)).tolist()
         robust = self.robust
         wide = [None] * len(u) if robust is None else np.sqrt(np.diag(robust.covariance)).tolist()
-        found = []
+        found: list[Coefficient] = []
         for term, b, s, w in zip(self.terms, self.values.tolist(), u, wide, strict=True):
             t = b / s if s > 0.0 else np.nan if s != s or b == 0.0 else np.copysign(np.inf, b)
             row = Coefficient(str(term), b, s, t, t_tail(t, self.dof[1]))
             if robust is not None and w is not None:
                 t = b / w if w > 0.0 else np.nan
                 row = row._replace(u_robust=w, t_robust=t, p_robust=t_tail(t, robust.t_dof))
-            found.append(row)
+            found.append(row if self.between is None else self._judged_by_runs(row, len(found)))
         return tuple(found)
+
+    def _judged_by_runs(self, row: Coefficient, i: int) -> Coefficient:
+        """Return a coefficient with p by the effective degrees of freedom, as runs are few."""
+        assert self.between is not None  # or there are no runs to judge by
+        share = float(self.between.of_coefficients(self.terms)[i, i])
+        wide = row.u if row.u_robust is None else row.u_robust
+        nu = self.dof[1] if self.robust is None else self.robust.t_dof
+        rest = wide**2 - share
+        lost = share**2 / (self.between.runs - 1) + (rest**2 / nu if nu > 0 else 0.0)
+        dof = wide**4 / lost if lost > 0.0 else float(nu)
+        row = row._replace(dof=dof, p=t_tail(row.t, dof))
+        return row if row.t_robust is None else row._replace(p_robust=t_tail(row.t_robust, dof))
 
     def design(self, columns: Mapping[str, Array], rows: NDArray[np.intp]) -> Array:
         """Return the segment's design at some rows of a table's columns."""

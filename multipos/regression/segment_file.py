@@ -29,8 +29,8 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.factors import factor_from_list, factor_to_list
 from multipos.numerics.selection import Step, Tested
 from multipos.numerics.subsets import Subset
-from multipos.numerics.terms import Term
-from multipos.regression.segment import Robust, Segment
+from multipos.numerics.terms import CONSTANT, Term, linear_term
+from multipos.regression.segment import Between, Robust, Segment
 
 # What stands beside 'robust' in a file.
 _ROBUST = (
@@ -116,6 +116,16 @@ SEGMENT = Fields(
         "t_dof_robust": FIGURE,
         "n_effective": ANY_NUMBER,
         "lag_one": ANY_NUMBER,
+        "between_runs": Maybe(
+            Fields(
+                {
+                    "runs": Whole(2),
+                    "variable": Maybe(ANY_TEXT),
+                    "centre": ANY_NUMBER,
+                    "covariance": VARIANCES,
+                }
+            )
+        ),
     },
 )
 
@@ -178,6 +188,16 @@ def segment_to_dict(s: Segment) -> dict[str, Any]:
             "n_effective": r.n_effective,
             "lag_one": r.lag_one,
         }
+    if s.between is not None:
+        content["between_runs"] = {
+            "runs": s.between.runs,
+            "dof": s.between.runs - 1,
+            "sd": s.between.sd,
+            "slope_sd": s.between.slope_sd,
+            "variable": s.between.variable,
+            "centre": s.between.centre,
+            "covariance": s.between.covariance,
+        }
     return content
 
 
@@ -210,6 +230,7 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
     _check_limits(c, terms)
     robust = _robust(c) if "robust" in c else None
     found = c["runner_up"]
+    between = c.get("between_runs")
     return Segment(
         range=tuple(c["range"]),
         branch=c["branch"],
@@ -233,6 +254,7 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
         collinear=tuple(c["collinear"]),
         subsets=tuple(_subset(s, c["terms"]) for s in c.get("subsets", [])),
         robust=robust,
+        between=None if between is None else _between(between, terms),
     )
 
 
@@ -267,6 +289,17 @@ def _robust(c: Mapping[str, Any]) -> Robust:
         c["n_effective"],
         c["lag_one"],
     )
+
+
+def _between(c: Mapping[str, Any], terms: tuple[Term, ...]) -> Between:
+    """Return what differs between runs, held to the terms that it is about."""
+    covariance = _numbers(c["covariance"])
+    size = 1 if c["variable"] is None else 2
+    known = CONSTANT in terms and (size == 1 or linear_term(c["variable"]) in terms)
+    if covariance.shape != (size, size) or not known:
+        raise ValueError("'between_runs' of a segment does not fit its terms")
+    require_covariance(covariance, np.sqrt(np.diag(covariance)))
+    return Between(c["runs"], c["variable"], c["centre"], covariance)
 
 
 def _subset(c: Mapping[str, Any], terms: Any) -> tuple[tuple[str, ...], Subset]:

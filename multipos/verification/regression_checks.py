@@ -22,8 +22,6 @@ from multipos.compensation.correction import (
 )
 from multipos.errors import MultiposError
 from multipos.files.tables import Source, read_table
-from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import coverage_factor
 from multipos.regression.result import Regression, format_span
 from multipos.verification.verdicts import Check, judge_errors, require_limit
 
@@ -68,9 +66,10 @@ def check_regression(
     columns = read_predictors(r, table, run)
     place = place_rows(r, columns, table.rows, run)
     against, reference = range_column(r, table, columns)
-    after, u = (np.asarray(found[name])[:, None] for name in ("corrected", "u_corrected"))
+    after, u, U = (
+        np.asarray(found[name])[:, None] for name in ("corrected", "u_corrected", "U_corrected")
+    )
     counted = ~outside[:, None]
-    U = _coverage(r)[place][:, None] * u
     nothing = np.array([np.nan])
     said = (
         f"{int(outside.sum())} of {table.rows} rows are outside what the regression was fitted to "
@@ -107,9 +106,3 @@ def _rows_by_segment(r: Regression, place: NDArray[np.intp]) -> dict[str, NDArra
         f"{number}: {format_span(r.range_variable, s.range, s.branch)}": place == number - 1
         for number, s in enumerate(r.segments, start=1)
     }
-
-
-def _coverage(r: Regression) -> Array:
-    """Return k of every segment, from the degrees of freedom of what u is made of."""
-    dof = [s.dof[1] if s.robust is None else s.robust.t_dof for s in r.segments]
-    return np.array([coverage_factor(r.confidence, nu) for nu in dof])

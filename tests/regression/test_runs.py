@@ -1,0 +1,99 @@
+"""What differs from one switch-on to the next: zeros by hand, coverage on runs never seen."""
+
+import math
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos.errors import MultiposError, UsageError
+from multipos.numerics.quantiles import coverage_factor, normal_quantile
+
+# y = x + a, a = 0 in run 1 (two rows) and 2 in run 2 (four rows)
+TWO = {
+    "x": np.array([0.0, 1.0, 0.0, 1.0, 2.0, 3.0]),
+    "y": np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
+    "run": ["first"] * 2 + ["second"] * 4,
+}
+
+
+def test_the_constant_is_the_mean_of_the_zeros_by_hand():
+    r = mp.regress(TWO, response="y", variables="x", run="run")
+    (segment,) = r.segments
+    a, b = segment.coefficients
+    assert (a.value, b.value) == (pytest.approx(1.0, abs=1e-14), pytest.approx(1.0, abs=1e-14))
+    assert segment.dof == (1, 3)  # 6 rows, 2 coefficients, 1 zero more
+    assert segment.between.runs == 2
+    assert segment.between.sd == pytest.approx(math.sqrt(2.0))  # of zeros −1 and 1 about 1
+    assert a.u == pytest.approx(1.0)  # √(2/2), the fit itself is exact
+    assert b.u == pytest.approx(0.0, abs=1e-12)
+    found = mp.correct(r, {"x": [0.0, 5.0], "y": [0.0, 0.0]}, uncertainty=True)
+    np.testing.assert_allclose(found["predicted"], [1.0, 6.0], rtol=1e-14)
+    np.testing.assert_allclose(found["u_predicted"], math.sqrt(3.0), rtol=1e-12)  # 2 + 2/2
+    k = coverage_factor(0.95, 1.0)  # t on one degree of freedom, 12.7
+    np.testing.assert_allclose(found["U_predicted"], k * math.sqrt(3.0), rtol=1e-12)
+
+
+def runs(seed, m, *, zero=0.3, slope=0.0, n=120):
+    """Runs of a straight line with a zero and a slope of their own, and white noise of 0.5."""
+    rng = np.random.default_rng(seed)
+    t = np.tile(np.linspace(-1.0, 1.0, n), m)
+    run = np.repeat(np.arange(m), n)
+    y = 1.0 + 2.0 * t + rng.normal(0.0, zero, m)[run] + rng.normal(0.0, slope, m)[run] * t
+    return {"t": t, "y": y + rng.normal(0.0, 0.5, m * n), "run": run}
+
+
+def test_a_slope_that_differs_is_told_and_one_that_does_not_is_not():
+    differs = mp.regress(runs(1, 8, slope=1.0), response="y", variables="t", run="run")
+    same = mp.regress(runs(1, 8), response="y", variables="t", run="run")
+    # 8 slopes: the sd is known to about a quarter
+    assert differs.segments[0].between.slope_sd == pytest.approx(1.0, rel=0.6)
+    assert same.segments[0].between.slope_sd is None
+    assert differs.segments[0].coefficients[1].u > 5 * same.segments[0].coefficients[1].u
+    assert "the slope of t by" in str(differs)
+
+
+def test_segments_without_a_jump_share_what_runs_differ_by():
+    r = mp.regress(
+        runs(2, 4), response="y", variables="t", run="run", segment="t:0", continuous=True
+    )
+    below, above = r.segments
+    assert below.between == above.between
+    left, right = (
+        s.values @ [1.0, 0.0][: len(s.values)] for s in (below, above)
+    )  # both lines at t = 0
+    assert left == pytest.approx(right)
+
+
+def test_a_file_keeps_what_runs_differ_by(tmp_path):
+    r = mp.regress(runs(1, 8, slope=1.0), response="y", variables="t", run="run")
+    r.save(tmp_path / "reg.json")
+    assert mp.load_regression(tmp_path / "reg.json") == r
+    entry = r.to_dict()["segments"][0]["between_runs"]
+    assert (entry["runs"], entry["dof"], entry["variable"]) == (8, 7, "t")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("m", [3, 5, 10])
+@pytest.mark.parametrize("zero", [0.05, 0.3, 2.0])
+def test_the_next_run_is_covered(m, zero):
+    """At least 95 % over runs never seen, by t of each part; never less than 93 %."""
+    trials, inside, rows = 250, 0, 20
+    for seed in range(trials):
+        r = mp.regress(runs(seed, m, zero=zero, n=40), response="y", variables="t", run="run")
+        new = runs(10_000 + seed, 1, zero=zero, n=rows)
+        found = mp.correct(r, new, uncertainty=True)
+        inside += np.mean(np.abs(found["corrected"]) <= found["U_corrected"])
+    # rows of one run share its zero, so the runs are the sample
+    assert inside / trials >= 0.95 - normal_quantile(0.999) * math.sqrt(0.05 * 0.95 / trials)
+
+
+def test_refusals():
+    with pytest.raises(UsageError, match="--cluster changes the tests alone"):
+        mp.regress(TWO, response="y", variables="x", run="run", cluster="run")
+    with pytest.raises(UsageError, match="--run is about the constant"):
+        mp.regress(TWO, response="y", terms="x", run="run")
+    with pytest.raises(MultiposError, match="holds one run only"):
+        mp.regress(TWO | {"run": ["a"] * 6}, response="y", variables="x", run="run")
+    with pytest.raises(MultiposError, match="rows of one run only"):
+        mp.regress(TWO, response="y", variables="x", run="run", segment="x:1.5")
