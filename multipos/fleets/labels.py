@@ -60,7 +60,9 @@ def _coded(table: Table, name: str, cells: Sequence[Any]) -> Labels:
 
 
 def joined_labels(parts: Sequence[Labels]) -> Labels:
-    """Return labels one after another."""
+    """Return labels one after another, each name once."""
+    if len(parts) == 1 and len(set(parts[0].names)) == len(parts[0].names):
+        return parts[0]
     places: dict[str, int] = {}
     codes = []
     for part in parts:

@@ -18,6 +18,7 @@ from multipos.estimation.batches import Estimates, SharedDesign, estimate_batch,
 from multipos.files.tables import Table
 from multipos.fitting.readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests
+from multipos.fleets.screening import find_suspects
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import implausible
@@ -38,6 +39,7 @@ class Solved(NamedTuple):
     parameters, u, dof : (B, p) arrays
     rms : (B,) array [g]
     doubts, reasons : lists of B str
+        Codes of doubts, with spaces between them.
     implausible : (B,) array of bool
     nests : tuple of NestSums
     """
@@ -64,11 +66,14 @@ class Pattern:
     nest : Nest or None
         Where the angles of the positions can be told from residuals.
     gravity : Gravity or None
+    doubts : str
+        Codes that the positions alone give, whatever the unit.
     """
 
     shared: SharedDesign
     nest: Nest | None
     gravity: Gravity | None
+    doubts: str
 
 
 @dataclass(frozen=True)
@@ -116,7 +121,16 @@ def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Patter
         return None
     if shared is None:
         return None
-    return Pattern(shared, Nest.of(shared, c.readings.labels), c.gravity)
+    return Pattern(shared, Nest.of(shared, c.readings.labels), c.gravity, _common(c))
+
+
+# What every unit at these positions is doubted for.
+_COMMON = ("no-redundancy", "hidden-terms", "gravity", "temperature-kelvin", "turned")
+
+
+def _common(calibration: Calibration) -> str:
+    codes = dict.fromkeys(doubt.code for doubt in calibration.diagnostics.doubts)
+    return " ".join(code for code in codes if code in _COMMON)
 
 
 def solve_task(task: Task) -> Solved:
@@ -129,7 +143,8 @@ def solve_task(task: Task) -> Solved:
     nests: tuple[NestSums, ...] = ()
     if task.pattern.nest is not None:
         nests = sum_nests(task.pattern.nest, found, task.stations)
-    reasons = ["" if sound else LEFT for sound in found.sound.tolist()]
+    looked_at = ~found.sound | find_suspects(task.pattern.shared, task.values, found)
+    reasons = [LEFT if left else "" for left in looked_at.tolist()]
     return Solved(
         task.units,
         task.pattern.shared.model.names,
@@ -137,7 +152,7 @@ def solve_task(task: Task) -> Solved:
         u,
         dof,
         found.rms,
-        [""] * count,
+        [task.pattern.doubts] * count,
         reasons,
         np.zeros(count, dtype=np.bool_),
         nests,

@@ -68,6 +68,10 @@ COMMANDS = {
     "compare": (["cal.json", "check.json"], ["cal.json", "check.json"]),
     "regress": (["log.csv", "--response", "ax", "--variables", "ay"], ["log.csv"]),
     "stability": (["log.csv", "--calibration", "cal.json"], ["log.csv", "cal.json"]),
+    "fleet": (
+        ["log.csv", "--unit-column", "t", "--scheme", "six.csv", "--limits", "tumble.csv"],
+        ["log.csv", "six.csv", "tumble.csv"],
+    ),
     "tumble": (["tumble.csv", "--scheme", "six.csv"], ["tumble.csv", "six.csv"]),
     "simulate": (["cal.json", "--scheme", "six.csv"], ["cal.json", "six.csv"]),
     "report": (
@@ -155,6 +159,7 @@ WRITTEN = {
     "design": {".csv", ".json", ".txt", ".svg", ".png", ".pdf"},
     "worth": {".json", ".txt"},
     "demo": set(),
+    "fleet": set(),
 }
 RUNS = {
     **{command: [command, *options] for command, (options, _) in COMMANDS.items()},

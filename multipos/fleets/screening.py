@@ -1,0 +1,67 @@
+"""Which units of a batch a doubt may speak of: those are fitted one by one, and looked at in full.
+
+The doubts of `multipos.doubts` need something to begin with, and each bound here is passed by far
+less than any of them needs:
+
+- residuals of half a percent of a g, or one of eight tenths (rows interchanged, flipped, in another
+  unit, saturated; they need two percent, or one);
+- an output that leans more than 14° from its axis, or is reversed (permuted, turned, reversed);
+- a sensitivity that is not within a fifth of that of the other units (units mixed up);
+- two rows that are the same in all outputs (copied).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.batches import Estimates, SharedDesign
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.inverse import sensed_axes
+
+_RMS = 0.005  # [g]
+_LARGEST = 0.008  # [g]
+_LEANS = 0.97  # cosine
+_OTHER = 1.2  # times the sensitivity of the units beside it
+_WEIGHTS = (1.0, 0.7071067811865476, 0.5773502691896257)  # that make one number of a row
+
+
+def find_suspects(
+    shared: SharedDesign, values: tuple[Array, ...], found: Estimates
+) -> NDArray[np.bool_]:
+    """Tell which units (B,) are to be looked at in full.
+
+    Parameters
+    ----------
+    shared : SharedDesign
+    values : M arrays (B, n)
+    found : Estimates
+    """
+    square = found.inverse.shape[1] == found.inverse.shape[2]
+    matrix = np.asarray((np.linalg.inv if square else np.linalg.pinv)(found.inverse))
+    length = np.asarray(np.linalg.norm(matrix, axis=2))
+    suspect = ~(found.rms <= _RMS) | _repeats(values) | _leans(shared, matrix, length)
+    for i, residuals in enumerate(found.residuals):
+        size = length[:, i]
+        typical = float(np.median(size))
+        suspect |= ~((size < _OTHER * typical) & (size > typical / _OTHER))
+        suspect |= np.abs(residuals).max(axis=1) > _LARGEST * size
+    return suspect
+
+
+def _leans(shared: SharedDesign, matrix: Array, length: Array) -> NDArray[np.bool_]:
+    """Tell of which units an output leans from its axis; `matrix` are their sensitivities."""
+    sensed = sensed_axes(shared.model)
+    leans = np.zeros(len(matrix), dtype=np.bool_)
+    for i, axis in enumerate(shared.model.axes):
+        own = matrix[:, i, sensed.index(COMPONENTS.index(axis))]
+        leans |= ~(own > _LEANS * length[:, i])
+    return leans
+
+
+def _repeats(values: tuple[Array, ...]) -> NDArray[np.bool_]:
+    """Tell which units have two rows that are alike."""
+    number = np.zeros_like(values[0])
+    for i, column in enumerate(values):
+        number += _WEIGHTS[i % 3] * column
+    number.sort(axis=1)
+    return np.asarray((np.diff(number, axis=1) == 0.0).any(axis=1))

@@ -1,0 +1,168 @@
+"""What only a fleet can tell, against simulated lines whose truth is known."""
+
+import numpy as np
+import pytest
+from fleet_bench import line
+
+import multipos as mp
+from multipos.fleets.belonging import discoveries
+from multipos.fleets.drift import find_step, normal_scores
+from multipos.fleets.stations import station_effects
+
+pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
+APART = {"unit_column": "unit", "station_column": "station"}
+
+
+def test_level_and_shift_have_the_sign_and_size_of_the_truth():
+    level = np.radians([[0.5, 0.0, -0.2], [-0.1, 0.3, 0.0], [0.0, 0.0, 0.4]])
+    shift = np.array([[0.02, 0.0, 0.0], [0.0, -0.01, 0.0], [0.0, 0.0, 0.03]])
+    table = line(300, stations=3, level=level, shift=shift, lot=1e-3, noise=1e-4)
+    found = mp.fleet(table, **APART)
+    for each in found["stations"]:
+        place = int(each["station"][1:])
+        turned = np.degrees(level - level.mean(axis=0))[place]
+        moved = (shift - shift.mean(axis=0))[place]
+        for i, axis in enumerate("xyz"):
+            level_deg, zero = each["level_deg"][axis], each["shift"][f"a{axis}"]
+            assert abs(level_deg["value"] - turned[i]) < 4.0 * level_deg["u"]
+            assert abs(zero["value"] - moved[i]) < 4.0 * zero["u"]
+            # lot sd 1e-3: of an antisymmetric half 0.7e-3 rad, a hundred units a station
+            assert level_deg["u"] == pytest.approx(np.degrees(0.71e-3 * np.sqrt(2 / 300)), rel=0.2)
+            assert zero["u"] == pytest.approx(1e-3 * np.sqrt(2 / 300), rel=0.2)
+
+
+def test_one_station_tells_neither_level_nor_shift():
+    (station,) = mp.fleet(line(20), unit_column="unit")["stations"]
+    assert (station["station"], station["level_deg"], station["shift"]) == ("", None, None)
+    assert len(station["positions_deg"]) == 24
+
+
+def test_angles_of_a_nest_but_for_the_common_rotation():
+    rng = np.random.default_rng(4)
+    up = mp.read_scheme("fibonacci-24").up
+    turned = np.radians(0.2) * rng.standard_normal((1, 24, 3))
+    table = line(200, turned=turned, noise=2e-4)
+    (station,) = mp.fleet(table, unit_column="unit")["stations"]
+    value = np.array([[row[axis]["value"] for axis in "xyz"] for row in station["positions_deg"]])
+    u = np.array([[row[axis]["u"] for axis in "xyz"] for row in station["positions_deg"]])
+    error = np.radians(value) - turned[0]
+    # what is left must be one rotation of all positions, and turns about each f
+    across = error - np.sum(error * up, axis=1)[:, None] * up
+    design = np.concatenate([np.eye(3) - np.outer(f, f) for f in up])
+    common = np.linalg.lstsq(design, across.ravel(), rcond=None)[0]
+    left = np.degrees(across - (design @ common).reshape(24, 3))
+    assert np.abs(left).max() < 5.0 * u.max()
+    assert u.max() < 0.003  # 2e-4 rad over the root of 200 units, and what the geometry adds
+
+
+def test_at_the_six_faces_no_angle_is_told():
+    (station,) = mp.fleet(line(20, scheme="faces-6"), unit_column="unit")["stations"]
+    assert all(row[axis] is None for row in station["positions_deg"] for axis in "xyz")
+
+
+def test_station_effects_cover_with_what_units_differ_by():
+    rng = np.random.default_rng(8)
+    runs, n = 400, 40
+    inside = 0
+    for _ in range(runs):
+        stations = rng.integers(0, 2, n)
+        values = rng.normal(size=n) + 0.01 * rng.normal(size=n)
+        effect, covariance = station_effects(values, stations, np.arange(n))
+        difference = effect[1] - effect[0]
+        u = np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
+        inside += abs(difference) < 2.02 * u  # t of 38 degrees of freedom
+    assert 0.95 - 0.044 < inside / runs < 0.95 + 0.044  # four binomial sd
+
+
+def test_a_unit_at_both_stations_compares_them_within_itself():
+    rng = np.random.default_rng(9)
+    lot, noise, n = 1.0, 0.01, 30
+    own = lot * rng.normal(size=n)
+    values = np.concatenate([own, own + 0.5]) + noise * rng.normal(size=2 * n)
+    stations, who = np.repeat([0, 1], n), np.tile(np.arange(n), 2)
+    effect, covariance = station_effects(values, stations, who)
+    u = np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
+    # paired: sd of a difference √2 noise, over √30
+    assert u == pytest.approx(noise * np.sqrt(2.0 / n), rel=0.3)
+    assert abs(effect[1] - effect[0] - 0.5) < 4.0 * u
+    assert effect[1] - effect[0] == pytest.approx(np.mean(values[n:] - values[:n]), abs=1e-12)
+
+
+def test_a_step_is_found_where_it_was():
+    rng = np.random.default_rng(10)
+    values = rng.normal(size=400)
+    values[250:] += 0.8
+    after, chance = find_step(normal_scores(values))
+    assert abs(after - 250) < 15
+    assert chance < 1e-6
+
+
+@pytest.mark.parametrize("n", [30, 300])
+def test_without_a_step_its_chance_is_no_smaller_than_it_says(n):
+    rng = np.random.default_rng(11)
+    runs = 1000
+    alarms = sum(find_step(normal_scores(rng.normal(size=n)))[1] < 0.05 for _ in range(runs))
+    assert 0.005 < alarms / runs < 0.05 + 0.028  # four binomial sd above; it errs to the safe side
+
+
+def test_a_station_that_moves_is_named_and_the_others_are_not():
+    table = line(300, stations=3, noise=3e-4, lot=3e-3)
+    moved = (table["station"] == "S1") & (np.arange(len(table["unit"])) > 24 * 150)
+    table["ay"] = table["ay"] + np.where(moved, 0.006, 0.0)
+    found = mp.fleet(table, **APART)["drift"]
+    assert {(each["station"], each["name"]) for each in found} == {("S1", "bias_ay")}
+    (step,) = found
+    assert step["kind"] == "step"
+    assert abs(step["value"] - 0.006) < 4.0 * step["u"]
+    assert abs(int(step["from_unit"][1:]) - 150) < 25
+
+
+def test_units_that_do_not_belong():
+    table = line(300, noise=3e-4, lot=3e-3)
+    odd = [17, 150, 222]
+    for unit in odd:
+        table["az"][24 * unit : 24 * (unit + 1)] += 0.05
+    found = mp.fleet(table, **APART)["outliers"]
+    named = [each["unit"] for each in found]
+    assert set(named) >= {f"U{unit:04d}" for unit in odd}
+    assert len(named) <= 5  # at most one in a hundred is named by chance, in expectation
+    assert found[0]["parameters"][0]["name"] == "bias_az"
+
+
+def test_false_discoveries_are_as_rare_as_they_say():
+    rng = np.random.default_rng(12)
+    runs = 300
+    wrong = 0.0
+    for _ in range(runs):
+        p = rng.random(500)
+        p[:20] *= 1e-6
+        found = discoveries(p)
+        wrong += np.mean(found >= 20) if len(found) else 0.0
+    assert wrong / runs < 0.02
+
+
+def test_verdicts_of_units_that_fail_or_are_doubted():
+    table = line(6, scheme="faces-corners-14")
+    table["ax"][14 * 2 : 14 * 3] = 0.5  # U0002: an output that stands still
+    table["ay"][14 * 4 + 1] = np.nan
+    found = mp.fleet(table, limits={"rms": (None, 1.0)}, **APART)
+    verdicts = dict(zip(found.verdicts["unit"], found.verdicts["verdict"], strict=True))
+    assert verdicts["U0002"] == "doubt"
+    assert "dead-output" in found.calibrations["doubts"][2]
+    assert verdicts["U0004"] == "failed"
+    assert [verdicts[f"U000{i}"] for i in (0, 1, 3, 5)] == ["pass"] * 4
+    assert (found["units"], found["fitted"], found["failed"], found["counted"]) == (6, 5, 1, 4)
+    assert found["yield"]["value"] == pytest.approx(4 / 6)
+
+
+def test_rows_that_were_flipped_or_interchanged_are_seen_as_by_one_fit():
+    table = line(8)
+    for name in ("ax", "ay", "az"):
+        table[name][24 * 1 + 3] *= -1.0
+        table[name][24 * 5 + np.array([2, 9])] = table[name][24 * 5 + np.array([9, 2])]
+    found = mp.fit_many(table, **APART)
+    from fleet_bench import rows_of
+
+    for row, unit in enumerate(found["unit"]):
+        codes = [doubt.code for doubt in mp.fit(rows_of(table, unit)).diagnostics.doubts]
+        assert found["doubts"][row].split() == list(dict.fromkeys(codes))
