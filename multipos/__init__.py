@@ -33,6 +33,7 @@ _PUBLIC = {
     "Scheme": "positions.scheme",
     "Stability": "sensor.stability",
     "Tumble": "verification.single_axis",
+    "Tumbles": "verification.tumbling",
     "UsageError": "errors",
     "apply": "compensation.applying",
     "average": "logs.averaging",
@@ -65,10 +66,10 @@ _PUBLIC = {
     "simulate_budget": "uncertainty.monte_carlo",
     "simulate_log": "sensor.simulation",
     "stability": "verification.static_stability",
-    "state_bench": "uncertainty.turntable",
+    "state_bench": "uncertainty.stated_bench",
     "state_budget": "uncertainty.propagation",
     "table_errors": "uncertainty.turntable",
-    "tumble": "verification.single_axis",
+    "tumble": "verification.tumbling",
     "verify_export": "compensation.reading_back",
     "worth": "designs.prospects",
     "write_table": "files.tables",
@@ -120,7 +121,7 @@ if TYPE_CHECKING:
     from multipos.uncertainty.profiles import profile_interval as profile_interval
     from multipos.uncertainty.propagation import evaluate_budget as evaluate_budget
     from multipos.uncertainty.propagation import state_budget as state_budget
-    from multipos.uncertainty.turntable import state_bench as state_bench
+    from multipos.uncertainty.stated_bench import state_bench as state_bench
     from multipos.uncertainty.turntable import table_errors as table_errors
     from multipos.uncertainty.validity import evaluate_sphere as evaluate_sphere
     from multipos.units import normal_gravity as normal_gravity
@@ -128,8 +129,9 @@ if TYPE_CHECKING:
     from multipos.verification.checks import check as check
     from multipos.verification.comparison import compare as compare
     from multipos.verification.single_axis import Tumble as Tumble
-    from multipos.verification.single_axis import tumble as tumble
     from multipos.verification.static_stability import stability as stability
+    from multipos.verification.tumbling import Tumbles as Tumbles
+    from multipos.verification.tumbling import tumble as tumble
     from multipos.verification.verdicts import Check as Check
 
 

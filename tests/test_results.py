@@ -101,6 +101,14 @@ def tumbled():
 
 
 @cache
+def tumbled_all():
+    scheme = mp.read_scheme("roll-z-8+roll-y-8")
+    noise = 1e-4 * np.random.default_rng(2).standard_normal((16, 2))
+    values = scheme.up[:, [0, 1]] + noise
+    return mp.tumble({"ax": values[:, 0], "ay": values[:, 1]}, scheme=scheme)
+
+
+@cache
 def averaged():
     log = mp.simulate_log(sensor(), "faces-6", rate=50.0, rest=2.0, sample_sd=1e-3, seed=1)
     return mp.average(log, scheme="faces-6")
@@ -174,6 +182,7 @@ RESULTS = {
     "Scheme": lambda: mp.read_scheme("faces-6"),
     "Term tests": lambda: tuple(judge_terms(calibrated())),
     "Tumble": tumbled,
+    "Tumbles": tumbled_all,
     "Curves": lambda: mp.over_temperature(warmed()),
     "apply": lambda: mp.apply(calibrated(), mp.simulate(sensor(), "faces-6"), uncertainty=True),
     "correct": lambda: mp.correct(regressed(), {"t": [0.0, 30.0], "V": [1.0, 1.2], "y": [0.0, 1]}),

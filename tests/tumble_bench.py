@@ -4,7 +4,7 @@ import numpy as np
 
 import multipos as mp
 from multipos.positions.scheme import read_scheme
-from multipos.verification.single_axis import COEFFICIENTS
+from multipos.verification.coefficients import COEFFICIENTS
 
 TRUTH = {
     "K0": 2e-3,
@@ -42,3 +42,12 @@ def tumble(name, sd=0.0, seed=0, truth=TRUTH, **options):
     scheme = read_scheme(name)
     noise = sd * np.random.default_rng(seed).standard_normal(len(scheme))
     return mp.tumble({"E": output(scheme.up, truth) + noise}, scheme=name, unit="V", **options)
+
+
+def triad(up, sd=0.0, seed=0, truth=TRUTH):
+    """Three such outputs along x, y and z, at up vectors (n, 3)."""
+    noise = sd * np.random.default_rng(seed).standard_normal((3, len(up)))
+    return {
+        f"a{axis}": output(np.roll(up, -i, axis=1), truth) + noise[i]
+        for i, axis in enumerate("xyz")
+    }

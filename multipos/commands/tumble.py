@@ -6,8 +6,8 @@ from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, names, numbers
 from multipos.files.trees import to_json
 from multipos.plots.tumble import tumble_figure
-from multipos.reports.sheets import tumble_text
-from multipos.verification.single_axis import tumble
+from multipos.reports.tumble_text import tumble_text, tumbles_text
+from multipos.verification.tumbling import Tumbles, tumble
 
 INPUTS = ("readings", "scheme")
 OUTPUT = Output("FILE", "write the result to FILE as well", "json", ("figure", "text"))
@@ -17,8 +17,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
     add("readings", metavar="READINGS", help="CSV file of averaged readings of a tumble")
-    add("--outputs", type=names, metavar="A", help="the output, where there are several columns")
-    add("--axes", type=names, default=("x",), metavar="x", help="input axis (default x)")
+    add("--outputs", type=names, metavar="A,…", help="columns that are outputs")
+    add("--axes", type=names, metavar="x,…", help="input axis of each (of one output x)")
     add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
     add("--model", metavar="M", help="model or formula (default: ieee-odd, less what is hidden)")
     add_conditions(parser)
@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     options = {k: v for k, v in vars(arguments).items() if k not in ("readings", "json", "output")}
     found = tumble(arguments.readings, **options)
     return Answer(
-        text=lambda: tumble_text(found),
+        text=lambda: tumbles_text(found) if isinstance(found, Tumbles) else tumble_text(found),
         json=lambda: to_json(found.to_dict()),
         forms={"figure": lambda: tumble_figure(found)},
         warnings=lambda: found.warnings,

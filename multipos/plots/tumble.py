@@ -10,6 +10,7 @@ from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, new_fig
 from multipos.positions.harmonics import Harmonic, Roll, find_rolls, series
 from multipos.sensor.calibration import Calibration
 from multipos.verification.single_axis import Tumble
+from multipos.verification.tumbling import Tumbles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,9 +108,11 @@ def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
     name_series(axes, 3)
 
 
-def tumble_figure(found: Tumble) -> "Figure":
-    """Return the signal and what the model leaves of its harmonics."""
-    figure, axes = new_figure(2)
-    draw_signal(found, axes[0])
-    draw_residual_harmonics(found, axes[1])
+def tumble_figure(found: Tumble | Tumbles) -> "Figure":
+    """Return the signal of every output, and what the model leaves of its harmonics."""
+    each = (found,) if isinstance(found, Tumble) else tuple(found.outputs.values())
+    figure, axes = new_figure(2 * len(each))
+    for place, one in enumerate(each):
+        draw_signal(one, axes[2 * place])
+        draw_residual_harmonics(one, axes[2 * place + 1])
     return figure

@@ -9,10 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multipos.files.numbers import largest_rows, number, table, uncertain
-from multipos.positions.harmonics import Harmonic
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.turntable import TableErrors
-from multipos.verification.single_axis import Tumble
 from multipos.verification.verdicts import VERDICTS, Check, worst
 
 
@@ -59,6 +57,17 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
                 ", ".join(error.confounded_with) or "nothing",
             ]
         )
+    for error in found.shaft:
+        if error.value_deg is not None and error.u_deg is not None:
+            rows.append(
+                [
+                    error.plane,
+                    f"shaft {error.quantity.replace('_', ' ')}",
+                    uncertain(error.value_deg, error.u_deg),
+                    number(error.U_deg, 2),
+                    "nothing",
+                ]
+            )
     if rows:
         header = ["roll", "table error", "value(u) [deg]", "U", "does the same as"]
         sections.append(Sheet("Turntable", header, rows))
@@ -76,67 +85,6 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
         header = ["roll", "zero of", "shift(u)", "U", "p"]
         sections.append(Sheet("Zero between rolls", header, shifts))
     return sections
-
-
-def tumble_sections(found: Tumble) -> list[tuple[str, str]]:
-    """Return coefficients, what is hidden, harmonics and turntable as titles with text."""
-    rows = []
-    for name, c in found.coefficients.items():
-        custom = c.customary
-        value = uncertain(custom["value"], custom["u"]) if "value" in custom else "-"
-        rows.append(
-            [
-                name,
-                uncertain(c.value, c.u),
-                c.unit,
-                value,
-                number(custom["U"], 2),
-                custom["unit"],
-                number(c.k),
-                number(c.dof),
-            ]
-        )
-    header = ["coefficient", "value(u)", "unit", "value(u)", "U", "unit", "k", "dof"]
-    sections = [("Tumble", table(header, rows))]
-    hidden = [*found.unidentifiable, *found.weak]
-    if found.taken_as_zero:
-        hidden.append(f"taken as zero: {', '.join(found.taken_as_zero)}")
-    if hidden:
-        text = "\n".join(f"- {line}" for line in hidden)
-        sections.append(("What the points cannot tell", text))
-    unit = found.calibration.model.unit
-    residual = {(h.plane, h.order): h for h in found.residual_harmonics}
-    rows = []
-    for h in found.harmonics:
-        left = residual[h.plane, h.order]
-        rows.append(
-            [h.plane, str(h.order), *_harmonic_cells(h), f"{left.amplitude:.2g}", number(left.p, 2)]
-        )
-    if rows:
-        header = ["plane", "order", f"cos [{unit}]", "sin", "amplitude", "left by the model", "p"]
-        sections.append(("Harmonics", table(header, rows)))
-    turntable = table_error_sheets(found.table_errors)
-    return [*sections, *((sheet.title, str(sheet)) for sheet in turntable)]
-
-
-def tumble_text(found: Tumble) -> str:
-    """Return the tumble as plain text."""
-    text = "\n".join(
-        f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in tumble_sections(found)
-    )
-    if found.fourier_max_difference is not None:
-        text += (
-            f"\nFourier against least squares: {found.fourier_max_difference:.1e} of a reading\n"
-        )
-    return text
-
-
-def _harmonic_cells(h: Harmonic) -> list[str]:
-    """Return cosine, sine and amplitude, to the digits that the noise leaves of them."""
-    if h.u_cos is None or h.u_sin is None:
-        return [number(value, 6) for value in (h.cos, h.sin, h.amplitude)]
-    larger = max(h.u_cos, h.u_sin)  # the u of an amplitude lies between the two
-    return [uncertain(h.cos, h.u_cos), uncertain(h.sin, h.u_sin), uncertain(h.amplitude, larger)]
 
 
 def check_sheets(found: Check) -> list[Sheet]:

@@ -1,14 +1,8 @@
 """The turntable's own errors: what they do to readings, and which of them the data can tell.
 
-The table says t and stands at t + e(t), on each roll with its own
-
-    e(t) = e_0 + c_1 cos t + s_1 sin t + c_2 cos 2t + s_2 sin 2t,                           (1)
-
-a zero offset of the encoder and two harmonics of its circle. A reading then moves by
-
-    dy = M (du/dt) e(t),    u = (cos t, sin t) in the plane of the roll,                    (2)
-
-M the linear part of the model. Against the terms of an input axis along cos t, eq. (2) is
+The table is off by e(t), five quantities a roll, and its shaft off the horizon, three, which move
+the readings by eqs. (1) to (3) of `multipos.uncertainty.table_motion`. Against the terms of an
+input axis along cos t, eq. (2) there is
 
     e_0: −sin t             a misalignment,
     c_1: −sin 2t / 2        the product of the two components,
@@ -19,36 +13,41 @@ M the linear part of the model. Against the terms of an input axis along cos t, 
 eqs. (10) to (12) of docs/theory/tumble.md. Whatever a model leaves out can be estimated and stands
 beside the names of the terms that would do the same. Between two rolls the zero of an output may
 shift, which no term of the sensor does.
+
+An output along the shaft reads the level of the shaft as a shift of its zero, its wobble as
+misalignments.
+
+The parameters of the sensor that come out beside all of this are what no such error moves. They are
+given for those that no error does the same as, and with them the F-test of there being none.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from multipos.errors import RankError
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import separability, solve
-from multipos.numerics.quantiles import coverage_factor, t_tail
+from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
-from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model, build_model
-from multipos.sensor.tilt import magnitude_of
+from multipos.uncertainty.table_motion import QUANTITIES, SHAFT, shaft_effects, table_effects
 
-QUANTITIES = ("zero_offset", "first_cos", "first_sin", "second_cos", "second_sin")
 _SHIFTED = 1e-3  # chance of a zero shift where there is none
 
 
 @dataclass(frozen=True, eq=False)
 class TableError(Result):
-    """One quantity of eq. (1) on one roll; value, u, U are None where it cannot be told.
+    """One quantity of the table on one roll; value, u, U are None where it cannot be told.
 
     `confounded_with` names the terms of the sensor that do the same to the readings, whether the
     model has them or leaves them out.
@@ -76,17 +75,46 @@ class ZeroShift(Result):
 
 
 @dataclass(frozen=True, eq=False)
+class BesideTable(Result):
+    """The parameters of the sensor, estimated together with every error of the table.
+
+    Attributes
+    ----------
+    keys : tuple of (output, term)
+    parameters, covariance : (p,), (p, p) arrays
+    told : tuple of bool
+        Which of them no error of the table does the same as.
+    dof : float
+    p : float
+        Chance of residuals that shrink as much by a table without errors.
+    """
+
+    keys: tuple[tuple[str, str], ...]
+    parameters: Array
+    covariance: Array
+    told: tuple[bool, ...]
+    dof: float
+    p: float
+
+
+@dataclass(frozen=True, eq=False)
 class TableErrors(Result):
-    """What the rolls of a calibration tell of the table, and of the sensor's zero between them."""
+    """What the rolls of a calibration tell of the table, and of the sensor's zero between them.
+
+    `errors` are of the angle, `shaft` is of the shaft.
+    """
 
     errors: tuple[TableError, ...]
     zero_shifts: tuple[ZeroShift, ...]
     dof: float
+    shaft: tuple[TableError, ...] = ()
+    beside: BesideTable | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it."""
         return {
             "errors": [vars(error) for error in self.errors],
+            "shaft": [vars(error) for error in self.shaft],
             "zero_shifts": [vars(shift) for shift in self.zero_shifts],
             "dof": self.dof,
         }
@@ -105,48 +133,141 @@ def has_rolls(calibration: Calibration) -> bool:
     return any(roll.spans_a_turn and len(roll.distinct) >= fewest for roll in rolls)
 
 
-def table_errors(calibration: Calibration) -> TableErrors:
+def table_errors(calibration: Calibration, *beside: Calibration) -> TableErrors:
     """Estimate the errors of the turntable from the rolls of a calibration, together with it.
 
-    Every quantity of eq. (1) that the model leaves room for is estimated, with the parameters and
+    Every quantity of the angle that the model leaves room for is estimated, with the parameters and
     the zero shifts, in one weighted least-squares problem over all outputs.
 
     Parameters
     ----------
     calibration : Calibration
         Of readings with at least one roll; without, everything is empty.
+    beside : Calibrations
+        Of further outputs that were read at the same positions.
     """
-    model, readings = calibration.model, calibration.readings
-    rolls = find_rolls(readings)
-    linear = model.linear_part(calibration.parameters, calibration.mean_environment)[:, 1:]
-    own = np.array([[float(axis == name) for name in COMPONENTS] for axis in model.axes])
-    effect = _effects(calibration, rolls, linear)
-    # What can be told is a matter of structure: small cross terms must not seem to tell it.
-    nominal = _effects(calibration, rolls, own)
-    sensor, every = _design(model, calibration), _shifts(model, readings, rolls)
-    shifts, kept, design = _told_apart(sensor, every, nominal, effect)
-    weight = _weights(calibration)
+    try:
+        return _estimate(_Bench((calibration, *beside)))
+    except RankError:  # beside a finished fit this says nothing, rather than end it
+        return TableErrors((), (), 0.0)
+
+
+class _Bench:
+    """The sensor and the table of one or several calibrations of the same positions, as columns."""
+
+    def __init__(self, parts: tuple[Calibration, ...]) -> None:
+        self.parts, self.first = parts, parts[0]
+        self.models = tuple(part.model for part in parts)
+        self.rolls = find_rolls(self.first.readings)
+        self.names = tuple(name for model in self.models for name in model.names)
+        self.keys = tuple((out, str(term)) for model in self.models for out, term in model.keys)
+        self.outputs = tuple(output for model in self.models for output in model.outputs)
+        self.values = np.concatenate([_response(part) for part in parts], axis=1)
+        self.weight = np.tile(
+            np.concatenate([_precision(part) for part in parts]), len(self.first.readings)
+        )
+        slopes = [
+            part.model.linear_part(part.parameters, part.mean_environment)[:, 1:] for part in parts
+        ]
+        axes = [axis for model in self.models for axis in model.axes]
+        own = np.array([[float(axis == name) for name in COMPONENTS] for axis in axes])
+        linear = np.concatenate(slopes)
+        self.sensor = self.design(self.models)
+        self.shifts = _shifts(self.outputs, len(self.first.readings), self.rolls)
+        # What can be told is a matter of structure: small cross terms must not seem to tell it.
+        self.effect, self.nominal = (
+            table_effects(self.first, self.rolls, m) for m in (linear, own)
+        )
+        self.shaft, self.shaft_nominal = (
+            shaft_effects(self.first, self.rolls, m) for m in (linear, own)
+        )
+
+    def design(self, models: Sequence[Model]) -> Array:
+        """Return the design of models over all outputs (n M, p), output running fastest."""
+        parts = [_slopes(m, part) for m, part in zip(models, self.parts, strict=True)]
+        n, m, p = len(self.first.readings), len(self.outputs), sum(part.shape[2] for part in parts)
+        whole, row, column = np.zeros((n, m, p)), 0, 0
+        for part in parts:
+            rows, columns = part.shape[1:]
+            whole[:, row : row + rows, column : column + columns] = part
+            row, column = row + rows, column + columns
+        return whole.reshape(n * m, p)
+
+
+def _slopes(model: Model, calibration: Calibration) -> Array:
+    """Return the derivative of readings by the parameters of a model (n, M, p)."""
+    own = model is calibration.model
+    parameters = calibration.parameters if own else np.zeros(len(model.keys))
+    return parameter_jacobian(
+        model, parameters, calibration.reference, calibration.readings.environment
+    )
+
+
+def _response(calibration: Calibration) -> Array:
+    """Return the readings (n, M) as a linear model has them."""
+    c = calibration
+    if not isinstance(c.model, ExpressionModel):
+        return c.readings.values
+    # about its solution, where it is linear
+    return np.asarray(c.residuals + _slopes(c.model, c) @ c.parameters)
+
+
+def _estimate(bench: _Bench) -> TableErrors:
+    shifts, kept, design = _told_apart(bench.sensor, bench.shifts, bench.nominal, bench.effect)
     if (not kept and not shifts) or len(design) <= design.shape[1]:
-        return TableErrors(_described(calibration, rolls, nominal, {}), (), 0.0)
-    response = readings.values.ravel()
-    if isinstance(model, ExpressionModel):  # about its solution, where it is linear
-        response = calibration.residuals.ravel() + sensor @ calibration.parameters
-    found = solve(design * weight[:, None], response * weight)
+        return TableErrors(_described(bench, {}), (), 0.0, _shaft_described(bench, {}))
+    c, weight = bench.first, bench.weight
+    found = solve(design * weight[:, None], bench.values.ravel() * weight)
     dof = float(found.dof)
     u = np.sqrt(np.diag(found.cofactor) * float(found.rss) / dof)
-    k = coverage_factor(calibration.confidence, dof)
-    first = len(model.keys)
+    k = coverage_factor(c.confidence, dof)
+    first = len(bench.keys)
     zero_shifts = []
     for place, (plane, output) in enumerate(shifts, start=first):
         value, sd = float(found.coefficients[place]), float(u[place])
         p = t_tail(value / sd, dof) if sd > 0.0 else 1.0
-        zero_shifts.append(ZeroShift(plane, output, value, sd, k * sd, model.unit, p))
+        zero_shifts.append(ZeroShift(plane, output, value, sd, k * sd, c.model.unit, p))
     values = {
         column: (float(found.coefficients[place]), float(u[place]), k * float(u[place]))
         for place, column in enumerate(kept, start=first + len(shifts))
     }
-    errors = _described(calibration, rolls, nominal, values)
-    return TableErrors(errors, tuple(zero_shifts), dof)
+    beside, shaft = _beside(bench, design)
+    errors = _described(bench, values)
+    return TableErrors(errors, tuple(zero_shifts), dof, _shaft_described(bench, shaft), beside)
+
+
+def _beside(
+    bench: _Bench, design: Array
+) -> tuple[BesideTable | None, dict[int, tuple[float, float, float]]]:
+    """Return the sensor beside every error, and the errors of the shaft that can be told."""
+    free = _separable(design, bench.shaft_nominal)
+    free = [free[i] for i in _separable(design, bench.shaft[:, free])]
+    whole = np.column_stack([design, bench.shaft[:, free]])
+    n, columns = whole.shape
+    if n <= columns:
+        return None, {}
+    weight, p = bench.weight, len(bench.keys)
+    values = bench.values.ravel() * weight
+    found = solve(whole * weight[:, None], values)
+    alone = solve(bench.sensor * weight[:, None], values)
+    dof, more = float(found.dof), columns - p
+    variance = float(found.rss) / dof
+    covariance = found.cofactor * variance
+    gain = max(float(alone.rss) - float(found.rss), 0.0) / more
+    chance = f_tail(gain / variance, more, dof) if variance > 0.0 else 1.0
+    everything = np.column_stack(
+        [bench.sensor, *bench.shifts.values(), bench.nominal, bench.shaft_nominal]
+    )
+    null = separability(everything, floor=FLOOR).null
+    told = tuple(bool(flag) for flag in (null[:p] == 0.0).all(axis=1).tolist())
+    u = np.sqrt(np.diag(covariance))
+    k = coverage_factor(bench.first.confidence, dof)
+    shaft = {
+        column: (float(found.coefficients[place]), float(u[place]), k * float(u[place]))
+        for place, column in enumerate(free, start=design.shape[1])
+    }
+    kept = BesideTable(bench.keys, found.coefficients[:p], covariance[:p, :p], told, dof, chance)
+    return kept, shaft
 
 
 def _told_apart(
@@ -183,102 +304,24 @@ def roll_warnings(calibration: Calibration) -> list[str]:
     return said
 
 
-def state_bench(
-    calibration: Calibration,
-    *,
-    reading_sd: float,
-    zero_drift: float = 0.0,
-    angle_sd_deg: float = 0.0,
-    offset_sd_deg: float = 0.0,
-    first_sd_deg: float = 0.0,
-    second_sd_deg: float = 0.0,
-) -> Readings:
-    """Return a calibration's readings with the covariance that a stated bench gives them.
-
-    Fitted again, they give the best estimate on that bench and an uncertainty with all of it in.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        A first fit, for the scale factors that turn angles into readings.
-    reading_sd : float
-        Standard uncertainty of an averaged reading, in reading units.
-    zero_drift : float
-        Standard deviation of each output's zero from roll to roll, in reading units.
-    angle_sd_deg : float
-        Error of the table at each position by itself.
-    offset_sd_deg, first_sd_deg, second_sd_deg : float
-        Of e_0, and of each coefficient of the first and second harmonic, on every roll.
-    """
-    model, readings = calibration.model, calibration.readings
-    rolls = find_rolls(readings)
-    linear = model.linear_part(calibration.parameters, calibration.mean_environment)[:, 1:]
-    n, m = readings.values.shape
-    covariance = np.eye(n * m) * reading_sd**2
-    for roll in rolls:
-        for output in range(m):
-            member = np.zeros((n, m))
-            member[roll.rows, output] = zero_drift
-            covariance += np.outer(member, member)
-        turned = np.zeros((n, m, n))
-        turned[roll.rows, :, roll.rows] = _turn(calibration, roll) @ linear.T
-        turned = turned.reshape(n * m, n) * np.radians(angle_sd_deg)
-        covariance += turned @ turned.T
-    sds = np.radians([offset_sd_deg, *[first_sd_deg] * 2, *[second_sd_deg] * 2])
-    effect = _effects(calibration, rolls, linear) * np.tile(sds, len(rolls))
-    return replace(readings, u=None, covariance=covariance + effect @ effect.T)
-
-
-def _turn(calibration: Calibration, roll: Roll) -> Array:
-    """Return df/dt (n, 3) [g] of a roll."""
-    first, second = (COMPONENTS.index(name) for name in roll.plane)
-    result = np.zeros((len(roll.rows), 3))
-    result[:, first], result[:, second] = -np.sin(roll.angle), np.cos(roll.angle)
-    return calibration.sign * magnitude_of(calibration) * result
-
-
-def _effects(calibration: Calibration, rolls: tuple[Roll, ...], linear: Array) -> Array:
-    """Return eq. (2) per radian of each quantity of each roll (n M, 5 rolls)."""
-    n, m = calibration.readings.values.shape
-    result = np.zeros((n, m, len(QUANTITIES) * len(rolls)))
-    for place, roll in enumerate(rolls):
-        t = roll.angle
-        waves = (np.ones(len(t)), np.cos(t), np.sin(t), np.cos(2.0 * t), np.sin(2.0 * t))
-        moved = _turn(calibration, roll) @ linear.T
-        for number_, wave in enumerate(waves):
-            result[roll.rows, :, len(QUANTITIES) * place + number_] = wave[:, None] * moved
-    return result.reshape(n * m, -1)
-
-
-def _design(model: Model, calibration: Calibration) -> Array:
-    """Return the model's design over all outputs (n M, p), output running fastest."""
-    own = model is calibration.model
-    parameters = calibration.parameters if own else np.zeros(len(model.keys))
-    slopes = parameter_jacobian(
-        model, parameters, calibration.reference, calibration.readings.environment
-    )
-    return slopes.reshape(-1, len(model.keys))
-
-
 def _shifts(
-    model: Model, readings: Readings, rolls: tuple[Roll, ...]
+    outputs: Sequence[str], n: int, rolls: tuple[Roll, ...]
 ) -> dict[tuple[str, str], Array]:
     """Return the columns (n M,) of a zero shift of each output on each roll after the first."""
-    n, m = readings.values.shape
     columns = {}
     for roll in rolls[1:]:
-        for output, name in enumerate(model.outputs):
-            member = np.zeros((n, m))
-            member[roll.rows, output] = 1.0
+        for place, name in enumerate(outputs):
+            member = np.zeros((n, len(outputs)))
+            member[roll.rows, place] = 1.0
             columns[roll.plane, name] = member.ravel()
     return columns
 
 
-def _weights(calibration: Calibration) -> Array:
-    """Return the inverse standard deviation of each reading (n M,), equal where none is known."""
+def _precision(calibration: Calibration) -> Array:
+    """Return the inverse standard deviation of each output (M,), one where none is known."""
     sd = calibration.residual_sd
     usable = np.isfinite(sd).all() and (sd > 0.0).all()
-    return np.tile(1.0 / sd if usable else np.ones(len(sd)), len(calibration.readings))
+    return 1.0 / sd if usable else np.ones(len(sd))
 
 
 def _separable(design: Array, effects: Array) -> list[int]:
@@ -293,22 +336,44 @@ def _separable(design: Array, effects: Array) -> list[int]:
     return kept
 
 
-def _described(
-    calibration: Calibration,
-    rolls: tuple[Roll, ...],
-    nominal: Array,
-    values: dict[int, tuple[float, float, float]],
-) -> tuple[TableError, ...]:
+_Values = Mapping[int, tuple[float, float, float]]
+
+
+def _described(bench: _Bench, values: _Values) -> tuple[TableError, ...]:
     """Return every quantity with its value where the model and the positions can tell it."""
-    names = [f"{quantity} in {roll.plane}" for roll in rolls for quantity in QUANTITIES]
-    hidden = _confounded(calibration, calibration.model, nominal, names)
-    same = _confounded(calibration, _fullest(calibration.model), nominal, names)
+    names = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in QUANTITIES]
+    hidden = _confounded(bench, bench.models, bench.nominal, names)
+    fullest = [_fullest(model) for model in bench.models]
+    same = _confounded(bench, fullest, bench.nominal, names)
+    told = {column: value for column, value in values.items() if not hidden[names[column]]}
+    return _named(bench, QUANTITIES, told, same, names)
+
+
+def _shaft_described(bench: _Bench, values: _Values) -> tuple[TableError, ...]:
+    """Return the quantities of the shaft that the outputs feel, as `_described` does."""
+    table = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in QUANTITIES]
+    names = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in SHAFT]
+    both = np.column_stack([bench.nominal, bench.shaft_nominal])
+    same = _confounded(bench, bench.models, both, [*table, *names])
+    told = {column: value for column, value in values.items() if not same[names[column]]}
+    found = _named(bench, SHAFT, told, same, names)
+    felt = np.abs(bench.shaft_nominal).max(axis=0, initial=0.0) > FLOOR
+    return tuple(error for error, seen in zip(found, felt.tolist(), strict=True) if seen)
+
+
+def _named(
+    bench: _Bench,
+    quantities: Sequence[str],
+    told: _Values,
+    same: Mapping[str, tuple[str, ...]],
+    names: Sequence[str],
+) -> tuple[TableError, ...]:
     errors = []
     for column, name in enumerate(names):
-        place, number_ = divmod(column, len(QUANTITIES))
-        told = not hidden[name] and column in values
-        value, u, U = np.degrees(values[column]).tolist() if told else (None, None, None)
-        errors.append(TableError(rolls[place].plane, QUANTITIES[number_], value, u, U, same[name]))
+        place, number_ = divmod(column, len(quantities))
+        value, u, U = np.degrees(told[column]).tolist() if column in told else (None, None, None)
+        plane = bench.rolls[place].plane
+        errors.append(TableError(plane, quantities[number_], value, u, U, same[name]))
     return tuple(errors)
 
 
@@ -319,12 +384,12 @@ def _fullest(model: Model) -> Model:
 
 
 def _confounded(
-    calibration: Calibration, model: Model, nominal: Array, names: list[str]
+    bench: _Bench, models: Sequence[Model], nominal: Array, names: list[str]
 ) -> dict[str, tuple[str, ...]]:
     """Return for each quantity what together does the same as it to the readings, by name."""
-    shifts = _shifts(model, calibration.readings, find_rolls(calibration.readings))
-    base = [_design(model, calibration), *shifts.values()]
-    every = [*model.names, *(f"zero shift of {output}" for _, output in shifts), *names]
+    base = [bench.design(models), *bench.shifts.values()]
+    terms = [name for model in models for name in model.names]
+    every = [*terms, *(f"zero shift of {output}" for _, output in bench.shifts), *names]
     null = separability(np.column_stack([*base, nominal]), floor=FLOOR).null
     result: dict[str, tuple[str, ...]] = {}
     for row, name in enumerate(every):

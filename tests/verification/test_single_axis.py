@@ -13,9 +13,9 @@ import multipos as mp
 from multipos import cli
 from multipos.positions.harmonics import Harmonic, find_rolls, residual_series, strange_harmonics
 from multipos.positions.scheme import read_scheme
-from multipos.reports.sheets import tumble_text
+from multipos.reports.tumble_text import tumble_text
 from multipos.sensor.model import build_model
-from multipos.verification.single_axis import _weak
+from multipos.verification.coefficients import weakly_told
 
 
 def roll_file(path, angles, values, axis="z"):
@@ -135,7 +135,7 @@ def test_weakly_told_by_hand(rho, said):
     correlation = np.eye(4)
     pair = [model.index("E", "x^3"), model.index("E", "x*|x|")]
     correlation[pair, pair[::-1]] = rho
-    assert len(_weak(SimpleNamespace(model=model, correlation=correlation), "x")) == said
+    assert len(weakly_told(SimpleNamespace(model=model, correlation=correlation), "x")) == said
 
 
 def test_fourier_view_is_not_claimed_for_uneven_points():
@@ -322,6 +322,9 @@ def test_more_than_one_output_or_axis(capsys, tmp_path):
     path = tmp_path / "r.csv"
     path.write_text("A,B\n1,2\n0,1\n-1,0\n0,1\n")
     arguments = ["tumble", str(path), "--scheme", "tumble-4"]
-    fails(capsys, arguments, 2, "--outputs")
+    fails(capsys, [*arguments, "--axes", "x"], 2, "--axes takes one of", "A, B")
     fails(capsys, [*arguments, "--outputs", "A", "--axes", "x,y"], 2, "--axes takes one of")
+    fails(capsys, [*arguments, "--outputs", "A", "--axes", "w"], 2, "--axes takes one of")
+    three = [*arguments, "--axes", "x,z"]  # this roll leaves z level
+    fails(capsys, three, 1, "cannot tell K0 from K1 of B", "leave the output out")
     fails(capsys, [*arguments, "--outputs", "A", "--model", "1 + y"], 2, "no term x")

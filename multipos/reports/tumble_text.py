@@ -1,0 +1,192 @@
+"""The pages of a tumble as text: coefficients, harmonics, hysteresis and the table."""
+
+from collections.abc import Mapping
+
+from multipos.files.numbers import number, table, uncertain
+from multipos.positions.harmonics import Harmonic
+from multipos.reports.sheets import table_error_sheets
+from multipos.uncertainty.turntable import TableErrors
+from multipos.verification.coefficients import COEFFICIENTS, TumbleCoefficient
+from multipos.verification.single_axis import Tumble
+from multipos.verification.tumbling import Tumbles
+
+_Sections = list[tuple[str, str]]
+_MILLION = 1e6
+_FOUND = 1e-3  # chance of a table's errors where there are none
+
+
+def tumble_sections(found: Tumble) -> _Sections:
+    """Return coefficients, what is hidden, harmonics and turntable as titles with text."""
+    header, rows = _coefficient_rows(found.coefficients)
+    sections = [
+        ("Tumble", table(header, rows)),
+        *_hidden_section(found),
+        *_harmonics_section(found),
+    ]
+    turntable = table_error_sheets(found.table_errors)
+    return [
+        *sections,
+        *_hysteresis_section({"": found}),
+        *((sheet.title, str(sheet)) for sheet in turntable),
+        *_beside_section({"": found.beside_table}, found.table_errors),
+    ]
+
+
+def tumble_text(found: Tumble) -> str:
+    """Return the tumble as plain text."""
+    text = _as_text(tumble_sections(found))
+    if found.fourier_max_difference is not None:
+        text += (
+            f"\nFourier against least squares: {found.fourier_max_difference:.1e} of a reading\n"
+        )
+    return text
+
+
+def tumbles_text(found: Tumbles) -> str:
+    """Return the tumbles of several outputs as plain text."""
+    sections = [("Tumble", _coefficients_of_all(found))]
+    header = ["output", *(f"{axis} [µrad]" for axis in "xyz")]
+    rows = []
+    for name, values, us in zip(
+        found.outputs, found.misalignment, found.misalignment_u, strict=True
+    ):
+        cells = [
+            "own axis" if u == 0.0 else "-" if value != value else uncertain(value, u)
+            for value, u in zip((_MILLION * values).tolist(), (_MILLION * us).tolist(), strict=True)
+        ]
+        rows.append([name, *cells])
+    sections.append(("Misalignment", table(header, rows)))
+    for name, one in found.outputs.items():
+        both = [*_hidden_section(one), *_harmonics_section(one)]
+        sections += [(f"{title}: {name}", body) for title, body in both]
+    sections += _hysteresis_section(found.outputs)
+    sections += [(sheet.title, str(sheet)) for sheet in table_error_sheets(found.table_errors)]
+    return _as_text([*sections, *_beside_section(found.beside_table, found.table_errors)])
+
+
+def _as_text(sections: _Sections) -> str:
+    return "\n".join(f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in sections)
+
+
+def _coefficients_of_all(found: Tumbles) -> str:
+    """Return one table of all outputs, in the units of a data sheet."""
+    header = ["coefficient", "unit"]
+    for name in found.outputs:
+        header += [name, "U"]
+    rows = []
+    for name in COEFFICIENTS:
+        present = [one.coefficients.get(name) for one in found.outputs.values()]
+        if not any(present):
+            continue
+        unit = next(entry for entry in present if entry).customary["unit"]
+        cells = []
+        for entry in present:
+            cells += _customary_cells(entry)
+        rows.append([name, unit, *cells])
+    k1 = [one["K1"] for one in found.outputs.values()]
+    scale = [name for entry in k1 for name in (uncertain(entry.value, entry.u), number(entry.U, 2))]
+    rows.insert(1, ["K1", k1[0].unit, *scale])
+    return table(header, rows)
+
+
+def _customary_cells(entry: TumbleCoefficient | None) -> list[str]:
+    if entry is None:
+        return ["-", "-"]
+    custom = entry.customary
+    value = uncertain(custom["value"], custom["u"]) if "value" in custom else "-"
+    return [value, number(custom["U"], 2)]
+
+
+def _coefficient_rows(
+    coefficients: Mapping[str, TumbleCoefficient],
+) -> tuple[list[str], list[list[str]]]:
+    rows = []
+    for name, c in coefficients.items():
+        custom = c.customary
+        value = uncertain(custom["value"], custom["u"]) if "value" in custom else "-"
+        rows.append(
+            [
+                name,
+                uncertain(c.value, c.u),
+                c.unit,
+                value,
+                number(custom["U"], 2),
+                custom["unit"],
+                number(c.k),
+                number(c.dof),
+            ]
+        )
+    header = ["coefficient", "value(u)", "unit", "value(u)", "U", "unit", "k", "dof"]
+    return header, rows
+
+
+def _hidden_section(found: Tumble) -> _Sections:
+    hidden = [*found.unidentifiable, *found.weak]
+    if found.taken_as_zero:
+        hidden.append(f"taken as zero: {', '.join(found.taken_as_zero)}")
+    if hidden:
+        text = "\n".join(f"- {line}" for line in hidden)
+        return [("What the points cannot tell", text)]
+    return []
+
+
+def _harmonics_section(found: Tumble) -> _Sections:
+    unit = found.calibration.model.unit
+    residual = {(h.plane, h.order): h for h in found.residual_harmonics}
+    rows = []
+    for h in found.harmonics:
+        left = residual[h.plane, h.order]
+        rows.append(
+            [h.plane, str(h.order), *_harmonic_cells(h), f"{left.amplitude:.2g}", number(left.p, 2)]
+        )
+    if rows:
+        header = ["plane", "order", f"cos [{unit}]", "sin", "amplitude", "left by the model", "p"]
+        return [("Harmonics", table(header, rows))]
+    return []
+
+
+def _hysteresis_section(outputs: Mapping[str, Tumble]) -> _Sections:
+    """Return what passes forward and backward differ by."""
+    rows = [
+        [
+            *([name] if name else []),
+            plane,
+            uncertain(_MILLION * h.value, _MILLION * h.u),
+            number(_MILLION * h.U, 2),
+            str(h.angles),
+        ]
+        for name, found in outputs.items()
+        for plane, h in found.hysteresis.items()
+    ]
+    header = ["plane", "forward - backward [µg]", "U", "angles"]
+    several = any(outputs)
+    return [("Hysteresis", table(["output", *header] if several else header, rows))] if rows else []
+
+
+def _beside_section(
+    outputs: Mapping[str, Mapping[str, TumbleCoefficient]], found: TableErrors
+) -> _Sections:
+    """Return what the sensor is beside a table whose errors are beyond chance."""
+    if found.beside is None or not found.beside.p < _FOUND:
+        return []
+    rows = [
+        [*([name] if name else []), which, *_customary_cells(entry), entry.customary["unit"]]
+        for name, entries in outputs.items()
+        for which, entry in entries.items()
+    ]
+    header = ["coefficient", "value(u)", "U", "unit"]
+    text = f"errors of the table are beyond chance (p = {found.beside.p:.1g}); beside them\n"
+    if not rows:
+        text += "no coefficient can be told: state the bench (state_bench)"
+        return [("Beside the table", text)]
+    several = any(outputs)
+    text += table(["output", *header] if several else header, rows)
+    return [("Beside the table", f"{text}\nwhat is not listed leans on the table's errors")]
+
+
+def _harmonic_cells(h: Harmonic) -> list[str]:
+    """Return cosine, sine and amplitude, to the digits that the noise leaves of them."""
+    if h.u_cos is None or h.u_sin is None:
+        return [number(value, 6) for value in (h.cos, h.sin, h.amplitude)]
+    larger = max(h.u_cos, h.u_sin)  # the u of an amplitude lies between the two
+    return [uncertain(h.cos, h.u_cos), uncertain(h.sin, h.u_sin), uncertain(h.amplitude, larger)]

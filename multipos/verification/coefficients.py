@@ -1,0 +1,245 @@
+"""The coefficients of a tumble, as the standard has them and as a model's parameters give them.
+
+With a = (a_i, a_p, a_o) the specific force [g] on the three axes, the output E is modelled by
+
+    E/K1 = K0 + a_i + K2 a_i² + K3 a_i³ + Koq a_i|a_i|
+           + Kip a_i a_p + Kio a_i a_o + delta_o a_p − delta_p a_o,                         (1)
+
+eq. (1) of docs/theory/tumble.md: bias K0 [g], scale factor K1 [reading/g], second and third order
+K2 [g/g²], K3 [g/g³], odd second order Koq [g/g²], cross-couplings Kip, Kio [g/g²] and the
+misalignments delta_o, delta_p [rad] of the input axis about the output and pendulous axes. It is
+linear in K1 times each coefficient and fitted by least squares; the ratios to K1 carry
+
+    u²(p/K1) = [u²(p) − 2 r u(p, K1) + r² u²(K1)]/K1²,    r = p/K1.                         (2)
+
+The axes i, p, o are x, y, z in cyclic order from the output's own axis.
+
+Source: the model equation of IEEE Std 1293 as the project's formats reference writes it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from multipos.errors import MultiposError, RankError, UsageError
+from multipos.estimation.known import FLOOR
+from multipos.numerics.arrays import Array
+from multipos.numerics.least_squares import name_combinations, separability
+from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.terms import COMPONENTS
+from multipos.positions.readings import Readings
+from multipos.results import Result
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.model import Model, build_model
+from multipos.uncertainty.turntable import BesideTable
+
+# Coefficient: its term of eq. (1), sign, unit, and the customary unit, a millionth of it.
+COEFFICIENTS = {
+    "K0": ("1", 1.0, "g", "µg"),
+    "K1": ("i", 1.0, "", "ppm"),
+    "delta_o": ("p", 1.0, "rad", "µrad"),
+    "delta_p": ("o", -1.0, "rad", "µrad"),
+    "K2": ("i^2", 1.0, "g/g^2", "µg/g^2"),
+    "K3": ("i^3", 1.0, "g/g^3", "µg/g^3"),
+    "Kip": ("i*p", 1.0, "g/g^2", "µg/g^2"),
+    "Kio": ("i*o", 1.0, "g/g^2", "µg/g^2"),
+    "Koq": ("i*|i|", 1.0, "g/g^2", "µg/g^2"),
+    "Kpp": ("p^2", 1.0, "g/g^2", "µg/g^2"),
+    "Koo": ("o^2", 1.0, "g/g^2", "µg/g^2"),
+    "Kpo": ("p*o", 1.0, "g/g^2", "µg/g^2"),
+}
+DEFAULT = tuple(COEFFICIENTS)[:9]  # the nine of eq. (1), in the order they are kept
+_MILLION = 1e6
+_WEAK = 5.0  # u of one grows so much by the other being fitted as well
+
+
+@dataclass(frozen=True, eq=False)
+class TumbleCoefficient(Result):
+    """One coefficient of eq. (1); all but K1 are divided by K1.
+
+    `customary` holds value, u, U and unit as a data sheet has them; of K1 only u and U, in ppm.
+    """
+
+    value: float
+    u: float
+    U: float
+    unit: str
+    k: float
+    dof: float
+    customary: dict[str, Any]
+
+
+def applied_forces(data: Readings, sign: float) -> Array:
+    """Return the reference (n, 3) of oriented readings, gravity as one g."""
+    assert data.up is not None
+    force = data.up if data.force is None else np.where(data.forced[:, None], data.force, data.up)
+    return sign * force
+
+
+def roles(axis: str) -> dict[str, str]:
+    """Return i, p, o as case axes, cyclic from the input axis."""
+    start = COMPONENTS.index(axis)
+    return {role: COMPONENTS[(start + k) % 3] for k, role in enumerate("ipo")}
+
+
+def _term(name: str, axis: str) -> str:
+    text = COEFFICIENTS[name][0]
+    named = roles(axis)
+    return "".join(named.get(mark, mark) for mark in text)
+
+
+def formula_of(names: Sequence[str], axis: str) -> str:
+    """Return the model that has the named coefficients of an output along an axis."""
+    if tuple(names) == DEFAULT:
+        return "ieee-odd"
+    return " + ".join(_term(name, axis) for name in names)
+
+
+def kept_coefficients(
+    data: Readings, axis: str, sign: float
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the coefficients that the points can tell, and in words what they cannot."""
+    force = applied_forces(data, sign)
+    every = tuple(COEFFICIENTS)
+    formula = " + ".join(_term(name, axis) for name in every)
+    model = build_model(formula, data.outputs, (axis,))
+    design = model.basis(force, {})[:, model.columns[0]]
+    kept: list[int] = []
+    for column, _ in enumerate(DEFAULT):
+        trial = [*kept, column]
+        if separability(design[:, trial], floor=FLOOR).rank == len(trial):
+            kept = trial
+    found = separability(design, floor=FLOOR)
+    if kept[:2] != [0, 1]:
+        raise RankError(
+            f"{data.source or 'the readings'}: these points cannot tell K0 from K1 of "
+            f"{data.outputs[0]}; give points with the input axis {axis} up and down, or leave the "
+            "output out with --outputs.",
+            rank=found.rank,
+            parameters=found.parameters,
+            combinations=name_combinations(found.null, every, rows="points"),
+        )
+    said = name_combinations(found.null, every, rows="points")
+    return tuple(every[column] for column in kept), _with_squares(said, found.null, every)
+
+
+def _with_squares(said: tuple[str, ...], null: Array, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the sentences, the one on both cross squares said as what can be seen of them."""
+    p, o = names.index("Kpp"), names.index("Koo")
+    result = []
+    for sentence, v in zip(said, null.T, strict=True):
+        both = v[p] != 0.0 and v[o] != 0.0 and not (null[p] - null[o]).any()
+        result.append(
+            "of `Kpp` and `Koo` only the difference Kpp - Koo can be told, as "
+            "a_i^2 + a_p^2 + a_o^2 = 1: " + sentence
+            if both
+            else sentence
+        )
+    return tuple(result)
+
+
+def fitted_coefficients(calibration: Calibration, axis: str) -> dict[str, TumbleCoefficient]:
+    """Return the coefficients of a calibration of one output along an axis."""
+    c = calibration
+    return ratios_to_k1(c.model, c.parameters, c.covariance, c.k, c.parameter_dof, axis)
+
+
+def coefficients_beside(
+    calibration: Calibration, axis: str, found: BesideTable
+) -> dict[str, TumbleCoefficient]:
+    """Return the coefficients that no error of the table does the same as, estimated beside all."""
+    model, output = calibration.model, calibration.outputs[0]
+    rows = [found.keys.index((output, str(term))) for _, term in model.keys]
+    k = np.full(len(rows), coverage_factor(calibration.confidence, found.dof))
+    every = ratios_to_k1(
+        model,
+        found.parameters[rows],
+        found.covariance[np.ix_(rows, rows)],
+        k,
+        np.full(len(rows), found.dof),
+        axis,
+    )
+    free = {str(term) for (_, term), row in zip(model.keys, rows, strict=True) if found.told[row]}
+    scale = _term("K1", axis)
+    return {
+        name: entry
+        for name, entry in every.items()
+        if _term(name, axis) in free and (name == "K0" or scale in free)
+    }
+
+
+def ratios_to_k1(
+    model: Model, parameters: Array, covariance: Array, k: Array, dof: Array, axis: str
+) -> dict[str, TumbleCoefficient]:
+    """Return the coefficients of eq. (1) from those of a model, with eq. (2).
+
+    Raises
+    ------
+    UsageError, MultiposError
+        The model has no K1, or K1 is zero.
+    """
+    output = model.outputs[0]
+    try:
+        scale = model.index(output, _term("K1", axis))
+    except KeyError:
+        raise UsageError(
+            f"the model '{model.text}' has no term {_term('K1', axis)}; a tumble divides by K1."
+        ) from None
+    K1, variance1 = float(parameters[scale]), float(covariance[scale, scale])
+    if K1 == 0.0:
+        raise MultiposError(
+            f"the scale factor K1 of {output} is 0, and all other coefficients are divided by it; "
+            "the output does not follow the angle, check its column and cable."
+        )
+    result = {}
+    for name, (_, sign, unit, customary) in COEFFICIENTS.items():
+        try:
+            j = model.index(output, _term(name, axis))
+        except KeyError:
+            continue
+        factor, nu = float(k[j]), float(dof[j])
+        if name == "K1":
+            u1 = math.sqrt(variance1)
+            ppm = abs(_MILLION * u1 / K1)
+            custom: dict[str, Any] = {"u": ppm, "U": factor * ppm, "unit": customary}
+            result[name] = TumbleCoefficient(
+                K1, u1, factor * u1, model.units[j], factor, nu, custom
+            )
+            continue
+        value = float(parameters[j]) / K1
+        shared = float(covariance[j, scale])
+        variance = float(covariance[j, j]) - 2.0 * value * shared + value**2 * variance1  # eq. (2)
+        u = math.nan if math.isnan(variance) else math.sqrt(max(variance, 0.0)) / abs(K1)
+        value *= sign
+        scaled = (("value", value), ("u", u), ("U", factor * u))
+        custom = {name: _MILLION * v for name, v in scaled}
+        result[name] = TumbleCoefficient(
+            value, u, factor * u, unit, factor, nu, {**custom, "unit": customary}
+        )
+    return result
+
+
+def weakly_told(calibration: Calibration, axis: str) -> tuple[str, ...]:
+    """Say which pairs are told apart so weakly that each costs the other most of its u."""
+    model = calibration.model
+    places = {
+        model.index(model.outputs[0], _term(name, axis)): name
+        for name in COEFFICIENTS
+        if name != "K0" and _term(name, axis) in {str(term) for term in model.terms[0]}
+    }
+    said = []
+    for j, one in places.items():
+        for k, other in places.items():
+            rho = float(calibration.correlation[j, k])
+            if j >= k or not abs(rho) < 1.0:
+                continue
+            loss = 1.0 / math.sqrt(1.0 - rho**2)
+            if loss > _WEAK:
+                said.append(
+                    f"`{one}` and `{other}` are told apart weakly: the u of each is {loss:.2g} "
+                    "times what it would be if the other were known"
+                )
+    return tuple(said)

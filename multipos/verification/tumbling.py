@@ -1,0 +1,216 @@
+"""The front door of a tumble: any number of outputs, any mix of rolls, passes and known forces.
+
+Every output is a tumble by itself (`multipos.verification.single_axis`). Together they tell more of
+the turntable, since all of them stand on the same one (`multipos.uncertainty.turntable`), and how
+their input axes lie to each other: with the direction of row i scaled to one along its own axis,
+
+    M_ij = (dE_i/da_j)/K1_i,      M_ii = 1,                                                 (1)
+
+off the diagonal delta_o along the pendulous axis of the output and −delta_p along its output axis.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from multipos.errors import UsageError
+from multipos.files.lists import Names, split_names
+from multipos.files.tables import Source
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.positions.attitudes import Convention
+from multipos.positions.placement import orient
+from multipos.positions.reading_tables import read_readings
+from multipos.positions.readings import Readings, select_outputs
+from multipos.positions.scheme import Scheme
+from multipos.results import Result
+from multipos.sensor.model import default_axes
+from multipos.uncertainty.turntable import TableErrors, table_errors
+from multipos.verification.coefficients import TumbleCoefficient, coefficients_beside, roles
+from multipos.verification.single_axis import SCHEMA, Tumble, tumble_output
+
+
+@dataclass(frozen=True, eq=False)
+class Tumbles(Result):
+    """The tumbles of several outputs on one table.
+
+    Attributes
+    ----------
+    outputs : dict of str to Tumble
+    axes : tuple of str
+        The input axis of each.
+    table_errors : TableErrors
+        By all outputs together.
+    beside_table : dict of str to dict of str to TumbleCoefficient
+        By output, the coefficients that no error of the table does the same as.
+    misalignment, misalignment_u : (M, 3) arrays [rad]
+        M_ij of eq. (1), a row an output; NaN where the points cannot tell.
+    """
+
+    outputs: dict[str, Tumble]
+    axes: tuple[str, ...]
+    table_errors: TableErrors
+    beside_table: dict[str, dict[str, TumbleCoefficient]]
+    misalignment: Array
+    misalignment_u: Array
+
+    def __getitem__(self, output: str) -> Tumble:
+        """Return the tumble of an output, as in ``tumble["ax"]["K2"]``."""
+        return self.outputs[output]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is to be said of any output, by its name where that is of one alone."""
+        every = [(name, text) for name, found in self.outputs.items() for text in found.warnings]
+        texts = [text for _, text in every]
+        named = (
+            text if texts.count(text) == len(self.outputs) else f"{name}: {text}"
+            for name, text in every
+        )
+        return tuple(dict.fromkeys(named))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
+        return {
+            "schema": SCHEMA,
+            "outputs": {name: found.to_dict() for name, found in self.outputs.items()},
+            "misalignment": {
+                "axes": self.axes,
+                "value": self.misalignment,
+                "u": self.misalignment_u,
+                "unit": "rad",
+            },
+            "table_errors": self.table_errors.to_dict(),
+            "beside_table": {
+                output: {name: vars(entry) for name, entry in found.items()}
+                for output, found in self.beside_table.items()
+            },
+        }
+
+
+def tumble(
+    readings: Source | Readings,
+    *,
+    outputs: Names | None = None,
+    axes: Names | None = None,
+    scheme: Source | Scheme | None = None,
+    model: str | None = None,
+    convention: Convention = "specific-force",
+    reading_sd: ArrayLike | None = None,
+    gravity: float | None = None,
+    gravity_u: float | None = None,
+    latitude: float | None = None,
+    height: float | None = None,
+    unit: str | None = None,
+    range: Sequence[float] | None = None,
+    confidence: float = 0.95,
+) -> Tumble | Tumbles:
+    """Calibrate accelerometers from rolls in gravity, and from known forces beside them.
+
+    Parameters
+    ----------
+    readings : Readings, path, mapping of columns, or data frame
+        At any number of angles of any rolls, evenly spaced or not, in the order of their taking.
+    outputs : names, optional
+        The outputs, where the readings have other columns.
+    axes : names, optional
+        The input axis i of each, p and o following in cyclic order: x of one output, else x, y, z.
+    scheme, convention, reading_sd, gravity, gravity_u, latitude, height, unit, range, confidence
+        As in `multipos.fit`.
+    model : str, optional
+        Eq. (1) of `multipos.verification.coefficients` less what the points cannot separate; a
+        model given is taken as it is.
+
+    Returns
+    -------
+    Tumble
+        Of one output; of several `Tumbles`.
+
+    Raises
+    ------
+    MultiposError
+        The angles do not span a turn, or as in `multipos.fit`.
+    RankError
+        The points cannot separate K0 and K1 of an output, or the model given.
+    UsageError
+        An option is at fault.
+    """
+    data = orient(read_readings(readings, outputs=outputs, unit=unit), scheme)
+    own = _axes(data, axes)
+    conditions: dict[str, Any] = {
+        "gravity": gravity,
+        "gravity_u": gravity_u,
+        "latitude": latitude,
+        "height": height,
+        "range": range,
+        "confidence": confidence,
+    }
+    sds = _each(reading_sd, len(own))
+    found = {
+        name: tumble_output(
+            _alone(data, name),
+            axis,
+            model=model,
+            convention=convention,
+            reading_sd=sd,
+            **conditions,
+        )
+        for name, axis, sd in zip(data.outputs, own, sds, strict=True)
+    }
+    if len(found) == 1:
+        return found[data.outputs[0]]
+    return _together(found, own)
+
+
+def _axes(data: Readings, axes: Names | None) -> tuple[str, ...]:
+    """Return the input axis of every output."""
+    if axes is None and len(data.outputs) == 1:
+        return COMPONENTS[:1]
+    own = default_axes(data.outputs, axes)
+    strange = [axis for axis in own if axis not in COMPONENTS]
+    if strange or len(own) != len(data.outputs):
+        count = len(data.outputs)
+        raise UsageError(
+            f"--axes takes one of x, y, z for each of {count} outputs "
+            f"({', '.join(data.outputs)}), got '{','.join(split_names(own, '--axes'))}'."
+        )
+    return own
+
+
+def _each(reading_sd: ArrayLike | None, count: int) -> Sequence[float | None]:
+    """Return the stated noise of every output."""
+    if reading_sd is None:
+        return [None] * count
+    sd: list[float] = np.asarray(reading_sd, dtype=np.float64).ravel().tolist()
+    if len(sd) not in (1, count):
+        raise UsageError(f"--reading-sd takes 1 or {count} values, got {len(sd)}.")
+    return sd * count if len(sd) == 1 else sd
+
+
+def _alone(data: Readings, name: str) -> Readings:
+    """Return readings of one output; the others are no columns of its surroundings."""
+    if len(data.outputs) == 1:
+        return data
+    return replace(select_outputs(data, (name,)), environment=data.environment)
+
+
+def _together(found: dict[str, Tumble], axes: tuple[str, ...]) -> Tumbles:
+    table = table_errors(*(one.calibration for one in found.values()))
+    beside: dict[str, dict[str, TumbleCoefficient]] = {}
+    if table.beside is not None:
+        beside = {
+            name: coefficients_beside(one.calibration, axis, table.beside)
+            for (name, one), axis in zip(found.items(), axes, strict=True)
+        }
+    value, u = np.full((len(axes), 3), np.nan), np.full((len(axes), 3), np.nan)
+    for row, (one, axis) in enumerate(zip(found.values(), axes, strict=True)):
+        i, p, o = (COMPONENTS.index(role) for role in roles(axis).values())
+        value[row, i], u[row, i] = 1.0, 0.0
+        for column, name, sign in ((p, "delta_o", 1.0), (o, "delta_p", -1.0)):
+            if name in one.coefficients:
+                value[row, column] = sign * one[name].value
+                u[row, column] = one[name].u
+    return Tumbles(found, axes, table, beside, value, u)
