@@ -28,7 +28,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--criterion",
         default="D",
         metavar="C",
-        help="D, A, G, I or u:OUTPUT:TERM such as u:ax:x^2 (default D)",
+        help="D, A, G, I, u:OUTPUT:TERM such as u:ax:x^2, tilt:±30 or force:±0.5 (default D)",
     )
     add("--candidates", metavar="S", help="bench or scheme that can be reached (default any)")
     add("--include", metavar="S", help="scheme of positions already measured, which stay")

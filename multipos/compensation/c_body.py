@@ -330,7 +330,7 @@ def needed_steps(calibration: Calibration, slope: Array, *, single: bool) -> tup
         They would not converge.
     """
     largest = float(np.linalg.norm(calibration.reference, axis=1).max())
-    rho = _contraction(calibration, slope, _HEADROOM * largest)
+    rho = _contraction(calibration, slope)
     if not rho <= _SLOWEST:
         raise MultiposError(
             f"the inverse of this model does not converge in fixed steps over "
@@ -342,16 +342,24 @@ def needed_steps(calibration: Calibration, slope: Array, *, single: bool) -> tup
     return 1 + int(np.ceil(needed)), rho
 
 
-def _contraction(calibration: Calibration, slope: Array, reach: float) -> float:
+def force_grid(calibration: Calibration, headroom: float) -> tuple[Array, dict[str, Array]]:
+    """Return forces (n, 3) [g] up to so many times the calibrated one, and columns with them."""
     model = calibration.model
     sensed = list(sensed_axes(model))
+    reach = headroom * float(np.linalg.norm(calibration.reference, axis=1).max())
     line, still = np.linspace(-reach, reach, _GRID), np.zeros(1)
     axes = [line if i in sensed else still for i in range(3)]
     names = model.environment
     environment = [np.linspace(*environment_range(calibration, name), 5) for name in names]
     grid = np.array(list(itertools.product(*axes, *environment)))
-    columns = dict(zip(names, grid[:, 3:].T, strict=True))
-    jacobian = model.force_jacobian(calibration.parameters, grid[:, :3], columns)[:, :, sensed]
+    return grid[:, :3], dict(zip(names, grid[:, 3:].T, strict=True))
+
+
+def _contraction(calibration: Calibration, slope: Array) -> float:
+    model = calibration.model
+    sensed = list(sensed_axes(model))
+    grid, columns = force_grid(calibration, _HEADROOM)
+    jacobian = model.force_jacobian(calibration.parameters, grid, columns)[:, :, sensed]
     if len(slope) > len(sensed):
         moved = np.linalg.inv(slope.T @ slope) @ jacobian.transpose(0, 2, 1) @ jacobian
     else:

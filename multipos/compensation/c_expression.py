@@ -3,23 +3,38 @@
 CasADi takes the expressions of all outputs apart into elementary operations. They are written out
 one by one inside the same fixed number of steps as for every other model,
 
-    f <- f + P (raw - h(f, e)),    P = K0^+,    K0 = dh/df                                 (1)
+    f <- f + P (raw - h(f, e)),    P = K0^-1,    K0 = dh/df                                (1)
 
-at zero force in the middle of the calibrated environment, see `multipos.compensation.c_body`.
+at zero force in the middle of the calibrated environment, see `multipos.compensation.c_body`. Where
+these would not converge, or there are more outputs than axes, the steps are Newton's,
+
+    f <- f + (J'J)^-1 J' (raw - h(f, e)),    J = dh/df at f,                               (2)
+
+with exact derivatives, as many as settle wherever the force is a third beyond what was calibrated.
+A reading at which they do not settle is of no force, and gives NAN.
 """
 
 from typing import Any
 
 import numpy as np
 
-from multipos.compensation.c_body import environment_range, literal, needed_steps, steps_in_words
+from multipos.compensation.c_body import (
+    environment_range,
+    force_grid,
+    literal,
+    needed_steps,
+    steps_in_words,
+)
 from multipos.errors import MultiposError
+from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.instructions import read_instructions
 from multipos.sensor.inverse import sensed_axes
 
+_BEYOND = 4.0 / 3.0  # times the largest calibrated force, up to which Newton's steps settle
+_SETTLED = {False: 1e-10, True: 1e-5}  # [g], the last step, by single precision
+_MOST = 30
 # CasADi's operations as C: of one operand, of two, and functions of the library.
 _UNARY = {
     "OP_ASSIGN": "{0}",
@@ -72,23 +87,28 @@ def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str
     Raises
     ------
     MultiposError
-        The steps would not converge, an operation has no counterpart in C, or there are more
-        outputs than axes.
+        The steps would not converge, or an operation has no counterpart in C.
     """
     model = calibration.model
     assert isinstance(model, ExpressionModel)
     sensed = list(sensed_axes(model))
-    if len(model.outputs) > len(sensed):
-        raise MultiposError(
-            "an expression of more outputs than axes is not exported; use apply, or fit each "
-            "axis with one output."
-        )
     middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
     slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0][:, sensed]
-    steps, rho = needed_steps(calibration, slope, single=single)
-    lines, library = _step(calibration, np.linalg.inv(slope), single)
     kind, axes = "float" if single else "double", [COMPONENTS[i] for i in sensed]
     start = ", ".join(f"{axis} = {literal(0.0, single)}" for axis in axes)
+    try:
+        if len(model.outputs) > len(sensed):
+            raise MultiposError("more outputs than axes")  # whose steps are Newton's
+        steps, rho = needed_steps(calibration, slope, single=single)
+        lines, library = _write_step(calibration, np.linalg.inv(slope), single)
+        how, ends = steps_in_words(steps, rho), axes
+    except MultiposError:
+        steps = _newton_steps(calibration, single)
+        lines, library = _write_step(calibration, None, single)
+        how, library = f"{steps} steps of Newton's; NAN where they do not settle", True
+        start += f", moved = {literal(0.0, single)}"
+        settled = literal(_SETTLED[single], single)
+        ends = [f"moved < {settled} ? {axis} : NAN" for axis in axes]
     body = [
         "{",
         *(f"    const {kind} d{i} = raw[{i}];" for i in range(len(model.outputs))),
@@ -96,38 +116,90 @@ def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str
         f"    for (int step = 0; step < {steps}; ++step) {{",
         *(f"        {line}" for line in lines),
         "    }",
-        *(f"    accel[{k}] = {axis};" for k, axis in enumerate(axes)),
+        *(f"    accel[{k}] = {end};" for k, end in enumerate(ends)),
         "}",
     ]
-    return "\n".join(body) + "\n", steps_in_words(steps, rho), library
+    return "\n".join(body) + "\n", how, library
 
 
-def _step(calibration: Calibration, inverse: Any, single: bool) -> tuple[list[str], bool]:
-    """Return one step of eq. (1) as lines of C."""
+def _newton_steps(calibration: Calibration, single: bool) -> int:
+    """Return how many steps of eq. (2) settle from no force, wherever force is a third beyond.
+
+    Raises
+    ------
+    MultiposError
+        They do not settle.
+    """
+    model = calibration.model
+    sensed = list(sensed_axes(model))
+    grid, columns = force_grid(calibration, _BEYOND)
+    true, found = grid[:, sensed], np.zeros(grid.shape)
+    raw = model.predict(calibration.parameters, grid, columns)
+    with np.errstate(all="ignore"):
+        steps, size = 0, np.inf
+        while steps < _MOST and not size < _SETTLED[single]:
+            steps += 1
+            left = raw - model.predict(calibration.parameters, found, columns)
+            jacobian = model.force_jacobian(calibration.parameters, found, columns)[:, :, sensed]
+            inverse = np.linalg.pinv(np.nan_to_num(jacobian))
+            step = np.einsum("nkm,nm->nk", inverse, left)
+            found[:, sensed] += step
+            size = float(np.abs(step).max())
+    off = float(np.abs(found[:, sensed] - true).max())
+    if not off < 1e3 * _SETTLED[single]:
+        largest = float(np.linalg.norm(calibration.reference, axis=1).max())
+        raise MultiposError(
+            f"Newton's steps from no force do not find every force up to {_BEYOND * largest:.3g} g "
+            f"(off by {off:.2g} g): the outputs turn back, or bend too much; use apply."
+        )
+    return steps + 1
+
+
+def _write_step(
+    calibration: Calibration, inverse: Array | None, single: bool
+) -> tuple[list[str], bool]:
+    """Return one step as lines of C: of eq. (1) with P, of eq. (2) without."""
     import casadi
 
     model = calibration.model
     assert isinstance(model, ExpressionModel)
     sensed = list(sensed_axes(model))
     force, raw = casadi.SX.sym("f", len(sensed)), casadi.SX.sym("raw", len(model.outputs))
-    env = casadi.SX.sym("e", len(model.environment))
+    env = casadi.SX.sym("e", max(len(model.environment), 1))
     full = casadi.SX.zeros(3)
     full[sensed] = force
-    outputs = [
-        read_instructions(program, (full, env, casadi.SX(calibration.parameters[part])))
-        for program, part in zip(model.functions, model.slices, strict=True)
-    ]
-    moved = force + casadi.DM(inverse) @ (raw - casadi.vertcat(*outputs))
+    outputs = casadi.substitute(
+        [casadi.vertcat(*model.compiled.outputs)],
+        list(model.compiled.symbols),
+        [full, env, casadi.SX(calibration.parameters)],
+    )[0]
+    left = raw - outputs
+    axes = [COMPONENTS[i] for i in sensed]
+    results = axes
+    if inverse is not None:
+        moved = force + casadi.DM(inverse) @ left
+    else:
+        slope = casadi.jacobian(outputs, force)
+        square = slope.shape[0] == slope.shape[1]
+        step = (
+            casadi.inv_minor(slope) @ left
+            if square
+            else casadi.inv_minor(slope.T @ slope) @ (slope.T @ left)
+        )
+        moved = casadi.vertcat(force + step, casadi.sum1(casadi.fabs(step)))
+        results = [*axes, "moved"]
     names = [
-        [COMPONENTS[i] for i in sensed],
+        axes,
         [f"env[{j}]" for j in range(len(model.environment))],
         [f"d{i}" for i in range(len(model.outputs))],
     ]
-    step = casadi.Function("step", [force, env, raw], [casadi.densify(moved)], {"cse": True})
-    return _write(step, names, single)
+    function = casadi.Function("step", [force, env, raw], [casadi.densify(moved)], {"cse": True})
+    return _write(function, names, results, single)
 
 
-def _write(step: Any, names: list[list[str]], single: bool) -> tuple[list[str], bool]:
+def _write(
+    step: Any, names: list[list[str]], ends: list[str], single: bool
+) -> tuple[list[str], bool]:
     """Write out CasADi's operations, each result under a name of its own."""
     codes = _codes()
     words = {"one": literal(1.0, single), "zero": literal(0.0, single), "f": "f" * single}
@@ -145,7 +217,7 @@ def _write(step: Any, names: list[list[str]], single: bool) -> tuple[list[str], 
             held[into[0]] = f"({number})" if number.startswith("-") else number
             continue
         if code == "OP_OUTPUT":
-            results.append((names[0][into[1]], held[operands[0]]))
+            results.append((ends[into[1]], held[operands[0]]))
             continue
         template = _template(code)
         library |= "{f}" in template

@@ -142,8 +142,8 @@ def _negligible(calibration: Calibration) -> Array:
     model = calibration.model
     middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
     slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0]
-    sizes = [part.stop - part.start for part in model.slices]
-    return np.repeat(_NEGLIGIBLE * np.abs(slope).max(axis=1), sizes)
+    sizes = _NEGLIGIBLE * np.abs(slope).max(axis=1)
+    return np.append(sizes, sizes.min())[model.output_of]
 
 
 def _header(calibration: Calibration, name: str, how: str, unit: str) -> str:

@@ -45,7 +45,9 @@ from multipos.numerics.least_squares import name_combinations, separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import Scheme, named_schemes, read_scheme
 from multipos.results import Keyed, data_frame
-from multipos.sensor.model import build_model, default_axes
+from multipos.sensor.model import Model, build_model, default_axes
+from multipos.sensor.own_models import build_sketch
+from multipos.sensor.sketches import Sketch, read_model
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +156,7 @@ def schemes(
     *sources : names, joined names, paths, columns or Scheme
         One by one, or one list or tuple of them.
     model : str
-        Name or formula.
+        Name, formula, or a model of one's own, judged at the parameters that it states.
     axes, inputs : names
         As in `multipos.fit`; outputs are named ax, ay, az after their axes.
     unknown_orientation : bool
@@ -169,6 +171,7 @@ def schemes(
     Schemes
     """
     setting = read_setting(model, axes, inputs, unknown_orientation, orientation_sd, reading_sd)
+    setting = setting.stated
     assessor = Assessor(setting, reading_sd)
     given: tuple[Source | Scheme, ...] = spread(sources)
     found = [assessor.describe(read_scheme(source)) for source in given or named_schemes()]
@@ -189,13 +192,20 @@ def read_setting(
     """Return the setting of options as `schemes` takes them."""
     names = default_axes((), axes)
     seen = split_names(inputs, "--inputs")
+    written = read_model(model)
     # a second output on an axis is ax2
     outputs = tuple(
         f"a{axis}" + (str(count) if (count := names[: i + 1].count(axis)) > 1 else "")
         for i, axis in enumerate(names)
     )
+    if isinstance(written, Sketch):
+        used = written.columns_among(())
+        written.require_no_near_miss(used, ())
+        built: Model = build_sketch(written, outputs, names, seen, "reading", used)
+    else:
+        built = build_model(written, outputs, names, seen, known=())
     return make_setting(
-        build_model(model, outputs, names, seen, known=()),
+        built,
         unknown_orientation=unknown_orientation,
         orientation_sd=orientation_sd,
         reading_sd=reading_sd,
@@ -231,9 +241,10 @@ class Assessor:
             designs = [(model.names, self.setting.rows(up)[0][:, 0, :])]
         else:
             # a finite orientation sd weighs the rows, but takes none away
-            known = Setting(model).rows(up)
+            exact = Setting(model, parameters=self.setting.parameters)
             designs = [
-                (model.names[part], Z[:, 0, :]) for part, Z in zip(model.slices, known, strict=True)
+                (model.names[part], Z.reshape(-1, Z.shape[2]))
+                for part, Z in zip(exact.blocks, exact.rows(up), strict=True)
             ]
         found = [(names, separability(Z, floor=FLOOR)) for names, Z in designs]
         problems: list[str] = []

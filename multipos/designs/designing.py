@@ -132,13 +132,15 @@ def design(
     Parameters
     ----------
     model : str
-        Name or formula.
+        Name, formula, or a model of one's own: judged at the parameters that it states, and where
+        these have a prior, by the mean of the criterion over it.
     positions : int
         How many, the included ones counted.
     criterion : str
         'D' (all parameters together), 'A' (mean variance), 'G' (largest variance of the
-        prediction), 'I' (mean variance of the compensated force over the sphere or `region`), or
-        'u:OUTPUT:TERM' (one parameter).
+        prediction), 'I' (mean variance of the compensated force over the sphere or `region`),
+        'u:OUTPUT:TERM' (one parameter), 'tilt:±30' (variance of tilt over that range of degrees),
+        or 'force:±0.5' (of force over that range of g).
     candidates : bench, scheme, path or columns, optional
         What can be reached (`multipos.positions.benches`); any direction where not given.
     include : scheme, path or columns, optional
@@ -170,7 +172,7 @@ def design(
     given = np.empty((0, 3)) if include is None else read_scheme(include).up
     _check_count(setting, positions, len(given))
     bench = None if candidates is None else read_bench(candidates)
-    assessor = Assessor(setting, reading_sd)
+    assessor = Assessor(setting.stated, reading_sd)
     _check_candidates(assessor, bench, given)
     sphere = optimise_sphere(setting, wanted)
     best = sphere if bench is None else optimise_candidates(setting.rows(bench), wanted)

@@ -28,16 +28,21 @@ V. V. Fedorov, Theory of Optimal Experiments, 1972 (several outputs, linear crit
 """
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
 from multipos.errors import UsageError
+from multipos.estimation.guesses import nominal_parameters
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS, Term
-from multipos.sensor.inverse import parameter_jacobian
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.inverse import parameter_jacobian, sensed_axes
 from multipos.sensor.model import Model
 
 Blocks = tuple[Array, ...]
@@ -49,6 +54,7 @@ _AS_UNKNOWN = 2e7
 # Multiplications of a product from which BLAS may start threads: on a busy machine their waiting
 # for each other costs a hundred times what they gain on products of this size.
 _PIECE = 200_000
+_LEANS = 13  # tilts of an axis over a range, whose mean stands for all
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,8 @@ class Setting:
         Of the sensor; the nominal one (bias 0, scale 1 per g) where not given.
     size : float [g]
         What a position makes of u: f = size u.
+    draws : tuple of (p,) arrays
+        Parameters that represent a prior over them: the criterion is then the mean over these.
     """
 
     model: Model
@@ -75,12 +83,28 @@ class Setting:
     sd: Array | None = None
     parameters: Array | None = None
     size: float = 1.0
+    draws: tuple[Array, ...] = ()
 
     @cached_property
     def blocks(self) -> tuple[slice, ...]:
         """Parameters whose information has no part in common with the others'."""
-        coupled = self.orientation_sd > 0.0
-        return (slice(0, len(self.model.keys)),) if coupled else self.model.slices
+        return (slice(0, len(self.model.keys)),) if self.coupled else self.model.slices
+
+    @cached_property
+    def coupled(self) -> bool:
+        """Whether outputs tell of the same: of one position, or of parameters that they share."""
+        shares = bool((self.model.output_of == len(self.model.outputs)).any())
+        return self.orientation_sd > 0.0 or shares
+
+    @cached_property
+    def stated(self) -> "Setting":
+        """The setting at the stated parameters alone."""
+        return replace(self, draws=())
+
+    @cached_property
+    def drawn(self) -> "tuple[Setting, ...]":
+        """The setting at each of the draws."""
+        return tuple(replace(self, parameters=draw, draws=()) for draw in self.draws)
 
     @cached_property
     def least(self) -> int:
@@ -90,9 +114,14 @@ class Setting:
         return max(len(terms) for terms in self.model.terms)
 
     def rows(self, up: Array) -> Blocks:
-        """Return the whitened rows Z with I(u) = Z'Z of each block, at up vectors (n, 3)."""
+        """Return the whitened rows Z with I(u) = Z'Z of each block, at up vectors (n, 3).
+
+        With draws, the blocks of each: the mean of ln det over them is what D makes large.
+        """
+        if self.draws:
+            return tuple(Z for one in self.drawn for Z in one.rows(up))
         force = self.size * up
-        if self.orientation_sd > 0.0:
+        if self.coupled:
             return (self.whiten(up, self.design(force)),)
         if self.parameters is None:
             phi = self.model.basis(force, {})
@@ -117,7 +146,7 @@ class Setting:
         if self.orientation_sd == 0.0:
             return X
         length = np.linalg.norm(up, axis=1)  # of a known force; one of a direction
-        turned = self._jacobian(self.size * up) @ tangents(directions(up))
+        turned = self.force_jacobian(up) @ tangents(directions(up))
         turned *= np.where(length == 0.0, 1e-300, length)[:, np.newaxis, np.newaxis]
         if self.sd is not None:
             turned = turned / self.sd[:, np.newaxis]
@@ -132,14 +161,14 @@ class Setting:
         A = spread @ (Q * np.sqrt((1.0 - 1.0 / np.sqrt(1.0 + eigen)) / eigen)[:, np.newaxis, :])
         return np.asarray(X - A @ (A.transpose(0, 2, 1) @ X))
 
-    def _jacobian(self, force: Array) -> Array:
-        """Return dy/df (n, M, 3)."""
+    def force_jacobian(self, up: Array) -> Array:
+        """Return dy/df (n, M, 3) at up vectors (n, 3)."""
         if self.parameters is not None:
-            return self.model.force_jacobian(self.parameters, force, {})
+            return self.model.force_jacobian(self.parameters, self.size * up, {})
         J = np.zeros((len(self.model.outputs), 3))
         for i, axis in enumerate(self.model.axes):
             J[i, COMPONENTS.index(axis)] = 1.0
-        return np.broadcast_to(J, (len(force), *J.shape))
+        return np.broadcast_to(J, (len(up), *J.shape))
 
 
 def make_setting(
@@ -164,6 +193,9 @@ def make_setting(
         )
     if unknown_orientation and orientation_sd is not None:
         raise UsageError("--unknown-orientation and --orientation-sd exclude each other; give one.")
+    own: dict[str, Any] = {}
+    if isinstance(model, ExpressionModel):
+        own = _of_own_model(model, unknown_orientation)
     if unknown_orientation:
         if sorted(model.axes) != list(COMPONENTS):
             raise UsageError(
@@ -172,7 +204,7 @@ def make_setting(
             )
         return Setting(model.with_gauge("lower"), math.inf)
     if orientation_sd is None:
-        return Setting(model)
+        return Setting(model, **own)
     if not 0.0 <= math.radians(orientation_sd) <= _AS_UNKNOWN * reading_sd:
         raise UsageError(
             "--orientation-sd must be 0 or more, in degrees, and beside a reading of standard "
@@ -180,7 +212,33 @@ def make_setting(
             f"{orientation_sd}; "
             "for unknown orientations give --unknown-orientation."
         )
-    return Setting(model, math.radians(orientation_sd) / reading_sd)
+    return Setting(model, math.radians(orientation_sd) / reading_sd, **own)
+
+
+def _of_own_model(model: ExpressionModel, unknown_orientation: bool) -> dict[str, Any]:
+    """Return the parameters at which a model of one's own is judged, and draws of its prior.
+
+    Of q parameters with a prior, all outputs' copies of one together, 2 q points at ± sqrt(q) sd
+    have the prior's mean and covariance.
+    """
+    if unknown_orientation:
+        model.with_gauge("lower")  # which refuses it
+    if model.environment:
+        raise UsageError(
+            f"the model uses column '{model.environment[0]}', which a position does not set; "
+            "give a model of specific force alone."
+        )
+    nominal = nominal_parameters(model)
+    believed = dict.fromkeys(q.name for q in model.quantities if q.sd is not None)
+    draws = []
+    for name in believed:
+        for sign in (-1.0, 1.0):
+            move = [
+                math.sqrt(len(believed)) * sign * (q.sd or 0.0) if q.name == name else 0.0
+                for q in model.quantities
+            ]
+            draws.append(model.within(nominal + np.array(move)))
+    return {"parameters": nominal, "draws": tuple(draws)}
 
 
 def nothing_to_weigh(orientation_sd: float | None, reading_sd: float) -> list[str]:
@@ -203,7 +261,7 @@ class Criterion:
 
 
 def make_criterion(name: str, setting: Setting, region: Array | None = None) -> Criterion:
-    """Return the criterion D, A, G, I or u:OUTPUT:TERM.
+    """Return the criterion D, A, G, I, u:OUTPUT:TERM, tilt:±DEGREES or force:±G.
 
     Parameters
     ----------
@@ -221,11 +279,32 @@ def make_criterion(name: str, setting: Setting, region: Array | None = None) -> 
     if name in ("D", "G"):
         return Criterion(name)
     if name == "A":
-        return Criterion(name, tuple(np.eye(part.stop - part.start) for part in setting.blocks))
+        blocks = setting.blocks * max(len(setting.draws), 1)
+        return Criterion(name, tuple(np.eye(part.stop - part.start) for part in blocks))
     if name == "I":
-        whole = _moments(setting.model) if region is None else _average(setting, region)
-        return Criterion(name, tuple(whole[part, part] for part in setting.blocks))
+        return Criterion(name, _by_draw(setting, partial(_mean_prediction, region=region)))
+    if name.startswith(("tilt:", "force:")):
+        return Criterion(name, _by_draw(setting, partial(_weight_of_range, name)))
     return Criterion(name, _weight_of_one(name, setting))
+
+
+def _by_draw(setting: Setting, weigh: Callable[[Setting], Array]) -> Blocks:
+    """Return B of eq. (2) by blocks, at each of the draws where there are any."""
+    return tuple(
+        whole[part, part]
+        for one in setting.drawn or (setting,)
+        for whole in [weigh(one)]
+        for part in one.blocks
+    )
+
+
+def _mean_prediction(setting: Setting, *, region: Array | None) -> Array:
+    """Return the mean of X'X over a region, or over the sphere."""
+    if region is not None:
+        return _average(setting, region)
+    if isinstance(setting.model, ExpressionModel):
+        return _average(setting, read_scheme("fibonacci-1000").up)
+    return _moments(setting.model)
 
 
 def _weight_of_one(name: str, setting: Setting) -> Blocks:
@@ -233,7 +312,10 @@ def _weight_of_one(name: str, setting: Setting) -> Blocks:
     kind, _, key = name.partition(":")
     output, _, term = key.partition(":")
     if kind != "u" or not term:
-        raise UsageError(f"unknown criterion '{name}'; give D, A, G, I or u:OUTPUT:TERM.")
+        raise UsageError(
+            f"unknown criterion '{name}'; give D, A, G, I, u:OUTPUT:TERM, tilt:±DEGREES or "
+            "force:±G."
+        )
     try:
         index = setting.model.index(output, term)
     except KeyError as error:
@@ -241,7 +323,62 @@ def _weight_of_one(name: str, setting: Setting) -> Blocks:
     # 1 for the one, a little for the others
     diagonal = np.full(sum(part.stop - part.start for part in setting.blocks), _OTHERS)
     diagonal[index] = 1.0
-    return tuple(np.diag(diagonal[part]) for part in setting.blocks)
+    blocks = setting.blocks * max(len(setting.draws), 1)
+    return tuple(np.diag(diagonal[part]) for part in blocks)
+
+
+def _weight_of_range(name: str, setting: Setting) -> Array:
+    """Return B for the mean variance of tilt within ± degrees, or of force within ± g.
+
+    Of a sensor that stands with z up, every other axis that it has leaned up to the range either
+    way (of a sensor of z alone, z leaned from level). With f = u, t = (e - u (u.e))/cos the
+    direction in which the tilt of axis e grows, dtilt = t.df and df = -J^+ X dp, so that B is the
+    mean of X'(J^+)' t t' J^+ X; of force e stands for t.
+    """
+    up, leaning, angles = _leaning(name, setting.model.axes)
+    X, J = setting.design(setting.size * up), setting.force_jacobian(up)
+    sensed = list(sensed_axes(setting.model))
+    by_parameter = np.linalg.pinv(J[:, :, sensed]) @ X  # (n, K, p)
+    B = np.zeros((X.shape[2], X.shape[2]))
+    for i in leaning:
+        if name.startswith("tilt:"):
+            away = (np.eye(3)[i] - up * up[:, [i]]) / np.cos(angles[:, [i]])
+        else:
+            away = np.tile(np.eye(3)[i], (len(up), 1))
+        if len(sensed) < len(COMPONENTS):  # asin(f/g): nothing else is seen
+            away = np.zeros_like(up)
+            away[:, i] = 1.0 / np.cos(angles[:, i]) if name.startswith("tilt:") else 1.0
+        rows = np.einsum("nk,nkp->np", away[:, sensed], by_parameter)
+        B += rows.T @ rows / len(rows)
+    # what the quantity does not need must not be left wholly unknown
+    return np.asarray(B + _OTHERS * np.trace(B) / len(B) * np.eye(len(B)))
+
+
+def _leaning(name: str, axes: tuple[str, ...]) -> tuple[Array, list[int], Array]:
+    """Return up vectors (n, 3) of a range, the axes that lean in it, and their tilts (n, 3)."""
+    kind, _, text = name.partition(":")
+    try:
+        size = abs(float(text.replace("±", "").replace("+-", "")))
+    except ValueError:
+        size = 0.0
+    largest, unit = (89.0, "degrees") if kind == "tilt" else (1.0, "g")
+    if not 0.0 < size <= largest:
+        raise UsageError(
+            f"criterion '{name}': give {kind}:±SIZE with a size above 0 and up to {largest:g} "
+            f"{unit}, such as {kind}:±{'30' if kind == 'tilt' else '0.5'}."
+        )
+    upright = COMPONENTS.index("z")
+    leaning = [i for i, axis in enumerate(COMPONENTS) if axis in axes and i != upright]
+    if not leaning:
+        leaning, upright = [upright], 0
+    line = np.linspace(-size, size, _LEANS)
+    sines = np.sin(np.radians(line)) if kind == "tilt" else line
+    grid = np.stack(np.meshgrid(*[sines] * len(leaning)), axis=-1).reshape(-1, len(leaning))
+    grid = grid[np.sum(grid**2, axis=1) < 1.0 - 1e-9]
+    up = np.zeros((len(grid), 3))
+    up[:, leaning] = grid
+    up[:, upright] = np.sqrt(1.0 - np.sum(grid**2, axis=1))
+    return up, leaning, np.arcsin(up)
 
 
 def inform(rows: Blocks, weights: Array | None = None) -> Blocks:

@@ -230,7 +230,7 @@ def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     size = np.linalg.norm(calibration.reference, axis=1)
     setting = Setting(model, spread, sd, calibration.parameters, sign * float(size.mean()))
     up = sign * calibration.reference / size[:, np.newaxis]
-    present = np.asarray(_information(setting, up).sum(axis=0))
+    present = np.asarray(_information(setting, up).sum(axis=0) + np.diag(model.beliefs))
     ratio = calibration.u**2 / np.diag(np.linalg.inv(present))
     covered = np.empty(len(ratio))
     for part in setting.blocks:

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.positions.scheme import read_scheme
 from multipos.sensor.expressions import ExpressionModel
 
 _TRIED = (0.0, 1.0, 0.1, 10.0)  # values of what has no start
@@ -27,7 +29,12 @@ _RANK = 1e-9  # of the largest, a direction that least squares of a guess leaves
 
 
 def first_guesses(
-    model: ExpressionModel, values: Array, force: Array, environment: Mapping[str, Array]
+    model: ExpressionModel,
+    values: Array,
+    force: Array,
+    environment: Mapping[str, Array],
+    *,
+    keep: bool = False,
 ) -> list[Array]:
     """Return where searches start, the best first, (p,) each.
 
@@ -38,6 +45,8 @@ def first_guesses(
         Readings.
     force : (n, 3) array [g]
     environment : mapping of str to (n,) array
+    keep : bool
+        Leave every parameter that has a start there.
 
     Raises
     ------
@@ -47,17 +56,17 @@ def first_guesses(
     linear = linear_parameters(model)
     stated = np.isfinite(model.starts)
     free = ~stated & ~linear
-    sought = (linear & (model.beliefs == 0.0)) | free
+    sought = (linear & (model.beliefs == 0.0) & ~(stated & keep)) | free
     found: list[tuple[float, Array]] = []
     with np.errstate(all="ignore"):
         for start in _trials(model, np.where(stated, model.starts, 0.0), free):
-            theta = _within(model, start)
+            theta = model.within(start)
             for _ in range(2):
                 theta = _improved(model, theta, sought, values, force, environment)
             misfit = _misfit(model, theta, values, force, environment)
-            told = _misfit(model, _within(model, start), values, force, environment)
+            told = _misfit(model, model.within(start), values, force, environment)
             if not np.isfinite(misfit):
-                misfit, theta = told, _within(model, start)
+                misfit, theta = told, model.within(start)
             if np.isfinite(misfit):
                 found.append((misfit, theta))
     if not found:
@@ -69,6 +78,22 @@ def first_guesses(
         )
     found.sort(key=lambda each: each[0])
     return [theta for _, theta in found[: _KEPT if free.any() else 1]]
+
+
+def nominal_parameters(model: ExpressionModel) -> Array:
+    """Return the parameters at which positions are judged (p,), before any reading.
+
+    Those that are stated, and with them what comes nearest to an output of one per g along its own
+    axis, and nothing at zero.
+
+    Raises
+    ------
+    MultiposError
+        As `first_guesses`.
+    """
+    force = read_scheme("fibonacci-100").up
+    own = force[:, [COMPONENTS.index(axis) for axis in model.axes]]
+    return first_guesses(model, own, force, {}, keep=True)[0]
 
 
 def linear_parameters(model: ExpressionModel) -> NDArray[np.bool_]:
@@ -97,13 +122,6 @@ def _trials(model: ExpressionModel, start: Array, free: NDArray[np.bool_]) -> It
         yield theta
 
 
-def _within(model: ExpressionModel, theta: Array) -> Array:
-    """Return parameters within their bounds."""
-    low = np.array([q.low for q in model.quantities])
-    high = np.array([q.high for q in model.quantities])
-    return np.clip(theta, low, high)
-
-
 def _improved(
     model: ExpressionModel,
     theta: Array,
@@ -128,7 +146,7 @@ def _improved(
     scale = np.where(size > 0.0, size, 1.0)
     moved = theta.copy()
     moved[sought] += np.linalg.lstsq(A / scale, left, rcond=_RANK)[0] / scale
-    return _within(model, moved)
+    return model.within(moved)
 
 
 def _misfit(

@@ -229,6 +229,11 @@ class ExpressionModel(Model):
         centre = np.where(root > 0.0, np.nan_to_num(self.starts), outer)
         return root * (outer - centre), root * slope
 
+    def within(self, parameters: Array) -> Array:
+        """Return parameters (p,) within their bounds."""
+        low = [quantity.low for quantity in self.quantities]
+        return np.clip(parameters, low, [quantity.high for quantity in self.quantities])
+
     def outward(self, inner: Array) -> tuple[Array, Array]:
         """Return the parameters of eq. (2) and their slopes, (p,) each, from t."""
         outer, slope = inner.copy(), np.ones(len(inner))

@@ -1,0 +1,115 @@
+"""Positions for models of one's own: information at stated parameters, and over a range of tilt."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.positions.scheme import read_scheme
+
+LINEAR = "each = a + p*x + q*y + r*z"
+
+
+def test_a_polynomial_written_as_ones_own_is_judged_alike():
+    plain = mp.schemes("all-26", "faces-6")
+    own = mp.schemes("all-26", "faces-6", model=LINEAR)
+    for a, b in zip(plain.schemes, own.schemes, strict=True):
+        assert_allclose(b.log_det, a.log_det, rtol=1e-10)
+        assert_allclose(list(b.u.values()), list(a.u.values()), rtol=1e-10)
+        assert_allclose(b.i_efficiency, a.i_efficiency, rtol=1e-3)  # a sum in place of an integral
+
+
+def test_the_information_is_that_at_the_stated_parameters(tmp_path):
+    """One output by hand: dy/d(b, s, k) of b + s f/(1 + k f²) at s = 1, k = 0.2."""
+    path = tmp_path / "own.toml"
+    path.write_text('[parameters]\nk = 0.2\ns = 1\n[outputs]\neach = "b + s*own/(1 + k*own^2)"\n')
+    found = mp.schemes("fibonacci-12", model=str(path), axes="x").schemes[0]
+    f = read_scheme("fibonacci-12").up[:, 0]
+    below = 1 + 0.2 * f**2
+    X = np.column_stack([np.ones(12), f / below, -(f**3) / below**2])
+    assert_allclose(found.log_det, np.linalg.slogdet(X.T @ X / 12)[1], rtol=1e-9)
+    assert_allclose(list(found.u.values()), np.sqrt(np.diag(np.linalg.inv(X.T @ X))), rtol=1e-9)
+
+
+def test_six_faces_cannot_tell_a_saturation():
+    found = mp.schemes("faces-6", model="each = b + s*own/(1 + k*own^2)").schemes[0]
+    assert not found.identifiable
+    assert "s_ax" in found.unidentifiable[0]
+    assert "k_ax" in found.unidentifiable[0]
+
+
+def test_shared_parameters_are_told_by_all_outputs():
+    found = mp.schemes("all-26", model="each = b + s*own + common_k*own^2").schemes[0]
+    up = read_scheme("all-26").up
+    X = np.zeros((3, 26, 7))
+    for i in range(3):
+        X[i, :, 2 * i], X[i, :, 2 * i + 1], X[i, :, 6] = 1.0, up[:, i], up[:, i] ** 2
+    M = np.einsum("mnp,mnq->pq", X, X)
+    assert_allclose(found.u["common:common_k"], np.linalg.inv(M)[6, 6] ** 0.5, rtol=1e-9)
+
+
+def test_a_prior_spreads_a_design(tmp_path):
+    """The mean of ln det over the prior is better than that of the design for its centre."""
+
+    def design(sd):
+        path = tmp_path / "own.toml"
+        path.write_text(
+            f"[parameters]\nk = {{start = 2, sd = {sd}}}\ns = 1\n"
+            '[outputs]\neach = "b + s*own/(1 + k*own^2)"\n'
+        )
+        return mp.design(str(path), 6, axes="x").positions[:, 0]
+
+    def mean_log_det(f):
+        total = 0.0
+        for k in (2 - 1.5, 2 + 1.5):
+            below = 1 + k * f**2
+            X = np.column_stack([np.ones(len(f)), f / below, -(f**3) / below**2])
+            total += np.linalg.slogdet(X.T @ X)[1] / 2
+        return total
+
+    assert mean_log_det(design(1.5)) > mean_log_det(design(1e-6)) + 1e-3
+
+
+def tilt_variance(positions, degrees=30.0):
+    """Mean variance of tilt of x and y of a nominal triad of unit noise, over ± degrees."""
+    X = np.column_stack([np.ones(len(positions)), positions])
+    C = np.linalg.inv(X.T @ X)  # of each output
+    total, count = 0.0, 0
+    for a in np.radians(np.linspace(-degrees, degrees, 7)):
+        for b in np.radians(np.linspace(-degrees, degrees, 7)):
+            up = np.array([np.sin(a), np.sin(b), 0.0])
+            up[2] = np.sqrt(1 - up @ up)
+            spread = np.array([1.0, *up]) @ C @ np.array([1.0, *up])
+            for i in range(2):  # a turn by t: every output contributes, at right angles to up
+                t = (np.eye(3)[i] - up * up[i]) / np.sqrt(1 - up[i] ** 2)
+                total += spread * (t @ t)
+                count += 1
+    return total / count
+
+
+def test_a_design_for_tilt_serves_tilt():
+    tilt = mp.design("linear", 8, criterion="tilt:±30")
+    plain = mp.design("linear", 8)
+    assert tilt.efficiency > 0.99
+    assert tilt_variance(tilt.positions) < 0.9 * tilt_variance(plain.positions)
+
+
+@pytest.mark.parametrize("name", ["tilt:", "tilt:x", "tilt:0", "tilt:95", "force:2"])
+def test_a_range_that_is_none(name):
+    with pytest.raises(mp.UsageError, match="give (tilt|force):±SIZE"):
+        mp.design("linear", 8, criterion=name)
+
+
+def test_a_column_and_unknown_orientations_are_refused():
+    with pytest.raises(mp.UsageError, match="column 'temperature', which a position does not set"):
+        mp.schemes("faces-6", model="each = b + s*own*temperature")
+    with pytest.raises(mp.UsageError, match="leave --unknown-orientation out"):
+        mp.schemes("faces-6", model=LINEAR, unknown_orientation=True)
+
+
+def test_one_more_position_is_worth_what_a_polynomial_says():
+    up = read_scheme("all-26").up
+    values = up + 1e-4 * np.random.default_rng(1).standard_normal(up.shape)
+    data = mp.Readings(values, up=up)
+    plain, own = mp.worth(mp.fit(data)), mp.worth(mp.fit(data, model=LINEAR))
+    assert_allclose([c.fall for c in own.candidates], [c.fall for c in plain.candidates], rtol=1e-6)
