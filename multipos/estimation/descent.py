@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from multipos.estimation.exact import Equations, ExactSearch
 from multipos.estimation.likelihood import evaluate, linearise, moved, recentred
 from multipos.estimation.problem import Normal, Optimum, Point, Problem, State
 from multipos.estimation.sphere import SphereSearch, Surface
@@ -27,6 +28,7 @@ _DECREMENT_ROBUST = 1e-14  # weights that change with the step make convergence 
 _XTOL = 1e-13  # relative step that is only rounding
 _DAMPING = 1e-4
 _STUCK = 1e12  # damping beyond which nothing moves
+_FLAT = 1e-15  # of F, below which a step is lost in the rounding of F
 _ROUNDING = 1e-8  # of F, or of theta: what the last digits of the readings can do
 
 
@@ -47,6 +49,10 @@ def _maximise(problem: Problem, state: State) -> Optimum:
             sphere = SphereSearch(problem)
             place, end = _descend(sphere, sphere.begin(state), problem)
             state, point = sphere.end(place, state)
+        elif ExactSearch.fits(problem):
+            exact = ExactSearch(problem, state)
+            spot, end = _descend(exact, exact.begin(state), problem)
+            state, point = exact.end(spot, state)
         else:
             everywhere = _Search(problem)
             at, end = _descend(everywhere, everywhere.begin(state), problem)
@@ -85,7 +91,8 @@ def _descend(
             trial = steps.move(place, equations, step, damping)
             if trial.objective <= place.objective or damping > _STUCK:
                 break
-            damping = max(damping * 10.0, 1e-10)
+            flat = decrement <= _FLAT * place.objective  # a shorter step has less to take off
+            damping = 10.0 * _STUCK if flat else max(damping * 10.0, 1e-10)
         if damping > _STUCK:  # no descent is left: rounding, or a point that is no minimum
             _, decrement, last_step = _step(place.theta, equations, 0.0, held)
             converged = decrement <= _ROUNDING * place.objective or last_step <= _ROUNDING
@@ -98,7 +105,7 @@ def _descend(
 
 
 def _step(
-    theta: Array, equations: Normal | Surface, damping: float, held: list[int]
+    theta: Array, equations: Normal | Surface | Equations, damping: float, held: list[int]
 ) -> tuple[Array, float, float]:
     """Return the damped step, what it should take off F, and its size relative to theta."""
     information, gradient = equations.information, equations.gradient

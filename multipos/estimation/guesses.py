@@ -25,6 +25,7 @@ from multipos.sensor.expressions import ExpressionModel
 _TRIED = (0.0, 1.0, 0.1, 10.0)  # values of what has no start
 _ALONE = 3  # parameters of an output up to which all their combinations are tried
 _KEPT = 3  # guesses that are worth a search
+_EXPLAINED = 1e-3  # of the readings' variance: what is left of it where no other is needed
 _RANK = 1e-9  # of the largest, a direction that least squares of a guess leaves alone
 
 
@@ -69,6 +70,8 @@ def first_guesses(
                 misfit, theta = told, model.within(start)
             if np.isfinite(misfit):
                 found.append((misfit, theta))
+            if misfit <= _EXPLAINED * values.size:
+                break
     if not found:
         names = [name for name, one in zip(model.names, free.tolist(), strict=True) if one]
         which = ", ".join(f"`{name}`" for name in names) or "its parameters"
@@ -77,7 +80,8 @@ def first_guesses(
             "[parameters] of a TOML file."
         )
     found.sort(key=lambda each: each[0])
-    return [theta for _, theta in found[: _KEPT if free.any() else 1]]
+    sure = not free.any() or found[0][0] <= _EXPLAINED * values.size
+    return [theta for _, theta in found[: 1 if sure else _KEPT]]
 
 
 def nominal_parameters(model: ExpressionModel) -> Array:
@@ -98,7 +102,7 @@ def nominal_parameters(model: ExpressionModel) -> Array:
 
 def linear_parameters(model: ExpressionModel) -> NDArray[np.bool_]:
     """Return which parameters enter linearly together, (p,): as many as can."""
-    curved = np.array(model.compiled.curved())
+    curved = model.compiled.curved
     chosen: list[int] = []
     for place in np.argsort(curved.sum(axis=1), kind="stable").tolist():
         if not curved[place, place] and not curved[place, chosen].any():

@@ -29,6 +29,7 @@ from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, add_variances, diagonal, stated_sd
 from multipos.sensor.diagnostics import UNEQUAL, bartlett, find_outliers
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
 
@@ -51,17 +52,19 @@ def solve_known(
     *,
     pool: bool = False,
     claimed: bool = True,
+    phi: Array | None = None,
 ) -> Solution:
     """Fit every output by linear least squares, eqs. (1) and (2).
 
-    The noise of the readings is held to their residuals where it is `claimed` by somebody.
+    The noise of the readings is held to their residuals where it is `claimed` by somebody; `phi`
+    (n, T) are the columns of all outputs, where they are not the model's own terms.
 
     Raises
     ------
     RankError
         The positions cannot separate the parameters; the message names them and a way out.
     """
-    phi = model.basis(reference, readings.environment)
+    phi = model.basis(reference, readings.environment) if phi is None else phi
     noise = readings.noise
     fits = _solve(model, phi, readings, noise)
     n = len(readings)
@@ -312,6 +315,15 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     """Return the error with the model named and a way out: the terms that can be separated."""
     name = model.outputs[output]
     terms = model.terms[output]
+    if isinstance(model, ExpressionModel):
+        said = "; ".join(error.combinations) or f"{len(phi)} readings for {len(terms)} parameters"
+        return RankError(
+            f"{error.rank} of {error.parameters} parameters of {name} can be separated: {said}; "
+            "add positions that differ more, or drop a parameter.",
+            rank=error.rank,
+            parameters=error.parameters,
+            combinations=error.combinations,
+        )
     design = phi[:, model.columns[output]]
     kept: list[int] = []
     for column in range(len(terms)):

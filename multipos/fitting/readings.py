@@ -23,6 +23,7 @@ from multipos.estimation.options import (
     choose_estimator,
     criterion_in_words,
 )
+from multipos.estimation.own_known import is_apart, solve_own_known
 from multipos.estimation.reference_noise import add_reference_noise
 from multipos.estimation.six_positions import solve_closed_form
 from multipos.estimation.solution import Solution
@@ -250,8 +251,11 @@ def _solver(
     def solve(model: Model) -> Solution:
         if estimator is Estimator.CLOSED_FORM:
             return solve_closed_form(model, reference, readings, pool=pool)
-        nonlinear = options.robust is not None or isinstance(model, ExpressionModel)
-        if estimator is Estimator.LINEAR and not nonlinear:
+        exact = estimator is Estimator.LINEAR and options.robust is None
+        own = isinstance(model, ExpressionModel)
+        if isinstance(model, ExpressionModel) and exact and is_apart(model, readings):
+            return solve_own_known(model, reference, readings, pool=pool, claimed=claimed)
+        if exact and not own:
             return solve_known(model, reference, readings, pool=pool, claimed=claimed)
         return solve_uncertain(
             model, readings, placement, gauge=options.gauge, robust=options.robust, pool=pool

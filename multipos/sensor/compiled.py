@@ -11,10 +11,11 @@ by what they were asked for: a search asks for the slopes by force where it aske
 
 import threading
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
 from multipos.sensor.instructions import Instruction, read_instructions
@@ -100,15 +101,16 @@ class Compiled:
         found = _Map(self._second, n).call(force, columns, parameters)
         return found.T.reshape(n, m, p, p)
 
-    def curved(self) -> "tuple[tuple[bool, ...], ...]":
-        """Return which pairs of parameters d²y/dp² can be other than zero for, (p, p)."""
+    @cached_property
+    def curved(self) -> NDArray[np.bool_]:
+        """Which pairs of parameters d²y/dp² can be other than zero for, (p, p)."""
         import casadi
 
         _, _, unknown = self._symbols
         weights = casadi.SX.sym("w", len(self._outputs))
         total = casadi.dot(weights, casadi.vertcat(*self._outputs))
         pattern = np.array(casadi.DM(casadi.hessian(total, unknown)[0].sparsity(), 1.0))
-        return tuple(map(tuple, (pattern != 0.0).tolist()))
+        return np.asarray(pattern != 0.0)
 
     @property
     def outputs(self) -> list[Any]:

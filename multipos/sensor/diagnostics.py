@@ -93,14 +93,19 @@ def find_outliers(
             continue
         # A position that alone fixes a parameter (leverage 1) has no residual to judge.
         r2 = np.where(left > 1e-9, error**2 / (s2 * np.maximum(left, 1e-9)), 0.0)
-        for row in np.flatnonzero(r2 > 4.0).tolist():  # below 2 sd no position can be one
+        suspects = np.flatnonzero(r2 > 4.0)  # below 2 sd no position can be one
+        beyond = []
+        for row in suspects[np.argsort(-r2[suspects], kind="stable")].tolist():
             rest = nu - float(r2[row])
             t = np.inf if rest <= 0.0 else np.sqrt(r2[row] * (nu - 1.0) / rest)
-            if t_tail(float(t), nu - 1.0) < OUTLIER_LEVEL / n:
-                found.append(
-                    f"position {labels[row]}: {output} is off by {raw[row]:.3g}, "
-                    f"{np.sqrt(r2[row]):.1f} times its standard deviation"
-                )
+            if t_tail(float(t), nu - 1.0) >= OUTLIER_LEVEL / n:
+                break  # and none that is smaller is beyond chance
+            beyond.append(row)
+        found += [
+            f"position {labels[row]}: {output} is off by {raw[row]:.3g}, "
+            f"{np.sqrt(r2[row]):.1f} times its standard deviation"
+            for row in sorted(beyond)
+        ]
     return tuple(found)
 
 
@@ -120,7 +125,11 @@ def find_outlying_positions(
     labels : sequence of n str
     """
     found = []
-    for row in np.flatnonzero(q > 4.0 * degrees).tolist():
+    suspects = np.flatnonzero(q > 4.0 * degrees)
+    # Of many, from the largest on: where all are judged alike, no other is beyond the first within.
+    suspects = suspects[np.argsort(-q[suspects], kind="stable")]
+    alike = bool((degrees == degrees[:1]).all())
+    for row in suspects.tolist():
         m, value = float(degrees[row]), float(q[row])
         if np.isinf(dof):
             p = chi2_tail(value, m)
@@ -131,10 +140,11 @@ def find_outlying_positions(
         else:
             continue
         if p < OUTLIER_LEVEL / len(q):
-            found.append(
-                f"position {labels[row]} does not fit: {np.sqrt(value / m):.1f} times the noise"
-            )
-    return tuple(found)
+            said = f"position {labels[row]} does not fit: {np.sqrt(value / m):.1f} times the noise"
+            found.append((row, said))
+        elif alike:
+            break
+    return tuple(said for _, said in sorted(found))
 
 
 def linearity(

@@ -151,7 +151,7 @@ class ExpressionModel(Model):
             for part, used in zip(self.slices, self.shared_by, strict=True)
         )
 
-    @property
+    @cached_property
     def compiled(self) -> Compiled:
         """The compiled function of all outputs."""
         places = tuple(tuple(own.tolist()) for own in self.places)
@@ -205,6 +205,21 @@ class ExpressionModel(Model):
         force = np.zeros((1, 3))
         found = self.values(parameters, force, {k: np.array([v]) for k, v in environment.items()})
         return np.column_stack([found.outputs[0], found.by_force[0]])
+
+    @cached_property
+    def all_linear(self) -> bool:
+        """Whether each output is linear in its parameters, and nothing more is said of them."""
+        return self.apart and not self.compiled.curved.any()
+
+    @property
+    def apart(self) -> bool:
+        """Whether nothing but readings says anything of parameters, of each output its own."""
+        return not (self.bounded or self.shared or self.beliefs.any())
+
+    @cached_property
+    def columns(self) -> tuple[NDArray[np.intp], ...]:
+        """For each output, where its parameters stand among the columns of all outputs."""
+        return tuple(np.arange(part.start, part.stop) for part in self.slices)
 
     @cached_property
     def starts(self) -> Array:

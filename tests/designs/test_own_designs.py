@@ -96,7 +96,7 @@ def test_a_design_for_tilt_serves_tilt():
 
 @pytest.mark.parametrize("name", ["tilt:", "tilt:x", "tilt:0", "tilt:95", "force:2"])
 def test_a_range_that_is_none(name):
-    with pytest.raises(mp.UsageError, match="give (tilt|force):±SIZE"):
+    with pytest.raises(mp.UsageError, match=r"give (tilt|force):±SIZE"):
         mp.design("linear", 8, criterion=name)
 
 
