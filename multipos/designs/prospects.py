@@ -130,9 +130,9 @@ def worth(
     keys = [f"{output}:{term}" for output, term in calibration.model.keys]
     _check_target(keys, parameter, target)
     index = None if parameter is None else keys.index(parameter)
-    setting, present, covered = _measured(calibration)
+    setting, present, covered = measured(calibration)
     up = read_bench(candidates)
-    pieces = _information(setting, up)
+    pieces = information_of(setting, up)
     now = np.diag(np.linalg.inv(present))
     fixed = np.maximum(calibration.u**2 - now * covered, 0.0)
     then = np.sqrt(_variances(present, pieces) * covered + fixed)
@@ -201,7 +201,7 @@ def _way_to_target(found: Worth) -> list[str]:
     return [reached, table(["next", "up x", "up y", "up z"], steps)] if steps else [reached]
 
 
-def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
+def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     """Return the setting, the information of the readings, and what scales its inverse.
 
     The scale is 1 but where the fit found the noise other than it was stated.
@@ -230,7 +230,7 @@ def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     size = np.linalg.norm(calibration.reference, axis=1)
     setting = Setting(model, spread, sd, calibration.parameters, sign * float(size.mean()))
     up = sign * calibration.reference / size[:, np.newaxis]
-    present = np.asarray(_information(setting, up).sum(axis=0) + np.diag(model.beliefs))
+    present = np.asarray(information_of(setting, up).sum(axis=0) + np.diag(model.beliefs))
     ratio = calibration.u**2 / np.diag(np.linalg.inv(present))
     covered = np.empty(len(ratio))
     for part in setting.blocks:
@@ -239,7 +239,7 @@ def _measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     return setting, present, covered
 
 
-def _information(setting: Setting, up: Array) -> Array:
+def information_of(setting: Setting, up: Array) -> Array:
     """Return I(u) of each position over all parameters, (n, p, p)."""
     p = len(setting.model.keys)
     pieces = np.zeros((len(up), p, p))

@@ -7,7 +7,7 @@ import numpy as np
 from multipos.logs.rest_faults import at_one_value, is_saturated, suspects
 from multipos.logs.rest_means import Counts, RestMean
 from multipos.logs.rests import Rest, Survey
-from multipos.logs.samples import Samples
+from multipos.logs.samples import Kept, Samples
 from multipos.numerics.arrays import Array
 
 _BITS = (8, 10, 12, 14, 16, 18, 20, 24, 32)
@@ -58,7 +58,7 @@ def _bits(survey: Survey, j: int) -> int:
     return 0
 
 
-def find_saturated(samples: Samples, rest: Rest, found: RestMean, survey: Survey) -> list[str]:
+def find_saturated(samples: Kept, rest: Rest, found: RestMean, survey: Survey) -> list[str]:
     """Return what is said of outputs that are cut off at an extreme of the log in one rest."""
     said = []
     for j, upper in suspects(found, survey):
@@ -71,7 +71,7 @@ def find_saturated(samples: Samples, rest: Rest, found: RestMean, survey: Survey
     return said
 
 
-def _values(samples: Samples, rest: Rest, j: int) -> tuple[Array, Counts]:
+def _values(samples: Kept, rest: Rest, j: int) -> tuple[Array, Counts]:
     """Return the values of an output in a rest, in order, and how many samples have each."""
     parts = [
         piece[j, max(rest.start - first, 0) : max(rest.end - first, 0)]

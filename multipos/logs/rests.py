@@ -257,11 +257,16 @@ def _first_peak(density: Array) -> int:
 
 
 class Finder:
-    """Collect the runs of windows below a threshold, from windows that come in pieces."""
+    """Collect the runs of windows below a threshold, from windows that come in pieces.
+
+    Attributes
+    ----------
+    threshold : float
+    """
 
     def __init__(self, grid: Grid, threshold: float) -> None:
         self._grid = grid
-        self._threshold = threshold
+        self.threshold = threshold
         self._count = 0
         self._still = False
         self._edges: list[int] = []  # where stillness begins and ends, in windows
@@ -270,7 +275,7 @@ class Finder:
         """Add s (k,) of the windows that follow."""
         if not len(sd):
             return
-        still = sd <= self._threshold
+        still = sd <= self.threshold
         changes = np.flatnonzero(np.diff(still, prepend=self._still))
         self._edges += (self._count + changes).tolist()
         self._count += len(still)
@@ -282,6 +287,22 @@ class Finder:
             self._cut(first, last, rows)
             for first, last in self._runs()
             if (last - first) * self._grid.block >= self._grid.shortest
+        ]
+
+    @property
+    def still_since(self) -> int | None:
+        """First row of the stretch that is still as far as seen, None while something moves."""
+        return self._runs()[-1][0] * self._grid.block if self._still else None
+
+    def settled(self) -> list[Rest]:
+        """Return the rests that nothing which follows can change: they have long ended."""
+        ended = [(first, last) for first, last in self._runs() if last <= self._count]
+        block = self._grid.block
+        rows = (self._count + BLOCKS) * block  # more than a block behind each of their ends
+        return [
+            self._cut(first, last, rows)
+            for first, last in ended
+            if (last - first) * block >= self._grid.shortest
         ]
 
     def short(self) -> list[Rest]:

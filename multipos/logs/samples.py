@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from typing import IO, NamedTuple, Self
+from typing import IO, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from multipos.numerics.arrays import Array
 
 Progress = Callable[[float], object]  # is told how much of the log has been read, 0 to 1
 
+Mask = NDArray[np.bool_]
+
 _IN_MEMORY = 1 << 22  # bytes
 _LATEST = 1e25  # of the other columns: no clock counts so far, in picoseconds neither
 _FAR = 1e6  # times the median of a column: no sensor reads so much, a damaged number does
@@ -28,6 +30,30 @@ class Timing(NamedTuple):
     column: str | None = None
     unit: TimeUnit | None = None
     rate: float | None = None
+
+
+class Kept(Protocol):
+    """Rows that can be gone through again: what averaging a rest asks of them."""
+
+    @property
+    def log(self) -> Log: ...  # noqa: D102
+    @property
+    def outputs(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def others(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def clock(self) -> Clock | None: ...  # noqa: D102
+    @property
+    def step(self) -> float: ...  # noqa: D102
+
+    def pieces(self) -> Iterator[tuple[int, Array]]:
+        """Yield the first row and the numbers (columns, rows) of each piece, in order."""
+
+    def in_log(self, rest: Rest) -> Rest:
+        """Return the rows of the log that a rest is."""
+
+    def time(self, rest: Rest) -> tuple[float, float] | None:
+        """Return when a rest begins and ends by the sample rate; None where there is none."""
 
 
 class Samples:
@@ -129,9 +155,7 @@ class Samples:
 
     def in_log(self, rest: Rest) -> Rest:
         """Return the rows of the log that a rest is."""
-        before = np.array(self._dropped) - np.arange(len(self._dropped))
-        start, last = np.searchsorted(before, [rest.start, rest.end - 1], side="right").tolist()
-        return Rest(rest.start + start, rest.end + last)
+        return rows_in_log(rest, self._dropped)
 
     def among_kept(self, rest: Rest) -> Rest:
         """Return where rows of the log are among those that were not left out."""
@@ -179,7 +203,9 @@ class Samples:
             seconds = self._column(table, self.clock.column, _LATEST)
             rows.append(seconds * self.clock.seconds)
         data = np.array(rows)
-        good = self._good(data) if self._drop_bad else np.ones(table.rows, dtype=np.bool_)
+        good = np.ones(table.rows, dtype=np.bool_)
+        if self._drop_bad:
+            good = good_rows(data, len(self.outputs), timed=self.clock is not None)
         kept: list[int] = np.flatnonzero(good).tolist()
         if len(kept) < table.rows:
             self._dropped += (self._seen + np.flatnonzero(~good)).tolist()
@@ -195,20 +221,6 @@ class Samples:
         self.rows += data.shape[1]
         return data
 
-    def _good(self, data: Array) -> NDArray[np.bool_]:
-        """Return which rows (n,) have a time and outputs, and nothing beyond what sensors read."""
-        outputs = len(self.outputs)
-        required = [*range(outputs), *([len(data) - 1] if self.clock is not None else [])]
-        size = np.abs(data)
-        good: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(data[required]))
-        good &= ~(size > _LATEST).any(axis=0)
-        good &= (size[:outputs] <= LARGEST_SAMPLE).all(axis=0)
-        for row in size:
-            there = row[np.isfinite(row)]
-            usual = float(np.median(there)) if len(there) else 0.0
-            good &= ~((row > _FAR * usual) & (usual > 0.0))
-        return good
-
     def _check_time(self, table: Table, time: Array, rows: Sequence[int]) -> None:
         assert self.clock is not None
         back = np.flatnonzero(np.diff(time, prepend=self._last) < 0.0)
@@ -219,6 +231,37 @@ class Samples:
                 f"{time[row]:.10g} s; sort the rows, or give --rate instead."
             )
         self._last = time[-1] if len(time) else self._last
+
+
+def rows_in_log(rest: Rest, dropped: Sequence[int]) -> Rest:
+    """Return the rows of a log that a rest is, counted with those that were dropped."""
+    before = np.array(dropped) - np.arange(len(dropped))
+    start, last = np.searchsorted(before, [rest.start, rest.end - 1], side="right").tolist()
+    return Rest(rest.start + start, rest.end + last)
+
+
+def good_rows(data: Array, outputs: int, *, timed: bool, like: Array | None = None) -> Mask:
+    """Return which rows (n,) have a time and outputs, and nothing beyond what sensors read.
+
+    Parameters
+    ----------
+    data : (k, n) array
+        The outputs come first, the time last where there is one.
+    outputs : int
+    timed : bool
+    like : (k, m) array, optional
+        Rows that show what is usual; those of `data` otherwise.
+    """
+    required = [*range(outputs), *([len(data) - 1] if timed else [])]
+    size = np.abs(data)
+    good: Mask = np.logical_and.reduce(np.isfinite(data[required]))
+    good &= ~(size > _LATEST).any(axis=0)
+    good &= (size[:outputs] <= LARGEST_SAMPLE).all(axis=0)
+    for row, known in zip(size, size if like is None else np.abs(like), strict=True):
+        there = known[np.isfinite(known)]
+        usual = float(np.median(there)) if len(there) else 0.0
+        good &= ~((row > _FAR * usual) & (usual > 0.0))
+    return good
 
 
 def _rises(table: Table, name: str) -> bool:

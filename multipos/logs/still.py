@@ -12,7 +12,7 @@ from multipos.logs.log_faults import find_saturated, find_second_unit, find_wrap
 from multipos.logs.names import choose_outputs
 from multipos.logs.rest_means import RestMean, RestSum
 from multipos.logs.rests import Finder, Grid, Rest, Survey, Windows
-from multipos.logs.samples import Progress, Samples, Timing, small_pieces
+from multipos.logs.samples import Kept, Progress, Samples, Timing, small_pieces
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 
@@ -127,7 +127,7 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
         return StillLog(
             log=log,
             outputs=outputs.names,
-            rests=tuple(_average_all(samples, known, grid, survey, threshold)),
+            rests=tuple(average_rests(samples, known, grid, survey, threshold)),
             short=tuple(short),
             survey=survey,
             clock=samples.clock,
@@ -213,14 +213,14 @@ def _detect(samples: Samples, grid: Grid, threshold: float) -> tuple[list[Rest],
     return rests, [samples.in_log(rest) for rest in finder.short()]
 
 
-def _average_all(
-    samples: Samples,
+def average_rests(
+    samples: Kept,
     rests: list[tuple[str, Rest]],
     grid: Grid,
     survey: Survey,
     threshold: float | None,
 ) -> list[Still]:
-    """Average every rest in one pass."""
+    """Average every rest, with the label that it has, in one pass."""
     sums = [_Sum(samples, label, rest, grid, threshold) for label, rest in rests]
     for first, piece in samples.pieces():
         for each in sums:
@@ -232,7 +232,7 @@ class _Sum:
     """Take up the rows of one rest: its outputs, its other columns and its time."""
 
     def __init__(
-        self, samples: Samples, label: str, rest: Rest, grid: Grid, threshold: float | None
+        self, samples: Kept, label: str, rest: Rest, grid: Grid, threshold: float | None
     ) -> None:
         self._samples, self._label, self._rest = samples, label, rest
         self._threshold = threshold

@@ -23,9 +23,9 @@ from multipos.logs.layout import (
     is_comment,
     is_number,
 )
-from multipos.logs.names import name_header
+from multipos.logs.names import Named, name_header
 from multipos.logs.readers import formats_read
-from multipos.logs.table import Log, Piece
+from multipos.logs.table import Log, Piece, ReadPieces
 from multipos.numerics.arrays import Array
 
 HEAD = 1 << 16  # bytes that must hold what stands above the table, and its first row
@@ -60,15 +60,77 @@ def open_text(path: os.PathLike[str], head: bytes, given: Sequence[str] | None) 
     named = name_header(str(path), layout.header, layout.width, given)
     cut = _cut_row(path, layout)
     text = _Text(path, named.columns, layout, cut.end)
+    return _log(text, named, partial(_read_text, text), cut.said)
+
+
+def open_lines(source: str, lines: Sequence[str], given: Sequence[str] | None) -> "LiveText":
+    """Return how the rows of a text that still comes are read, from its first lines.
+
+    Raises
+    ------
+    MultiposError, UsageError
+        As of a file: no row among the lines, or names that do not fit.
+    """
+    layout = find_layout(source, lines)
+    named = name_header(source, layout.header, layout.width, given)
+    text = _Text(Path(source), named.columns, layout, 0)
+    head = "\n".join(lines[layout.first - 1 :])
+    log = _log(text, named, partial(_read_head, text, head), ())
+    return LiveText(log, text, head)
+
+
+@dataclass(frozen=True)
+class LiveText:
+    """Text that comes piece by piece, its rows laid out as its first lines show.
+
+    Attributes
+    ----------
+    log : Log
+        Its `read` gives the first lines only.
+    text : what is known of the layout
+    head : str
+        The first lines, without what stands above the table.
+    """
+
+    log: Log
+    text: _Text
+    head: str
+
+    def rows(self, content: str) -> tuple[Array, list[str]]:
+        """Return the numeric columns (k, n) of lines, NaN where a cell is bad, and the rows."""
+        rows = _rows_only(self.text.layout, content, self.text.layout.first)
+        names = self.log.numeric
+        if not rows.lines:
+            return np.empty((len(names), 0)), []
+        table = _parse(self.text, rows, 0, _Wanted((), names, (), lenient=True))
+        return np.array([table.columns[name] for name in names], dtype=np.float64), rows.lines
+
+
+def _read_head(
+    text: _Text,
+    head: str,
+    names: Sequence[str],
+    optional: Sequence[str] = (),
+    texts: Sequence[str] = (),
+    *,
+    lenient: bool = False,
+) -> Iterator[Piece]:
+    rows = _rows_only(text.layout, head, text.layout.first)
+    wanted = _Wanted(tuple(names), tuple(optional), tuple(texts), lenient)
+    yield Piece(_parse(text, rows, 0, wanted), rows.lines, 1.0)
+
+
+def _log(text: _Text, named: Named, read: ReadPieces, left_out: tuple[str, ...]) -> Log:
+    layout = text.layout
     numbers = zip(named.columns, layout.numeric, layout.dates, strict=True)
     told = zip(named.columns, layout.units, strict=True)
     return Log(
-        source=str(path),
+        source=str(text.path),
         columns=named.columns,
         numeric=tuple(name for name, number, date in numbers if number or date),
         delimiter=layout.delimiter,
         text=True,
-        read=partial(_read_text, text),
+        read=read,
         header=named.header,
         units={name: unit for name, unit in told if unit},
         rising=named.headless and layout.rising,
@@ -77,7 +139,7 @@ def open_text(path: os.PathLike[str], head: bytes, given: Sequence[str] | None) 
         dates=text.dates,
         rate=layout.rate,
         notes=layout.notes,
-        left_out=cut.said,
+        left_out=left_out,
     )
 
 

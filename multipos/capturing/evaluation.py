@@ -1,0 +1,265 @@
+"""What the poses taken are worth together: the fit, its parameters against targets, the next pose.
+
+An evaluation is a function of the poses and of what was asked for, and of nothing else: a pose that
+is taken back leaves no trace. The linear model comes first; the model that was asked for as soon as
+the poses can tell it. Whether a target is met is decided here:
+
+    met_j = U_j ≤ T_j at these poses and at all but the last of them, both with ν ≥ 6,         (1)
+
+with U by the noise that the fit finds, which is never less than the rests' own u.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from multipos.capturing.next_pose import NextPose, best_pose, gain_at
+from multipos.capturing.poses import Frame, Pose, find_frame
+from multipos.capturing.targets import FEWEST_DOF, spread_targets
+from multipos.designs.travel import order_positions
+from multipos.errors import MultiposError, UsageError
+from multipos.fitting.logs import fit_rests
+from multipos.logs.averages import Averages
+from multipos.logs.joining import Chosen, complete
+from multipos.logs.names import named_axes
+from multipos.logs.still import StillLog
+from multipos.numerics.arrays import Array
+from multipos.positions.attitudes import Convention
+from multipos.positions.scheme import Scheme
+from multipos.results import Result
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.model import Model, build_model
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What was asked for.
+
+    Attributes
+    ----------
+    fitting : mapping
+        Options of the fit.
+    targets : mapping of str to float
+    positions : int or None
+        Poses after which the session is at its end.
+    scheme : Scheme or None
+        Known positions to lead through.
+    """
+
+    fitting: dict[str, Any]
+    targets: dict[str, float]
+    positions: int | None
+    scheme: Scheme | None
+
+    @property
+    def convention(self) -> Convention:
+        """Which sign the axis that points up has."""
+        found: Convention = self.fitting.get("convention", "specific-force")
+        return found
+
+
+@dataclass(frozen=True)
+class Progress(Result):
+    """One parameter and its target; `met` as eq. (1), None without a target."""
+
+    name: str
+    value: float
+    U: float
+    unit: str
+    target: float | None
+    met: bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation(Result):
+    """What some poses are worth.
+
+    Attributes
+    ----------
+    averages : Averages or None
+    calibration : Calibration or None
+    problem : str or None
+        Why there is no calibration yet.
+    frame : Frame or None
+    parameters : tuple of Progress
+    doubts : tuple of str
+    enough : bool
+        Whether every target is met.
+    """
+
+    averages: Averages | None
+    calibration: Calibration | None
+    problem: str | None
+    frame: Frame | None
+    parameters: tuple[Progress, ...]
+    doubts: tuple[str, ...]
+    enough: bool
+
+
+NOTHING = Evaluation(None, None, "no pose has been taken yet", None, (), (), enough=False)
+
+
+def evaluate(
+    plan: Plan, log: StillLog, poses: list[Pose], before: "Evaluation | None"
+) -> Evaluation:
+    """Return what accepted poses are worth.
+
+    Parameters
+    ----------
+    plan : Plan
+    log : StillLog
+        The log they are rests of.
+    poses : list of Pose
+    before : Evaluation or None
+        Of all but the last of them.
+    """
+    if not poses:
+        return NOTHING
+    averages = average_poses(plan, log, poses)
+    calibration, problem = _fit(plan, averages)
+    axes = tuple(named_axes(averages.outputs))
+    means = averages.readings.values
+    frame = find_frame(means, axes, plan.convention, calibration)
+    parameters: tuple[Progress, ...] = ()
+    if calibration is not None:
+        parameters = tuple(_progress(plan, calibration, before))
+    wanted = [each.met for each in parameters if each.met is not None]
+    return Evaluation(
+        averages=averages,
+        calibration=calibration,
+        problem=problem,
+        frame=frame,
+        parameters=parameters,
+        doubts=_doubts(averages, calibration),
+        enough=bool(wanted) and all(wanted) and problem is None,
+    )
+
+
+def average_poses(plan: Plan, log: StillLog, poses: list[Pose]) -> Averages:
+    """Return the averages of poses, with the directions of the scheme where one is followed."""
+    chosen = [Chosen(pose.position, log, pose.still, given=True) for pose in poses]
+    averages = complete([log], chosen, None, plan.convention, [])
+    if plan.scheme is None:
+        return averages
+    labels = position_labels(plan.scheme)
+    rows = [labels.index(pose.position) for pose in poses]
+    return replace(averages, scheme_up=plan.scheme.up[rows])
+
+
+def position_labels(scheme: Scheme) -> list[str]:
+    """Return what the positions of a scheme are called."""
+    return list(scheme.labels or map(str, range(1, len(scheme) + 1)))
+
+
+def _fit(plan: Plan, averages: Averages) -> tuple[Calibration | None, str | None]:
+    """Return the fit of the model asked for, or of the linear one, and what is in the way."""
+    problem = None
+    for model in dict.fromkeys([plan.fitting.get("model", "linear"), "linear"]):
+        try:
+            options = {**plan.fitting, "model": model}
+            return fit_rests(averages, **options), problem
+        except UsageError:
+            raise
+        except MultiposError as error:
+            problem = problem or str(error)
+    return None, problem
+
+
+def _dof(calibration: Calibration) -> float:
+    """Return how many readings more there are than the fit has to find."""
+    free = len(calibration.reference) * (1 if calibration.model.gauge else len(calibration.outputs))
+    return float(free - len(calibration.parameters))
+
+
+def _progress(plan: Plan, calibration: Calibration, before: Evaluation | None) -> list[Progress]:
+    targets = spread_targets(plan.targets, calibration.model)
+    known = None if before is None else before.calibration
+    told = known is not None and known.names == calibration.names
+    said = []
+    for entry in calibration.entries:
+        target = targets.get(entry.name)
+        met = None
+        if target is not None:
+            met = _small(calibration, entry.name, target)
+            met = met and told and known is not None and _small(known, entry.name, target)
+        said.append(Progress(entry.name, entry.value, entry.U, entry.unit, target, met))
+    return said
+
+
+def _small(calibration: Calibration, name: str, target: float) -> bool:
+    return _dof(calibration) >= FEWEST_DOF and target >= calibration[name].U
+
+
+def _doubts(averages: Averages, calibration: Calibration | None) -> tuple[str, ...]:
+    found = averages.warnings if calibration is None else calibration.diagnostics.warnings
+    return tuple(dict.fromkeys(found))
+
+
+def model_of(plan: Plan, outputs: tuple[str, ...], unit: str) -> Model:
+    """Return the model that shall be fitted to these outputs.
+
+    Raises
+    ------
+    UsageError
+        There is no such model, or a target that it does not have.
+    """
+    axes = plan.fitting.get("axes") or ["xyz"[i] for i in named_axes(outputs)]
+    formula = plan.fitting.get("model", "linear")
+    model = build_model(formula, outputs, tuple(axes), ("x", "y", "z"), unit, ())
+    if is_unknown(plan):
+        model = model.with_gauge(plan.fitting.get("gauge", "lower"))
+    spread_targets(plan.targets, model)
+    return model
+
+
+def is_unknown(plan: Plan) -> bool:
+    """Tell whether nothing is known of the positions."""
+    return plan.scheme is None
+
+
+def next_pose(
+    plan: Plan, model: Model, found: Evaluation, poses: list[Pose], under_way: Array
+) -> NextPose | None:
+    """Return the pose to take next.
+
+    Parameters
+    ----------
+    found : Evaluation
+    poses : list of Pose
+        The accepted ones.
+    under_way : (0 or 1, 3) array
+        Up vector of a pose that is being taken.
+    """
+    targets = spread_targets(plan.targets, model)
+    if plan.scheme is not None:
+        return _next_of_scheme(plan.scheme, model, found, poses, targets)
+    taken = under_way
+    if found.frame is not None and found.averages is not None:
+        up = found.frame.up(found.averages.readings.values)
+        taken = np.concatenate([up, under_way])
+    return best_pose(model, found.calibration, taken, targets, unknown_orientation=True)
+
+
+def _next_of_scheme(
+    scheme: Scheme,
+    model: Model,
+    found: Evaluation,
+    poses: list[Pose],
+    targets: dict[str, float],
+) -> NextPose | None:
+    """Return the next position of the scheme, in an order that is short to travel."""
+    labels = position_labels(scheme)
+    done = {pose.position for pose in poses}
+    left = [i for i, label in enumerate(labels) if label not in done]
+    if not left:
+        return None
+    start = scheme.up[[labels.index(poses[-1].position)]] if poses else np.empty((0, 3))
+    ordered = order_positions(scheme.up[left], start)
+    distance = np.linalg.norm(scheme.up[left] - ordered[0], axis=1)
+    i = left[int(np.argmin(np.round(distance, 12)))]
+    taken = scheme.up[[labels.index(pose.position) for pose in poses]].reshape(-1, 3)
+    gain = gain_at(
+        model, found.calibration, taken, targets, scheme.up[i], unknown_orientation=False
+    )
+    return NextPose(scheme.up[i], gain, labels[i])

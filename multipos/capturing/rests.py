@@ -1,0 +1,169 @@
+"""Rests as they happen: those that `average` finds in the log, one after the other.
+
+The windows, the threshold and the rule that makes a rest of them are those of
+`multipos.logs.rests`, fed as the rows come. A rest is settled when eight windows after its end
+nothing can join it any more; what is settled never changes. Until the threshold is fixed, from the
+first rests themselves, rests are provisional: the standard deviations of all windows so far are
+kept and gone through again. With the threshold V and the rate R fixed so, the rests are exactly
+those of ``average LOG --threshold V --rate R``.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multipos.capturing.rows import LiveRows
+from multipos.errors import MultiposError
+from multipos.logs.rests import BLOCKS, Finder, Rest, Survey, Windows, choose_grid
+from multipos.logs.samples import small_pieces
+from multipos.logs.still import Still, average_rests
+from multipos.numerics.arrays import Array
+
+_ENOUGH = 3  # rests that show what stillness is
+_OFTEN = 4  # windows from one look for provisional rests to the next
+
+
+class Motion(NamedTuple):
+    """What the newest window shows."""
+
+    size: float | None  # standard deviation, in the unit of the outputs
+    still: bool
+    samples_left: int  # to hold still until the stretch is a rest
+
+
+class LiveRests:
+    """Find rests in rows that come piece by piece.
+
+    Attributes
+    ----------
+    grid : Grid
+    survey : Survey
+    threshold : float or None
+        Once it is fixed.
+    settled : list of Still
+        Rests that have ended; provisional ones while there is no threshold.
+    """
+
+    def __init__(self, rows: LiveRows, min_duration: float | None, threshold: float | None) -> None:
+        self._rows = rows
+        self.grid = choose_grid(rows.rate, min_duration)
+        self.survey = Survey(len(rows.outputs), self.grid)
+        self.threshold = threshold
+        self.settled: list[Still] = []
+        self._windows = Windows(self.grid.block)
+        self._finder = None if threshold is None else Finder(self.grid, threshold)
+        self._sizes: list[Array] = []  # of all windows, until the threshold is fixed
+        self._looked = 0  # windows at the last look
+        self._provisional: Finder | None = None
+        self._newest: float | None = None
+
+    def feed(self, outputs: Array) -> bool:
+        """Take up outputs (M, n) that the rows have taken; tell whether what is settled changed."""
+        for small in small_pieces(outputs):
+            mean, sd = self._windows.feed(small)
+            self.survey.add(small, mean, sd)
+            if not len(sd):
+                continue
+            self._newest = float(sd[-1])
+            if self._finder is None:
+                self._sizes.append(sd)
+            else:
+                self._finder.add(sd)
+        changed = self._settle() if self._finder is not None else self._look()
+        if self._finder is not None:
+            since = self._finder.still_since
+            keep = self._rows.rows - 3 * self.grid.window if since is None else since
+            self._rows.forget(keep)
+        return changed
+
+    def finish(self) -> bool:
+        """Settle what is there when no more rows come; tell whether that changed anything.
+
+        Raises
+        ------
+        MultiposError
+            The threshold is not fixed yet, and the rows show none.
+        """
+        before = len(self.settled)
+        if self._finder is None:
+            self._fix(self.survey.threshold())
+        assert self._finder is not None
+        self._append(self._finder.rests(self._rows.rows))
+        return len(self.settled) > before
+
+    @property
+    def limit(self) -> float | None:
+        """The threshold, or what it would be by now."""
+        if self._provisional is not None:
+            return self._provisional.threshold
+        return self.threshold
+
+    def motion(self) -> Motion:
+        """Return what the newest window shows, by the threshold as far as it is known."""
+        finder = self._finder or self._provisional
+        since = None if finder is None else finder.still_since
+        whole = self.grid.shortest
+        if since is None:
+            return Motion(self._newest, False, whole)
+        seen = self.survey.windows - since // self.grid.block + BLOCKS - 1
+        return Motion(self._newest, True, max(0, whole - seen * self.grid.block))
+
+    def running(self) -> Still | None:
+        """Return the stretch that is still so far, once it is long enough for a rest."""
+        finder = self._finder or self._provisional
+        since = None if finder is None else finder.still_since
+        if since is None or self.motion().samples_left:
+            return None
+        return self._average([Rest(since, self._rows.rows)])[0]
+
+    def short(self) -> list[Rest]:
+        """Return the stretches that stood still for less than a rest."""
+        found = [] if self._finder is None else self._finder.short()
+        return [self._rows.in_log(rest) for rest in found]
+
+    def _settle(self) -> bool:
+        assert self._finder is not None
+        before = len(self.settled)
+        self._append(self._finder.settled())
+        return len(self.settled) > before
+
+    def _append(self, found: list[Rest]) -> None:
+        new = found[len(self.settled) :]
+        if new:
+            self.settled += self._average(new)
+
+    def _average(self, found: list[Rest]) -> list[Still]:
+        pairs = [("", rest) for rest in found]
+        limit = self.threshold if self.threshold is not None else np.inf
+        return average_rests(self._rows, pairs, self.grid, self.survey, limit)
+
+    def _look(self) -> bool:
+        """Find provisional rests; fix the threshold when there are enough of them."""
+        if self.survey.windows - self._looked < _OFTEN:
+            return False
+        self._looked = self.survey.windows
+        try:
+            threshold = self.survey.threshold()
+        except MultiposError:  # nothing like a rest yet
+            return False
+        finder = Finder(self.grid, threshold)
+        finder.add(np.concatenate(self._sizes))
+        self._provisional = finder
+        found = finder.settled()
+        if len(found) >= _ENOUGH:
+            self._fix(threshold)
+            return True
+        if [self._rows.in_log(rest) for rest in found] == [each.rows for each in self.settled]:
+            return False
+        self.settled = self._average(found)
+        return True
+
+    def _fix(self, threshold: float) -> None:
+        self.threshold = threshold
+        self._finder = Finder(self.grid, threshold)
+        if self._sizes:
+            self._finder.add(np.concatenate(self._sizes))
+        self._sizes = []
+        self._provisional = None
+        self.settled = []
+        self._settle()

@@ -1,0 +1,188 @@
+"""Rows as they come: outputs, other columns and time, kept only as long as a rest may need them.
+
+What a log gives to `average` as a whole (`multipos.logs.samples`) comes here piece by piece: which
+columns are outputs, which one tells the time and at which rate is settled by the first rows, and a
+row without numbers is counted and left out. Rows are in memory while few, in a temporary file when
+many, and let go of when no rest can begin before them any more.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from typing import IO
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.logs.clock import Clock, read_clock, sample_rate, time_columns
+from multipos.logs.names import choose_outputs
+from multipos.logs.rests import Rest
+from multipos.logs.samples import Timing, good_rows, rows_in_log
+from multipos.logs.table import Log
+from multipos.numerics.arrays import Array
+
+_IN_MEMORY = 1 << 22  # numbers
+_GAP = 3.0  # usual steps of the time: a longer one is a gap
+
+
+class LiveRows:
+    """Outputs, other columns and time of rows that come piece by piece.
+
+    Attributes
+    ----------
+    log : Log
+    outputs, others : tuples of str
+        As in `multipos.logs.samples.Samples`.
+    clock : Clock or None
+    rate : float or None [Hz]
+    step : float [s]
+    rows : int
+        Good rows so far.
+    gaps, bad : int
+        Gaps in the time, and rows left out, so far.
+    notes : tuple of str
+    """
+
+    def __init__(
+        self, log: Log, head: Array, outputs: tuple[str, ...] | None, timing: Timing
+    ) -> None:
+        self.log = log
+        self.rows = self.gaps = 0
+        self.dropped: list[int] = []
+        named = None if timing.column is None else log.find(timing.column)
+        likely = time_columns(log) if timing.rate is None else []
+        chosen = choose_outputs(log, outputs, [*time_columns(log), *([named] if named else [])])
+        self.outputs, self.notes = chosen.names, (*log.notes, *chosen.notes)
+        column = named or next((name for name in likely if _rises(self._of(head, name))), None)
+        self.clock: Clock | None = None
+        self.rate = timing.rate or log.rate
+        self.step = np.nan
+        if column is not None:
+            time = self._of(head, column)
+            time = time[np.isfinite(time)]
+            self.clock = read_clock(log, column, time, timing.unit)
+            self.rate = sample_rate(log.source, column, time * self.clock.seconds)
+            self.step = 1.0 / self.rate
+        apart = {*self.outputs, column, *log.nameless}
+        self.others = tuple(name for name in log.numeric if name not in apart)
+        names = [*self.outputs, *self.others, *([column] if column else [])]
+        self._order = [log.numeric.index(name) for name in names]
+        self._like = self._arranged(head)
+        self._last = -np.inf
+        self._seen = 0
+        self._store = _Store(len(names))
+
+    def _of(self, head: Array, name: str) -> Array:
+        if name not in self.log.numeric:
+            raise MultiposError(f"{self.log.source}: column '{name}' holds no numbers.")
+        return np.asarray(head[self.log.numeric.index(name)])
+
+    def _arranged(self, columns: Array) -> Array:
+        data = columns[self._order]
+        if self.clock is not None:
+            data[-1] *= self.clock.seconds
+        return data
+
+    def take(self, columns: Array) -> tuple[Array, list[bool]]:
+        """Take up the numeric columns (k, n) of rows; return the outputs, and which are good.
+
+        A time that runs backwards is that of a source that began anew: the row counts as a gap.
+        """
+        data = self._arranged(columns)
+        timed = self.clock is not None
+        good = good_rows(data, len(self.outputs), timed=timed, like=self._like)
+        if not good.all():
+            self.dropped += (self._seen + np.flatnonzero(~good)).tolist()
+            data = data[:, good]
+        self._seen += columns.shape[1]
+        self.rows += data.shape[1]
+        if timed and data.shape[1]:
+            steps = np.diff(
+                data[-1], prepend=self._last if np.isfinite(self._last) else data[-1, 0]
+            )
+            self.gaps += int(((steps > _GAP * self.step) | (steps < 0.0)).sum())
+            self._last = float(data[-1, -1])
+        self._store.add(np.ascontiguousarray(data))
+        return data[: len(self.outputs)], good.tolist()
+
+    @property
+    def bad(self) -> int:
+        """Rows that were left out."""
+        return len(self.dropped)
+
+    def pieces(self) -> Iterator[tuple[int, Array]]:
+        """Yield the first row and the numbers (columns, rows) of each piece that is kept."""
+        return self._store.pieces()
+
+    def forget(self, row: int) -> None:
+        """Let go of the rows before one, as far as that is easy."""
+        self._store.forget(row)
+
+    def in_log(self, rest: Rest) -> Rest:
+        """Return the rows of the log that a rest is, those without numbers counted too."""
+        return rows_in_log(rest, self.dropped)
+
+    def time(self, rest: Rest) -> tuple[float, float] | None:
+        """Return when a rest begins and ends by the sample rate; None where there is none."""
+        if self.rate is None:
+            return None
+        return rest.start / self.rate, (rest.end - 1) / self.rate
+
+    def close(self) -> None:
+        """Let go of everything that is kept."""
+        self._store.close()
+
+
+class _Store:
+    """Columns (k, n) in pieces, the older ones in a temporary file."""
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._first = 0  # row of the first piece
+        self._new: list[Array] = []
+        self._filed: list[int] = []  # rows of the pieces in the file
+        self._file: IO[bytes] | None = None
+
+    def add(self, piece: Array) -> None:
+        if piece.shape[1]:
+            self._new.append(piece)
+        if sum(each.size for each in self._new) > _IN_MEMORY:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile()  # noqa: SIM115
+            self._file.seek(0, 2)
+            together = np.concatenate(self._new, axis=1)
+            self._file.write(np.ascontiguousarray(together).tobytes())
+            self._filed.append(together.shape[1])
+            self._new = []
+        elif len(self._new) > 256:
+            self._new = [np.concatenate(self._new, axis=1)]
+
+    def pieces(self) -> Iterator[tuple[int, Array]]:
+        first = self._first
+        if self._file is not None:
+            self._file.seek(0)
+            for rows in self._filed:
+                numbers = np.frombuffer(self._file.read(8 * self._width * rows))
+                yield first, numbers.reshape(self._width, rows)
+                first += rows
+        for piece in self._new:
+            yield first, piece
+            first += piece.shape[1]
+
+    def forget(self, row: int) -> None:
+        filed = sum(self._filed)
+        if self._file is not None and self._first + filed <= row:
+            self._file.truncate(0)
+            self._filed = []
+            self._first += filed
+        while not self._filed and self._new and self._first + self._new[0].shape[1] <= row:
+            self._first += self._new.pop(0).shape[1]
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+        self._new = []
+
+
+def _rises(time: Array) -> bool:
+    time = time[np.isfinite(time)]
+    return len(time) > 1 and bool((np.diff(time) >= 0.0).all()) and bool(time[-1] > time[0])

@@ -1,0 +1,230 @@
+"""From a source to a result: the loop that a session lives in, and the front door `capture`.
+
+Rows go from the source into the session as they come, and, where they are in no file yet, into a
+log. The loop ends with the source, with `finish`, when it is enough, or by Ctrl-C; what has been
+taken then is the result.
+"""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from multipos.capturing.evaluation import Plan
+from multipos.capturing.raw_log import RawLog
+from multipos.capturing.session import Reading, Session
+from multipos.capturing.sources import Source, open_source
+from multipos.capturing.state import line_of, state_of
+from multipos.capturing.targets import Targets, read_targets
+from multipos.errors import MultiposError, UsageError
+from multipos.files.lists import Names, split_names
+from multipos.files.tables import Source as TableSource
+from multipos.logs.averages import Averages
+from multipos.logs.clock import TimeUnit, check_time_unit
+from multipos.logs.samples import Timing
+from multipos.positions.attitudes import Convention, check_convention
+from multipos.positions.scheme import Scheme, read_scheme
+from multipos.results import Result
+from multipos.sensor.calibration import Calibration
+
+Told = Callable[[dict[str, Any]], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Captured(Result):
+    """What a guided session gave.
+
+    Attributes
+    ----------
+    averages : Averages or None
+        The poses that count; None where there is none.
+    calibration : Calibration or None
+        None where they are too few; `problem` says why.
+    problem : str or None
+    state : mapping
+        What was shown at last, keys as in the reference of the command.
+    """
+
+    averages: Averages | None
+    calibration: Calibration | None
+    problem: str | None
+    state: Mapping[str, Any]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is to be said of the result."""
+        if self.calibration is not None:
+            return self.calibration.diagnostics.warnings
+        return () if self.averages is None else self.averages.warnings
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what JSON can carry."""
+        calibration = None if self.calibration is None else self.calibration.to_dict()
+        return {**self.state, "calibration": calibration}
+
+
+def capture(
+    source: str,
+    *,
+    target: "Targets | Sequence[str]" = (),
+    positions: int | None = None,
+    scheme: "TableSource | Scheme | None" = None,
+    outputs: Names | None = None,
+    columns: Names | None = None,
+    time_column: str | None = None,
+    time_unit: TimeUnit | None = None,
+    rate: float | None = None,
+    min_duration: float | None = None,
+    threshold: float | None = None,
+    convention: Convention = "specific-force",
+    log: str | os.PathLike[str] | None = None,
+    told: Told | None = None,
+    **fitting: Any,
+) -> Captured:
+    """Take rests from a live source until it is enough, and calibrate from them.
+
+    Parameters
+    ----------
+    source : str
+        ``serial:DEVICE:BAUD``, ``udp:PORT``, ``-``, a log that grows, or ``replay:LOG:SPEED``.
+    target : mapping of str to float, or sequence of 'TERM=U', optional
+        U that parameters shall have, by name or kind; without them it goes on until `positions`,
+        or the end of the source.
+    positions : int, optional
+        Poses after which it is enough.
+    scheme : Scheme, name, path, mapping of columns, or data frame, optional
+        Known positions to lead through; otherwise the orientations are unknown.
+    outputs, columns, time_column, time_unit, rate, min_duration, threshold, convention
+        As for `multipos.average`.
+    log : path, optional
+        Where the rows go as they come.
+    told : callable, optional
+        Is given each pose as it is taken or refused, a line of ``--headless`` as a mapping.
+    **fitting
+        Options of the fit, as for `multipos.calibrate`.
+
+    Returns
+    -------
+    Captured
+
+    Raises
+    ------
+    MultiposError
+        The source cannot be read, or nothing in it is like a rest.
+    UsageError
+        An option is at fault.
+    """
+    opened = open_source(source)
+    plan = make_plan(target, positions, scheme, {**fitting, "convention": convention})
+    reading = make_reading(outputs, time_column, time_unit, rate, min_duration, threshold)
+    tell = None if told is None else lambda session: told(line_of(session))
+    session = Session(plan, reading, tell)
+    run(session, opened, columns, log=log)
+    return captured(session)
+
+
+def make_plan(
+    target: "Targets | Sequence[str]",
+    positions: int | None,
+    scheme: "TableSource | Scheme | None",
+    fitting: dict[str, Any],
+) -> Plan:
+    """Return what was asked for, checked."""
+    check_convention(fitting.get("convention", "specific-force"))
+    if positions is not None and positions < 1:
+        raise UsageError(f"--positions must be 1 or more, got {positions}.")
+    known = None if scheme is None else read_scheme(scheme)
+    return Plan(fitting, read_targets(target), positions, known)
+
+
+def make_reading(
+    outputs: Names | None,
+    time_column: str | None,
+    time_unit: TimeUnit | None,
+    rate: float | None,
+    min_duration: float | None,
+    threshold: float | None,
+) -> Reading:
+    """Return how the rows are read, checked."""
+    check_time_unit(time_unit)
+    if time_column is not None and rate is not None:
+        raise UsageError("--time-column and --rate both tell the time; give one.")
+    if threshold is not None and not 0.0 < threshold < float("inf"):
+        raise UsageError(f"--threshold must be above 0, got {threshold:g}.")
+    named = None if outputs is None else split_names(outputs, "--outputs")
+    return Reading(named, Timing(time_column, time_unit, rate), min_duration, threshold)
+
+
+def run(
+    session: Session,
+    source: Source,
+    columns: Names | None = None,
+    *,
+    log: str | os.PathLike[str] | None = None,
+    before: Path | None = None,
+) -> None:
+    """Let rows go into the session until it is finished.
+
+    Parameters
+    ----------
+    session : Session
+    source : Source
+    columns : names, optional
+    log : path, optional
+        Where the rows go.
+    before : path, optional
+        A log that the session goes on from; rows are then appended to it.
+    """
+    if before is not None:
+        earlier = open_source(f"replay:{before}:0")
+        _feed(session, earlier, None, None, going_on=True)
+    kept = nullcontext(None) if log is None else closing(RawLog(log, going_on=before is not None))
+    with kept as raw:
+        with suppress(KeyboardInterrupt):  # the user's word that it is enough
+            _feed(session, source, columns, raw, going_on=False)
+        with session.changed:
+            session.finish()
+            session.changed.notify_all()
+
+
+def _feed(
+    session: Session,
+    source: Source,
+    columns: Names | None,
+    raw: RawLog | None,
+    *,
+    going_on: bool,
+) -> None:
+    for arrival in source.arrivals(columns):
+        with session.changed:
+            if arrival.log is not None:
+                if session.rows is None:
+                    session.begin(arrival.log, arrival.columns)
+                elif session.rows.log.columns != arrival.log.columns:
+                    raise MultiposError(
+                        f"{source.name}: the columns are {', '.join(arrival.log.columns)}, but the "
+                        f"session began with {', '.join(session.rows.log.columns)}; give another "
+                        "-o, or the same source."
+                    )
+                source.rate = session.rate or source.rate
+                if raw is not None:
+                    raw.begin(arrival.log)
+                continue
+            if session.rows is None:
+                done = session.finished
+            else:
+                good = session.feed(arrival.columns, connected=arrival.connected)
+                if raw is not None:
+                    raw.write(arrival.lines, good)
+                done = session.finished or (session.is_enough and not going_on)
+            session.changed.notify_all()
+        if done:
+            return
+
+
+def captured(session: Session) -> Captured:
+    """Return the result of a session."""
+    found = session.evaluation
+    return Captured(found.averages, found.calibration, found.problem, state_of(session))

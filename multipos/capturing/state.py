@@ -1,0 +1,157 @@
+"""What is shown of a session: the same by the page, the text screen, JSON lines and ``/state``."""
+
+from typing import Any
+
+import numpy as np
+
+from multipos.capturing.session import Session
+from multipos.capturing.words import pose_words
+from multipos.results import plain
+
+_UNKNOWN: dict[str, Any] = {
+    "values": None,
+    "direction": None,
+    "still": False,
+    "seconds_left": None,
+    "motion": None,
+    "threshold": None,
+    "enough": False,
+    "refused": None,
+}
+
+
+def state_of(session: Session) -> dict[str, Any]:
+    """Return what there is to show, as JSON can carry it; keys as in the reference."""
+    rows, found = session.rows, session.evaluation
+    shown: dict[str, Any] = plain(
+        {
+            "live": live_of(session),
+            "taken": _entries(session),
+            "next": _next(session),
+            "parameters": _parameters(session),
+            "finished": session.finished,
+            "enough": session.is_enough,
+            "outputs": () if rows is None else rows.outputs,
+            "unit": _unit(session),
+            "rows": 0 if rows is None else rows.rows,
+            "bad_rows": 0 if rows is None else rows.bad,
+            "gaps": 0 if rows is None else rows.gaps,
+            "rate": session.rate,
+            "threshold": session.threshold,
+            "connected": session.connected,
+            "positions": session.plan.positions,
+            "problem": found.problem,
+            "doubts": found.doubts,
+        }
+    )
+    return shown
+
+
+def live_of(session: Session) -> dict[str, Any]:
+    """Return what the sensor reads now, where it points, and whether it is still."""
+    if session.rests is None:
+        return _UNKNOWN
+    motion, under_way = session.rests.motion(), session.under_way
+    live: dict[str, Any] = plain(
+        {
+            "values": session.newest,
+            "direction": session.direction(session.newest),
+            "still": motion.still,
+            "seconds_left": None if session.rate is None else motion.samples_left / session.rate,
+            "motion": motion.size,
+            "threshold": session.rests.limit,
+            "enough": under_way is not None and under_way.reason is None,
+            "refused": None if under_way is None else under_way.reason,
+        }
+    )
+    return live
+
+
+def line_of(session: Session) -> dict[str, Any]:
+    """Return the newest pose, with what follows from all of them: a line of ``--headless``."""
+    line: dict[str, Any] = plain(
+        {
+            **_entries(session)[-1],
+            "next": _next(session),
+            "parameters": _parameters(session),
+            "threshold": session.threshold,
+            "rate": session.rate,
+        }
+    )
+    return line
+
+
+def _parameters(session: Session) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": each.name,
+            "value": each.value,
+            "U": each.U,
+            "unit": each.unit,
+            "target": each.target,
+            "met": each.met,
+        }
+        for each in session.evaluation.parameters
+    ]
+
+
+def _entries(session: Session) -> list[dict[str, Any]]:
+    """Return `taken`."""
+    residuals = _residuals(session)
+    entries = []
+    for pose in session.poses:
+        residual, u = residuals.get(session.key(pose), (None, None))
+        found = pose.still.found
+        entries.append(
+            {
+                "position": pose.position,
+                "direction": session.direction(found.mean),
+                "residual": residual,
+                "residual_u": u,
+                "accepted": pose.accepted,
+                "reason": pose.reason,
+                "provisional": session.threshold is None,
+                "mean": found.mean,
+                "u": found.u,
+                "n": found.n,
+                "start": pose.still.rows.start,
+                "end": pose.still.rows.end,
+            }
+        )
+    return entries
+
+
+def _residuals(session: Session) -> dict[str, tuple[float, float]]:
+    """Return the residual [g] of each pose that counts, and the standard uncertainty of one."""
+    calibration = session.evaluation.calibration
+    if calibration is None:
+        return {}
+    force = calibration.compensate(calibration.readings.values)
+    reference = calibration.reference
+    if calibration.model.gauge is not None:
+        off = np.linalg.norm(force, axis=1) - np.linalg.norm(reference, axis=1)
+    else:
+        off = np.linalg.norm(force - reference[:, : force.shape[1]], axis=1)
+    scale = np.abs(calibration.parameters[list(calibration.model.own_scales)])
+    u = np.sqrt(np.mean((calibration.sd_of_readings / scale) ** 2, axis=1))
+    keys = [session.key(pose) for pose in session.accepted]
+    return dict(zip(keys, zip(off.tolist(), u.tolist(), strict=True), strict=True))
+
+
+def _next(session: Session) -> dict[str, Any] | None:
+    found = session.next
+    if found is None or session.finished:
+        return None
+    return {
+        "direction": found.direction,
+        "gain": found.gain,
+        "label": found.label or None,
+        "words": pose_words(found.direction),
+    }
+
+
+def _unit(session: Session) -> str | None:
+    calibration = session.evaluation.calibration
+    if calibration is not None:
+        return calibration.model.unit
+    return None if session.model is None else session.model.unit
