@@ -21,6 +21,7 @@ _PUBLIC = {
     "Averages": "logs.averages",
     "Calibration": "sensor.calibration",
     "CalibrationWarning": "errors",
+    "Captured": "capturing.running",
     "Check": "verification.verdicts",
     "ConvergenceError": "errors",
     "Doubt": "sensor.doubt",
@@ -38,6 +39,7 @@ _PUBLIC = {
     "apply": "compensation.applying",
     "average": "logs.averaging",
     "calibrate": "fitting.logs",
+    "capture": "capturing.running",
     "check": "verification.checks",
     "compare": "verification.comparison",
     "correct": "compensation.correction",
@@ -78,6 +80,8 @@ _PUBLIC = {
 __all__ = sorted([*_PUBLIC, "__version__"])
 
 if TYPE_CHECKING:
+    from multipos.capturing.running import Captured as Captured
+    from multipos.capturing.running import capture as capture
     from multipos.compensation.applying import apply as apply
     from multipos.compensation.correction import correct as correct
     from multipos.compensation.reading_back import verify_export as verify_export

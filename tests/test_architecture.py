@@ -27,7 +27,7 @@ ORDER = (
     ("verification", "fleets"),
     ("plots",),
     ("reports",),
-    ("song_qin",),
+    ("song_qin", "capturing"),
     ("commands",),
     ("cli",),
     ("__main__",),
@@ -35,6 +35,7 @@ ORDER = (
 # NumPy alone starts in a tenth of the time of all of these: they are imported where they are used.
 SLOW_TO_IMPORT = {"scipy", "casadi", "matplotlib", "jinja2", "rich", "pandas"}
 SLOW_TO_IMPORT |= {"distributed", "h5py", "openpyxl", "pyarrow", "pymavlink", "pyulog", "rosbags"}
+SLOW_TO_IMPORT |= {"serial"}
 FORBIDDEN_IMPORTS = ("pickle", "scipy.stats", "matplotlib.pyplot", "pylab")
 FORBIDDEN_CALLS = {"eval", "exec"}
 

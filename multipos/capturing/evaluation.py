@@ -9,6 +9,7 @@ the poses can tell it. Whether a target is met is decided here:
 with U by the noise that the fit finds, which is never less than the rests' own u.
 """
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +19,7 @@ from multipos.capturing.next_pose import NextPose, best_pose, gain_at
 from multipos.capturing.poses import Frame, Pose, find_frame
 from multipos.capturing.targets import FEWEST_DOF, spread_targets
 from multipos.designs.travel import order_positions
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.fitting.logs import fit_rests
 from multipos.logs.averages import Averages
 from multipos.logs.joining import Chosen, complete
@@ -83,7 +84,8 @@ class Evaluation(Result):
         Why there is no calibration yet.
     frame : Frame or None
     parameters : tuple of Progress
-    doubts : tuple of str
+    doubts : tuple of mappings
+        Severity and text of what does not look right; what else is said is 'said'.
     enough : bool
         Whether every target is met.
     """
@@ -93,7 +95,7 @@ class Evaluation(Result):
     problem: str | None
     frame: Frame | None
     parameters: tuple[Progress, ...]
-    doubts: tuple[str, ...]
+    doubts: tuple[dict[str, str], ...]
     enough: bool
 
 
@@ -158,7 +160,9 @@ def _fit(plan: Plan, averages: Averages) -> tuple[Calibration | None, str | None
     for model in dict.fromkeys([plan.fitting.get("model", "linear"), "linear"]):
         try:
             options = {**plan.fitting, "model": model}
-            return fit_rests(averages, **options), problem
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", CalibrationWarning)  # shown as doubts
+                return fit_rests(averages, **options), problem
         except UsageError:
             raise
         except MultiposError as error:
@@ -191,9 +195,13 @@ def _small(calibration: Calibration, name: str, target: float) -> bool:
     return _dof(calibration) >= FEWEST_DOF and target >= calibration[name].U
 
 
-def _doubts(averages: Averages, calibration: Calibration | None) -> tuple[str, ...]:
+def _doubts(averages: Averages, calibration: Calibration | None) -> tuple[dict[str, str], ...]:
+    doubts = () if calibration is None else calibration.diagnostics.doubts
+    known = {each.text: each.severity for each in doubts}
     found = averages.warnings if calibration is None else calibration.diagnostics.warnings
-    return tuple(dict.fromkeys(found))
+    return tuple(
+        {"severity": known.get(text, "said"), "text": text} for text in dict.fromkeys(found)
+    )
 
 
 def model_of(plan: Plan, outputs: tuple[str, ...], unit: str) -> Model:

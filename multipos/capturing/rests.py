@@ -20,6 +20,7 @@ from multipos.logs.still import Still, average_rests
 from multipos.numerics.arrays import Array
 
 _ENOUGH = 3  # rests that show what stillness is
+_FIRST_PIECE, _PIECE = 512, 64  # samples that the survey is told of at once
 _OFTEN = 4  # windows from one look for provisional rests to the next
 
 
@@ -53,7 +54,8 @@ class LiveRests:
         self._windows = Windows(self.grid.block)
         self._finder = None if threshold is None else Finder(self.grid, threshold)
         self._sizes: list[Array] = []  # of all windows, until the threshold is fixed
-        self._looked = 0  # windows at the last look
+        self._seen = self._looked = 0  # windows, and those at the last look
+        self._pending: list[tuple[Array, Array, Array]] = []  # not in the survey yet
         self._provisional: Finder | None = None
         self._newest: float | None = None
 
@@ -61,19 +63,18 @@ class LiveRests:
         """Take up outputs (M, n) that the rows have taken; tell whether what is settled changed."""
         for small in small_pieces(outputs):
             mean, sd = self._windows.feed(small)
-            self.survey.add(small, mean, sd)
+            self._survey(small, mean, sd)
             if not len(sd):
                 continue
             self._newest = float(sd[-1])
+            self._seen += len(sd)
             if self._finder is None:
                 self._sizes.append(sd)
             else:
                 self._finder.add(sd)
         changed = self._settle() if self._finder is not None else self._look()
         if self._finder is not None:
-            since = self._finder.still_since
-            keep = self._rows.rows - 3 * self.grid.window if since is None else since
-            self._rows.forget(keep)
+            self._rows.forget(self._finder.open_since)
         return changed
 
     def finish(self) -> bool:
@@ -82,13 +83,20 @@ class LiveRests:
         Raises
         ------
         MultiposError
-            The threshold is not fixed yet, and the rows show none.
+            There is no rest, or nothing that shows what one is.
         """
         before = len(self.settled)
+        self._survey_pending()
         if self._finder is None:
             self._fix(self.survey.threshold())
         assert self._finder is not None
         self._append(self._finder.rests(self._rows.rows))
+        if not self.settled:
+            raise MultiposError(
+                f"{self._rows.log.source}: no rest of {self.grid.shortest} samples in "
+                f"{self._rows.rows} rows at threshold {self._finder.threshold:.3g}; hold the "
+                "sensor still for longer, or lower --min-duration."
+            )
         return len(self.settled) > before
 
     @property
@@ -105,7 +113,7 @@ class LiveRests:
         whole = self.grid.shortest
         if since is None:
             return Motion(self._newest, False, whole)
-        seen = self.survey.windows - since // self.grid.block + BLOCKS - 1
+        seen = self._seen - since // self.grid.block + BLOCKS - 1
         return Motion(self._newest, True, max(0, whole - seen * self.grid.block))
 
     def running(self) -> Still | None:
@@ -120,6 +128,20 @@ class LiveRests:
         """Return the stretches that stood still for less than a rest."""
         found = [] if self._finder is None else self._finder.short()
         return [self._rows.in_log(rest) for rest in found]
+
+    def _survey(self, samples: Array, mean: Array, sd: Array) -> None:
+        """Add to the survey, in pieces that show the steps between samples."""
+        self._pending.append((samples, mean, sd))
+        waiting = sum(piece[0].shape[1] for piece in self._pending)
+        if waiting >= (_PIECE if self.survey.rows else _FIRST_PIECE):
+            self._survey_pending()
+
+    def _survey_pending(self) -> None:
+        if self._pending:
+            samples, mean, sd = zip(*self._pending, strict=True)
+            self._pending = []
+            joined = np.concatenate(samples, axis=1), np.concatenate(mean, axis=1)
+            self.survey.add(*joined, np.concatenate(sd))
 
     def _settle(self) -> bool:
         assert self._finder is not None
@@ -139,9 +161,9 @@ class LiveRests:
 
     def _look(self) -> bool:
         """Find provisional rests; fix the threshold when there are enough of them."""
-        if self.survey.windows - self._looked < _OFTEN:
+        if self._seen - self._looked < _OFTEN:
             return False
-        self._looked = self.survey.windows
+        self._looked = self._seen
         try:
             threshold = self.survey.threshold()
         except MultiposError:  # nothing like a rest yet

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from multipos.capturing.evaluation import Plan
+from multipos.capturing.keeping import Kept
 from multipos.capturing.raw_log import RawLog
 from multipos.capturing.session import Reading, Session
 from multipos.capturing.sources import Source, open_source
@@ -24,6 +25,8 @@ from multipos.files.tables import Source as TableSource
 from multipos.logs.averages import Averages
 from multipos.logs.clock import TimeUnit, check_time_unit
 from multipos.logs.samples import Timing
+from multipos.logs.table import Log
+from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Result
@@ -121,7 +124,7 @@ def capture(
     reading = make_reading(outputs, time_column, time_unit, rate, min_duration, threshold)
     tell = None if told is None else lambda session: told(line_of(session))
     session = Session(plan, reading, tell)
-    run(session, opened, columns, log=log)
+    run_session(session, opened, columns, Kept(log=None if log is None else Path(log)))
     return captured(session)
 
 
@@ -157,36 +160,32 @@ def make_reading(
     return Reading(named, Timing(time_column, time_unit, rate), min_duration, threshold)
 
 
-def run(
-    session: Session,
-    source: Source,
-    columns: Names | None = None,
-    *,
-    log: str | os.PathLike[str] | None = None,
-    before: Path | None = None,
+def run_session(
+    session: Session, source: Source, columns: Names | None = None, kept: Kept | None = None
 ) -> None:
-    """Let rows go into the session until it is finished.
+    """Let rows go into the session until it is finished; Ctrl-C is the word that it is enough.
 
     Parameters
     ----------
     session : Session
     source : Source
     columns : names, optional
-    log : path, optional
-        Where the rows go.
-    before : path, optional
-        A log that the session goes on from; rows are then appended to it.
+    kept : Kept, optional
+        Where rows and decisions go, and what the session goes on from.
     """
-    if before is not None:
-        earlier = open_source(f"replay:{before}:0")
-        _feed(session, earlier, None, None, going_on=True)
-    kept = nullcontext(None) if log is None else closing(RawLog(log, going_on=before is not None))
-    with kept as raw:
-        with suppress(KeyboardInterrupt):  # the user's word that it is enough
-            _feed(session, source, columns, raw, going_on=False)
+    kept = kept or Kept()
+    if kept.before is not None:
+        earlier = open_source(f"replay:{kept.before}:0")
+        _feed(session, earlier, None, None, kept, going_on=True)
+    going_on = kept.before is not None
+    log = nullcontext(None) if kept.log is None else closing(RawLog(kept.log, going_on=going_on))
+    with log as raw:
+        with suppress(KeyboardInterrupt):
+            _feed(session, source, columns, raw, kept, going_on=False)
         with session.changed:
             session.finish()
             session.changed.notify_all()
+        kept.write(session)
 
 
 def _feed(
@@ -194,34 +193,38 @@ def _feed(
     source: Source,
     columns: Names | None,
     raw: RawLog | None,
+    kept: Kept,
     *,
     going_on: bool,
 ) -> None:
     for arrival in source.arrivals(columns):
         with session.changed:
             if arrival.log is not None:
-                if session.rows is None:
-                    session.begin(arrival.log, arrival.columns)
-                elif session.rows.log.columns != arrival.log.columns:
-                    raise MultiposError(
-                        f"{source.name}: the columns are {', '.join(arrival.log.columns)}, but the "
-                        f"session began with {', '.join(session.rows.log.columns)}; give another "
-                        "-o, or the same source."
-                    )
-                source.rate = session.rate or source.rate
+                _begin(session, source, arrival.log, arrival.columns)
                 if raw is not None:
                     raw.begin(arrival.log)
                 continue
-            if session.rows is None:
-                done = session.finished
-            else:
+            if session.rows is not None:
                 good = session.feed(arrival.columns, connected=arrival.connected)
                 if raw is not None:
                     raw.write(arrival.lines, good)
-                done = session.finished or (session.is_enough and not going_on)
             session.changed.notify_all()
+            done = session.asked_to_finish or (session.is_enough and not going_on)
+        kept.write(session)
         if done:
             return
+
+
+def _begin(session: Session, source: Source, log: Log, head: Array) -> None:
+    """Settle the columns, or see that they are those that the session began with."""
+    if session.rows is None:
+        session.begin(log, head)
+    elif session.rows.log.columns != log.columns:
+        raise MultiposError(
+            f"{source.name}: the columns are {', '.join(log.columns)}, but the session began with "
+            f"{', '.join(session.rows.log.columns)}; give another -o, or the same source."
+        )
+    source.rate = session.rate or source.rate
 
 
 def captured(session: Session) -> Captured:

@@ -9,7 +9,7 @@ that come, `undo`, `redo` of a pose, and `finish`. Whoever looks at it from anot
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -44,6 +44,16 @@ _LIVE = 0.05  # [s] of rows that a live value is the mean of
 _OFF_DEG = 10.0  # from a position of the scheme
 
 
+@dataclass(frozen=True)
+class Reading:
+    """How the rows are read, as `average` is told."""
+
+    outputs: tuple[str, ...] | None = None
+    timing: Timing = field(default_factory=Timing)
+    min_duration: float | None = None
+    threshold: float | None = None
+
+
 class Session:
     """A guided session.
 
@@ -56,7 +66,7 @@ class Session:
     poses : list of Pose
         Every rest that was offered.
     evaluation : Evaluation
-    finished : bool
+    asked_to_finish, finished : bool
     connected : bool
     rows, rests, model : LiveRows, LiveRests, Model, or None
         Once the columns are known.
@@ -70,7 +80,7 @@ class Session:
     """
 
     def __init__(
-        self, plan: Plan, reading: "Reading", told: "Callable[[Session], object] | None" = None
+        self, plan: Plan, reading: Reading, told: "Callable[[Session], object] | None" = None
     ) -> None:
         self.plan, self._reading = plan, reading
         self._told = told
@@ -78,13 +88,14 @@ class Session:
         self.version = self.ticks = 0
         self.poses: list[Pose] = []
         self.evaluation = NOTHING
-        self.finished = False
+        self.finished = self.asked_to_finish = False
         self.connected = True
         self.rows: LiveRows | None = None
         self.rests: LiveRests | None = None
         self.model: Model | None = None
         self._known: dict[tuple[str, ...], Evaluation] = {(): NOTHING}
         self.next: NextPose | None = None
+        self._is_fixed = reading.threshold is not None
         self._again = ""  # the pose that is to be taken again
         self.newest: Array | None = None
         self.under_way: Pose | None = None
@@ -232,12 +243,22 @@ class Session:
         up = frame.up(mean[np.newaxis])[0]
         return up if np.isfinite(up).all() else None
 
+    def directions(self) -> list[Array | None]:
+        """Return the up vector (3,) of every pose."""
+        means = [pose.still.found.mean for pose in self.poses]
+        if self.evaluation.frame is None or not means:
+            return [self.direction(mean) for mean in means]
+        up = self.evaluation.frame.up(np.array(means))
+        return [each if np.isfinite(each).all() else None for each in up]
+
     def _offer_settled(self) -> None:
         """Offer the rests that are new; all of them anew while they are provisional."""
         assert self.rests is not None
         settled = self.rests.settled
         kept = [pose.still.rows for pose in self.poses]
-        if kept != [still.rows for still in settled[: len(kept)]]:
+        moved = kept != [still.rows for still in settled[: len(kept)]]
+        if moved or (self.threshold is not None and not self._is_fixed):
+            self._is_fixed = self.threshold is not None
             self.poses, self._known = [], {(): NOTHING}
         for still in settled[len(self.poses) :]:
             if self.is_enough:
@@ -378,18 +399,3 @@ class Session:
             notes=rows.notes,
             warnings=(),
         )
-
-
-class Reading:
-    """How the rows are read, as `average` is told."""
-
-    def __init__(
-        self,
-        outputs: tuple[str, ...] | None = None,
-        timing: Timing | None = None,
-        min_duration: float | None = None,
-        threshold: float | None = None,
-    ) -> None:
-        self.outputs = outputs
-        self.timing = timing or Timing()
-        self.min_duration, self.threshold = min_duration, threshold

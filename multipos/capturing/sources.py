@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +23,7 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import Names, split_names
+from multipos.logs.clock import time_columns
 from multipos.logs.opening import open_log
 from multipos.logs.table import Log
 from multipos.logs.text import LiveText, open_lines
@@ -31,6 +32,7 @@ from multipos.numerics.arrays import Array
 TICK = 0.05  # [s]
 _HEAD_LINES = 40  # that show what a row is
 _MOST_LINES = 2000  # of what is no table, before it begins
+_COUNTED = 3.0  # [s] in which arriving rows are counted for their rate
 _LONGEST_LINE = 1 << 16
 _HEAD_ROWS = 4096  # of a replayed log
 _AT_ONCE = 2048  # rows of a replay as fast as it goes
@@ -73,6 +75,8 @@ class Source:
         That file.
     rate : float [Hz]
         By which a replay is paced; set when it is known.
+    untimed : bool
+        Whether the rate is that at which rows arrive, where nothing else tells it.
     arrivals : callable
         Return the arrivals, given the names of the columns or None.
     """
@@ -82,6 +86,7 @@ class Source:
     path: Path | None
     arrivals: Callable[[Names | None], Iterator[Arrival]] = field(repr=False)
     rate: float = _ASSUMED_RATE
+    untimed: bool = False
 
 
 def open_source(text: str) -> Source:
@@ -110,37 +115,84 @@ def open_source(text: str) -> Source:
 
 
 def _bytes_source(name: str, chunks: Callable[[], Iterator[bytes | None]]) -> Source:
-    return Source(name, False, None, lambda columns: _rows_of(name, chunks(), columns))
+    source = Source(name, False, None, lambda columns: _rows_of(source, chunks(), columns))
+    return source
 
 
-def _rows_of(name: str, chunks: Iterator[bytes | None], columns: Names | None) -> Iterator[Arrival]:
+def _rows_of(
+    source: Source, chunks: Iterator[bytes | None], columns: Names | None
+) -> Iterator[Arrival]:
     """Yield arrivals from bytes; None among them says that the connection is lost."""
     given = None if columns is None else split_names(columns, "--columns")
-    head: list[str] = []
-    text: LiveText | None = None
+    head = _Head(source, given)
     left = b""
     connected = True
     with contextlib.closing(chunks):  # type: ignore[type-var]
         for chunk in chunks:
             connected = chunk is not None
             content, left = _whole_lines(left, chunk)
-            if text is not None:
-                columns_, lines = text.rows(content)
-                yield Arrival(None, columns_, lines, connected)
-                continue
-            head += content.splitlines()
-            text = _open_lines(name, head, given) if len(head) >= _HEAD_LINES else None
-            if text is None:
-                yield Arrival(None, np.empty((0, 0)), [], connected)
+            if head.text is not None:
+                yield Arrival(None, *head.text.rows(content), connected)
+            elif head.take(content):
+                yield from head.arrivals()
             else:
-                yield from _opened(text)
-    if text is None:
-        head += left.decode("utf-8", "replace").splitlines()
-        if not any(line.strip() for line in head):
-            raise MultiposError(f"{name}: nothing came; a session needs rows of samples.")
-        yield from _opened(open_lines(name, head, given))
-    elif left:
-        yield Arrival(None, *text.rows(left.decode("utf-8", "replace")), connected)
+                yield Arrival(None, np.empty((0, 0)), [], connected)
+    last = left.decode("utf-8", "replace")
+    if head.text is None:
+        head.end(last)
+        yield from head.arrivals()
+    elif last:
+        yield Arrival(None, *head.text.rows(last), connected)
+
+
+class _Head:
+    """The first lines, until they tell what a row is, and how many come in a second."""
+
+    def __init__(self, source: Source, given: tuple[str, ...] | None) -> None:
+        self._source, self._given = source, given
+        self._lines: list[str] = []
+        self._begun: tuple[float, int] | None = None  # when counting began, and at which line
+        self._rate: float | None = None
+        self.text: LiveText | None = None
+
+    def take(self, content: str) -> bool:
+        """Take up lines; tell whether they are enough."""
+        self._lines += content.splitlines()
+        if len(self._lines) < _HEAD_LINES:
+            return False
+        try:
+            text = open_lines(self._source.name, self._lines, self._given)
+        except UsageError:
+            raise
+        except MultiposError:
+            if len(self._lines) >= _MOST_LINES:
+                raise
+            return False  # what a device says when it starts; its rows may still come
+        if self._source.untimed and text.log.rate is None and not time_columns(text.log):
+            now = time.monotonic()
+            if self._begun is None:  # what had been waiting before says nothing of the rate
+                self._begun = now, len(self._lines)
+            elapsed = now - self._begun[0]
+            if elapsed < _COUNTED:
+                return False
+            self._rate = (len(self._lines) - self._begun[1]) / elapsed or None
+        self.text = text
+        return True
+
+    def end(self, last: str) -> None:
+        """Take the lines that came for all there are."""
+        self._lines += last.splitlines()
+        if not any(line.strip() for line in self._lines):
+            raise MultiposError(f"{self._source.name}: nothing came; a session needs samples.")
+        self.text = open_lines(self._source.name, self._lines, self._given)
+
+    def arrivals(self) -> Iterator[Arrival]:
+        """Yield the log, and the rows among the first lines."""
+        assert self.text is not None
+        columns, lines = self.text.rows(self.text.head)
+        log = self.text.log
+        yield Arrival(log if self._rate is None else replace(log, rate=self._rate), columns, [])
+        yield Arrival(None, columns, lines)
 
 
 def _whole_lines(left: bytes, chunk: bytes | None) -> tuple[str, bytes]:
@@ -154,23 +206,6 @@ def _whole_lines(left: bytes, chunk: bytes | None) -> tuple[str, bytes]:
         left = b""
     text = whole.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n")
     return text.removeprefix("\ufeff"), left
-
-
-def _open_lines(name: str, head: list[str], given: tuple[str, ...] | None) -> LiveText | None:
-    try:
-        return open_lines(name, head, given)
-    except UsageError:
-        raise
-    except MultiposError:
-        if len(head) >= _MOST_LINES:
-            raise
-        return None  # what a device says when it starts; its rows may still come
-
-
-def _opened(text: LiveText) -> Iterator[Arrival]:
-    columns, lines = text.rows(text.head)
-    yield Arrival(text.log, columns, [])
-    yield Arrival(None, columns, lines)
 
 
 def _stdin() -> Iterator[bytes | None]:
@@ -220,7 +255,9 @@ def _udp_source(rest: str) -> Source:
     address, _, port = rest.rpartition(":")
     if not port.isdigit() or not 0 < int(port) < 1 << 16:
         raise UsageError(f"'udp:{rest}' names no port; give udp:PORT, or udp:ADDRESS:PORT.")
-    return _bytes_source(f"udp:{rest}", lambda: _udp(address or "127.0.0.1", int(port)))
+    source = _bytes_source(f"udp:{rest}", lambda: _udp(address or "127.0.0.1", int(port)))
+    source.untimed = True
+    return source
 
 
 def _udp(address: str, port: int) -> Iterator[bytes | None]:
@@ -248,7 +285,9 @@ def _serial_source(rest: str) -> Source:
         device, baud = rest, str(_BAUD)
     if not device:
         raise UsageError("'serial:' names no port; give serial:/dev/ttyUSB0:115200.")
-    return _bytes_source(f"serial:{rest}", lambda: _serial(device, int(baud)))
+    source = _bytes_source(f"serial:{rest}", lambda: _serial(device, int(baud)))
+    source.untimed = True
+    return source
 
 
 def _serial(device: str, baud: int) -> Iterator[bytes | None]:

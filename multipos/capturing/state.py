@@ -98,14 +98,15 @@ def _parameters(session: Session) -> list[dict[str, Any]]:
 def _entries(session: Session) -> list[dict[str, Any]]:
     """Return `taken`."""
     residuals = _residuals(session)
+    directions = session.directions()
     entries = []
-    for pose in session.poses:
+    for pose, direction in zip(session.poses, directions, strict=True):
         residual, u = residuals.get(session.key(pose), (None, None))
         found = pose.still.found
         entries.append(
             {
                 "position": pose.position,
-                "direction": session.direction(found.mean),
+                "direction": direction,
                 "residual": residual,
                 "residual_u": u,
                 "accepted": pose.accepted,

@@ -1,6 +1,7 @@
 """``multipos calibrate``."""
 
 import argparse
+import os
 from pathlib import Path
 from typing import Any
 
@@ -65,14 +66,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    _check_targets(arguments)
+    check_targets(arguments)
     options = vars(arguments)
     with file_progress(arguments.logs, "reading") as progress:
         chosen = {name: options[name] for name in _AVERAGE}
         found = average(*arguments.logs, progress=progress, **chosen)
     apart = {*_AVERAGE, "to", *export_options(arguments), *_OWN} - {"convention"}
     calibration = fit_rests(found, **{k: v for k, v in options.items() if k not in apart})
-    exports, refused = _exports(calibration, arguments)
+    exports, refused = make_exports(calibration, arguments, arguments.output)
     listing = [
         {"target": each.target, "files": [*map(str, each.files(path))], "notes": each.notes}
         for path, each in exports.items()
@@ -105,7 +106,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     )
 
 
-def _check_targets(arguments: argparse.Namespace) -> None:
+def check_targets(arguments: argparse.Namespace) -> None:
+    """Refuse targets that there are not, or that have no file to be beside."""
     names = ", ".join(target.name for target in TARGETS)
     strange = [name for name in arguments.to if named_target(name) is None]
     if strange:
@@ -126,16 +128,16 @@ def _own(target: Target, options: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if name in own}
 
 
-def _exports(
-    calibration: Calibration, arguments: argparse.Namespace
+def make_exports(
+    calibration: Calibration, arguments: argparse.Namespace, path: str | os.PathLike[str]
 ) -> tuple[dict[Path, Exported], list[str]]:
-    """Return the exports by the file each goes to, and why others are refused."""
+    """Return the exports by the file beside `path` each goes to, and why others are refused."""
     made, refused = {}, []
     for name in dict.fromkeys(arguments.to):
         target = named_target(name)
         assert target is not None
         try:
-            made[beside(arguments.output, target)] = export(
+            made[beside(path, target)] = export(
                 calibration, name, **_own(target, export_options(arguments))
             )
         except UsageError:

@@ -13,6 +13,7 @@ from multipos.files.lists import near
 COMMANDS = {
     "demo": "calibrate the six-position paper's own readings, end to end",
     "calibrate": "calibrate from raw logs, and export, in one go",
+    "capture": "record and calibrate live, led from pose to pose until it is enough",
     "fit": "calibrate from readings at static positions",
     "report": "write the report of a calibration",
     "apply": "compensate raw readings with a calibration",

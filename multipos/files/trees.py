@@ -28,6 +28,11 @@ def to_json(value: Any) -> str:
     return _escaped(text)
 
 
+def to_json_line(value: Any) -> str:
+    """Return one JSON object as a line of text; what is not finite becomes null."""
+    return _escaped(json.dumps(plain(value), ensure_ascii=False, allow_nan=False)) + "\n"
+
+
 def _escaped(text: str) -> str:
     return _SURROGATE.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text)
 

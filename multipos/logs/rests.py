@@ -294,6 +294,13 @@ class Finder:
         """First row of the stretch that is still as far as seen, None while something moves."""
         return self._runs()[-1][0] * self._grid.block if self._still else None
 
+    @property
+    def open_since(self) -> int:
+        """First row that a rest which is not settled yet may have."""
+        runs = self._runs()[-1:]
+        open_ = [first for first, last in runs if self._still or last > self._count]
+        return (open_[0] if open_ else self._count) * self._grid.block
+
     def settled(self) -> list[Rest]:
         """Return the rests that nothing which follows can change: they have long ended."""
         ended = [(first, last) for first, last in self._runs() if last <= self._count]

@@ -1,0 +1,123 @@
+"""What of a session is kept in files, so that nothing is lost and it can go on.
+
+Beside READINGS.csv stand READINGS_log.csv, the rows of a source that is no log, written as they
+come, and READINGS_session.json, the threshold and rate that were fixed and what the user took back.
+With these and the log the same poses are found again.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from multipos.capturing.session import Reading, Session
+from multipos.capturing.sources import Source
+from multipos.errors import MultiposError, UsageError
+from multipos.files.trees import read_json, to_json
+from multipos.files.whole import write_text
+
+_SCHEMA = "multipos/capture/1"
+_DEFAULT = Path("capture.csv")  # of a source whose rows would be gone otherwise
+
+
+@dataclass
+class Kept:
+    """What is kept of a session.
+
+    Attributes
+    ----------
+    log : path or None
+        Where the rows go.
+    before : path or None
+        The log that the session goes on from.
+    session : path or None
+        Where decisions go.
+    earlier : mapping
+        What the session file held.
+    said : list of str
+        What the user is to know.
+    """
+
+    log: Path | None = None
+    before: Path | None = None
+    session: Path | None = None
+    earlier: Mapping[str, Any] = field(default_factory=dict)
+    said: list[str] = field(default_factory=list)
+    written: str = ""
+
+    @property
+    def decided(self) -> Mapping[str, str]:
+        """What the user took back."""
+        found: Mapping[str, str] = self.earlier.get("taken_back", {})
+        return found
+
+    def as_before(self, reading: Reading) -> Reading:
+        """Return how the rows are read, with the threshold and the rate that were fixed."""
+        threshold, rate = self.earlier.get("threshold"), self.earlier.get("rate_by_arrival")
+        timing = reading.timing
+        if rate is not None and timing.rate is None and timing.column is None:
+            timing = timing._replace(rate=rate)
+        return replace(reading, threshold=reading.threshold or threshold, timing=timing)
+
+    def write(self, session: Session) -> None:
+        """Write the session file, where anything in it has changed."""
+        if self.session is None or session.rows is None or session.threshold is None:
+            return
+        counted = session.rows.clock is None
+        text = to_json(
+            {
+                "schema": _SCHEMA,
+                "source": session.rows.log.source,
+                "threshold": session.threshold,
+                "rate": session.rate,
+                "rate_by_arrival": session.rate if counted else None,
+                "taken_back": dict(session.decided),
+            }
+        )
+        if text != self.written:
+            write_text(self.session, text)
+            self.written = text
+
+
+def keep(source: Source, readings: Path | None, *, resume: bool) -> Kept:
+    """Return what is kept, beside the readings; earlier rows are never written over.
+
+    Raises
+    ------
+    UsageError, MultiposError
+        There is no session to go on with.
+    """
+    if readings is None and not source.untimed:
+        if resume:
+            raise UsageError("--resume goes on with the session of -o READINGS.csv; name it.")
+        return Kept()
+    path = readings or _DEFAULT
+    kept = Kept(session=path.with_name(f"{path.stem}_session.json"))
+    log = None if source.is_log else path.with_name(f"{path.stem}_log.csv")
+    kept.log = log
+    assert kept.session is not None
+    if resume:
+        kept.earlier = _read(kept.session)
+        kept.before = log
+        if log is not None and not log.exists():
+            raise MultiposError(f"{log}: no such file; the session cannot go on without its rows.")
+    elif log is not None and log.exists():
+        old = log.with_name(f"{log.stem}.old.csv")
+        log.replace(old)
+        kept.said.append(f"the rows of an earlier session are now {old}")
+    if log is not None:
+        kept.said.append(f"rows are written to {log} as they come")
+    return kept
+
+
+def _read(path: Path) -> dict[str, Any]:
+    found = read_json(path, _SCHEMA)
+    threshold, taken_back = found.get("threshold"), found.get("taken_back")
+    rate = found.get("rate_by_arrival")
+    numbers = all(each is None or isinstance(each, int | float) for each in (threshold, rate))
+    if not numbers or not isinstance(taken_back, dict):
+        raise MultiposError(
+            f"{path}: 'threshold', 'rate_by_arrival' or 'taken_back' is of another kind; begin a "
+            "new session."
+        )
+    return {**found, "taken_back": {str(k): str(v) for k, v in taken_back.items()}}

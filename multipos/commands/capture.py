@@ -1,0 +1,206 @@
+"""``multipos capture``."""
+
+import argparse
+import sys
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from multipos.capturing.keeping import Kept, keep
+from multipos.capturing.running import Captured, captured, make_plan, make_reading, run_session
+from multipos.capturing.session import Session
+from multipos.capturing.sources import Source, open_source
+from multipos.capturing.state import line_of
+from multipos.commands.answers import STDOUT, Answer, Output, print_out
+from multipos.commands.calibrate import check_targets, make_exports
+from multipos.commands.export import add_export_options, export_options
+from multipos.commands.fit import add_fit_options
+from multipos.commands.options import add_reading, warn
+from multipos.compensation.target import Exported
+from multipos.compensation.targets import TARGETS
+from multipos.errors import UsageError
+from multipos.files.tables import format_csv
+from multipos.files.trees import to_json, to_json_line
+from multipos.logs.averages import averages_text
+from multipos.reports.certificate import build_content
+from multipos.reports.documents import html_report
+from multipos.reports.summary import text_report
+
+INPUTS = ("scheme", "budget", "stability")
+OUTPUT = Output(
+    "READINGS.csv",
+    "write the poses that count to READINGS.csv, and beside it the calibration, its report, the "
+    "exports, and the rows of a source that is no log as they come",
+    "table",
+    ("json",),
+)
+PORT = 8035
+_READING = ("outputs", "time_column", "time_unit", "rate", "min_duration", "threshold")
+_OWN = ("source", "json", "output", "columns", "target", "positions", "resume", "port", "headless")
+_UNUSED = ("drop_bad", "scheme")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add = parser.add_argument
+    add(
+        "source",
+        metavar="SOURCE",
+        help="serial:DEVICE[:BAUD], udp:[ADDRESS:]PORT, - (stdin), a log that grows, or "
+        "replay:LOG[:SPEED] (1 is real time, 0 as fast as it goes)",
+    )
+    add(
+        "--target",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="TERM=U",
+        help="U that a parameter (bias_ax) or a kind (bias, scale, cross, quad) shall have; it "
+        "ends when all do",
+    )
+    add("--positions", type=int, metavar="N", help="end after so many poses")
+    add("--resume", action="store_true", help="go on with the session of the same -o")
+    add(
+        "--port", type=int, metavar="N", help=f"of the page (default {PORT}, else any that is free)"
+    )
+    add("--headless", action="store_true", help="no page: print a JSON line for each rest")
+    add_reading(parser)
+    add("--min-duration", type=float, metavar="S", help="shortest rest [s] (default 2)")
+    add(
+        "--threshold",
+        type=float,
+        metavar="V",
+        help="standard deviation above which it moves (default: learnt from the first rests)",
+    )
+    add_fit_options(parser)
+    add(
+        "--to",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="TARGET",
+        help=f"export beside READINGS.csv, for {', '.join(target.name for target in TARGETS)}",
+    )
+    add_export_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what the command found."""
+    check_targets(arguments)
+    source = open_source(arguments.source)
+    _refuse_input(source, arguments.output)
+    session, kept = _begin(arguments, source)
+    with ExitStack() as stack:
+        if not arguments.headless:
+            from multipos.capturing.serving import serve
+
+            address = stack.enter_context(serve(session, arguments.port, default=PORT))
+            _say(f"page at {address}")
+        run_session(session, source, arguments.columns, kept)
+    return _answer(arguments, _Result(captured(session), arguments))
+
+
+def _say(text: str) -> None:
+    if sys.stderr is not None:
+        print(f"multipos: {text}", file=sys.stderr, flush=True)
+
+
+def _begin(arguments: argparse.Namespace, source: Source) -> tuple[Session, Kept]:
+    options = vars(arguments)
+    apart = {*_READING, "to", *export_options(arguments), *_OWN, *_UNUSED}
+    fitting = {name: value for name, value in options.items() if name not in apart}
+    plan = make_plan(arguments.target, arguments.positions, arguments.scheme, fitting)
+    reading = make_reading(**{name: options[name] for name in _READING})
+    source.untimed = source.untimed and arguments.rate is None
+    kept = keep(source, _readings_path(arguments), resume=arguments.resume)
+    for said in kept.said:
+        _say(said)
+
+    def told(session: Session) -> None:
+        if arguments.headless:
+            print_out([to_json_line(line_of(session))])
+
+    session = Session(plan, kept.as_before(reading), told)
+    session.decide(kept.decided)
+    return session, kept
+
+
+def _readings_path(arguments: argparse.Namespace) -> Path | None:
+    return None if arguments.output in (None, STDOUT) else Path(arguments.output)
+
+
+def _refuse_input(source: Source, output: str | None) -> None:
+    """Refuse an output that is the log which is read."""
+    if output in (None, STDOUT) or source.path is None or not source.path.exists():
+        return
+    if Path(output).exists() and source.path.samefile(output):
+        raise UsageError(
+            f"-o would write over {output}, which this command reads; give another name."
+        )
+
+
+@dataclass(frozen=True)
+class _Result:
+    """What is written, and how it is printed."""
+
+    captured: Captured
+    arguments: argparse.Namespace
+
+    @property
+    def calibration_path(self) -> Path:
+        path = Path(self.arguments.output)
+        plain = path.with_suffix(".json")
+        return plain if plain != path else path.with_name(f"{path.stem}_cal.json")
+
+    def exports(self) -> tuple[dict[Path, Exported], list[str]]:
+        calibration = self.captured.calibration
+        if not self.arguments.to:
+            return {}, []
+        if calibration is None:
+            return {}, [f"no calibration to export: {self.captured.problem}"]
+        return make_exports(calibration, self.arguments, self.calibration_path)
+
+    def files(self, made: str, exports: Mapping[Path, Exported]) -> Any:
+        """Return what ``-o`` writes: the readings, and everything beside them."""
+        if self.arguments.output == STDOUT:
+            return made
+        files: dict[Any, Any] = {self.arguments.output: made}
+        calibration = self.captured.calibration
+        if calibration is not None:
+            path = self.calibration_path
+            files[path] = to_json(calibration.to_dict())
+            files[path.with_suffix(".html")] = html_report(build_content(calibration))
+        for path, each in exports.items():
+            files |= each.files(path)
+        return files
+
+
+def _answer(arguments: argparse.Namespace, result: _Result) -> Answer:
+    found = result.captured
+    exports, refused = result.exports()
+    table = "" if found.averages is None else format_csv(found.averages.columns())
+    if found.problem is not None and found.averages is not None:
+        warn([found.problem])
+
+    def text() -> str:
+        if arguments.headless:
+            return ""
+        parts = [averages_text(found.averages)] if found.averages is not None else []
+        parts += [text_report(found.calibration)] if found.calibration is not None else []
+        return "\n".join(parts)
+
+    return Answer(
+        text=text,
+        json=lambda: "" if arguments.headless else to_json(found.to_dict()),
+        forms={
+            "table": lambda: result.files(table, exports),
+            "json": lambda: result.files(to_json(found.to_dict()), exports),
+        },
+        warnings=lambda: (
+            *found.warnings,
+            *(note for each in exports.values() for note in each.notes),
+        ),
+        failure=" ".join(refused),
+    )

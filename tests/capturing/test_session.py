@@ -1,0 +1,450 @@
+"""Guided capture: rests as they happen, poses, what is met, and what is kept."""
+
+import contextlib
+import json
+import sys
+import threading
+import time
+
+import log_bench
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.capturing.keeping import Kept
+from multipos.capturing.poses import find_frame, refuse_repeat
+from multipos.capturing.rests import LiveRests
+from multipos.capturing.rows import LiveRows
+from multipos.capturing.running import make_plan, make_reading, run_session
+from multipos.capturing.session import Session
+from multipos.capturing.sources import open_source
+from multipos.capturing.state import state_of
+from multipos.capturing.targets import read_targets, spread_targets
+from multipos.capturing.words import pose_words
+from multipos.cli import main
+from multipos.logs.opening import open_log
+from multipos.logs.samples import Timing
+
+RATE = 100.0
+
+
+def log_of(path, scheme="all-26", **options):
+    return log_bench.write_csv(path, log_bench.columns_of(scheme=scheme, **options))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("capture")
+
+
+@pytest.fixture(scope="module")
+def log(folder):
+    return log_of(folder / "log.csv", seed=3)
+
+
+def lines_of(capsys):
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def started(path, *, scheme=None, positions=None, target=(), threshold=None, told=None):
+    """A session that has seen all of a log and is not finished."""
+    plan = make_plan(target, positions, scheme, {})
+    session = Session(plan, make_reading(None, None, None, None, None, threshold), told)
+    for arrival in open_source(f"replay:{path}:0").arrivals(None):
+        if arrival.log is not None:
+            session.begin(arrival.log, arrival.columns)
+            continue
+        for first in range(0, arrival.columns.shape[1], 50):
+            if session.is_enough:
+                return session
+            session.feed(arrival.columns[:, first : first + 50])
+    return session
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 100, 5000])
+@pytest.mark.parametrize("threshold", [None, 2.5e-3])
+def test_rests_row_by_row_are_those_of_average(folder, at_once, threshold):
+    path = log_of(folder / "short.csv", "faces-6", seed=5)
+    source = open_log(path)
+    (piece,) = source.read((), source.numeric)
+    table = np.array([piece.table.columns[name] for name in source.numeric])
+    rows = LiveRows(source, table[:, :40], None, Timing())
+    rests = LiveRests(rows, None, threshold)
+    for first in range(0, table.shape[1], at_once):
+        rests.feed(rows.take(table[:, first : first + at_once])[0])
+    rests.finish()
+    whole = mp.average(path, threshold=rests.threshold, rate=rows.rate)
+    assert [still.rows for still in rests.settled] == [rest.rows for rest in whole.rests]
+    for still, rest in zip(rests.settled, whole.rests, strict=True):
+        for name in ("mean", "sd", "u"):  # sums in another order: a few roundings
+            assert_allclose(getattr(still.found, name), getattr(rest.found, name), rtol=1e-9)
+
+
+def test_rows_that_are_no_longer_needed_are_let_go(folder):
+    path = log_of(folder / "short.csv", "faces-6", seed=5)
+    session = started(path, threshold=3e-3)
+    kept = sum(piece.shape[1] for _, piece in session.rows.pieces())
+    assert kept < 0.5 * session.rows.rows
+
+
+def test_one_line_a_rest_with_what_follows_from_it(log, capsys):
+    assert main(["capture", f"replay:{log}:0", "--headless"]) == 0
+    lines = lines_of(capsys)
+    last = lines[-1]
+    whole = mp.average(log, threshold=last["threshold"], rate=last["rate"])
+    assert [(line["start"], line["end"]) for line in lines] == [rest.rows for rest in whole.rests]
+    assert [line["position"] for line in lines] == [rest.position for rest in whole.rests]
+    truth = mp.read_scheme("all-26").up
+    directions = np.array([line["direction"] for line in lines])
+    assert np.abs(directions - truth).max() < 0.03  # bias and cross-axis of the sensor
+    assert np.abs(directions[-10:] - truth[-10:]).max() < 0.02  # orientation is up to the gauge
+    assert [len(line["parameters"]) for line in lines][:8] == [0] * 8
+    assert {p["name"] for p in last["parameters"]} == set(mp.calibrate(log).names)
+
+
+def test_it_ends_when_the_target_is_met_and_confirmed(log, tmp_path, capsys):
+    command = ["capture", f"replay:{log}:0", "--headless", "--target", "bias=0.002"]
+    assert main([*command, "-o", str(tmp_path / "run.csv"), "--to", "c"]) == 0
+    lines = lines_of(capsys)
+    # nine parameters and six degrees of freedom, and one pose more that confirms
+    assert len(lines) == 16
+    met = [p["met"] for p in lines[-1]["parameters"] if p["name"].startswith("bias")]
+    assert met == [True] * 3
+    assert [p["met"] for p in lines[-1]["parameters"] if p["target"] is None] == [None] * 6
+    assert not any(p["met"] for p in lines[-2]["parameters"])
+    cal = mp.load(tmp_path / "run.json")
+    for entry in lines[-1]["parameters"]:
+        assert entry["value"] == cal[entry["name"]].value
+        assert entry["U"] == cal[entry["name"]].U
+    again = mp.fit(mp.read_readings(tmp_path / "run.csv"), unknown_orientation=True)
+    assert_allclose(again.parameters, cal.parameters, rtol=1e-9)
+    assert (tmp_path / "run.c").read_text().count("multipos_compensate")
+    assert "<html" in (tmp_path / "run.html").read_text()
+
+
+def test_positions_end_it_and_python_does_the_same(log):
+    seen = []
+    found = mp.capture(f"replay:{log}:0", positions=16, told=seen.append)
+    assert len(seen) == len(found.averages.rests) == 16
+    assert found.state["finished"]
+    fixed = {"threshold": seen[-1]["threshold"], "rate": seen[-1]["rate"]}
+    expected = mp.calibrate(log, only=[str(i + 1) for i in range(16)], **fixed)
+    assert_allclose(found.calibration.parameters, expected.parameters, rtol=1e-6)
+
+
+def test_gain_is_what_the_next_pose_brings(log):
+    """The fall of log det C is ln(1 + z'Cz/s²), z the slopes of |f| by the parameters."""
+    session = started(log, positions=17)
+    cal = session.evaluation.calibration
+
+    def size(parameters, reading):
+        bias, matrix = np.zeros(3), np.zeros((3, 3))
+        for value, (output, term) in zip(parameters, cal.model.keys, strict=True):
+            i = cal.outputs.index(output)
+            if str(term) == "1":
+                bias[i] = value
+            else:
+                matrix[i, "xyz".index(str(term))] = value
+        return float(np.linalg.norm(np.linalg.solve(matrix, reading - bias)))
+
+    def slopes(reading):
+        p, step = cal.parameters, 1e-6
+        ends = [(size(p + step * e, reading), size(p - step * e, reading)) for e in np.eye(9)]
+        return np.array([(high - low) / (2.0 * step) for high, low in ends])
+
+    Z = np.array([slopes(reading) for reading in cal.readings.values])
+    z = slopes(cal.predict(session.next.direction[None])[0])
+    expected = np.log1p(z @ np.linalg.solve(Z.T @ Z, z))
+    assert_allclose(session.next.gain, expected, rtol=0.03)  # scale factors differ by 1 %
+
+
+def test_refusals_name_their_reason(folder, capsys):
+    columns = log_bench.columns_of(scheme="faces-6+edges-12", seed=8)
+    twice = {name: np.concatenate([c, c[:600]]) for name, c in columns.items()}
+    twice["time"] = np.arange(len(twice["time"])) / RATE
+    path = log_bench.write_csv(folder / "twice.csv", twice)
+    assert main(["capture", f"replay:{path}:0", "--headless"]) == 0
+    lines = lines_of(capsys)
+    refused = [line for line in lines if not line["accepted"]]
+    assert [line["reason"].split(",")[0] for line in refused] == ["repeats pose 1"]
+    assert refused[0]["residual"] is None
+
+
+def test_saturated_moving_and_other_units_are_refused(folder):
+    columns = log_bench.columns_of(scheme="faces-6+corners-8", seed=9, sample_sd=3e-3)
+    columns = {name: column.copy() for name, column in columns.items()}
+    rest, whole = 400, 600  # rows of a rest, and of it with the turn that follows
+    columns["ax"] = np.minimum(columns["ax"], np.median(columns["ax"][:rest]))
+    turned = slice(8 * whole, 8 * whole + rest)
+    columns["ay"][turned] += np.linspace(0.0, 0.1, rest)
+    scaled = slice(10 * whole - 150, 10 * whole + rest + 150)
+    for name in ("ax", "ay", "az"):
+        columns[name][scaled] *= 9.80665
+    path = log_bench.write_csv(folder / "bad.csv", columns)
+    taken = state_of(started(path, threshold=0.05))["taken"]
+    reasons = {pose["start"] // whole: pose["reason"] for pose in taken if not pose["accepted"]}
+    told = {key: text.split(":")[0] for key, text in reasons.items()}
+    assert told == {0: "saturated", 8: "moving", 10: "another unit"}
+    assert "gravity 9.9" in reasons[10]  # 9.8, and what the clipping takes off
+
+
+def test_undo_and_redo_leave_no_trace(log):
+    session = started(log, positions=18)
+    before = state_of(session)
+    assert session.undo() == "18"
+    shorter = state_of(session)
+    assert shorter["taken"][-1]["reason"] == "taken back"
+    assert shorter["parameters"] != before["parameters"]
+    alone = state_of(started(log, positions=17))
+    assert shorter["parameters"] == alone["parameters"]
+    assert session.redo("18")
+    assert state_of(session)["parameters"] == before["parameters"]
+    assert session.redo("3")  # it is to be taken again, and that is where it leads now
+    again = state_of(session)
+    assert again["next"]["label"] == "3"
+    assert_allclose(again["next"]["direction"], before["taken"][2]["direction"], atol=0.01)
+    assert not again["taken"][2]["accepted"]
+    assert not session.redo("99")
+
+
+def test_a_target_is_met_only_with_a_pose_that_confirms(log):
+    session = started(log, positions=15, target=["scale=0.01"])
+    assert not any(p["met"] for p in state_of(session)["parameters"])
+    assert not session.evaluation.enough
+
+
+def test_targets_by_kind_and_by_name():
+    model = mp.fit(mp.Readings(mp.read_scheme("all-26").up, up=mp.read_scheme("all-26").up)).model
+    targets = read_targets(["bias=1e-3", "bias_ay=2e-3"])
+    found = spread_targets(targets, model)
+    assert found == {"bias_ax": 1e-3, "bias_ay": 2e-3, "bias_az": 1e-3}
+    for wrong in (["bias"], ["bias=x"], ["bias=0"], ["bias=-1"]):
+        with pytest.raises(mp.UsageError, match="--target"):
+            read_targets(wrong)
+    with pytest.raises(mp.UsageError, match="did you mean 'bias_ay'"):
+        spread_targets({"bias_ayy": 1.0}, model)
+
+
+def test_it_leads_through_a_scheme_and_sees_where_the_sensor_is(folder, capsys):
+    path = log_of(folder / "faces.csv", "faces-6", seed=2)
+    order = [line.split(",")[0] for line in path.read_text().splitlines()[:1]]
+    assert order == ["time"]
+    command = ["capture", f"replay:{path}:0", "--headless", "--scheme", "faces-6"]
+    assert main(command) == 0
+    lines = lines_of(capsys)
+    accepted = [line["position"] for line in lines if line["accepted"]]
+    assert sorted(accepted) == ["1", "2", "3", "4", "5", "6"]
+    fixed = {"threshold": lines[-1]["threshold"], "rate": lines[-1]["rate"]}
+    known = mp.calibrate(path, scheme="faces-6", **fixed)
+    assert_allclose([p["value"] for p in lines[-1]["parameters"]], known.parameters, rtol=1e-6)
+    assert lines[-1]["next"] is None
+
+
+def test_a_pose_that_is_nowhere_in_the_scheme_is_refused(folder, capsys):
+    path = log_of(folder / "edges.csv", "faces-6+edges-12", seed=2)
+    assert main(["capture", f"replay:{path}:0", "--headless", "--scheme", "faces-6"]) == 0
+    lines = lines_of(capsys)
+    assert len([line for line in lines if line["accepted"]]) == 6
+    session = started(folder / "edges.csv", scheme="corners-8")
+    reasons = [pose.reason for pose in session.poses if not pose.accepted]
+    assert any("at none of the scheme" in reason for reason in reasons)
+
+
+def test_what_was_taken_back_stays_so_when_it_goes_on(log, tmp_path, capsys):
+    """A session of two halves is the session of both, without what was taken back."""
+    rows = log.read_text().splitlines(keepends=True)
+    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    first.write_text("".join(rows[:8000]))
+    second.write_text("".join([rows[0], *rows[8000:]]))
+    out = tmp_path / "run.csv"
+    session_file = tmp_path / "run_session.json"
+    with stdin_of(first):
+        assert main(["capture", "-", "--headless", "-o", str(out)]) == 0
+    one = lines_of(capsys)
+    kept = json.loads(session_file.read_text())
+    kept["taken_back"] = {str(one[1]["start"]): "taken back"}
+    session_file.write_text(json.dumps(kept))
+    with stdin_of(second):
+        assert main(["capture", "-", "--headless", "--resume", "-o", str(out)]) == 0
+    assert (tmp_path / "run_log.csv").read_text() == log.read_text()
+    both = lines_of(capsys)
+    assert [line["accepted"] for line in both[:3]] == [True, False, True]
+    whole = mp.average(log, threshold=kept["threshold"], rate=kept["rate"])
+    assert [(line["start"], line["end"]) for line in both] == [rest.rows for rest in whole.rests]
+    assert len(mp.read_readings(out).values) == 25
+
+
+@contextlib.contextmanager
+def stdin_of(path):
+    before = sys.stdin
+    with path.open() as stream:
+        sys.stdin = stream
+        try:
+            yield
+        finally:
+            sys.stdin = before
+
+
+def test_garbage_is_counted_and_kept_as_comments(log, tmp_path, capsys):
+    rows = log.read_text().splitlines(keepends=True)
+    dirty = [*rows[:3000], "0.1,garb\x00age\n", "\xff\n", "1,2\n", *rows[3000:8000]]
+    path = tmp_path / "dirty.csv"
+    path.write_text("".join(dirty), encoding="utf-8")
+    out = tmp_path / "run.csv"
+    with stdin_of(path):
+        assert main(["capture", "-", "--headless", "-o", str(out), "--json"]) == 0
+    capsys.readouterr()
+    found = json.loads((tmp_path / "run_session.json").read_text())
+    clean = mp.average(tmp_path / "run_log.csv", threshold=found["threshold"])
+    (tmp_path / "clean.csv").write_text("".join(rows[:8000]))
+    expected = mp.average(tmp_path / "clean.csv", threshold=found["threshold"])
+    assert [r.rows for r in clean.rests] == [r.rows for r in expected.rests]
+    assert (tmp_path / "run_log.csv").read_text().count("\n# ") == 3
+
+
+def test_a_log_that_grows_is_read_as_it_grows(log, tmp_path):
+    rows = log.read_text().splitlines(keepends=True)
+    path = tmp_path / "growing.csv"
+    path.write_text("".join(rows[:2000]))
+    plan, seen = make_plan((), 5, None, {}), []
+    session = Session(plan, make_reading(None, None, None, None, None, 3e-3), seen.append)
+
+    def write():
+        for i in range(2000, 8000, 501):
+            time.sleep(0.01)
+            with path.open("a") as stream:
+                stream.write("".join(rows[i : i + 501]))
+        time.sleep(1.0)
+        session.asked_to_finish = True
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    run_session(session, open_source(str(path)), kept=Kept())
+    writer.join()
+    assert len(seen) == 5
+    assert session.finished
+
+
+def test_rows_by_udp(log, tmp_path):
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    rows = log.read_text().splitlines()
+    session = Session(make_plan((), 3, None, {}), make_reading(None, None, None, None, None, 3e-3))
+    stop = threading.Event()
+
+    def send():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for row in rows:
+                if stop.is_set():
+                    return
+                sender.sendto(row.encode(), ("127.0.0.1", port))
+                time.sleep(2e-5)
+        session.asked_to_finish = True
+
+    sender = threading.Timer(0.2, send)
+    sender.start()
+    run_session(session, open_source(f"udp:{port}"))
+    stop.set()
+    sender.join()
+    assert len(session.accepted) == 3
+
+
+class FakePort:
+    """A serial port that is unplugged in the middle of a line, and plugged in again."""
+
+    def __init__(self, chunks):
+        self.chunks = chunks
+        self.in_waiting = 1
+
+    def read(self, count):
+        chunk = next(self.chunks)
+        if chunk is None:
+            raise OSError("unplugged")
+        return chunk
+
+    def close(self):
+        pass
+
+
+def test_a_serial_port_may_be_unplugged(log, monkeypatch):
+    import types
+
+    content = log.read_bytes()
+    begin = content.index(b"\n", 60000) + 1
+    chunks = [
+        content[:40000],
+        content[40000:50003],
+        None,
+        content[50020:begin],
+        content[begin:200000],
+    ]
+    supply = iter([*chunks, *[b""] * 1000])
+    module = types.ModuleType("serial")
+    module.Serial = lambda *_, **__: FakePort(supply)
+    module.SerialException = OSError
+    monkeypatch.setitem(sys.modules, "serial", module)
+    monkeypatch.setattr("multipos.capturing.sources._RETRY", 0.0)
+    session = Session(make_plan((), 3, None, {}), make_reading(None, None, None, None, None, 3e-3))
+    run_session(session, open_source("serial:/dev/fake:9600"))
+    assert len(session.accepted) == 3
+    assert session.rows.bad <= 1  # the row that was cut
+    assert session.rows.gaps <= 1
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("udp:x", "no port"),
+        ("serial:", "no port"),
+        ("replay:log.csv:-1", "SPEED"),
+        ("", "empty"),
+    ],
+)
+def test_what_is_no_source_is_said(source, said):
+    with pytest.raises(mp.UsageError, match=said):
+        open_source(source)
+
+
+def test_mistakes_end_in_one_line(log, tmp_path, capsys):
+    for command, status in (
+        (["capture", "replay:nothing.csv"], 1),
+        (["capture", f"replay:{log}:0", "--positions", "0"], 2),
+        (["capture", f"replay:{log}:0", "--headless", "--target", "nonsense=1"], 2),
+        (["capture", f"replay:{log}:0", "--headless", "-o", str(log)], 2),
+        (["capture", f"replay:{log}:0", "--headless", "--resume"], 2),
+        (["capture", f"replay:{log}:0", "--headless", "--outputs", "ax,ay"], 2),
+        (["capture", f"replay:{log}:0", "--headless", "--threshold", "1e-9"], 1),
+    ):
+        assert main(command) == status, command
+        last = capsys.readouterr().err.strip().splitlines()[-1:]
+        assert last[0].startswith("multipos: error: ")
+
+
+def test_a_frame_by_a_sphere_needs_no_unit_and_no_zero():
+    up = mp.read_scheme("faces-6").up
+    frame = find_frame(2048.0 + 819.0 * up, (0, 1, 2), "specific-force", None)
+    assert_allclose(frame.up(2048.0 + 819.0 * up), up, atol=1e-9)
+    assert frame.size == pytest.approx(819.0)
+    assert find_frame(2048.0 + 819.0 * up[:2], (0, 1, 2), "specific-force", None) is None
+
+
+def test_five_degrees_are_a_repeat():
+    taken = np.array([[0.0, 0.0, 1.0]])
+    for degrees, repeats in ((4.9, True), (5.1, False)):
+        angle = np.radians(degrees)
+        said = refuse_repeat(np.array([np.sin(angle), 0.0, np.cos(angle)]), taken, ["7"])
+        assert (said is not None) == repeats
+        assert not repeats or "pose 7, 4.9 degrees" in said
+
+
+def test_a_pose_in_words():
+    assert pose_words(np.array([0.0, 0.0, -1.0]))["en"] == "−z straight up"
+    lean = np.radians(35.0)
+    words = pose_words(np.array([np.sin(lean), 0.0, np.cos(lean)]))
+    assert words["en"] == "+z up, leaning 35° so that +x rises"
+    assert words["zh"] == "+z 轴向上，倾斜 35°，使 +x 抬高"
+    assert "+x and −y rise" in pose_words(np.array([0.5, -0.5, np.sqrt(0.5)]))["en"]
