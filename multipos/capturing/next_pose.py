@@ -13,7 +13,7 @@ with the smallest log det C(u) is best. With them it is the one with the smalles
     sum_j (U_j(u)/T_j)^8,                                                                   (2)
 
 which is led by the worst parameter, but still tells poses apart where one pose cannot lower two
-that are equally bad. What is said of a pose is its gain: the fall of max_j U_j/T_j, or of
+that are equally bad; before there are as many poses as parameters the determinant leads. What is said of a pose is its gain: the fall of max_j U_j/T_j, or of
 log det C.
 
 The 26 directions of faces, edges and corners are easy to find by hand. A direction of a fine set is
@@ -97,11 +97,12 @@ def best_pose(
     state = _state(model, calibration, taken, unknown_orientation=unknown_orientation)
     rivals = [_candidates("all-26"), _candidates(_FINE)]
     open_ = [each[_apart(each, taken)] for each in rivals]
-    scored = [(up, _score(state, up, targets)) for up in open_ if len(up)]
+    led_by = targets if len(taken) >= len(state.present) else {}  # until a fit can be, by the whole
+    scored = [(up, _score(state, up, led_by)) for up in open_ if len(up)]
     if not scored:
         return None
     best = max(float(score.max()) for _, score in scored)
-    now = float(_score(state, None, targets)[0])
+    now = float(_score(state, None, led_by)[0])
     for up, score in scored:
         i = int(np.argmax(np.round(score, 9)))
         if score[i] - now >= _EASIER * (best - now):
