@@ -13,8 +13,8 @@ with the smallest log det C(u) is best. With them it is the one with the smalles
     sum_j (U_j(u)/T_j)^8,                                                                   (2)
 
 which is led by the worst parameter, but still tells poses apart where one pose cannot lower two
-that are equally bad; before there are as many poses as parameters the determinant leads. What is said of a pose is its gain: the fall of max_j U_j/T_j, or of
-log det C.
+that are equally bad; before there are as many poses as parameters the determinant leads. What is
+said of a pose is its gain: the fall of max_j U_j/T_j, or of log det C.
 
 The 26 directions of faces, edges and corners are easy to find by hand. A direction of a fine set is
 only taken where it is clearly better than all of them.
