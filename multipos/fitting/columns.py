@@ -162,8 +162,13 @@ def regress(
         run=run,
         source=visible(source) if sha256 else None,
         sha256=sha256,
-        warnings=(*read.notes, *said, *result.warnings),
+        warnings=(*read.notes, *_order_said(read, result), *said, *result.warnings),
     )
+
+
+def _order_said(read: Observations, result: Regression) -> tuple[str, ...]:
+    """Say by what rows are neighbours, where that was of any consequence."""
+    return read.order if any(s.robust is not None for s in result.segments) else ()
 
 
 def _describe(

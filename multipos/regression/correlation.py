@@ -26,10 +26,11 @@ Over the k slopes b with robust covariance C,
     F_robust = (b' C⁻¹ b / k) (ν − k + 1)/ν      on k and ν − k + 1 degrees of freedom       (5)
 
 (Hotelling's law), ν = 3 n / 2B, B of the residuals before whitening, as a triangular window has;
-m − 1 for m clusters; t has ν. At a stated 5 % the false alarms of (5) with four slopes, errors and
-factors all of lag-1 correlation ρ, are 4 to 11 % at ρ = .5 (100 to 2000 rows), 3 to 11 % at .9 (500
-to 2000), 23 % at .9 with 100 rows, where the classical F gives 24, 90 and 92 %: a run that is short
-beside its own memory cannot be judged well.
+m − 1 for m clusters; t has ν. A run that is short beside its own memory cannot be judged well so:
+at a stated 5 % the false alarms of (5) with four slopes, errors and factors all of lag-1
+correlation ρ, are 4 to 11 % at ρ = .5 (100 to 2000 rows), 3 to 11 % at .9 (500 to 2000), 23 % at .9
+with 100 rows, where the classical F gives 24, 90 and 92 %. (5) therefore stands in only where
+`multipos.regression.whitening` finds no law of the noise.
 
 Sources: W. K. Newey, K. D. West, Econometrica 55, 1987; D. W. K. Andrews, Econometrica 59, 1991,
 eq. (6.2); D. W. K. Andrews, J. C. Monahan, Econometrica 60, 1992 (whitening); G. V. Bayley,

@@ -11,7 +11,6 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.terms import evaluate_terms
-from multipos.regression.correlation import effective_size
 from multipos.regression.hysteresis import BRANCHES, branch_of
 from multipos.regression.observations import Data, Rows
 from multipos.regression.piecewise import Plan, fit_continuous, fit_segment
@@ -19,6 +18,7 @@ from multipos.regression.result import format_span
 from multipos.regression.runs import within_runs
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import check_edges, find_edges, segment_of
+from multipos.regression.whitening import find_whitening
 
 
 @dataclass(frozen=True)
@@ -65,18 +65,16 @@ def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> 
         raise UsageError(f"--min-rows must be above the number of terms, {p}; got {minimum}.")
     design, data = within_runs(evaluate_terms(plan.terms, data.columns, len(data)), data)
     values = data.columns[variable]
-    worth = 1.0
+    response = data.response
     if data.order is not None:
         # what five segments leave is close to noise alone, whatever the edges will be
         bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
         place = segment_of(values, bins.tolist())
-        left = np.empty(len(data))
-        for number in range(len(bins) + 1):
-            rows = np.flatnonzero(place == number)
-            X, y = design[rows], data.response[rows]
-            left[rows] = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
-        worth = effective_size(left, data.order) / len(data)
-    return find_edges(values, design, data.response, minimum=minimum, worth=worth)
+        apart = [np.where((place == i)[:, np.newaxis], design, 0.0) for i in range(len(bins) + 1)]
+        whitening = find_whitening(np.column_stack(apart), response, data.order)
+        if whitening is not None:
+            design, response = whitening(design), whitening(response)
+    return find_edges(values, design, response, minimum=minimum)
 
 
 @dataclass(frozen=True)

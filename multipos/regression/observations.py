@@ -5,6 +5,7 @@ with an empty cell is refused by name and number, or left out on request and cou
 could only say nothing, or the same as another one, are refused before anything is fitted.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,10 @@ from multipos.regression.rates import default_window, form_rate, rows_of_runs
 
 Rows = NDArray[np.intp]
 
+_TIME = re.compile(
+    r"time|timestamp|time[ _]stamp|(time|timestamp|t)[ _]?\(?(s|sec|ms|us|ns)\)?"
+    r"|(seconds[ _])?elapsed|elapsed[ _]time|seconds|secs?|millis|micros|(utc|unix)[ _]?time"
+)
 _SAME = 1e-10  # relative difference below which two columns are one
 
 
@@ -48,13 +53,17 @@ class Data:
 
 @dataclass(frozen=True)
 class Observations:
-    """What was read: the data, the time column, rates formed with their windows, rows dropped."""
+    """What was read: the data, the time column, rates formed with their windows, rows dropped.
+
+    `order` says by what the rows were put in order, which matters where they are correlated.
+    """
 
     data: Data
     time: str | None
     rates: dict[str, float]
     dropped: int
     notes: tuple[str, ...]
+    order: tuple[str, ...]
 
 
 def read_observations(
@@ -94,8 +103,9 @@ def read_observations(
     MultiposError
         A column is missing, a cell is empty, no number or too large a one.
     """
+    said: tuple[str, ...] = ()
     if time is None:
-        time = _usual_time(table)
+        time, said = _usual_time(table, (response, *wanted))
     formed = _rates_to_form(table, wanted)
     plain = [name for name in wanted if name not in formed]
     needed = list(dict.fromkeys([response, *plain, *formed.values(), *_named(time)]))
@@ -110,15 +120,27 @@ def read_observations(
     rates: dict[str, float] = {}
     if time is not None:
         rates = _form_rates(table, columns, kept, formed, time, rate_window, causal, runs, largest)
-    order = None if time is None else time_order(columns[time], runs)
+    clock = np.arange(float(len(kept))) if time is None else columns[time]
+    order = time_order(clock, runs)
     groups = None if cluster is None else _labelled(table, cluster, kept, "cluster")
     data = Data(columns, columns[response], order, groups, runs)
-    return Observations(data, time, rates, table.rows - len(kept), notes)
+    return Observations(data, time, rates, table.rows - len(kept), notes, said)
 
 
-def _usual_time(table: Table) -> str | None:
-    """Return `time` where there is a column of numbers of that name."""
-    return "time" if "time" in table and not table.is_text("time") else None
+def _usual_time(table: Table, used: Sequence[str]) -> tuple[str | None, tuple[str, ...]]:
+    """Return the time column by its name, and what there is to say of it.
+
+    `time` is one where it holds numbers; another name must be no variable, and never fall.
+    """
+    for name in sorted(table.columns, key=lambda name: name != "time"):
+        if name in used or not _TIME.fullmatch(name.casefold()) or table.is_text(name):
+            continue
+        if name == "time":
+            return name, ()
+        values = table.number(name, empty=True)
+        if not (np.diff(values[np.isfinite(values)]) < 0.0).any():
+            return name, (f"time is column '{name}'",)
+    return None, ("no time column: neighbouring rows are taken in the order in which they stand",)
 
 
 def _named(column: str | None) -> tuple[str, ...]:

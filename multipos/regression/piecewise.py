@@ -40,6 +40,7 @@ from multipos.regression.robust import RobustFit, RowDependence, robust_fit, rob
 from multipos.regression.runs import add_between, find_between, runs_lost, within_runs
 from multipos.regression.segment import Robust, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
+from multipos.regression.whitening import find_whitening
 
 METHODS = ("full", "stepwise", "backward", "subsets")
 
@@ -201,8 +202,7 @@ def fit_continuous(
         F, k = wald(values[slopes], covariance[np.ix_(slopes, slopes)])
         local = None
         if robust is not None:
-            turned = robust._replace(covariance=L @ robust.covariance @ L.T)
-            local = robust_test(turned, terms, values)
+            local = robust_test(robust.turned(L), terms, values)
         rows = np.flatnonzero(place == s)
         segments.append(
             _segment(
@@ -256,7 +256,7 @@ def _fit(
     (n, p), response, lost = design.shape, data.response, runs_lost(data)
     _require_rows(plan, n, p + lost, where)
     try:
-        selection, subsets = _select(plan, design, response, names, requires, lost)
+        selection, subsets = _select(plan, design, data, names, requires, lost)
         columns = list(selection.columns)
         if not columns:
             zero = np.zeros((0, 0))
@@ -317,14 +317,18 @@ def _robust(plan: Plan, fit: _Fit, data: Data) -> RobustFit | None:
 def _select(
     plan: Plan,
     design: Array,
-    response: Array,
+    data: Data,
     names: list[str],
     requires: list[frozenset[int]],
     lost: int,
 ) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
     if plan.method == "full":
         return all_columns(names), ()
-    triangle = compress(design, response)
+    whitening = find_whitening(design, data.response, data.order)
+    if whitening is None:
+        triangle = compress(design, data.response)
+    else:
+        triangle = compress(whitening(design), whitening(data.response))
     triangle = replace(triangle, rows=triangle.rows - lost)
     forced = [plan.terms.index(CONSTANT)] if plan.constant else []
     needed = requires if plan.hierarchy else None

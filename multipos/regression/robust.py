@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import LinearFit
+from multipos.numerics.least_squares import LinearFit, solve
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import CONSTANT, Term
 from multipos.regression.correlation import (
@@ -21,10 +21,20 @@ from multipos.regression.correlation import (
     window_dof,
 )
 from multipos.regression.observations import Data
+from multipos.regression.runs import runs_lost
 from multipos.regression.segment import Robust
+from multipos.regression.whitening import find_whitening
 
 RowDependence = Literal["hac", "effective"]
 ROBUST: tuple[RowDependence, ...] = get_args(RowDependence)
+
+
+class General(NamedTuple):
+    """The same terms fitted to rows made independent (`multipos.regression.whitening`)."""
+
+    values: Array
+    covariance: Array
+    dof: int
 
 
 class RobustFit(NamedTuple):
@@ -35,6 +45,15 @@ class RobustFit(NamedTuple):
     nu: float
     n_effective: float
     lag_one: float
+    general: General | None = None
+
+    def turned(self, L: Array) -> "RobustFit":
+        """Return the fit of coefficients that are L times these."""
+        general = self.general
+        if general is not None:
+            turned = L @ general.covariance @ L.T
+            general = general._replace(values=L @ general.values, covariance=turned)
+        return self._replace(covariance=L @ self.covariance @ L.T, general=general)
 
 
 def robust_fit(
@@ -56,6 +75,8 @@ def robust_fit(
         return None
     e, cofactor = found.residuals, found.cofactor
     rho, correlated, size = _neighbours(e, data.order)
+    whitening = find_whitening(X, data.response, data.order)
+    correlated |= whitening is not None
     if data.cluster is not None:
         covariance, m = cluster_covariance(X, e, cofactor, data.cluster)
         return RobustFit(covariance, "cluster", m - 1.0, size, rho)
@@ -63,7 +84,12 @@ def robust_fit(
         return None
     if dependence == "hac":
         covariance = hac_covariance(X, e, cofactor, data.order)
-        return RobustFit(covariance, "hac", window_dof(e, data.order), size, rho)
+        general = None
+        if whitening is not None:
+            fit = solve(whitening(X), whitening(data.response))
+            dof = fit.dof - runs_lost(data)
+            general = General(fit.coefficients, fit.cofactor * (float(fit.rss) / dof), dof)
+        return RobustFit(covariance, "hac", window_dof(e, data.order), size, rho, general)
     nu = size - X.shape[1]
     scale = found.dof / nu if nu > 0.0 else np.nan
     covariance = cofactor * (float(found.rss) / found.dof)
@@ -79,11 +105,18 @@ def _neighbours(e: Array, order: TimeOrder | None) -> tuple[float, bool, float]:
 
 
 def robust_test(fit: RobustFit, terms: tuple[Term, ...], values: Array) -> Robust:
-    """Return F_robust of a segment's slopes, eq. (5) of `multipos.regression.correlation`."""
+    """Return F_robust of a segment's slopes.
+
+    By rows made independent, where these tell how to make them so; else by eq. (5) of
+    `multipos.regression.correlation`.
+    """
     slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
-    F, k = wald(values[slopes], fit.covariance[np.ix_(slopes, slopes)])
-    nu = fit.nu
-    if fit.kind != "effective":  # Hotelling's law for an estimated covariance
+    g = fit.general or General(values, fit.covariance, 0)
+    F, k = wald(g.values[slopes], g.covariance[np.ix_(slopes, slopes)])
+    nu = fit.nu if fit.general is None else float(g.dof)
+    if (
+        fit.general is None and fit.kind != "effective"
+    ):  # Hotelling's law for an estimated covariance
         F, nu = F * (nu - k + 1.0) / nu, nu - k + 1.0
     if not (k and nu > 0.0):
         F = np.nan

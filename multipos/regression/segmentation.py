@@ -13,8 +13,8 @@ no segment with fewer rows than asked. Their number is what makes
 
 smallest: p coefficients a segment, and every edge counts. Before they are compared, each edge moves
 to the best of finer cuts between its neighbouring bins, or a jump inside a bin would ask for a
-segment of its own. Where rows are correlated in time, n in (2) is the effective number of rows of
-the residuals of one segment more than enough.
+segment of its own. Where rows are correlated in time, they are made independent first
+(`multipos.regression.whitening`).
 
 **No jump.** A correction that jumps at an edge is a step in the output. With the edge e of variable
 v, a term r v^k that carries v gets a second column beside it,
@@ -94,9 +94,7 @@ def segment_of(values: Array, edges: Sequence[float]) -> NDArray[np.intp]:
     return np.searchsorted(np.asarray(edges, dtype=np.float64), values, side="right")
 
 
-def find_edges(
-    values: Array, design: Array, response: Array, *, minimum: int, worth: float = 1.0
-) -> tuple[float, ...]:
+def find_edges(values: Array, design: Array, response: Array, *, minimum: int) -> tuple[float, ...]:
     """Return the edges that explain the response best, by eqs. (1) and (2).
 
     Parameters
@@ -108,8 +106,6 @@ def find_edges(
     response : (n,) array
     minimum : int
         Fewest rows of a segment.
-    worth : float
-        Effective rows over rows.
 
     Returns
     -------
@@ -126,7 +122,6 @@ def find_edges(
     best, score = cost[0], np.inf
     chosen: tuple[int, ...] = ()
     last: list[Rows] = []
-    rows = max(n * worth, 2.0)
     # of a response that is nothing throughout no logarithm is lost
     floor = max((1e-12 * float(np.linalg.norm(y))) ** 2, float(np.finfo(float).tiny))
     for m in range(1, MOST + 1):
@@ -137,7 +132,7 @@ def find_edges(
         if not np.isfinite(best[-1]):
             break
         rss, edges = _polish(data, _trace(last, len(data.bins)), minimum)
-        bic = rows * log(max(rss, floor) / n) + (m * p + m - 1) * log(rows)
+        bic = n * log(max(rss, floor) / n) + (m * p + m - 1) * log(n)
         if bic < score:
             score, chosen = bic, edges
     return tuple(float(v[i - 1] + v[i]) / 2.0 for i in chosen)

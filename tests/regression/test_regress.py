@@ -347,7 +347,11 @@ def test_f_robust_stands_where_rows_are_correlated():
     assert effective.segments[0].robust.dof[1] < 100
     assert segment["F"] > effective.segments[0].robust.F
     without = {name: column for name, column in columns.items() if name != "time"}
-    assert mp.regress(without, response="y", variables="x").segments[0].robust is None
+    by_row = mp.regress(without, response="y", variables="x")
+    assert by_row.segments[0].robust == found.segments[0].robust
+    assert any("in the order in which they stand" in said for said in by_row.warnings)
+    named = without | {"timestamp": columns["time"]}
+    assert mp.regress(named, response="y", variables="x").time == "timestamp"
     white = columns | {"y": rng.standard_normal(n)}
     assert mp.regress(white, response="y", variables="x").segments[0].robust is None
 

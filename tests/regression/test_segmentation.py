@@ -51,15 +51,14 @@ def test_dynamic_programming_is_exhaustive_search():
 
 
 @pytest.mark.parametrize(
-    ("columns", "worth", "gain"),
+    ("columns", "gain"),
     [
         # n ln(rss_1/rss_2) must pass (p + 1) ln n
-        (1, 1.0, 2 * math.log(40) / 40),
-        (2, 1.0, 3 * math.log(40) / 40),
-        (1, 0.5, 2 * math.log(20) / 20),
+        (1, 2 * math.log(40) / 40),
+        (2, 3 * math.log(40) / 40),
     ],
 )
-def test_an_edge_costs_its_coefficients_and_one_more(columns, worth, gain):
+def test_an_edge_costs_its_coefficients_and_one_more(columns, gain):
     """Eq. (2) by hand, where the 40 rows can be cut at one place only.
 
     About two levels ±d the rows scatter by ±1: rss is 40 (1 + d²) in one piece and 40 in two. The
@@ -71,7 +70,7 @@ def test_an_edge_costs_its_coefficients_and_one_more(columns, worth, gain):
     for factor, edges in ((0.98, ()), (1.02, (0.5,))):
         d = math.sqrt(math.exp(factor * gain) - 1.0)
         y = scatter + d * (2.0 * t - 1.0)
-        assert find_edges(t, X, y, minimum=5, worth=worth) == edges
+        assert find_edges(t, X, y, minimum=5) == edges
 
 
 def test_equal_values_are_never_parted():

@@ -1,0 +1,191 @@
+"""Rows that are correlated in time made independent, so that tests of terms keep their level.
+
+Neighbouring rows of a slow run carry nearly the same error, and whatever term wanders as slowly
+looks as if it explained it. The errors are taken as slow noise and white noise together, which is
+
+    e_k − ρ e_{k−1} = w_k − θ w_{k−1},      0 ≤ θ ≤ ρ,                                      (1)
+
+within a run, w independent; θ = 0 is slow noise alone. Columns and response are filtered alike,
+
+    z̃_k = z_k − ρ z_{k−1} + θ z̃_{k−1},     z̃_1 = z_1/√r in the first row of a run,          (2)
+
+r = (1 − 2ρθ + θ²)/(1 − ρ²), and F and t of least squares on z̃ are those of independent rows. ρ and
+θ are estimated by restricted likelihood, which a fit of many columns does not draw towards zero as
+it does the correlation of its residuals:
+
+    l(ρ, θ) = −R/2 ln r − 1/2 ln |X̃'X̃| − (n − p)/2 ln rss,                                (3)
+
+R runs, p columns; they are used where 2 (l(ρ, θ) − l(0, 0)) is beyond what independent rows give
+once in a hundred. What is still left is fitted by an autoregression of up to six orders, as many as
+the Bayesian criterion grants, and taken off likewise. What tests of terms then do where nothing is
+there stands in `docs/theory/regression.md`.
+
+Sources: D. Cochrane, G. H. Orcutt, J. Am. Stat. Assoc. 44, 1949; S. J. Prais, C. B. Winsten, Cowles
+Commission 383, 1954 (the first row); D. M. Cooper, R. Thompson, Biometrika 64, 1977 (3);
+G. Schwarz, Ann. Stat. 6, 1978.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.numerics.arrays import Array
+from multipos.regression.correlation import TimeOrder
+
+_GRID = np.concatenate([np.arange(0.0, 0.85, 0.1), 1.0 - np.geomspace(0.15, 0.002, 9)])
+_SHARES = (0.0, 0.3, 0.5, 0.7, 0.85, 0.95)  # of θ in ρ
+_BEYOND_CHANCE = 7.4  # of twice the likelihood's logarithm
+_ROWS = 5000  # of which the correlation is estimated: the first in time
+_ORDERS = 6
+_RANK = 1e-10
+_FEWEST = 6  # rows beyond the columns, for a correlation to be told
+_NOTHING = 1e-12  # of the response, below which what is left is rounding
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """A filter that makes rows independent.
+
+    Attributes
+    ----------
+    order : TimeOrder
+    rho, theta : float
+        Of eq. (1).
+    further : (q,) array
+        The autoregression of what eq. (2) leaves.
+    """
+
+    order: TimeOrder
+    rho: float
+    theta: float
+    further: Array
+
+    def __call__(self, columns: Array) -> Array:
+        """Return columns (n, p) or (n,) with independent errors, row by row as they stand."""
+        order = self.order.order
+        age = _ages(self.order.run)
+        white = _filtered(columns[order], age, self.rho, self.theta)
+        full = white
+        for lag, a in enumerate(self.further.tolist(), start=1):
+            full = full - (white - _less(white, a, age, lag))
+        back = np.empty_like(full)
+        back[order] = full
+        return back
+
+
+def find_whitening(design: Array, response: Array, order: TimeOrder | None) -> Whitening | None:
+    """Return the filter for the errors of a fit to all columns; None where rows are independent.
+
+    Parameters
+    ----------
+    design : (n, p) array
+        Columns of which some may say the same.
+    response : (n,) array
+    order : TimeOrder or None
+    """
+    if order is None:
+        return None
+    rows = order.order[:_ROWS]
+    age = _ages(order.run)[:_ROWS]
+    X, y = design[rows], response[rows]
+    basis = _basis(X)
+    left = y - basis @ (basis.T @ y)
+    size = float(np.linalg.norm(left))
+    if len(y) - basis.shape[1] < _FEWEST or size <= _NOTHING * float(np.linalg.norm(y)):
+        return None
+    both = np.column_stack([basis, left / size])
+    rho, theta = _most_likely(both, age)
+    if not rho:
+        return None
+    white = _filtered(both, age, rho, theta)
+    fit = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=_RANK)[0]
+    rest = white[:, -1] - white[:, :-1] @ fit
+    return Whitening(order, rho, theta, _autoregression(rest, age))
+
+
+def _basis(design: Array) -> Array:
+    """Return orthonormal columns that span the design."""
+    scale = np.linalg.norm(design, axis=0)
+    U, s, _ = np.linalg.svd(design / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
+    return np.asarray(U[:, s > _RANK * s[0]])
+
+
+def _most_likely(z: Array, age: NDArray[np.intp]) -> tuple[float, float]:
+    """Return ρ and θ of eq. (3) from basis and residuals (n, p + 1); zeros where within chance."""
+    n, p = len(z), z.shape[1] - 1
+    runs = int((age == 0).sum())
+
+    def likelihood(rho: float, share: float) -> float:
+        white = _filtered(z, age, rho, share * rho)
+        d = np.abs(np.diag(np.linalg.qr(white, mode="r")))
+        logs = float(np.log(d[:p]).sum()) + (n - p) * log(d[p])
+        return float(-0.5 * runs * log(_first_variance(rho, share * rho)) - logs)
+
+    grid = [(rho, share) for rho in _GRID.tolist() for share in _SHARES if rho or not share]
+    found = [likelihood(rho, share) for rho, share in grid]
+    best = int(np.argmax(found))
+    if 2.0 * (found[best] - found[0]) < _BEYOND_CHANCE:
+        return 0.0, 0.0
+    (rho, share), top = grid[best], found[best]
+    step = 0.5
+    for _ in range(4):  # each finer by half, ρ by what it lacks to 1
+        around = [(1.0 - (1.0 - rho) * by, share) for by in (1.0 - step / 2, 1.0 + step / 2)]
+        around += [(rho, share + step * by) for by in (-0.2, 0.2)]
+        for one in around:
+            if 0.0 < one[0] < 0.9995 and 0.0 <= one[1] < 1.0 and likelihood(*one) > top:
+                (rho, share), top = one, likelihood(*one)
+        step /= 2.0
+    return rho, share * rho
+
+
+def _first_variance(rho: float, theta: float) -> float:
+    """Return r of eq. (2)."""
+    return (1.0 - 2.0 * rho * theta + theta**2) / (1.0 - rho**2)
+
+
+def _filtered(z: Array, age: NDArray[np.intp], rho: float, theta: float) -> Array:
+    """Return rows in the order of time by eq. (2), run by run."""
+    from scipy.signal import lfilter
+
+    r = _first_variance(rho, theta)
+    white = np.empty_like(z)
+    begins = np.flatnonzero(age == 0)
+    for start, end in pairwise([*begins.tolist(), len(z)]):
+        part = z[start:end]
+        memory = part[:1] * (1.0 / r - 1.0)
+        white[start:end] = lfilter([1.0, -rho], [1.0, -theta], part, axis=0, zi=memory)[0]
+        white[start] = part[0] / np.sqrt(r)
+    return white
+
+
+def _autoregression(e: Array, age: NDArray[np.intp]) -> Array:
+    """Return the coefficients of what is left, none where the criterion grants none."""
+    n = len(e)
+    best = n * log(float(e @ e) / n)
+    chosen: Array = np.zeros(0)
+    for q in range(1, min(_ORDERS, n // 20) + 1):
+        lagged = np.column_stack([e - _less(e, 1.0, age, lag) for lag in range(1, q + 1)])
+        a = np.linalg.lstsq(lagged, e, rcond=None)[0]
+        left = e - lagged @ a
+        score = n * log(float(left @ left) / n) + q * log(n)
+        if score < best:
+            best, chosen = score, np.asarray(a)
+    return chosen
+
+
+def _ages(run: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return how many rows of its run stand before each row, in the order of time."""
+    begins = np.concatenate(([True], np.diff(run) != 0))
+    place = np.arange(len(run))
+    return place - np.maximum.accumulate(np.where(begins, place, 0))
+
+
+def _less(z: Array, a: float, age: NDArray[np.intp], lag: int) -> Array:
+    """Return rows less a times those `lag` before, where their run has such."""
+    result = z.copy()
+    has = np.flatnonzero(age >= lag)
+    result[has] -= a * z[has - lag]
+    return result
