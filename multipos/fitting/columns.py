@@ -26,6 +26,7 @@ from multipos.numerics.terms import largest_value
 from multipos.regression.candidates import read_candidates
 from multipos.regression.cutting import Cut, fit_cut, settle_edges
 from multipos.regression.hysteresis import compare_branches
+from multipos.regression.junctions import Junction, find_junctions
 from multipos.regression.observations import (
     Observations,
     check_columns,
@@ -190,15 +191,24 @@ def _describe(
             blocks,
             lambda some: _assemble(plan, response, fit_cut(plan, some, cut), cut),
         )
+    junctions: tuple[Junction, ...] = ()
+    if not cut.continuous:
+        junctions = find_junctions(
+            segments, read.data, cut.variable, cut.edges, cut.branch_column, plan.confidence
+        )
     return replace(
         _assemble(plan, response, segments, cut),
+        junctions=junctions,
         time=read.time,
         rates=read.rates,
         n=len(read.data),
         dropped=read.dropped,
         hysteresis=hysteresis,
         cross_validation=validation,
-        warnings=tuple(_warnings(plan, segments, hysteresis, validation)),
+        warnings=(
+            *_warnings(plan, segments, hysteresis, validation),
+            *_jumps_said(cut.variable, junctions),
+        ),
     )
 
 
@@ -326,6 +336,19 @@ def _warnings(
         where = f"segment {number}" if len(segments) > 1 else "the model"
         said += _segment_warnings(plan, segment, where)
     return said
+
+
+def _jumps_said(variable: str | None, junctions: Sequence[Junction]) -> tuple[str, ...]:
+    """Name the largest jump that is none by chance, and the way without."""
+    clear = [j for j in junctions if j.clear]
+    if not clear:
+        return ()
+    most = max(clear, key=lambda j: abs(j.jump))
+    said = (
+        f"the model jumps at {variable} = {most.edge:.6g} by up to {abs(most.jump):.2g} "
+        f"(U {most.U:.2g}); --continuous fits without a jump"
+    )
+    return (said,)
 
 
 def _segment_warnings(plan: Plan, segment: Segment, where: str) -> list[str]:

@@ -16,9 +16,9 @@ each on 1 and the degrees of freedom of its s². Forward selection with removal 
 term to remove (the weakest, where its p is above `remove`), then for one to add (the strongest,
 where its p is below `enter`), until neither is there.
 
-**It ends.** With enter < remove, a term goes in only where it divides the residual sum by more than
+**It ends.** With enter ≤ remove, a term goes in only where it divides the residual sum by more than
 1 + F_in/ν, and out only where that multiplies it by less than 1 + F_out/ν, at the same ν, and
-F_in > F_out. A cycle crosses every ν as often up as down and would end with a smaller residual sum
+F_in ≥ F_out. A cycle crosses every ν as often up as down and would end with a smaller residual sum
 than it began with: there is none.
 
 **Guard.** A column whose z_j is less than 1e-5 of the column itself (beyond the terms that are
@@ -125,14 +125,14 @@ class Thresholds:
         if (self.f_enter is None) != (self.f_remove is None):
             raise UsageError("--f-enter and --f-remove go together; give both.")
         if self.f_enter is not None and self.f_remove is not None:
-            if not 0.0 <= self.f_remove < self.f_enter:
+            if not 0.0 <= self.f_remove <= self.f_enter:
                 raise UsageError(
-                    f"--f-remove must be below --f-enter, or terms go in and out for ever; "
+                    f"--f-remove must not be above --f-enter, or terms go in and out for ever; "
                     f"got {self.f_enter:g} and {self.f_remove:g}."
                 )
-        elif not 0.0 < self.enter < self.remove <= 1.0:
+        elif not 0.0 < self.enter <= self.remove <= 1.0:
             raise UsageError(
-                f"--remove must be above --enter, or terms go in and out for ever, and both "
+                f"--remove must not be below --enter, or terms go in and out for ever, and both "
                 f"between 0 and 1; got {self.enter:g} and {self.remove:g}."
             )
 

@@ -30,6 +30,7 @@ from multipos.files.records import (
 )
 from multipos.files.trees import read_json
 from multipos.regression.hysteresis import BRANCHES
+from multipos.regression.junctions import Junction
 from multipos.regression.result import Regression
 from multipos.regression.segment_file import SEGMENT, segment_from_dict, segment_to_dict
 from multipos.results import plain
@@ -73,7 +74,21 @@ REGRESSION = Fields(
         "warnings": TEXTS,
         "segments": Listed(SEGMENT, 1),
     },
-    {"causal": Flag(), "run": Maybe(ANY_TEXT)},
+    {
+        "causal": Flag(),
+        "run": Maybe(ANY_TEXT),
+        "jumps": Listed(
+            Fields(
+                {
+                    "edge": ANY_NUMBER,
+                    "branch": Maybe(Text(BRANCHES)),
+                    "jump": ANY_NUMBER,
+                    "u": Maybe(NOT_NEGATIVE),
+                    "U": Maybe(NOT_NEGATIVE),
+                }
+            )
+        ),
+    },
 )
 
 
@@ -100,6 +115,10 @@ def regression_dict(r: Regression) -> dict[str, Any]:
         "rates": dict(r.rates),
         "causal": r.causal,
         "run": r.run,
+        "jumps": [
+            {"edge": j.edge, "branch": j.branch, "jump": j.jump, "u": j.u, "U": j.U}
+            for j in r.junctions
+        ],
         "segments": [segment_to_dict(segment) for segment in r.segments],
         "hysteresis": r.hysteresis,
         "cross_validation": r.cross_validation,
@@ -153,10 +172,16 @@ def _from_dict(c: Mapping[str, Any]) -> Regression:
         thresholds=c["thresholds"],
         causal=c.get("causal", False),
         run=c.get("run"),
+        junctions=tuple(_junction(entry) for entry in c.get("jumps", ())),
     )
     _check_cuts(regression)
     _check_variables(regression)
     return regression
+
+
+def _junction(c: Mapping[str, Any]) -> Junction:
+    u, U = (float("nan") if c[key] is None else c[key] for key in ("u", "U"))
+    return Junction(c["edge"], c["branch"], c["jump"], u, U)
 
 
 def _check_cuts(r: Regression) -> None:

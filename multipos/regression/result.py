@@ -19,6 +19,7 @@ from multipos.files.whole import write_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Tested
 from multipos.regression.hysteresis import branch_of
+from multipos.regression.junctions import Junction
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import segment_of
 from multipos.results import Result
@@ -50,6 +51,8 @@ class Regression(Result):
         Whether rates are from the rows up to each, as the exported C forms them.
     run : str or None
         The column that tells one switch-on from another.
+    junctions : tuple of Junction
+        The jump at every edge of segments that were fitted apart.
     confidence : float
     n, dropped : int
     hysteresis, cross_validation : mapping or None
@@ -81,6 +84,7 @@ class Regression(Result):
     thresholds: Mapping[str, float] = field(default_factory=dict)
     causal: bool = False
     run: str | None = None
+    junctions: tuple[Junction, ...] = ()
 
     def segment_of(
         self, columns: Mapping[str, Array], run: NDArray[np.intp] | None = None
@@ -147,7 +151,7 @@ def format_span(variable: str, span: tuple[float, float], branch: str | None) ->
 
 
 def _text(r: Regression) -> list[str]:
-    lines = [*_outline(r), *_judged(r), "", _overview(r)]
+    lines = [*_outline(r), *_judged(r), *_jumps(r), "", _overview(r)]
     for i, segment in enumerate(r.segments, start=1):
         span = format_span(r.range_variable, segment.range, segment.branch)
         lines += ["", f"Segment {i}: {span}", *_segment_text(segment), *_runs_text(segment)]
@@ -190,6 +194,15 @@ def _judged(r: Regression) -> list[str]:
             f"unseen     rms {found['rms']:.4g}, R² {number(found['r2'])} "
             f"over {found['blocks']} blocks of time left out in turn"
         )
+    return lines
+
+
+def _jumps(r: Regression) -> list[str]:
+    """Say by how much segments differ where they meet."""
+    lines = []
+    for j in r.junctions:
+        where = f"{r.segment_variable} = {j.edge:.6g}" + (f", {j.branch}" if j.branch else "")
+        lines.append(f"jump       at {where}: up to {uncertain(j.jump, j.u)}, U {number(j.U, 2)}")
     return lines
 
 
