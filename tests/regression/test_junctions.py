@@ -46,15 +46,8 @@ def test_pieces_that_meet_have_none_and_files_keep_them(tmp_path):
 
 
 def test_equal_thresholds_are_taken():
-    found = mp.regress(
-        table(0.0, 0.1),
-        response="y",
-        variables="x",
-        degree=3,
-        stepwise=True,
-        enter=0.15,
-        remove=0.15,
-    )
+    equal = {"enter": 0.15, "remove": 0.15}
+    found = mp.regress(table(0.0, 0.1), response="y", variables="x", stepwise=True, **equal)
     assert found.thresholds == equal
     by_f = mp.regress(
         table(0.0, 0.1), response="y", variables="x", stepwise=True, f_enter=4.0, f_remove=4.0
