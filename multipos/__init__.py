@@ -31,6 +31,7 @@ _PUBLIC = {
     "RankError": "errors",
     "Readings": "positions.readings",
     "Regression": "regression.result",
+    "Regressions": "regression.several",
     "Scheme": "positions.scheme",
     "Stability": "sensor.stability",
     "Tumble": "verification.single_axis",
@@ -111,6 +112,7 @@ if TYPE_CHECKING:
     from multipos.positions.scheme import read_scheme as read_scheme
     from multipos.regression.regression_file import load_regression as load_regression
     from multipos.regression.result import Regression as Regression
+    from multipos.regression.several import Regressions as Regressions
     from multipos.sensor.calibration import Calibration as Calibration
     from multipos.sensor.calibration_file import load as load
     from multipos.sensor.doubt import Doubt as Doubt

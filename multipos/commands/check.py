@@ -4,19 +4,25 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_range, numbers
+from multipos.files.tables import format_csv, read_table
 from multipos.files.trees import read_schema, to_json
 from multipos.plots.check import check_figure
 from multipos.regression.regression_file import SCHEMA, load_regression
+from multipos.regression.result import Regression
+from multipos.regression.several import Regressions
 from multipos.reports.sheets import check_text
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.verification.checks import check
+from multipos.verification.errors_table import errors_table
+from multipos.verification.verdicts import Check
 
 INPUTS = ("calibration", "readings", "scheme")
 OUTPUT = Output(
     "FILE",
-    "write the result to FILE as well, as JSON for report --check",
+    "write the result to FILE as well, as JSON for report --check, as a table for regress",
     "text",
-    ("json", "figure"),
+    ("json", "figure", "table"),
 )
 
 
@@ -75,6 +81,17 @@ def run(arguments: argparse.Namespace) -> Answer:
     return Answer(
         text=lambda: check_text(found),
         json=lambda: to_json(found.to_dict()),
-        forms={"figure": lambda: check_figure(found)},
+        forms={
+            "figure": lambda: check_figure(found),
+            "table": lambda: _errors(calibration, arguments.readings, found),
+        },
         warnings=lambda: found.warnings,
     )
+
+
+def _errors(
+    calibration: Calibration | Regression | Regressions, readings: str, found: Check
+) -> str:
+    """Return the run's own columns with its errors beside them, as CSV."""
+    table = read_table(readings, what="run")
+    return format_csv(errors_table(calibration, table, found), table.delimiter)

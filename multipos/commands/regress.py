@@ -18,7 +18,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
     add("data", metavar="DATA.csv", help="table with a row per reading")
-    add("--response", required=True, metavar="Y", help="column to describe")
+    add(
+        "--response",
+        required=True,
+        type=names,
+        metavar="Y[,Y,Y]",
+        help="column to describe; several are described one by one",
+    )
     add(
         "--variables",
         type=names,

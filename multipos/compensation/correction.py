@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 from multipos.compensation.applying import AppliedColumns, Outside, check_outside
 from multipos.compensation.reading_noise import check_noise_options
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
+from multipos.files.lists import Names, split_names
 from multipos.files.tables import Column, Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.quantiles import coverage_factor
@@ -36,6 +37,7 @@ from multipos.positions.readings import spread_reading_sd
 from multipos.regression.observations import Rows, number_labels
 from multipos.regression.rates import form_rate
 from multipos.regression.result import Regression
+from multipos.regression.several import Regressions
 from multipos.sensor.tilt import coverage_factors
 
 
@@ -44,10 +46,10 @@ class Corrected(AppliedColumns):
 
 
 def correct(
-    regression: Regression,
+    regression: Regression | Regressions,
     data: Source,
     *,
-    column: str | None = None,
+    column: Names | None = None,
     outside: Outside = "flag",
     uncertainty: bool = False,
     reading_sd: float | Sequence[float] | None = None,
@@ -57,11 +59,13 @@ def correct(
 
     Parameters
     ----------
-    regression : Regression
+    regression : Regression or Regressions
+        Of several responses the columns added are ``predicted_NAME``, ``corrected_NAME`` ….
     data : path, mapping of columns, or data frame
         Must have the columns the model uses; rates are formed as they were for the fit.
     column : str, optional
-        What is corrected; the response by default, and where that is not there nothing.
+        What is corrected; the response by default, and where that is not there nothing. Of several
+        responses as many names.
     outside : str
         'flag' rows beyond what was fitted, 'clamp' their variables as well, or 'refuse' the table.
     uncertainty : bool
@@ -83,6 +87,10 @@ def correct(
     check_outside(outside)
     check_noise_options(uncertainty, reading_sd, parameters_only)
     table = read_table(data, what="data")
+    if isinstance(regression, Regressions):
+        return _correct_each(
+            regression, table, column, outside, uncertainty, reading_sd, parameters_only
+        )
     target = _target(regression, table, column)
     run = read_runs(regression, table)
     columns = read_predictors(regression, table, run)
@@ -115,10 +123,55 @@ def correct(
     return Corrected({**kept, **added}, noise, told)
 
 
-def _target(regression: Regression, table: Table, column: str | None) -> str | None:
+def _correct_each(
+    regressions: Regressions,
+    table: Table,
+    column: Names | None,
+    outside: Outside,
+    uncertainty: bool,
+    reading_sd: float | Sequence[float] | None,
+    parameters_only: bool,
+) -> Corrected:
+    """Return what `correct` adds by each of several regressions, named after its response."""
+    targets = [None] * len(regressions) if column is None else split_names(column, "--correct")
+    if len(targets) != len(regressions):
+        raise UsageError(
+            f"--correct names {len(targets)} columns for {len(regressions)} responses; name the "
+            "column that each corrects, in their order."
+        )
+    added: dict[str, Column] = {}
+    beyond = np.zeros(table.rows, dtype=np.int64)
+    noises, told = [], []
+    for (name, one), target in zip(regressions.items(), targets, strict=True):
+        found = correct(
+            one,
+            table,
+            column=target,
+            outside=outside,
+            uncertainty=uncertainty,
+            reading_sd=reading_sd,
+            parameters_only=parameters_only,
+        )
+        beyond |= np.asarray(found["outside"])
+        mine = [key for key in found if key not in table and key != "outside"]
+        added |= {f"{key}_{name}": found[key] for key in mine}
+        noises.append(found.noise)
+        told += [f"{name}: {said}" for said in found.warnings]
+    added["outside"] = beyond
+    twice = [name for name in added if name in table]
+    if twice:
+        raise MultiposError(
+            f"{table.source}: column '{twice[0]}' is there already; rename it, apply writes it."
+        )
+    kept = {name: copy(column) for name, column in table.columns.items()}
+    return Corrected({**kept, **added}, noises[0], tuple(told))
+
+
+def _target(regression: Regression, table: Table, names: Names | None) -> str | None:
     """Return the column to correct; None where none is named and the response is not there."""
-    if column is None:
+    if names is None:
         return regression.response if regression.response in table else None
+    column = names if isinstance(names, str) else ",".join(names)
     if column not in table:
         raise MultiposError(
             f"{table.source}: no column '{column}' to correct; name one with --correct, of "

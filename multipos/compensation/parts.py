@@ -7,10 +7,11 @@ from multipos.errors import UsageError
 from multipos.files.trees import read_schema
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.regression.result import Regression
+from multipos.regression.several import Regressions, all_of
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 
-Part = Calibration | Regression
+Part = Calibration | Regression | Regressions
 Parts = Part | Sequence[Part]
 
 
@@ -46,4 +47,5 @@ def split_parts(parts: Parts) -> tuple[Calibration | None, tuple[Regression, ...
     if any(isinstance(part, Calibration) for part in given[1:]):
         raise UsageError("one calibration can be exported, and it comes before the regressions.")
     first = given[0] if isinstance(given[0], Calibration) else None
-    return first, tuple(part for part in given if isinstance(part, Regression))
+    rest = [part for part in given if not isinstance(part, Calibration)]
+    return first, tuple(r for part in rest for r in all_of(part))

@@ -17,7 +17,7 @@ import numpy as np
 from multipos import __version__
 from multipos.errors import UsageError
 from multipos.files.characters import visible
-from multipos.files.lists import Names, split_numbers
+from multipos.files.lists import Names, split_names, split_numbers
 from multipos.files.moments import now
 from multipos.files.tables import Source, read_table
 from multipos.numerics.selection import thresholds
@@ -36,13 +36,14 @@ from multipos.regression.piecewise import METHODS, Plan
 from multipos.regression.result import Regression
 from multipos.regression.robust import ROBUST, RowDependence
 from multipos.regression.segment import Segment
+from multipos.regression.several import Regressions
 from multipos.regression.validation import check_by_blocks
 
 
 def regress(
     data: Source,
     *,
-    response: str,
+    response: Names,
     variables: Names | None = None,
     degree: int | None = None,
     terms: str | None = None,
@@ -68,13 +69,15 @@ def regress(
     cross_validate: int | None = None,
     confidence: float = 0.95,
     drop_missing: bool = False,
-) -> Regression:
+) -> Regression | Regressions:
     """Describe one column by others, in segments, with terms that the data support.
 
     Parameters
     ----------
     data : path, mapping of columns, or data frame
-    response : str
+    response : names
+        The column that is described; several, one for each axis, are described by the same
+        variables, each by itself.
     variables : names, optional
         Those the terms are made of; a name that ends `_rate` and is no column is formed from
         the column without that ending. Not needed beside `terms`.
@@ -119,7 +122,7 @@ def regress(
 
     Returns
     -------
-    Regression
+    Regression, or Regressions of several responses
 
     Raises
     ------
@@ -128,6 +131,11 @@ def regress(
     UsageError
         An option is at fault.
     """
+    arguments = dict(locals())  # all arguments as they are, for each of several responses
+    responses = split_names(response, "--response")
+    if len(responses) > 1:
+        return _regress_each(responses, arguments)
+    (response,) = responses
     method = _method(stepwise, backward, subsets)
     limits = thresholds(enter, remove, f_enter, f_remove)
     names, candidates = read_candidates(response, variables, degree, terms)
@@ -165,6 +173,19 @@ def regress(
         sha256=sha256,
         warnings=(*read.notes, *_order_said(read, result), *said, *result.warnings),
     )
+
+
+def _regress_each(responses: Sequence[str], given: Mapping[str, Any]) -> Regressions:
+    """Describe several columns by the same arguments, each by itself."""
+    if len(set(responses)) < len(responses):
+        raise UsageError(f"--response names a column twice: {','.join(responses)}.")
+    table = read_table(given["data"], what="data")
+    found = {}
+    for name in responses:
+        one = regress(**{**given, "data": table, "response": (name,)})
+        assert isinstance(one, Regression)  # of one name
+        found[name] = one
+    return Regressions(found)
 
 
 def _order_said(read: Observations, result: Regression) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
-from multipos.files.tables import Source, read_table
+from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.selection import Step
 from multipos.plots.style import (
     COLOURS,
@@ -16,6 +16,7 @@ from multipos.plots.style import (
 )
 from multipos.regression.result import Regression, format_span
 from multipos.regression.segment import Segment
+from multipos.regression.several import Regressions
 from multipos.sensor.temperature import Curve
 
 if TYPE_CHECKING:
@@ -127,22 +128,32 @@ def _draw_step(step: Step, row: int, axes: "Axes") -> None:
         axes.plot(step.runner_up.F, row, marker="D", color=COLOURS[1], linestyle="none")
 
 
-def regression_figure(regression: Regression, data: Source) -> "Figure":
+def regression_figure(regression: Regression | Regressions, data: Source) -> "Figure":
     """Return the response before and after, and the path of every selection.
 
-    Rows with an empty cell, which the regression may have dropped, are not drawn.
+    Of several responses each before and after. Rows with an empty cell, which the regression may
+    have dropped, are not drawn.
     """
     table = read_table(data, what="data")
-    needed = [regression.response, regression.range_variable, *regression.needed]
-    sources = [name.removesuffix("_rate") for name in needed] + [regression.time or ""]
-    columns = [table.number(n, empty=True) for n in {*needed, *sources} if n in table]
-    complete = np.isfinite(columns).all(axis=0)
+    if isinstance(regression, Regressions):
+        figure, axes = new_figure(len(regression))
+        for one, own in zip(regression.values(), axes, strict=True):
+            draw_correction(one, _complete_rows(one, table), own)
+        return figure
     chosen = [s for s in regression.segments if s.path][: 1 if regression.continuous else None]
     figure, axes = new_figure(1 + len(chosen))
-    draw_correction(regression, table.select(np.flatnonzero(complete).tolist()), axes[0])
+    draw_correction(regression, _complete_rows(regression, table), axes[0])
     for segment, one in zip(chosen, axes[1:], strict=True):
         draw_path(segment, one)
         span = format_span(regression.range_variable, segment.range, segment.branch)
         title = "all segments" if regression.continuous else span
         write_title(one, title)
     return figure
+
+
+def _complete_rows(regression: Regression, table: Table) -> Table:
+    """Return the rows without an empty cell in what the regression needs."""
+    needed = [regression.response, regression.range_variable, *regression.needed]
+    sources = [name.removesuffix("_rate") for name in needed] + [regression.time or ""]
+    columns = [table.number(n, empty=True) for n in {*needed, *sources} if n in table]
+    return table.select(np.flatnonzero(np.isfinite(columns).all(axis=0)).tolist())

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
+from multipos.errors import MultiposError
 from multipos.files.records import (
     ANY_NUMBER,
     ANY_TEXT,
@@ -33,6 +34,7 @@ from multipos.regression.hysteresis import BRANCHES
 from multipos.regression.junctions import Junction
 from multipos.regression.result import Regression
 from multipos.regression.segment_file import SEGMENT, segment_from_dict, segment_to_dict
+from multipos.regression.several import Regressions
 from multipos.results import plain
 
 SCHEMA = "multipos/regression/1"
@@ -128,21 +130,35 @@ def regression_dict(r: Regression) -> dict[str, Any]:
     return result
 
 
-def load_regression(path: str | os.PathLike[str]) -> Regression:
-    """Read a regression written by `Regression.save`.
+def load_regression(path: str | os.PathLike[str]) -> Regression | Regressions:
+    """Read a regression written by `Regression.save`, or those of several responses.
 
     Raises
     ------
     MultiposError
         The file is missing, truncated, of another schema, or holds what no regression does.
     """
+    content = read_json(path, SCHEMA)
+    if "responses" not in content:
+        return _restored(content, str(path))
+    responses = content["responses"]
+    if not isinstance(responses, dict) or not responses:
+        raise MultiposError(
+            f"{path}: 'responses' holds no regressions; the file is damaged, run regress again."
+        )
+    found = {name: _restored(one, f"{path}: {name}") for name, one in responses.items()}
+    wrong = [name for name, r in found.items() if r.response != name]
+    if wrong:
+        raise MultiposError(
+            f"{path}: '{wrong[0]}' holds the regression of another response; the file is damaged, "
+            "run regress again."
+        )
+    return Regressions(found)
+
+
+def _restored(content: Any, where: str) -> Regression:
     return restore(
-        read_json(path, SCHEMA),
-        REGRESSION,
-        _from_dict,
-        str(path),
-        what="regression",
-        again="run regress again",
+        content, REGRESSION, _from_dict, where, what="regression", again="run regress again"
     )
 
 

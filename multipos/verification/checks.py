@@ -32,6 +32,7 @@ from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, spread_reading_sd
 from multipos.positions.scheme import Scheme
 from multipos.regression.result import Regression
+from multipos.regression.several import Regressions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import invert, sensed_axes
 from multipos.sensor.tilt import (
@@ -44,12 +45,12 @@ from multipos.sensor.tilt import (
     triad_tilt,
     true_tilt,
 )
-from multipos.verification.regression_checks import check_regression
+from multipos.verification.regression_checks import check_regression, check_regressions
 from multipos.verification.verdicts import Check, judge_errors, require_limit
 
 
 def check(
-    calibration: Calibration | Regression,
+    calibration: Calibration | Regression | Regressions,
     readings: Source | Readings,
     *,
     scheme: Source | Scheme | None = None,
@@ -96,7 +97,7 @@ def check(
     UsageError
         An option is at fault.
     """
-    if isinstance(calibration, Regression):
+    if isinstance(calibration, Regression | Regressions):
         _refuse_options(
             {
                 "--scheme": scheme,
@@ -108,6 +109,8 @@ def check(
                 "--nominal": None if tuple(nominal) == (0.0, 1.0) else nominal,
             }
         )
+        if isinstance(calibration, Regressions):
+            return check_regressions(calibration, readings, limit_g=limit_g)
         return check_regression(calibration, readings, limit_g=limit_g)
     tilt = tilt or limit_deg is not None
     _check_options(tilt, limit_deg, limit_g, within_deg, nominal)

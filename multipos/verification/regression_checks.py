@@ -10,6 +10,8 @@ same error left. Rows outside what the regression was fitted to are not counted,
 nothing there.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +25,7 @@ from multipos.compensation.correction import (
 from multipos.errors import MultiposError
 from multipos.files.tables import Source, read_table
 from multipos.regression.result import Regression, format_span
+from multipos.regression.several import Regressions
 from multipos.verification.verdicts import Check, judge_errors, require_limit
 
 
@@ -98,6 +101,44 @@ def check_regression(
         calibration=r.created,
         against=against,
         segments=_rows_by_segment(r, place),
+    )
+
+
+def check_regressions(
+    regressions: Regressions, data: Source, *, limit_g: float | None = None
+) -> Check:
+    """Return the errors of a run before and after, a column for each response.
+
+    Parameters
+    ----------
+    regressions : Regressions
+    data, limit_g
+        As of `check_regression`.
+
+    Raises
+    ------
+    MultiposError, UsageError
+        As of `check_regression`.
+    """
+    table = read_table(data, what="run")
+    found = [check_regression(r, table, limit_g=limit_g) for r in regressions.values()]
+    first = found[0]
+    same = all(one.segments == first.segments for one in found)
+    nothing = np.full(len(found), np.nan)
+    return replace(
+        first,
+        quantity=", ".join(regressions),
+        axes=tuple(regressions),
+        reference=np.hstack([one.reference for one in found]),
+        before=np.hstack([one.before for one in found]),
+        after=np.hstack([one.after for one in found]),
+        u=np.hstack([one.u for one in found]),
+        U=np.hstack([one.U for one in found]),
+        verdicts=np.hstack([one.verdicts for one in found]),
+        counted=np.hstack([one.counted for one in found]),
+        linearity_percent={"before": nothing, "after": nothing},
+        warnings=tuple(dict.fromkeys(said for one in found for said in one.warnings)),
+        segments=first.segments if same else {},
     )
 
 
