@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from multipos.doubts.examination import examine
 from multipos.errors import MultiposError, UsageError, warn_of
+from multipos.estimation.claimed_noise import carry_dof, steady_floors
 from multipos.estimation.completion import complete
 from multipos.estimation.known import solve_known
 from multipos.estimation.losses import Loss
@@ -201,6 +202,7 @@ def _calibrate(
         note = f"--gauge {options.gauge} has no effect: {_TIED}"
         readings = replace(readings, notes=(*readings.notes, note))
     estimator = choose_estimator(options, placement)
+    readings = steady_floors(readings)
     solve = _solver(estimator, readings, placement, options)
     chosen = None
     if options.stepwise:
@@ -210,6 +212,7 @@ def _calibrate(
         claimed = readings.noise is not None
         readings = add_reference_noise(readings, solution)
         solution = _solver(estimator, readings, placement, options, claimed=claimed)(model)
+    solution = carry_dof(solution, readings, joint=not estimator.exact)
     found = solution.orientation_sd
     calibration = complete(
         solution,
@@ -324,7 +327,7 @@ def _with_reading_sd(readings: Readings, reading_sd: ArrayLike) -> Readings:
     notes = readings.notes
     if readings.u is not None or readings.covariance is not None:
         notes += ("the readings' own uncertainties are ignored, --reading-sd is used",)
-    return replace(readings, u=u, covariance=None, notes=notes)
+    return replace(readings, u=u, dof=None, covariance=None, notes=notes)
 
 
 def _check_environment(readings: Readings, model: Model) -> None:

@@ -92,6 +92,11 @@ class Averages(Result):
         u = self._stack("u")
         return u if (u > 0.0).all() else None
 
+    @cached_property
+    def _dof(self) -> Array | None:
+        """Degrees of freedom of the standard uncertainties, where there are these."""
+        return None if self._u is None else self._stack("dof")
+
     @property
     def readings(self) -> Readings:
         """The readings, ready to be fitted."""
@@ -105,6 +110,7 @@ class Averages(Result):
             positions=tuple(rest.position for rest in self.rests),
             up=self.scheme_up,
             u=self._u,
+            dof=self._dof,
             sd=self._stack("sd"),
             samples=self._stack("n"),
             environment=columns,
@@ -120,7 +126,11 @@ class Averages(Result):
             columns |= dict(zip(("up_x", "up_y", "up_z"), self.scheme_up.T, strict=True))
         columns["n"] = [rest.found.n for rest in self.rests]
         columns |= dict(zip(self.outputs, readings.values.T, strict=True))
-        for prefix, values in (("sd", readings.sd), ("u", readings.u)):
+        for prefix, values in (
+            ("sd", readings.sd),
+            ("u", readings.u),
+            ("dof", readings.dof),
+        ):
             if values is not None:
                 names = [f"{prefix}_{output}" for output in self.outputs]
                 columns |= dict(zip(names, values.T, strict=True))
@@ -148,6 +158,7 @@ class Averages(Result):
                 "mean": named(rest.found.mean),
                 "sd": named(rest.found.sd),
                 "u": named(rest.found.u),
+                "dof": named(rest.found.dof),
                 "n_effective": named(rest.found.effective),
                 "drift": named(rest.found.drift),
                 "environment": rest.environment,

@@ -18,6 +18,7 @@ _NOISY = 1.5  # steps of resolution: with less noise many samples share one valu
 _STUCK = 20  # equal samples in a row
 _UNITS = 3.0  # times the scale factor of another output: no pair of one unit differs so much
 _SPREAD = 50.0  # condition of the ellipsoid: worse where the positions do not span the sphere
+_FEW = 30.0  # independent samples, below which u is itself uncertain
 _SIGNIFICANT = 5.0  # times its standard uncertainty
 _UNSTEADY = 3.0  # times the usual standard deviation of a rest
 _TWIN_DEG = 2.0
@@ -159,7 +160,24 @@ def _output_faults(
         notes.append(f"'{output}' drifts by {each.drift[j]:+.3g}")
     elif each.edge[j] > _SIGNIFICANT:
         notes.append(f"'{output}' is off at an edge; motion there?")
-    return notes
+    return notes + _settled(output, j, each)
+
+
+def _settled(output: str, j: int, each: RestMean) -> list[str]:
+    """Say where a mean does not settle, or rests on few independent samples."""
+    if each.wander[j] > 1.0:
+        said = (
+            f"'{output}' wanders: its Allan deviation does not fall as that of noise does, and u "
+            f"is {each.wander[j]:.2g} times what its scatter says"
+        )
+        return [said]
+    if each.sd[j] > 0.0 and each.effective[j] < _FEW:
+        said = (
+            f"'{output}' is worth {each.effective[j]:.2g} independent samples only, so that its u "
+            f"has {each.dof[j]:.2g} degrees of freedom"
+        )
+        return [said]
+    return []
 
 
 def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[str]:

@@ -11,11 +11,31 @@ mean took out of the residuals. White noise gives u = sd/√n, noise that rememb
 tested against the same estimate after the least-squares line (m = 2), whose rise over the rest
 has the standard uncertainty √12 u.
 
+ln u² has by the delta method, with γ the matrix of the autocovariances up to p − 1, the variance
+
+    2/ν = 2/b + 4 σ_p² 1'γ⁻¹1 / (b (1 - φ_1 - … - φ_p)²),                                   (2)
+
+of which ν − 1 are the degrees of freedom of u: n − 1 of white noise, half of n_eff where samples
+remember much.
+
+No autoregression is flicker noise or a random walk, whose means do not settle. They are known by
+the Allan variances (`multipos.numerics.allan`) over m = b/64 … b/4 batches, a weighted line in
+ln σ²(m) of slope −1 for white noise, 0 for flicker, 1 for a walk (each known to about 0.2). A rest
+wanders where that slope is above −.55 although σ² does not rise up to b/64 either, as it does
+where the noise has only a short memory, or where it rises by more than .6 to the end. Neighbouring
+means then differ by √2 σ(b) of that line, and those of a session sixteen rests long by
+
+    u² = 2 σ²(b),                                                                           (3)
+
+half of σ² for each doubling [3]_, with the degrees of freedom of the line.
+
 References
 ----------
 .. [1] M. B. Priestley, *Spectral Analysis and Time Series*, 1981, section 7.8 (autoregressive
    spectral estimates).
 .. [2] C. M. Hurvich, C.-L. Tsai, Biometrika 76 (1989), 297–307 (corrected criterion).
+.. [3] D. W. Allan, Proc. IEEE 54 (1966), 221–230: the variance of a mean over τ about that over
+   2τ is half of σ²(τ).
 """
 
 from dataclasses import dataclass
@@ -32,6 +52,12 @@ Counts = NDArray[np.signedinteger[Any]]
 _BATCHES = 512
 _SMALLEST = np.finfo(np.float64).tiny
 _EDGE = 10  # an edge is a tenth of a rest
+# Parts of a rest that eq. (3) averages over, and the degrees of freedom of their Allan variances
+# for white noise, which are about as many as they overlap.
+_PARTS = ((64, 80.0), (32, 40.0), (16, 20.0), (8, 11.6), (4, 4.2))
+_SETTLES = -0.55  # slope of ln σ² below which the mean settles; white noise has −1(.17)
+_RISES = 0.3  # slope over short times, above which noise has a memory
+_WALKS = 0.6  # slope over long times, above which it is more than a memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +80,10 @@ class RestMean(Result):
         How many samples are at them.
     longest : array
         Longest run of equal samples.
+    dof : array
+        Degrees of freedom of u.
+    wander : array
+        How many times the u of eq. (1) that of eq. (3) is, where the rest wanders, else 1.
     """
 
     n: int
@@ -68,6 +98,8 @@ class RestMean(Result):
     at_low: Counts
     at_high: Counts
     longest: Counts
+    dof: Array
+    wander: Array
 
     @property
     def effective(self) -> Array:
@@ -119,7 +151,11 @@ class RestSum:
         mean = self._sum / n
         variance = np.maximum(self._square - n * mean**2, 0.0) / max(n - 1, 1)
         variance[self._longest == n] = 0.0  # what rounding leaves of equal samples
-        density = zero_density(batches - batches.mean(axis=1, keepdims=True), 1)
+        centred = batches - batches.mean(axis=1, keepdims=True)
+        density, dof = density_with_dof(centred, 1)
+        # Less than white noise would say is luck, or a hum that fits into the rest.
+        plain = np.maximum(np.where(variance > 0.0, density / batches.shape[1], 0.0), variance / n)
+        square, dof, wander = _wandering(centred, plain, np.where(variance > 0.0, dof, n - 1.0))
         rise, left = _lines(batches)
         around = zero_density(left, 2)
         count = batches.shape[1]
@@ -128,8 +164,7 @@ class RestSum:
             n=n,
             mean=self._origin + mean,
             sd=np.sqrt(variance),
-            # Less than white noise would say is luck, or a hum that fits into the rest.
-            u=np.sqrt(np.maximum(np.where(variance > 0.0, density / count, 0.0), variance / n)),
+            u=np.sqrt(square),
             drift=rise,
             drift_u=np.sqrt(12.0 * around / count),
             edge=_edge(batches, around),
@@ -138,6 +173,8 @@ class RestSum:
             at_low=low.count,
             at_high=high.count,
             longest=self._longest,
+            dof=np.maximum(np.minimum(dof, n - 1.0), 1.0),
+            wander=wander,
         )
 
     def _feed_runs(self, samples: Array) -> None:
@@ -170,8 +207,55 @@ class _End:
         self.value = np.where(beyond > 0.0, here, self.value)
 
 
+def _wandering(z: Array, square: Array, dof: Array) -> tuple[Array, Array, Array]:
+    """Return u² (M,) by eq. (3) where it is larger, its degrees of freedom, and by how much.
+
+    Parameters
+    ----------
+    z : (M, b) array
+        Batch means less their mean.
+    square, dof : (M,) arrays
+        Of eqs. (1) and (2).
+    """
+    count = z.shape[1]
+    wander = np.ones(len(z))
+    if count < 2 * _PARTS[0][0] or not (square > 0.0).any():
+        return square, dof, wander
+    phases = np.concatenate([np.zeros((len(z), 1)), np.cumsum(z, axis=1)], axis=1)
+    parts = np.array([count // part for part, _ in _PARTS])
+    weights = np.array([nu for _, nu in _PARTS])
+    slope, end, spread = _allan_line(phases, parts, weights, count)
+    short = np.array([1 << i for i in range(int(parts[0]).bit_length())])
+    rise, _, _ = _allan_line(phases, short, 1.0 / short, count)
+    wanders = np.where(rise < _RISES, slope > _SETTLES, slope > _WALKS)
+    raised = 2.0 * np.exp(end)
+    more = wanders & (raised > square) & (square > 0.0)
+    wander[more] = np.sqrt(raised[more] / square[more])
+    return np.where(more, raised, square), np.where(more, 1.0 / spread, dof), wander
+
+
+def _allan_line(
+    phases: Array, lengths: Array, weights: Array, end: int
+) -> tuple[Array, Array, float]:
+    """Return slope and end (M,) of the line in ln σ²(m), and the variance of its end by weights."""
+    curves = []
+    for m in lengths.tolist():
+        second = phases[:, 2 * m :] - 2.0 * phases[:, m:-m] + phases[:, : -2 * m]
+        curves.append(np.einsum("ji,ji->j", second, second) / (2.0 * m * m * second.shape[1]))
+    curve = np.log(np.maximum(np.array(curves), _SMALLEST))  # (T, M)
+    X = np.column_stack([np.ones(len(lengths)), np.log(lengths / end)])
+    inverse = np.linalg.inv(X.T @ (weights[:, None] * X))
+    line = inverse @ X.T @ (weights[:, None] * curve)
+    return line[1], line[0], float(inverse[0, 0])
+
+
 def zero_density(z: Array, removed: int) -> Array:
-    """Return b u² of eq. (1): the spectral density at zero of b batch means, of each row.
+    """Return b u² of eq. (1): the spectral density at zero of b batch means, of each row."""
+    return density_with_dof(z, removed)[0]
+
+
+def density_with_dof(z: Array, removed: int) -> tuple[Array, Array]:
+    """Return b u² of eq. (1), and the degrees of freedom of u by eq. (2), of each row.
 
     Parameters
     ----------
@@ -189,6 +273,7 @@ def zero_density(z: Array, removed: int) -> Array:
     lagged[~there, 0] = 1.0  # equal samples have no density, and are put back to zero below
     variance, phi = lagged[:, 0].copy(), np.zeros((len(rows), highest))
     best, density = _criterion(variance, 0, count), variance.copy()
+    spread = np.full(len(rows), 2.0 / count)  # of ln u²
     for order in range(1, highest + 1):
         # Levinson's recursion for the Yule–Walker equations
         before = phi[:, : order - 1]
@@ -202,9 +287,21 @@ def zero_density(z: Array, removed: int) -> Array:
         best = np.where(better, criterion, best)
         whole = variance / (1.0 - phi[:, :order].sum(axis=1)) ** 2
         density = np.where(better, whole, density)
+        for j in np.flatnonzero(better).tolist():
+            spread[j] = _spread(lagged[j, :order], variance[j], float(phi[j, :order].sum()), count)
     lost = removed * density / lagged[:, 0] / count  # m / n_eff
     found = np.where(there, density / (1.0 - np.minimum(lost, 0.5)), 0.0)
-    return found.reshape(z.shape[:-1])
+    dof = np.where(there, np.maximum(2.0 / spread - 1.0, 1.0), np.inf)
+    return found.reshape(z.shape[:-1]), dof.reshape(z.shape[:-1])
+
+
+def _spread(lagged: Array, variance: float, memory: float, count: int) -> float:
+    """Return the variance of ln u² of an autoregression, eq. (2)."""
+    order = np.arange(len(lagged))
+    gamma = lagged[np.abs(order[:, None] - order)]
+    ones = np.ones(len(lagged))
+    inner = float(ones @ np.linalg.lstsq(gamma, ones, rcond=None)[0])
+    return 2.0 / count + 4.0 * float(variance) * max(inner, 0.0) / (count * (1.0 - memory) ** 2)
 
 
 def _criterion(variance: Array, order: int, count: int) -> Array:

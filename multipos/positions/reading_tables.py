@@ -74,6 +74,7 @@ def read_readings(
         up=None if oriented is None else oriented.up,
         rotation=None if oriented is None else oriented.rotation,
         u=_beside(table, "u", names, notes),
+        dof=_beside(table, "dof", names, notes),
         sd=_beside(table, "sd", names, notes),
         samples=nonnegative_column(table, "n") if "n" in table else None,
         orientation_sd=spread,
@@ -165,7 +166,7 @@ def _numeric(table: Table, candidates: list[str], notes: list[str]) -> tuple[str
 def _may_be_output(name: str, table: Table) -> bool:
     if name in _RESERVED or is_environment(name):
         return False
-    return not any(_stands_beside(name, prefix, table) for prefix in ("u", "sd"))
+    return not any(_stands_beside(name, prefix, table) for prefix in ("u", "dof", "sd"))
 
 
 def _averaged_along(names: tuple[str, ...], table: Table) -> list[str]:
@@ -216,7 +217,7 @@ def _beside(table: Table, prefix: str, outputs: tuple[str, ...], notes: list[str
             f"{table.source}: column {quoted(missing)} is missing beside {quoted(present)}; "
             "give it for every output or for none."
         )
-    return np.column_stack([nonnegative_column(table, name, zero=prefix != "u") for name in names])
+    return np.column_stack([nonnegative_column(table, name, zero=prefix == "sd") for name in names])
 
 
 def _stands_beside(name: str, prefix: str, table: Table) -> bool:

@@ -60,6 +60,8 @@ class Readings(Result):
         The file they came from, and its digest.
     notes : tuple of str
         What was left out on reading, in words.
+    dof : (n, M) array or None
+        Degrees of freedom of `u`; infinite where None.
     """
 
     values: Array
@@ -80,6 +82,7 @@ class Readings(Result):
     notes: tuple[str, ...] = ()
     force: Array | None = None
     reference_u: Array | None = None
+    dof: Array | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values once, and keep read-only copies of the arrays."""
@@ -108,6 +111,7 @@ class Readings(Result):
     def _freeze_arrays(self, n: int, m: int) -> None:
         for name, shape in (
             ("u", (n, m)),
+            ("dof", (n, m)),
             ("covariance", (n * m, n * m)),
             ("sd", (n, m)),
             ("samples", (n,)),
@@ -189,6 +193,7 @@ class Readings(Result):
     def _check_signs(self) -> None:
         for name, lowest in (
             ("u", "above 0"),
+            ("dof", "above 0"),
             ("sd", "0 or more"),
             ("samples", "above 0"),
             ("orientation_sd", "0 or more"),
@@ -277,6 +282,7 @@ def select_outputs(readings: Readings, names: tuple[str, ...]) -> Readings:
         values=readings.values[:, columns],
         outputs=names,
         u=own(readings.u),
+        dof=own(readings.dof),
         sd=own(readings.sd),
         covariance=covariance,
         environment={**readings.environment, **moved},

@@ -156,6 +156,7 @@ CALIBRATION = Fields(
     },
     {
         "reading_u": Numbers(2),
+        "reading_dof": Numbers(2),
         "reading_covariance": Numbers(2, low=-LARGEST_SQUARE, high=LARGEST_SQUARE),
         "reading_sd": Numbers(2),
         "samples": Numbers(1),
@@ -266,6 +267,7 @@ def _known_of(readings: Readings) -> dict[str, Any]:
     """Return what is known of readings beside their values, as far as it is."""
     known = {
         "reading_u": readings.u,
+        "reading_dof": readings.dof,
         "reading_covariance": readings.covariance,
         "reading_sd": readings.sd,
         "samples": readings.samples,
@@ -415,6 +417,7 @@ def _readings(content: Mapping[str, Any], model: Model) -> Readings:
         unit=model.unit,
         source=content["input"]["file"],
         sha256=content["input"]["sha256"],
+        dof=_numbers(content.get("reading_dof")),
     )
 
 
@@ -502,6 +505,7 @@ def _check_shapes(c: Mapping[str, Any]) -> None:
         "reference": (n, 3),
         "positions": (n,),
         "reading_u": (n, m),
+        "reading_dof": (n, m),
         "reading_covariance": (n * m, n * m),
         "reading_sd": (n, m),
         "samples": (n,),

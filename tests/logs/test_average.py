@@ -315,6 +315,8 @@ def a_rest(**changes):
         at_low=count,
         at_high=count,
         longest=count,
+        dof=99.0 * one,
+        wander=one,
     )
     new = {name: np.full_like(getattr(plain, name), value) for name, value in changes.items()}
     return replace(plain, **new)

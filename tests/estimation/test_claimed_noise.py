@@ -1,0 +1,75 @@
+"""Stated uncertainties that are themselves estimates of few degrees of freedom."""
+
+import numpy as np
+import pytest
+from scipy import special
+
+import multipos as mp
+from multipos.estimation.claimed_noise import steady_floors
+from multipos.numerics.polygamma import digamma, inverse_trigamma, trigamma
+
+UP = mp.read_scheme("faces-6").up
+
+
+def test_digamma_and_trigamma_of_known_numbers():
+    x = np.array([0.5, 1.0, 2.0, 30.0, 1e4, 1e-3])
+    np.testing.assert_allclose(digamma(x), special.digamma(x), rtol=1e-10)
+    np.testing.assert_allclose(trigamma(x), special.polygamma(1, x), rtol=1e-10)
+    assert float(trigamma(np.array(1.0))) == pytest.approx(np.pi**2 / 6, rel=1e-10)  # Basel
+    for value in (1e-4, 0.3, 1.0, 50.0, 1e4):
+        assert float(trigamma(np.array(inverse_trigamma(value)))) == pytest.approx(value, rel=1e-9)
+
+
+def readings(u, dof, values=UP):
+    u = np.broadcast_to(u, values.shape)
+    return mp.Readings(values, up=UP, u=u, dof=None if dof is None else np.full(u.shape, dof))
+
+
+def test_uncertainties_that_differ_by_chance_become_one():
+    rng = np.random.default_rng(1)
+    u = np.sqrt(rng.chisquare(4.0, (6, 3)) / 4.0)
+    u /= np.exp(0.25 * (np.log(u) - np.log(u).mean()))  # a little closer than by chance
+    found = steady_floors(readings(u, 4.0)).u
+    pooled = np.sqrt(np.mean(u**2, axis=0))  # all have four degrees of freedom
+    np.testing.assert_allclose(found, pooled * np.ones((6, 1)), rtol=1e-9)
+
+
+def test_uncertainties_that_differ_indeed_stay_and_known_ones_are_not_touched():
+    u = np.geomspace(1.0, 1e4, 6)[:, None] * np.ones(3)
+    found = steady_floors(readings(u, 8.0)).u
+    assert (np.diff(found, axis=0) > 0.0).all()
+    assert np.abs(np.log(found / u)).max() < np.log(2.0)  # of a range of 1e4
+    # eqs. (1) and (2) with SciPy's functions
+    e = np.log(u[:, 0] ** 2) - special.digamma(4.0) + np.log(4.0)
+    excess = e.var(ddof=1) - special.polygamma(1, 4.0)
+    prior = 2.0 * inverse_trigamma(excess)
+    common = np.exp(e.mean() + special.digamma(prior / 2) - np.log(prior / 2))
+    expected = np.sqrt((prior * common + 8.0 * u[:, 0] ** 2) / (prior + 8.0))
+    np.testing.assert_allclose(found[:, 0], expected, rtol=1e-9)
+    np.testing.assert_array_equal(steady_floors(readings(u, 1e6)).u, u)
+    np.testing.assert_array_equal(steady_floors(readings(u, None)).u, u)
+
+
+def test_k_is_that_of_the_claim_where_nothing_else_tells():
+    """Four positions for four terms leave no residual: ν is that of the floors, 4 × 5."""
+    up = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [-0.6, -0.48, -0.64]])
+    u = np.full(up.shape, 1e-3)
+    cal = mp.fit(mp.Readings(up, up=up, u=u, dof=np.full(up.shape, 5.0)))
+    np.testing.assert_allclose(cal.parameter_dof, 20.0, rtol=1e-9)
+    np.testing.assert_allclose(cal.k, 2.0860, atol=1e-4)  # t at 0.975, by table
+    np.testing.assert_allclose(cal.u, mp.fit(mp.Readings(up, up=up, u=u)).u, rtol=1e-12)
+
+
+def test_degrees_of_freedom_in_a_file(tmp_path):
+    path = tmp_path / "readings.csv"
+    lines = ["position,up_x,up_y,up_z,ax,ay,az,u_ax,u_ay,u_az,dof_ax,dof_ay,dof_az"]
+    for i, row in enumerate(UP):
+        cells = [*row, *(row + 1e-4 * i), 1e-3, 1e-3, 1e-3, 5, 6, 7]
+        lines.append(f"{i}," + ",".join(f"{cell:g}" for cell in cells))
+    path.write_text("\n".join(lines) + "\n")
+    found = mp.read_readings(path)
+    assert found.outputs == ("ax", "ay", "az")
+    np.testing.assert_array_equal(found.dof[0], [5, 6, 7])
+    path.write_text(path.read_text().replace(",5,6,7\n", ",5,6,0\n", 1))
+    with pytest.raises(mp.MultiposError, match=r"column 'dof_az'.*is not above 0"):
+        mp.read_readings(path)
