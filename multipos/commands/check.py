@@ -55,9 +55,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--nominal",
         type=numbers,
-        default=(0.0, 1.0),
         metavar="BIAS,SCALE",
-        help="conversion (raw − BIAS)/SCALE before calibration (default 0,1)",
+        help="conversion (raw − BIAS)/SCALE before calibration (default that of the fit, else 0,1)",
     )
     add(
         "--reading-sd",

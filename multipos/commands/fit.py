@@ -54,6 +54,7 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
         metavar="SD[,SD,SD]",
         help="standard uncertainty of an averaged reading",
     )
+    add("--nominal", type=numbers, metavar="BIAS,SCALE", help="conversion before calibration")
     add("--budget", metavar="FILE", help="TOML file of what else is uncertain: level, voltmeter, …")
 
 

@@ -1,10 +1,11 @@
 """``multipos report``."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import progress_bar
+from multipos.commands.options import numbers, progress_bar
 from multipos.errors import UsageError
 from multipos.files.trees import read_schema, to_json
 from multipos.fleets.fleet import SCHEMA as FLEET
@@ -13,6 +14,7 @@ from multipos.reports.certificate import Content, build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report
 from multipos.reports.fleets import fleet_content
 from multipos.sensor.calibration_file import load
+from multipos.sensor.nominal import read_nominal
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.verification.check_file import load_check
 
@@ -32,6 +34,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--check", metavar="CHECK.json", help="what check -o CHECK.json wrote of an independent run"
     )
+    add("--nominal", type=numbers, metavar="BIAS,SCALE", help="conversion before calibration")
     add("--language", default="en", metavar="en|zh", help="language of the report (default en)")
     add(
         "--monte-carlo",
@@ -43,8 +46,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def _of_fleet(arguments: argparse.Namespace) -> Answer:
     """Return the report of a fleet, from its folder or its fleet.json."""
-    if arguments.lab or arguments.check or arguments.monte_carlo or arguments.language != "en":
-        raise UsageError("--lab, --check, --language and --monte-carlo are of one calibration.")
+    if (
+        arguments.lab
+        or arguments.nominal
+        or arguments.check
+        or arguments.monte_carlo
+        or arguments.language != "en"
+    ):
+        raise UsageError(
+            "--lab, --nominal, --check, --language and --monte-carlo are of one calibration."
+        )
     found = read_summary(arguments.calibration)
     content = fleet_content(found)
     listing = {"report": arguments.output, "created": found["created"]}
@@ -56,6 +67,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     if Path(arguments.calibration).is_dir() or read_schema(arguments.calibration) == FLEET:
         return _of_fleet(arguments)
     calibration = load(arguments.calibration)
+    if arguments.nominal is not None:
+        calibration = replace(calibration, nominal=read_nominal(arguments.nominal))
     simulated = None
     if arguments.monte_carlo is not None:
         with progress_bar("Monte Carlo", arguments.monte_carlo) as progress:

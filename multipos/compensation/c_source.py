@@ -12,6 +12,7 @@ import numpy as np
 from multipos import __version__
 from multipos.compensation.c_body import environment_range, function_body, literal
 from multipos.compensation.c_expression import expression_body
+from multipos.compensation.c_tilt import tilt_function, tilt_header, tilt_signature
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import visible
 from multipos.files.numbers import number, table, uncertain
@@ -20,6 +21,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.tilt import at_rest, tilt_at_rest
 from multipos.uncertainty.validity import applied
 from multipos.units import STANDARD_GRAVITY
 
@@ -33,8 +35,15 @@ WRITTEN_BY = re.compile(r"^ \* written by +multipos (?P<version>\S+)$", re.MULTI
 _NEGLIGIBLE = 1e-9  # of the largest linear coefficient: what a precision may lose
 
 
-def c_source(calibration: Calibration, name: str, *, single: bool, in_metres: bool = False) -> str:
-    """Return the C99 file of a calibration, its force in g or in m/s².
+def c_source(
+    calibration: Calibration,
+    name: str,
+    *,
+    single: bool,
+    in_metres: bool = False,
+    tilt: bool = False,
+) -> str:
+    """Return the C99 file of a calibration, its force in g or in m/s², and its tilt.
 
     Raises
     ------
@@ -51,11 +60,14 @@ def c_source(calibration: Calibration, name: str, *, single: bool, in_metres: bo
         body, how, library = expression_body(calibration, single=single)
     else:
         (body, how), library = function_body(calibration, single=single), False
-    include = "#include <math.h>\n\n" if library else ""
+    include = "#include <math.h>\n\n" if library or tilt else ""
     if in_metres:
         body = _in_metres(body, calibration, single)
-    head = _header(calibration, name, how, "m/s^2" if in_metres else "g")
-    return f"{head}\n{include}{signature(calibration, name, single)}\n{body}"
+    head = _header(calibration, name, how, "m/s^2" if in_metres else "g", tilt)
+    text = f"{head}\n{include}{signature(calibration, name, single)}\n{body}"
+    if tilt:
+        text += "\n" + tilt_function(calibration, name, single=single, in_metres=in_metres)
+    return text
 
 
 def _in_metres(body: str, calibration: Calibration, single: bool) -> str:
@@ -77,7 +89,14 @@ def signature(calibration: Calibration, name: str, single: bool) -> str:
     )
 
 
-def c_test(calibration: Calibration, name: str, *, single: bool, in_metres: bool = False) -> str:
+def c_test(
+    calibration: Calibration,
+    name: str,
+    *,
+    single: bool,
+    in_metres: bool = False,
+    tilt: bool = False,
+) -> str:
     """Return a C99 program that checks the function against values from Python."""
     kind = "float" if single else "double"
     raw, env, force = _vectors(calibration, single)
@@ -88,12 +107,17 @@ def c_test(calibration: Calibration, name: str, *, single: bool, in_metres: bool
     arrays = [("raw", raw), *([("env", env)] if env.shape[1] else []), ("expected", force)]
     text = "\n".join(array(key, values, single) for key, values in arrays)
     call = ", ".join(f"{key}[i]" for key, _ in arrays[:-1])
+    declared, checked, library = "", "", ""
+    if tilt:
+        text += "\n" + array("angle", _angles(calibration, raw, env), single)
+        declared = f"\n{tilt_signature(calibration, name, single)};"
+        checked, library = _tilt_check(name, call, kind, single), "#include <math.h>\n"
     return f"""\
 /* Self-test of {name}_compensate: compile with the file that holds it, and run.
    Exits with 0 where every value is met within {tolerance} {unit}. */
-#include <stdio.h>
+{library}#include <stdio.h>
 
-{signature(calibration, name, single)};
+{signature(calibration, name, single)};{declared}
 
 enum {{ COUNT = {len(raw)}, AXES = {force.shape[1]} }};
 
@@ -112,10 +136,35 @@ int main(void)
                 failed = 1;
             }}
         }}
-    }}
+{checked}    }}
     puts(failed ? "FAILED" : "{name}_compensate: all values met");
     return failed;
 }}
+"""
+
+
+def _angles(calibration: Calibration, raw: Array, env: Array) -> Array:
+    """Return the tilt (n, K) [degrees] of readings as Python tells it."""
+    columns = dict(zip(calibration.model.environment, env.T, strict=True))
+    rest = at_rest(calibration, raw, columns)
+    return np.asarray(np.degrees(tilt_at_rest(calibration, rest, columns).tilt))
+
+
+def _tilt_check(name: str, call: str, kind: str, single: bool) -> str:
+    """Return the lines that hold the sines of the angles to those of Python, NAN to NAN."""
+    f, tolerance = ("f", "2e-6f") if single else ("", "1e-9")
+    turn = literal(np.pi / 180.0, single)
+    return f"""\
+        {kind} tilt[AXES];
+        {name}_tilt({call}, tilt);
+        for (int k = 0; k < AXES; ++k) {{
+            const {kind} off = sin{f}({turn} * tilt[k]) - sin{f}({turn} * angle[i][k]);
+            if (isnan(tilt[k]) != isnan(angle[i][k]) || off > {tolerance} || -off > {tolerance}) {{
+                printf("vector %d, axis %d: %g and not %g degrees\\n", i + 1, k + 1,
+                       (double)tilt[k], (double)angle[i][k]);
+                failed = 1;
+            }}
+        }}
 """
 
 
@@ -146,7 +195,7 @@ def _negligible(calibration: Calibration) -> Array:
     return np.append(sizes, sizes.min())[model.output_of]
 
 
-def _header(calibration: Calibration, name: str, how: str, unit: str) -> str:
+def _header(calibration: Calibration, name: str, how: str, unit: str, tilt: bool) -> str:
     c = calibration
     model = c.model
     axes = sensed_axes(model)
@@ -165,6 +214,7 @@ def _header(calibration: Calibration, name: str, how: str, unit: str) -> str:
         *env,
         f"accel[{len(sensed)}] = {', '.join(sensed)} [{unit}], convention {c.convention}",
         "raw and accel may be the same array.",
+        *(tilt_header(c) if tilt else ()),
         "",
         f"model       {model.text}",
         f"computed by {how}",
@@ -218,6 +268,9 @@ def _vectors(calibration: Calibration, single: bool) -> tuple[Array, Array, Arra
 def array(name: str, values: Array, single: bool) -> str:
     """Return a constant array of rows, of length ``COUNT``."""
     kind = "float" if single else "double"
-    cells = [[literal(value, single) for value in row] for row in values.tolist()]
+    cells = [
+        ["NAN" if value != value else literal(value, single) for value in row]
+        for row in values.tolist()
+    ]
     rows = ",\n".join(f"    {{{', '.join(row)}}}" for row in cells)
     return f"static const {kind} {name}[COUNT][{values.shape[1]}] = {{\n{rows}\n}};"

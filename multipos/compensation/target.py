@@ -39,6 +39,8 @@ class Wish(NamedTuple):
         Force in m/s² instead of g.
     stability : Stability or None
         Of the sensor, for consumers that want its noise.
+    tilt : bool
+        A function of the angles above the horizon as well.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Wish(NamedTuple):
     device_id: int | None = None
     in_metres: bool = False
     stability: Stability | None = None
+    tilt: bool = False
 
 
 class GivenFile(NamedTuple):

@@ -33,7 +33,7 @@ _SAME = {"double": 1e-9, "float": 5e-7}  # how far the forces may be from the ca
 
 
 def _write(calibration: Calibration, wish: Wish) -> Exported:
-    form = {"single": wish.single, "in_metres": wish.in_metres}
+    form = {"single": wish.single, "in_metres": wish.in_metres, "tilt": wish.tilt}
     text = c_source(calibration, wish.name, **form)
     return Exported(C.name, text, c_test(calibration, wish.name, **form))
 
@@ -47,7 +47,8 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     sensed = list(sensed_axes(calibration.model))
     name, single = found["name"], found["type"] == "float"
     in_metres = METRES.search(file.text) is not None
-    own = c_source(calibration, name, single=single, in_metres=in_metres).encode()
+    tilt = f"void {name}_tilt(" in file.text
+    own = c_source(calibration, name, single=single, in_metres=in_metres, tilt=tilt).encode()
     foreign = raw != own
     if foreign and not file.run_foreign_code:
         raise MultiposError(f"{path}: {difference_of(raw, own)}")
@@ -128,5 +129,5 @@ C = Target(
     read_back=_read_back,
     suffix=".c",
     is_code=True,
-    takes=("output_unit",),
+    takes=("output_unit", "tilt"),
 )

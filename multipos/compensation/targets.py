@@ -38,6 +38,7 @@ def export(
     device_id: int | None = None,
     stability: "Stability | str | os.PathLike[str] | None" = None,
     correct: Names | None = None,
+    tilt: bool = False,
 ) -> Exported:
     """Return a calibration in the form of a target.
 
@@ -60,6 +61,8 @@ def export(
         autopilot ignores the file.
     stability : Stability or path, optional
         Of the sensor, whose noise densities go to Kalibr.
+    tilt : bool
+        Write ``NAME_tilt`` as well, in C: the angles of `apply` with tilt.
     correct : names, optional
         The column that each regression corrects; without, C gives the predicted responses.
 
@@ -88,9 +91,12 @@ def export(
         "instance": instance,
         "device_id": device_id,
         "stability": stability,
+        "tilt": tilt or None,
     }
     _check_options(target, {name: value for name, value in others.items() if value is not None})
     if regressions:
+        if tilt:
+            raise UsageError("--tilt is of a calibration alone; a correction tells no angles.")
         if output_unit is not None:
             raise UsageError("--output-unit is of a calibration alone; a regression has its own.")
         if target is not C:
@@ -102,7 +108,7 @@ def export(
     if stability is not None and not isinstance(stability, Stability):
         stability = load_stability(stability)
     in_metres = output_unit == "m/s^2"
-    wish = Wish(name, float, allow_lossy, instance, device_id, in_metres, stability)
+    wish = Wish(name, float, allow_lossy, instance, device_id, in_metres, stability, tilt)
     return target.write(first, wish)
 
 

@@ -73,6 +73,7 @@ def calibrate(
     budget: "BudgetSource | Budget | None" = None,
     unit: str | None = None,
     range: Sequence[float] | None = None,
+    nominal: Sequence[float] | None = None,
     confidence: float = 0.95,
     progress: Progress | None = None,
 ) -> Calibration:
@@ -89,7 +90,7 @@ def calibrate(
         The positions; otherwise the orientations are unknown.
     model, convention, axes, inputs, closed_form, unknown_orientation, orientation_sd, gauge, robust
     pool, stepwise, reading_sd, gravity, gravity_u, latitude, height, level_sd, budget, unit, range
-    confidence
+    nominal, confidence
         What is fitted, and how: as for `multipos.fit`.
 
     Returns
@@ -142,6 +143,7 @@ def calibrate(
         budget=budget,
         unit=unit,
         range=range,
+        nominal=nominal,
         confidence=confidence,
     )
 
@@ -169,6 +171,7 @@ def fit_rests(
     budget: "BudgetSource | Budget | None" = None,
     unit: str | None = None,
     range: Sequence[float] | None = None,
+    nominal: Sequence[float] | None = None,
     confidence: float = 0.95,
 ) -> Calibration:
     """Fit the means of rests: of unknown orientation, unless a scheme was matched to them.
@@ -201,6 +204,7 @@ def fit_rests(
             level_sd=level_sd,
             budget=budget,
             range=range,
+            nominal=nominal,
             confidence=confidence,
         )
     except RankError as error:

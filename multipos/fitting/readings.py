@@ -43,6 +43,7 @@ from multipos.sensor.found import Chosen, Estimator
 from multipos.sensor.functions import build_expression
 from multipos.sensor.gravity import Gravity, resolve_gravity, signed_size
 from multipos.sensor.model import GAUGES, Gauge, Model, build_model, default_axes
+from multipos.sensor.nominal import read_nominal
 from multipos.sensor.own_models import build_sketch
 from multipos.sensor.sketches import Sketch, read_model
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
@@ -77,6 +78,7 @@ def fit(
     budget: "BudgetSource | Budget | None" = None,
     unit: str | None = None,
     range: Sequence[float] | None = None,
+    nominal: Sequence[float] | None = None,
     confidence: float = 0.95,
 ) -> Calibration:
     """Calibrate an accelerometer from readings at static positions.
@@ -122,6 +124,8 @@ def fit(
         Unit of the readings.
     range : (low, high), optional
         Readings outside these limits are an error.
+    nominal : (bias, scale), optional
+        The conversion (raw − bias)/scale before the calibration, with which reports compare it.
     confidence : float
         Coverage probability of U.
 
@@ -162,6 +166,7 @@ def fit(
         level_sd=level_sd,
     )
     stated = None if budget is None else read_budget(budget)
+    before = None if nominal is None else read_nominal(nominal)
     local = _gravity_of(stated, resolve_gravity(gravity, gravity_u, latitude, height))
     written = model if callable(model) else read_model(model)
     used = _columns_named(written)
@@ -183,6 +188,8 @@ def fit(
     )
     _require_one_unit(data, local)
     calibration = _calibrate(built, data, placement, options, local)
+    if before is not None:
+        calibration = replace(calibration, nominal=before)
     if stated is not None:
         calibration = state_budget(calibration, stated)
     calibration = examine(calibration)

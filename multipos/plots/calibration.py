@@ -9,6 +9,7 @@ from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, scale_by_powers, write
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.nominal import nominal_force
 from multipos.uncertainty.propagation import Evaluation
 
 if TYPE_CHECKING:
@@ -125,11 +126,16 @@ def draw_errors(calibration: Calibration, axes: "Axes") -> None:
 
 
 def nominal_error(calibration: Calibration) -> Array:
-    """Return the size (n,) [g] of the error with one nominal scale factor and no bias.
+    """Return the size (n,) [g] of the error by the nominal conversion of the calibration.
 
-    The nominal scale factor is 1 for readings in g, else the mean own-axis one.
+    Where it has none, by one nominal scale factor without bias: 1 for readings in g, else the mean
+    own-axis one.
     """
     c = calibration
+    if c.nominal is not None:
+        sensed = [i for i, axis in enumerate(COMPONENTS) if axis in c.model.axes]
+        off = nominal_force(c.model, c.readings.values, c.nominal) - c.reference[:, sensed]
+        return np.asarray(np.linalg.norm(off, axis=1))
     own = [
         c.parameters[c.model.keys.index((output, linear_term(axis)))]
         for output, axis in zip(c.outputs, c.model.axes, strict=True)

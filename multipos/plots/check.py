@@ -1,9 +1,10 @@
 """The figure of an independent run at known positions."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from multipos.numerics.arrays import Array
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, scale_by_powers
 from multipos.verification.verdicts import Check
 
@@ -12,55 +13,95 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WIDE = 5.0  # times the limit, from which errors are drawn logarithmically beyond it
+_APART = 5.0  # times what is left after, from which errors before have axes of their own
+_BESIDE = 0.8  # of the way to the next known value, over which positions of one share the room
+_SAME = 1e-6  # of the span
 
 
-def draw_check(found: Check, axes: "Axes", *, axis: str) -> None:
+def draw_check(
+    found: Check, axes: "Axes", *, axis: str, when: Literal["both", "before", "after"] = "both"
+) -> None:
     """Draw the errors of one axis before and after, U about the latter, and the limit.
 
-    Those of a regression are drawn against its segment variable.
+    Those of a regression are drawn against its segment variable. Positions of one and the same
+    known value, such as a roll that leaves the axis level, stand beside each other.
     """
     column = found.axes.index(axis)
     used = found.counted[:, column]
     order = np.argsort(found.reference[used, column], kind="stable")
-    known = found.reference[used, column][order]
+    known = set_beside(found.reference[used, column][order])
     before, after, U = (
         array[used, column][order] for array in (found.before, found.after, found.U)
     )
-    axes.plot(known, before, MARKERS[1], color=COLOURS[1], fillstyle="none", label="before")
-    axes.errorbar(
-        known,
-        after,
-        U,
-        fmt=MARKERS[0],
-        color=COLOURS[0],
-        elinewidth=0.8,
-        capsize=0.0,
-        label="after, with U",
-    )
-    if found.limit is not None:
-        for sign in (-1.0, 1.0):
-            axes.axhline(sign * found.limit, color="#555555", linestyle="--", linewidth=0.8)
-        axes.annotate(
-            f"limit ±{found.limit:g} {found.unit}",
-            (1.0, found.limit),
-            va="bottom",
-            ha="right",
-            xycoords=("axes fraction", "data"),
-            color="#555555",
-            fontsize=9.0,
-        )
-        if np.abs(before).max() > _WIDE * found.limit:  # else the limits would be one line
-            scale_by_powers(axes, "y", linthresh=2.0 * found.limit)
     axes.axhline(0.0, color="#999999", linewidth=0.5)
+    if when != "after":
+        axes.plot(
+            known,
+            before,
+            MARKERS[1],
+            color=COLOURS[1],
+            fillstyle="none",
+            label="before",
+            clip_on=False,
+        )
+    if when != "before":
+        axes.errorbar(
+            known,
+            after,
+            U,
+            fmt=MARKERS[0],
+            color=COLOURS[0],
+            elinewidth=0.8,
+            capsize=0.0,
+            label="after, with U",
+            clip_on=False,
+        )
+        _draw_limit(found, axes)
+    if (
+        when == "both"
+        and found.limit is not None
+        and np.nanmax(np.abs(before)) > (_WIDE * found.limit)
+    ):  # else the limits would be one line
+        scale_by_powers(axes, "y", linthresh=2.0 * found.limit)
+    axes.margins(0.06)
     unit = f" [{found.unit}]" if found.unit else ""
     axes.set_xlabel(found.against or f"{found.quantity} of {axis}{unit}")
     axes.set_ylabel(f"{axis if found.against else 'error'}{unit}")
-    name_series(axes, 2)
+    name_series(axes, 3)
+
+
+def _draw_limit(found: Check, axes: "Axes") -> None:
+    if found.limit is None:
+        return
+    for height, label in ((-found.limit, None), (found.limit, f"limit ±{found.limit:g}")):
+        axes.axhline(height, color="#555555", linestyle="--", linewidth=0.8, label=label)
+
+
+def set_beside(known: Array) -> Array:
+    """Return rising values (n,), those that are equal set beside each other in their order."""
+    if not len(known):
+        return known
+    span = float(np.ptp(known))
+    group = np.cumsum(np.append(0, np.diff(known) > _SAME * span))
+    placed = known.astype(np.float64)
+    steps = np.diff(known)
+    room = _BESIDE * float(steps[steps > _SAME * span].min(initial=span))
+    for number in range(int(group[-1]) + 1):
+        rows = np.flatnonzero(group == number)
+        if len(rows) > 2:
+            placed[rows] += np.linspace(-0.5, 0.5, len(rows)) * room
+    return placed
 
 
 def check_figure(found: Check) -> "Figure":
-    """Return the errors of every axis, one below the other."""
-    figure, axes = new_figure(len(found.axes))
-    for axis, one in zip(found.axes, axes, strict=True):
-        draw_check(found, one, axis=axis)
+    """Return the errors of every axis; before and after apart, where one would hide the other."""
+    used = found.counted
+    left = float(np.nanmax((np.abs(found.after) + found.U)[used], initial=found.limit or 0.0))
+    apart = float(np.nanmax(np.abs(found.before[used]), initial=0.0)) > _APART * left
+    drawn: tuple[Literal["both", "before", "after"], ...]
+    drawn = ("before", "after") if apart else ("both",)
+    figure, axes = new_figure(len(drawn) * len(found.axes))
+    panels = [(axis, when) for axis in found.axes for when in drawn]
+    for (axis, when), one in zip(panels, axes, strict=True):
+        draw_check(found, one, axis=axis, when=when)
     return figure

@@ -94,6 +94,13 @@ def errors_section(c: Calibration, tr: Translator) -> Section:
                 "Before: readings divided by one nominal scale factor (1 for readings in g, else "
                 "the mean of the outputs), without bias. After: compensated. At the same positions "
                 "that were fitted."
+            )
+            if c.nominal is None
+            else tr(
+                "Before: (reading − {bias})/{scale}, the nominal conversion. After: compensated. "
+                "At the same positions that were fitted.",
+                bias=f"{c.nominal.bias:g}",
+                scale=f"{c.nominal.scale:g}",
             ),
             tr(
                 "Linearity: the largest distance of a reading from the least-squares line in its "

@@ -96,6 +96,14 @@ def _checks(calibration: Calibration) -> str:
     c = calibration
     left = f"{c.rms:.3e} g" if math.isfinite(c.rms) else "none, as the parameters give no force"
     lines = [f"rms of what is left after compensation: {left}"]
+    if c.nominal is not None:
+        # Imported here, for who states no conversion shall not wait for what draws it.
+        from multipos.plots.calibration import nominal_error
+
+        before = nominal_error(c)
+        rms = math.sqrt(float(before @ before) / len(before))
+        said = f"(reading - {c.nominal.bias:g})/{c.nominal.scale:g}"
+        lines.append(f"before, by {said}: rms {rms:.3e} g, largest {before.max():.3e} g")
     for output, found in c.linearity.items():
         lines.append(
             f"linearity of {output}: {number(found['without_model_percent'])} % without, "

@@ -39,6 +39,7 @@ from multipos.sensor.found import (
 )
 from multipos.sensor.gravity import Gravity
 from multipos.sensor.model import Model, paper_symbol
+from multipos.sensor.nominal import Nominal
 
 
 class Parameter(NamedTuple):
@@ -110,6 +111,8 @@ class Calibration(Result):
         How terms were chosen stepwise.
     budget : StatedBudget or None
         What the covariance follows from beside the readings.
+    nominal : Nominal or None
+        The conversion before the calibration, where it was stated.
     """
 
     model: Model
@@ -136,6 +139,7 @@ class Calibration(Result):
     robust_weight: Array | None = None
     selection: Mapping[str, Chosen] | None = None
     budget: StatedBudget | None = None
+    nominal: Nominal | None = None
 
     def __getitem__(self, key: str | tuple[str, str]) -> Parameter:
         """Return a parameter by (output, term) or by name: ``cal["ax", "x"]``, ``cal["scale_ax"]``.

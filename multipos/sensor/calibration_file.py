@@ -61,6 +61,7 @@ from multipos.sensor.found import (
 from multipos.sensor.functions import load_expression
 from multipos.sensor.gravity import Gravity
 from multipos.sensor.model import Model, build_model
+from multipos.sensor.nominal import read_nominal
 from multipos.sensor.own_models import expression_dict, load_sketch
 
 SCHEMA = "multipos/calibration/1"
@@ -190,6 +191,7 @@ CALIBRATION = Fields(
                 }
             )
         ),
+        "nominal": Fields({"bias": ANY_NUMBER, "scale": ANY_NUMBER}),
         "budget": Fields(
             {
                 "tables": Named(Named(_SETTING)),
@@ -289,6 +291,7 @@ def _found_dict(c: Calibration) -> dict[str, Any]:
     found: dict[str, Any] = {
         "robust_weight": c.robust_weight,
         "selection": c.selection,
+        "nominal": None if c.nominal is None else c.nominal._asdict(),
         **(c.orientations or {}),
     }
     for name, parts in (("variance_components", c.variance_components), ("budget", c.budget)):
@@ -459,6 +462,8 @@ def _found(content: Mapping[str, Any]) -> dict[str, Any]:
         found["orientations"] = FoundOrientations(**orientations)
     if chosen is not None:
         found["selection"] = {output: _chosen(said) for output, said in chosen.items()}
+    if "nominal" in content:
+        found["nominal"] = read_nominal([content["nominal"][key] for key in ("bias", "scale")])
     if "budget" in content:
         said = content["budget"]
         scatter = _numbers(said.get("scatter"))

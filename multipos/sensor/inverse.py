@@ -29,8 +29,8 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.model import Model
 
-_STEPS = 50  # quadratic convergence needs five; more means there is no solution
-_XTOL = 1e-13  # [g], where a step is only rounding
+STEPS = 50  # quadratic convergence needs five; more means there is no solution
+XTOL = 1e-13  # [g], where a step is only rounding
 
 
 def sensed_axes(model: Model) -> tuple[int, ...]:
@@ -74,7 +74,7 @@ def invert(
         force[:, others] = unseen[:, others]
     active = np.arange(len(raw))
     columns = {name: np.asarray(environment[name], dtype=np.float64) for name in model.environment}
-    for _ in range(_STEPS):
+    for _ in range(STEPS):
         here = {name: column[active] for name, column in columns.items()}
         misfit = raw[active] - model.predict(parameters, force[active], here)
         jacobian = model.force_jacobian(parameters, force[active], here)[:, :, sensed]
@@ -82,7 +82,7 @@ def invert(
         force[active[:, None], sensed] += step
         size = np.abs(step).max(axis=1)
         # A row that runs away has no solution near the linear one; NaN ends it below.
-        moving = (size > _XTOL * np.maximum(1.0, np.abs(force[active]).max(axis=1))) & (size < 1e6)
+        moving = (size > XTOL * np.maximum(1.0, np.abs(force[active]).max(axis=1))) & (size < 1e6)
         stuck = ~np.isfinite(size) | (size >= 1e6)
         force[active[stuck]] = np.nan
         active = active[moving]
@@ -119,11 +119,11 @@ def invert_at_rest(
     force[:, sensed] = invert(model, parameters, raw, environment)
     if len(others) != 1:
         return force
-    for _ in range(_STEPS):
+    for _ in range(STEPS):
         before = force[:, others[0]].copy()
         left = magnitude**2 - np.einsum("nk,nk->n", force[:, sensed], force[:, sensed])
         force[:, others[0]] = np.sign(sign) * np.sqrt(np.maximum(left, 0.0))
-        if not (np.abs(force[:, others[0]] - before) > _XTOL).any():
+        if not (np.abs(force[:, others[0]] - before) > XTOL).any():
             break
         force[:, sensed] = invert(model, parameters, raw, environment, unseen=force)
     return force

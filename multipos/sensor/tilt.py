@@ -14,7 +14,8 @@ interval f ± U maps to a finite one, so its longer side is the uncertainty,
 
 with the arguments clipped to ±1. Away from ±90° it is U/(g cos theta); at ±90° it is about
 sqrt(2 U/g). Because the arcsine is monotonic, (3) covers the tilt where f ± U covers the force.
-Where |f| exceeds g by more than U no tilt explains the reading: the angle is NaN.
+Where |f| exceeds g by more than U of that axis at the vertical no tilt explains the reading: the
+angle is NaN.
 
 The force itself is that of a sensor at rest: with two axes the third component follows from |f| = g
 (`multipos.sensor.inverse`, eq. (3)) and is taken to point up unless it is known to point down. For
@@ -112,10 +113,30 @@ def tilt_at_rest(
         angle_u = triad_tilt_u(force, covariance)
         return Tilt(triad_tilt(force, sign), angle_u, k * angle_u)
     return Tilt(
-        axis_tilt(force, magnitude, sign, k * u),
+        axis_tilt(force, magnitude, sign, beyond_vertical(calibration)),
         axis_tilt_interval(force, magnitude, u),
         axis_tilt_interval(force, magnitude, k * u),
     )
+
+
+def beyond_vertical(calibration: Calibration) -> Array:
+    """Return by how much |f| may exceed g (K,) [g] along each axis, and still be the vertical.
+
+    One number an axis: U of the force with that axis up or down, whichever is larger, with the
+    noise of a reading of the calibration, in the mean of its environment.
+    """
+    axes = list(sensed_axes(calibration.model))
+    upright = magnitude_of(calibration) * np.concatenate([np.eye(3)[axes], -np.eye(3)[axes]])
+    environment = {
+        name: np.full(len(upright), value) for name, value in calibration.mean_environment.items()
+    }
+    covariance, dof = force_uncertainty(
+        calibration, upright, environment, reading_noise(calibration)
+    )
+    k = coverage_factors(calibration.confidence, dof)
+    U = (k * np.sqrt(np.einsum("nkk->nk", covariance))).reshape(2, len(axes), len(axes))
+    largest: Array = U.max(axis=0)[range(len(axes)), range(len(axes))]
+    return np.nan_to_num(largest) + _ROUNDING
 
 
 def reading_noise(calibration: Calibration) -> Array:
@@ -239,9 +260,9 @@ def triad_tilt_u(force: Array, covariance: Array) -> Array:
 
 
 def axis_tilt(force: Array, magnitude: float, sign: float, U: ArrayLike) -> Array:
-    """Return eq. (2) for force of any shape [g], in radians; NaN where |f| − U exceeds g."""
+    """Return eq. (2) for force of any shape [g], in radians; NaN beyond g and U."""
     ratio = sign * force / magnitude
-    allowed = np.nan_to_num(np.asarray(U, dtype=np.float64)) / magnitude + _ROUNDING
+    allowed = np.asarray(U, dtype=np.float64) / magnitude
     return np.where(np.abs(ratio) <= 1.0 + allowed, _arcsine(ratio), np.nan)
 
 

@@ -35,6 +35,7 @@ from multipos.regression.result import Regression
 from multipos.regression.several import Regressions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import invert, sensed_axes
+from multipos.sensor.nominal import Nominal, nominal_force, read_nominal
 from multipos.sensor.tilt import (
     at_rest,
     coverage_factors,
@@ -58,7 +59,7 @@ def check(
     limit_deg: float | None = None,
     limit_g: float | None = None,
     within_deg: float | None = None,
-    nominal: Sequence[float] = (0.0, 1.0),
+    nominal: Sequence[float] | None = None,
     reading_sd: ArrayLike | None = None,
     range: Sequence[float] | None = None,
 ) -> Check:
@@ -79,8 +80,9 @@ def check(
         Largest error allowed.
     within_deg : float, optional
         Count only axes that stand within so many degrees of the horizon.
-    nominal : (bias, scale)
-        The conversion (raw − bias)/scale used before the calibration.
+    nominal : (bias, scale), optional
+        The conversion (raw − bias)/scale used before the calibration: by default that which the
+        calibration was made with, else (0, 1).
     reading_sd : float or M floats, optional
         Standard uncertainty of a reading of the run; by default that of the calibration's.
     range : (low, high), optional
@@ -106,14 +108,17 @@ def check(
                 "--within-deg": within_deg,
                 "--reading-sd": reading_sd,
                 "--range": range,
-                "--nominal": None if tuple(nominal) == (0.0, 1.0) else nominal,
+                "--nominal": nominal,
             }
         )
         if isinstance(calibration, Regressions):
             return check_regressions(calibration, readings, limit_g=limit_g)
         return check_regression(calibration, readings, limit_g=limit_g)
     tilt = tilt or limit_deg is not None
-    _check_options(tilt, limit_deg, limit_g, within_deg, nominal)
+    _check_options(tilt, limit_deg, limit_g, within_deg)
+    before = calibration.nominal or Nominal(0.0, 1.0)
+    if nominal is not None:
+        before = read_nominal(nominal)
     data = read_readings(
         readings, outputs=calibration.outputs, environment=calibration.model.environment
     )
@@ -128,7 +133,7 @@ def check(
         require_range(data, range)
     noise = _noise(calibration, data, reading_sd)
     limit = limit_deg if tilt else limit_g
-    return _check_run(calibration, data, noise, tilt, limit, within_deg, nominal)
+    return _check_run(calibration, data, noise, tilt, limit, within_deg, before)
 
 
 def _check_run(
@@ -138,7 +143,7 @@ def _check_run(
     tilt: bool,
     limit: float | None,
     within_deg: float | None,
-    nominal: Sequence[float],
+    nominal: Nominal,
 ) -> Check:
     """Return errors and verdicts of a run whose positions and noise (n, M) are known."""
     assert data.up is not None
@@ -168,8 +173,8 @@ def _check_run(
             "before": _linearity(reference, before, counted, tilt),
             "after": _linearity(reference, after, counted, tilt),
         },
-        bias=float(nominal[0]),
-        scale=float(nominal[1]),
+        bias=nominal.bias,
+        scale=nominal.scale,
         confidence=calibration.confidence,
         source=data.source,
         sha256=data.sha256,
@@ -193,7 +198,6 @@ def _check_options(
     limit_deg: float | None,
     limit_g: float | None,
     within_deg: float | None,
-    nominal: Sequence[float],
 ) -> None:
     if tilt and limit_g is not None:
         raise UsageError("--limit-g is a limit of force; give --limit-deg for tilt.")
@@ -204,8 +208,6 @@ def _check_options(
     ):
         if value is not None:
             require_limit(name, value)
-    if len(nominal) != 2 or not np.isfinite(nominal).all() or nominal[1] == 0.0:
-        raise UsageError("--nominal takes BIAS,SCALE in reading units, with a scale that is not 0.")
 
 
 def _noise(calibration: Calibration, data: Readings, reading_sd: ArrayLike | None) -> Array:
@@ -222,7 +224,7 @@ _Errors = tuple[Array, Array, Array, Array, Array]
 
 
 def _force_errors(
-    calibration: Calibration, data: Readings, up: Array, nominal: Sequence[float], noise: Array
+    calibration: Calibration, data: Readings, up: Array, nominal: Nominal, noise: Array
 ) -> _Errors:
     axes = list(sensed_axes(calibration.model))
     known = calibration.sign * magnitude_of(calibration) * up
@@ -239,7 +241,7 @@ def _force_errors(
     u = np.hypot(own, across * _placement(data))
     if data.reference_u is not None:
         u = np.hypot(u, data.reference_u[:, axes])
-    before = _nominal(calibration, data, nominal) - reference
+    before = nominal_force(calibration.model, data.values, nominal) - reference
     return reference, before, rest[:, axes] - reference, u, _expanded(calibration, own, u, dof) * u
 
 
@@ -269,14 +271,14 @@ def _require_known(calibration: Calibration, data: Readings, tilt: bool) -> None
 
 
 def _tilt_errors(
-    calibration: Calibration, data: Readings, up: Array, nominal: Sequence[float], noise: Array
+    calibration: Calibration, data: Readings, up: Array, nominal: Nominal, noise: Array
 ) -> _Errors:
     axes = list(sensed_axes(calibration.model))
     reference = true_tilt(up)[:, axes]
     rest = at_rest(calibration, data.values, data.environment, up)
     found = tilt_at_rest(calibration, rest, data.environment, noise)
     placed = _placement(data)
-    force = _nominal(calibration, data, nominal)
+    force = nominal_force(calibration.model, data.values, nominal)
     if len(axes) == 3:
         before = triad_tilt(force, calibration.sign)
     else:
@@ -287,14 +289,6 @@ def _tilt_errors(
     arrays = (reference, before - reference, found.tilt - reference, u, U)
     degrees = [np.degrees(array) for array in arrays]
     return degrees[0], degrees[1], degrees[2], degrees[3], degrees[4]
-
-
-def _nominal(calibration: Calibration, data: Readings, nominal: Sequence[float]) -> Array:
-    """Return the force (n, K) by the nominal conversion; outputs of one axis are averaged."""
-    converted = (data.values - nominal[0]) / nominal[1]
-    own = np.array(calibration.model.axes)
-    axes = [COMPONENTS[i] for i in sensed_axes(calibration.model)]
-    return np.column_stack([converted[:, own == axis].mean(axis=1) for axis in axes])
 
 
 def _placement(data: Readings) -> Array:

@@ -6,7 +6,8 @@ from inclinometer_bench import calibrated, check_run, make_bench
 from tumble_bench import tumble
 
 import multipos as mp
-from multipos.plots import draw_check, draw_residual_harmonics, draw_signal
+from multipos.plots import check_figure, draw_check, draw_residual_harmonics, draw_signal
+from multipos.plots.check import set_beside
 
 
 @pytest.fixture
@@ -40,6 +41,25 @@ def test_check_is_drawn_with_its_limits(axes):
     cal = calibrated(bench, rng)
     found = mp.check(cal, check_run(bench, rng), limit_deg=0.05, nominal=(2.5, 1.0))
     draw_check(found, axes, axis="x")
-    heights = [line.get_ydata()[0] for line in axes.lines[-3:]]
-    assert heights == [-0.05, 0.05, 0.0]
-    assert [text.get_text() for text in axes.texts] == ["limit ±0.05 deg"]
+    heights = [line.get_ydata()[0] for line in axes.lines if len(line.get_ydata()) == 2]
+    assert heights == [0.0, -0.05, 0.05]
+    assert "limit ±0.05" in [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_positions_of_one_angle_stand_beside_each_other():
+    placed = set_beside(np.array([-30.0, -15.0, 0.0, 0.0, 0.0, 15.0]))
+    np.testing.assert_allclose(placed, [-30.0, -15.0, -6.0, 0.0, 6.0, 15.0])
+
+
+def test_before_has_axes_of_its_own_where_it_would_hide_what_is_left():
+    rng = np.random.default_rng(1)
+    bench = make_bench(rng)
+    cal = calibrated(bench, rng)
+    run = check_run(bench, rng)
+    for nominal, panels in (((2.5, 1.0), 4), ((0.0, 1.0), 4)):
+        found = mp.check(cal, run, limit_deg=0.05, nominal=nominal)
+        figure = check_figure(found)
+        assert len(figure.axes) == panels
+        assert {one.get_yscale() for one in figure.axes} == {"linear"}
+    near = mp.check(cal, run, limit_deg=5.0, nominal=(2.5, 1.0))
+    assert len(check_figure(near).axes) == 2
