@@ -258,7 +258,6 @@ class _Fleet:
         rest = np.concatenate(left) if left else np.zeros(0, dtype=np.intp)
         for solved in solve_all(self._alone(rest), executor, folder=folder):
             found.take(solved)
-        firsts = self._grouped.order[self._grouped.starts[:-1]]
         return Units(
             unit=tuple(self._grouped.unit),
             station=tuple(self._grouped.station),
@@ -271,7 +270,7 @@ class _Fleet:
             doubts=tuple(found.doubts),
             implausible=found.implausible,
             reasons=tuple(found.reasons),
-            first=firsts,
+            first=self._grouped.firsts,
             time=self._times(),
             nests=tuple(found.nests),
             confidence=float(self._options.get("confidence", 0.95)),
@@ -355,7 +354,7 @@ class _Fleet:
         if "time" not in self._rows.columns:
             return np.full(count, np.nan)
         try:
-            time = self._rows.numbers("time")[self._grouped.order]
+            time = self._grouped.arranged(self._rows.numbers("time"))
         except MultiposError:
             return np.full(count, np.nan)
         return np.asarray(np.add.reduceat(time, self._grouped.starts[:-1]) / self._grouped.counts)

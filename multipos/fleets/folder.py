@@ -3,7 +3,7 @@
 import io
 import os
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -59,11 +59,8 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
         raise MultiposError(
             f"{folder}: cannot make the folder: {error.strerror}; give another with -o."
         ) from None
-    table: Iterable[str] | bytes | str = format_csv(fleet.calibrations)
-    if has_parquet():
-        table = to_parquet(fleet.calibrations)
     files: dict[str | os.PathLike[str], Content] = {
-        place / (PARQUET if has_parquet() else CSV): table,
+        place / (PARQUET if has_parquet() else CSV): _table_of(fleet),
         place / UNITS: format_csv(fleet.verdicts),
         place / SUMMARY: to_json(fleet.to_dict()),
         place / PAGE: page,
@@ -71,6 +68,10 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
     with written(files):
         pass
     shutil.rmtree(progress_folder(place), ignore_errors=True)
+
+
+def _table_of(fleet: Fleet) -> Content:
+    return to_parquet(fleet.calibrations) if has_parquet() else format_csv(fleet.calibrations)
 
 
 def to_parquet(columns: Mapping[str, Any]) -> bytes:

@@ -8,6 +8,7 @@ two units of different conditions share once in 10¹⁹ pairs.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ _LABELLED = ("position", "group", "direction", "roll_axis")  # all other conditi
 _SEED = 20261  # of the random numbers: any serve, and the same ones every time
 
 Places = NDArray[np.intp]
+AnyArray = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -32,15 +34,15 @@ class Grouped:
 
     Attributes
     ----------
-    order : (N,) array of int
-        Rows of the table, those of a unit together and in their order.
+    order : (N,) array of int or None
+        Rows of the table, those of a unit together and in their order; None: as they stand.
     starts : (B + 1,) array of int
         Where each unit begins in `order`.
     unit, station : Labels
         Of every unit (B,).
     """
 
-    order: Places
+    order: Places | None
     starts: Places
     unit: Labels
     station: Labels
@@ -55,7 +57,18 @@ class Grouped:
 
     def rows(self, unit: int) -> Places:
         """Return the rows of the table that are of a unit."""
-        return self.order[self.starts[unit] : self.starts[unit + 1]]
+        places = slice(self.starts[unit], self.starts[unit + 1])
+        return np.arange(places.start, places.stop) if self.order is None else self.order[places]
+
+    @property
+    def firsts(self) -> Places:
+        """The first row of every unit (B,)."""
+        heads = self.starts[:-1]
+        return heads if self.order is None else self.order[heads]
+
+    def arranged(self, column: AnyArray) -> AnyArray:
+        """Return a column of the table in the order of the units."""
+        return column if self.order is None else column[self.order]
 
 
 def group_rows(rows: Rows) -> Grouped:
@@ -63,7 +76,7 @@ def group_rows(rows: Rows) -> Grouped:
     stations = len(rows.station.names)
     key = rows.unit.codes.astype(np.int64) * stations + rows.station.codes
     heads = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
-    order = np.arange(len(key))
+    order = None
     if len(np.unique(key[heads])) < len(heads):  # rows of a unit stand apart
         _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
         rank = np.empty(len(first), dtype=np.intp)
@@ -72,7 +85,7 @@ def group_rows(rows: Rows) -> Grouped:
         order = np.argsort(appeared, kind="stable")
         key = appeared[order]
         heads = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
-    firsts = order[heads]
+    firsts = heads if order is None else order[heads]
     return Grouped(
         order,
         np.append(heads, len(key)),
@@ -89,8 +102,7 @@ class Conditions:
     ) -> None:
         """Read the columns that are used; `used` are those of the model's formula."""
         self._grouped = grouped
-        self._sorted = bool(np.all(grouped.order[1:] > grouped.order[:-1]))
-        self.values = [self._in_order(rows.numbers(name)) for name in outputs]
+        self.values = [self._grouped.arranged(rows.numbers(name)) for name in outputs]
         self._sound = self._sound_units(rows)
         self._cells = [
             self._cells_of(rows, name) for name in rows.columns if _is_used(name, outputs, used)
@@ -113,17 +125,14 @@ class Conditions:
         places = starts[:, None] + np.arange(n)
         return [column[places] for column in self.values]
 
-    def _in_order(self, column: Array) -> Array:
-        return column if self._sorted else column[self._grouped.order]
-
     def _sound_units(self, rows: Rows) -> NDArray[np.bool_]:
         """Tell of which units all cells can be what a fit takes."""
-        bad = np.zeros(len(self._grouped.order), dtype=np.bool_)
+        bad = np.zeros(self._grouped.starts[-1], dtype=np.bool_)
         for column in self.values:
             bad |= ~(np.abs(column) <= LARGEST)
         for name in rows.columns:
             if name == "n" or name.startswith("sd_"):
-                cells = self._in_order(rows.numbers(name))
+                cells = self._grouped.arranged(rows.numbers(name))
                 bad |= ~((cells > 0.0) if name == "n" else (cells >= 0.0))
         starts = self._grouped.starts[:-1]
         sound = ~np.logical_or.reduceat(bad, starts)
@@ -131,12 +140,12 @@ class Conditions:
             sound &= ~(np.maximum.reduceat(np.abs(column), starts) < SMALLEST)
         return sound
 
-    def _cells_of(self, rows: Rows, name: str) -> NDArray[np.uint64]:
+    def _cells_of(self, rows: Rows, name: str) -> AnyArray:
+        """Return a column of conditions, as numbers whose bits tell all values apart."""
         numbers = None if name in _LABELLED and rows.is_text(name) else rows.numbers(name)
         if numbers is None or np.isnan(numbers).any():
-            codes = rows.labels(name).codes.astype(np.float64)
-            return self._in_order(codes).view(np.uint64)
-        return self._in_order(numbers + 0.0).view(np.uint64)
+            return self._grouped.arranged(rows.labels(name).codes)
+        return self._grouped.arranged((numbers + 0.0).view(np.uint64))
 
     def _alike(self, units: Places, n: int) -> Iterator[Places]:
         rng = np.random.default_rng(_SEED)
@@ -145,7 +154,7 @@ class Conditions:
         for cells in self._cells:
             for row in range(n):
                 factor = rng.integers(0, 2**63, dtype=np.uint64) * np.uint64(2) + np.uint64(1)
-                total += cells[starts + row] * factor
+                total += cells[starts + row].astype(np.uint64) * factor
         _, first, inverse = np.unique(total, return_index=True, return_inverse=True)
         by_group = np.argsort(inverse, kind="stable")
         ends = np.cumsum(np.bincount(inverse, minlength=len(first)))[:-1]

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.fleets.control import judge_control
 from multipos.fleets.fitting import Units
 from multipos.fleets.stations import NORMAL
 from multipos.numerics.arrays import Array
@@ -54,6 +55,8 @@ def charts(units: Units, counted: NDArray[np.bool_]) -> list[list[dict[str, Any]
         parts = np.array_split(places, groups)
         share = [float(np.mean(part)) / len(order) for part in parts]
         table = np.array([np.median(units.parameters[order[part]], axis=0) for part in parts])
+        mine = order[places]
         for place, lines in enumerate(result):
-            lines.append({"station": station, "place": share, "mean": table[:, place].tolist()})
+            line = {"station": station, "place": share, "median": table[:, place].tolist()}
+            lines.append(line | {"control": judge_control(units.parameters[mine, place])})
     return result

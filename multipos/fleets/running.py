@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -151,9 +152,17 @@ def _name(task: Task) -> str:
     return digest.hexdigest()
 
 
-def _said(options: Mapping[str, Any]) -> str:
-    """Return options as text; a file by its name, as the table that it holds is read by `fit`."""
-    return repr(sorted((name, str(value)) for name, value in options.items()))
+def _said(value: Any) -> str:
+    """Return an option as text that tells it from every other, arrays by their content."""
+    if isinstance(value, Mapping):
+        return repr(sorted((str(name), _said(each)) for name, each in value.items()))
+    if isinstance(value, np.ndarray):
+        return f"{value.shape}{value.dtype}{hashlib.sha256(value.tobytes()).hexdigest()}"
+    if is_dataclass(value):
+        return repr([_said(getattr(value, field.name)) for field in fields(value)])
+    if isinstance(value, list | tuple):
+        return repr([_said(each) for each in value])
+    return repr(value)
 
 
 def _packed(solved: Solved) -> bytes:

@@ -195,25 +195,28 @@ def _read_parquet(path: str | os.PathLike[str]) -> Table:
     import pyarrow as pa
     from pyarrow import parquet
 
+    columns: dict[str, Column] = {}
     try:
-        with parquet.ParquetFile(path) as file:
-            texts = [
-                field.name
-                for field in file.schema_arrow
-                if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)
-            ]
-        table = parquet.read_table(path, read_dictionary=texts)
+        schema = parquet.read_schema(path)
+        texts = [
+            field.name
+            for field in schema
+            if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)
+        ]
+        for name in schema.names:  # one by one, so that only one is there twice
+            table = parquet.read_table(path, columns=[name], read_dictionary=texts)
+            columns[name] = _column(table.column(0), str(path), name)
+            del table
+            pa.default_memory_pool().release_unused()
     except (pa.ArrowException, OSError) as error:
         said = " ".join(str(error).split())[:200]
         raise MultiposError(
             f"{path}: cannot be read as Parquet ({said}); write it again."
         ) from None
-    columns: dict[str, Column] = {}
-    for name in table.column_names:
-        columns[name] = _column(table.column(name), str(path), name)
-    if not table.num_rows or not columns:
+    rows = max(map(len, columns.values()), default=0)
+    if not rows:
         raise MultiposError(f"{path}: no rows; give one row per unit and position.")
-    return Table(str(path), columns, table.num_rows, sha256=_sha256(path))
+    return Table(str(path), columns, rows, sha256=_sha256(path))
 
 
 def _column(chunked: Any, source: str, name: str) -> Column:

@@ -40,17 +40,21 @@ def draw_histogram(parameter: Mapping[str, Any], axes: "Axes") -> None:
 
 
 def draw_chart(parameter: Mapping[str, Any], axes: "Axes") -> None:
-    """Draw the means of consecutive units of every station."""
+    """Draw the medians of consecutive units of every station, with the limits of its EWMA."""
     for series, line in enumerate(parameter["chart"]):
         axes.plot(
             line["place"],
-            line["mean"],
+            line["median"],
             color=COLOURS[series % 6],
             marker=MARKERS[series % 8],
             markersize=2.5,
             linewidth=0.9,
             label=line["station"] or parameter["name"],
         )
+        for side in ("ewma_lcl", "ewma_ucl"):
+            axes.axhline(
+                line["control"][side], color=COLOURS[series % 6], linestyle=":", linewidth=0.8
+            )
     axes.set_xlabel("share of the line's units")
     axes.set_ylabel(f"{parameter['name']} [{parameter['unit']}]")
     name_series(axes, 3)

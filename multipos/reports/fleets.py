@@ -129,7 +129,7 @@ def _charts(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
     return tuple(
         Figure(
             f"{each['name']} by station",
-            "means of consecutive units, one line a station",
+            "medians of consecutive units, one line a station, dotted the limits of its EWMA",
             partial(_drawn, tr, draw_chart, each),
         )
         for each in found["parameters"]
