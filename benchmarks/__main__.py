@@ -37,8 +37,8 @@ def row(ratio: Ratio) -> tuple[str, ...]:
     return (
         ratio.what,
         ratio.peer,
-        f"{ratio.median:.2f}",
-        f"{ratio.low:.2f}–{ratio.high:.2f}",
+        f"{ratio.median:.3g}",
+        f"{ratio.low:.3g}–{ratio.high:.3g}",
         f"≤ {ratio.goal:g}",
         "" if ratio.median <= ratio.goal else "missed",
     )

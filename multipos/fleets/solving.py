@@ -6,14 +6,16 @@ them; all others, and whatever unit a batch does not answer for, by `fit` itself
 depends on which way was taken.
 """
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from multiprocessing import parent_process
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.errors import MultiposError, RankError, UsageError
+from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates, SharedDesign, estimate_batch, share_design
 from multipos.files.tables import Table
 from multipos.fitting.readings import fit
@@ -175,6 +177,8 @@ def _with_gravity(pattern: Pattern, found: Estimates) -> tuple[Array, Array]:
 
 def _solve_each(task: Task) -> Solved:
     """Fit units one by one; one that fails has its reason."""
+    if parent_process() is not None:  # a worker, whose warnings nobody asked for
+        warnings.simplefilter("ignore", CalibrationWarning)
     fitted: list[Calibration | str] = []
     for unit in task.units.tolist():
         fitted.append(fit_one(task.tables[unit], task.options))

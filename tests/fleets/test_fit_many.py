@@ -157,3 +157,20 @@ def test_an_empty_unit_is_named_with_its_row(tmp_path):
     path.write_text("unit,direction,ax,ay,az\nA,E-N-U,0,0,1\n,N-U-E,0,1,0\n")
     with pytest.raises(mp.MultiposError, match=r"row 2 \(line 3\), column 'unit'"):
         mp.fit_many(path, unit_column="unit")
+
+
+@pytest.mark.slow
+def test_dask_on_a_cluster_of_two_workers_gives_the_same():
+    distributed = pytest.importorskip("distributed")
+    table = line(40)
+    table["ax"][30] = np.nan
+    options = {"unit_column": "unit", "station_column": "station"}
+    one = mp.fleet(table, **options)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        two = mp.fleet(table, engine="dask", scheduler=cluster.scheduler_address, **options)
+        with distributed.Client(cluster) as client:
+            three = mp.fit_many(table, executor=client.get_executor(), **options)
+    assert two.calibrations == one.calibrations == three
+    assert two["stations"] == one["stations"]
