@@ -1,8 +1,8 @@
 """A simulated production line, and what `multipos.fleet` finds of what was put into it.
 
 Three stations with nests of 14 positions: B is not level and its zero drifts, C has a position that
-is off. One unit in a hundred is bad: a reading of the wrong sign, an output that is dead, or another
-kind of sensor. `python -m benchmarks.line 1000000` prints what was put in and found.
+is off. One unit in a hundred is bad: a reading of the wrong sign, a dead output, or another kind of
+sensor. `python -m benchmarks.line 1000000` prints what was put in and found.
 """
 
 import argparse
