@@ -26,6 +26,7 @@ from multipos.logs.joining import Chosen, complete
 from multipos.logs.names import named_axes
 from multipos.logs.still import StillLog
 from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS, formula_columns
 from multipos.positions.attitudes import Convention
 from multipos.positions.scheme import Scheme
 from multipos.results import Result
@@ -177,7 +178,7 @@ def _dof(calibration: Calibration) -> float:
 
 
 def _progress(plan: Plan, calibration: Calibration, before: Evaluation | None) -> list[Progress]:
-    targets = spread_targets(plan.targets, calibration.model)
+    targets = _targets_in(plan, calibration.model)
     known = None if before is None else before.calibration
     told = known is not None and known.names == calibration.names
     said = []
@@ -205,20 +206,28 @@ def _doubts(averages: Averages, calibration: Calibration | None) -> tuple[dict[s
 
 
 def model_of(plan: Plan, outputs: tuple[str, ...], unit: str) -> Model:
-    """Return the model that shall be fitted to these outputs.
+    """Return the model by which poses are chosen: the one asked for, or the linear one.
+
+    The linear one stands for a model of one's own, or one that depends on more than the position.
 
     Raises
     ------
     UsageError
         There is no such model, or a target that it does not have.
     """
-    axes = plan.fitting.get("axes") or ["xyz"[i] for i in named_axes(outputs)]
-    formula = plan.fitting.get("model", "linear")
-    model = build_model(formula, outputs, tuple(axes), ("x", "y", "z"), unit, ())
-    if is_unknown(plan):
-        model = model.with_gauge(plan.fitting.get("gauge", "lower"))
-    spread_targets(plan.targets, model)
-    return model
+    axes = tuple(plan.fitting.get("axes") or ["xyz"[i] for i in named_axes(outputs)])
+    asked = plan.fitting.get("model", "linear")
+    own = not isinstance(asked, str) or "=" in asked or asked.endswith(".toml")
+    columns = () if own else formula_columns(asked)
+
+    def build(formula: str) -> Model:
+        built = build_model(formula, outputs, axes, COMPONENTS, unit, columns)
+        gauge = plan.fitting.get("gauge", "lower")
+        return built.with_gauge(gauge) if is_unknown(plan) else built
+
+    if not own:
+        spread_targets(plan.targets, build(asked))
+    return build("linear" if own or columns else asked)
 
 
 def is_unknown(plan: Plan) -> bool:
@@ -239,7 +248,7 @@ def next_pose(
     under_way : (0 or 1, 3) array
         Up vector of a pose that is being taken.
     """
-    targets = spread_targets(plan.targets, model)
+    targets = _targets_in(plan, model)
     if plan.scheme is not None:
         return _next_of_scheme(plan.scheme, model, found, poses, targets)
     taken = under_way
@@ -247,6 +256,13 @@ def next_pose(
         up = found.frame.up(found.averages.readings.values)
         taken = np.concatenate([up, under_way])
     return best_pose(model, found.calibration, taken, targets, unknown_orientation=True)
+
+
+def _targets_in(plan: Plan, model: Model) -> dict[str, float]:
+    """Return the targets of the parameters that the model has."""
+    kinds = {name.partition("_")[0] for name in model.names}
+    known = {n: U for n, U in plan.targets.items() if n in kinds or n in model.names}
+    return spread_targets(known, model)
 
 
 def _next_of_scheme(

@@ -92,7 +92,8 @@ def find_frame(
     """Return how readings (n, M) show directions, as far as the poses so far tell."""
     sign = -1.0 if convention == "gravity" else 1.0
     order = tuple(int(i) for i in np.argsort(axes))
-    if calibration is not None and len(calibration.model.axes) == 3:
+    plain = calibration is not None and not calibration.model.environment
+    if plain and calibration is not None and len(calibration.model.axes) == 3:
         return Frame(np.zeros(3), 1.0, order, sign, calibration)
     if len(axes) != 3 or not len(means):
         return None

@@ -127,13 +127,15 @@ def _residuals(session: Session) -> dict[str, tuple[float, float]]:
     calibration = session.evaluation.calibration
     if calibration is None:
         return {}
-    force = calibration.compensate(calibration.readings.values)
+    readings = calibration.readings
+    force = calibration.compensate(readings.values, readings.environment)
     reference = calibration.reference
     if calibration.model.gauge is not None:
         off = np.linalg.norm(force, axis=1) - np.linalg.norm(reference, axis=1)
     else:
         off = np.linalg.norm(force - reference[:, : force.shape[1]], axis=1)
-    scale = np.abs(calibration.parameters[list(calibration.model.own_scales)])
+    J = calibration.model.force_jacobian(calibration.parameters, reference, readings.environment)
+    scale = np.linalg.norm(J, axis=2)
     u = np.sqrt(np.mean((calibration.sd_of_readings / scale) ** 2, axis=1))
     keys = [session.key(pose) for pose in session.accepted]
     return dict(zip(keys, zip(off.tolist(), u.tolist(), strict=True), strict=True))

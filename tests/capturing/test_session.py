@@ -286,6 +286,24 @@ def stdin_of(path):
             sys.stdin = before
 
 
+@pytest.mark.parametrize(
+    "model", ["own-quadratic", "1 + x + y + z + temperature", "each = b + s*own + c*own^3"]
+)
+def test_other_models_come_after_the_linear_one(folder, model, capsys):
+    columns = log_bench.columns_of(scheme="all-26", seed=3)
+    time_ = columns["time"]
+    warm = {**columns, "temperature": 20.0 + 1e-3 * time_ + np.sin(time_ / 10.0)}
+    path = log_bench.write_csv(folder / "warm.csv", warm)
+    command = ["capture", f"replay:{path}:0", "--headless", "--model", model]
+    assert main(command) == 0
+    lines = lines_of(capsys)
+    assert len(lines) == 26
+    fixed = {"threshold": lines[-1]["threshold"], "rate": lines[-1]["rate"]}
+    assert {p["name"] for p in lines[-1]["parameters"]} == set(
+        mp.calibrate(path, model=model, **fixed).names
+    )
+
+
 def test_garbage_is_counted_and_kept_as_comments(log, tmp_path, capsys):
     rows = log.read_text().splitlines(keepends=True)
     dirty = [*rows[:3000], "0.1,garb\x00age\n", "\xff\n", "1,2\n", *rows[3000:8000]]
