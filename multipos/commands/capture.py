@@ -94,10 +94,12 @@ def run(arguments: argparse.Namespace) -> Answer:
     session, kept = _begin(arguments, source)
     with ExitStack() as stack:
         if not arguments.headless:
+            from multipos.capturing.screen import text_screen
             from multipos.capturing.serving import serve
 
             address = stack.enter_context(serve(session, arguments.port, default=PORT))
             _say(f"page at {address}")
+            stack.enter_context(text_screen(session, commands=arguments.source != STDOUT))
         run_session(session, source, arguments.columns, kept)
     return _answer(arguments, _Result(captured(session), arguments))
 

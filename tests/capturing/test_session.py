@@ -1,6 +1,7 @@
 """Guided capture: rests as they happen, poses, what is met, and what is kept."""
 
 import contextlib
+import io
 import json
 import sys
 import threading
@@ -17,6 +18,7 @@ from multipos.capturing.poses import find_frame, refuse_repeat
 from multipos.capturing.rests import LiveRests
 from multipos.capturing.rows import LiveRows
 from multipos.capturing.running import make_plan, make_reading, run_session
+from multipos.capturing.screen import obey, picture_of
 from multipos.capturing.session import Session
 from multipos.capturing.sources import open_source
 from multipos.capturing.state import state_of
@@ -466,3 +468,25 @@ def test_a_pose_in_words():
     assert words["en"] == "+z up, leaning 35° so that +x rises"
     assert words["zh"] == "+z 轴向上，倾斜 35°，使 +x 抬高"
     assert "+x and −y rise" in pose_words(np.array([0.5, -0.5, np.sqrt(0.5)]))["en"]
+
+
+def test_the_text_screen_shows_the_state(log):
+    from rich.console import Console
+
+    session = started(log, positions=17, target=["bias=0.002"])
+    state = state_of(session)
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(picture_of(state))
+    text = console.export_text()
+    assert f"next: {state['next']['words']['en']}" in text
+    rows = [line.split() for line in text.splitlines()]
+    for entry in state["parameters"]:
+        (row,) = (cells for cells in rows if cells[:1] == [entry["name"]])
+        assert float(row[2]) == pytest.approx(entry["U"], rel=0.06)
+        assert (row[-1] == "met") == bool(entry["met"])
+    obey(session, "u\n")
+    assert state_of(session)["taken"][-1]["reason"] == "taken back"
+    obey(session, f"r {state['taken'][-1]['position']}\n")
+    assert state_of(session)["parameters"] == state["parameters"]
+    obey(session, "f\n")
+    assert session.asked_to_finish
