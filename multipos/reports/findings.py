@@ -15,7 +15,7 @@ from multipos.sensor.derived import intrinsic_gradient
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.budgets import KINDS
-from multipos.uncertainty.propagation import Evaluation
+from multipos.uncertainty.propagation import Evaluation, Row
 from multipos.uncertainty.validity import applied, evaluate_sphere
 
 
@@ -183,13 +183,20 @@ def _quantity_table(budget: Evaluation, tr: Translator) -> PageTable:
             row.unit,
             number(float(row.dof.min())),
             tr("yes") if row.common else tr("no"),
-            tr("in the scatter") if row.contained.all() else tr("added"),
+            _treatment(row, tr),
         )
         for row in budget.rows
         if row is first[row.quantity]
     ]
     header = ("Quantity", "Type", "Distribution", "u", "Unit", "dof", "Common", "Treatment")
     return PageTable(tr("Input quantities"), tuple(map(tr, header)), tuple(lines), left=3)
+
+
+def _treatment(row: Row, tr: Translator) -> str:
+    """Return what becomes of a quantity: added, or as far as the scatter does not hold it."""
+    if row.contained.all():
+        return tr("in the scatter")
+    return tr("partly in the scatter") if row.held.any() else tr("added")
 
 
 def _contribution_table(c: Calibration, budget: Evaluation, tr: Translator) -> PageTable:

@@ -5,10 +5,15 @@ With the sensitivities c_x = dp/dx of `multipos.uncertainty.sensitivities`, for 
     cov p = sum_x c_x c_x' u(x)².                                                           (1)
 
 The first rows of the budget are the covariance that the residuals, or the readings' own
-uncertainties, gave. Quantities common to all positions are systematic: residuals do not show them
-and repeats do not average them. Independent ones (placement, resolution) scatter the residuals, so
-where the noise was estimated from residuals they are in the first rows already: listed, not added
-again (JCGM 100, 4.3.10). The degrees of freedom of the sum are Welch's and Satterthwaite's,
+uncertainties, gave. Quantities common to all positions are systematic: repeats do not average them.
+Independent ones (placement, resolution) scatter the residuals, so where the noise was estimated
+from residuals they are in the first rows already: listed, not added again (JCGM 100, 4.3.10).
+
+A common quantity scatters the residuals too, as far as the model cannot follow it: a table that is
+not level does so at positions of several headings. With dy the move of the readings and
+r = dy − X G dy what the fit leaves of it, the residual variance s² of an output on ν degrees of
+freedom holds h = |r|² u(x)²/ν of it, and so do the first rows, h/s² of them. That part of (1) is
+not added again. The degrees of freedom of the sum are Welch's and Satterthwaite's,
 
     ν_eff = u_c⁴ / sum_x (u_x⁴ / ν_x).                                                      (2)
 
@@ -27,11 +32,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import LARGEST, Array
+from multipos.positions.readings import diagonal
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
+from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.budgets import Budget, BudgetSource, Quantity, read_budget
-from multipos.uncertainty.sensitivities import parameter_effects
+from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
+
+_SECOND_ORDER = 1e-3  # of the residual variance: a gain moves readings with their noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +60,8 @@ class Row(Result):
         Whether it is the same in every repeated calibration.
     contained : (p,) bool array
         Where the scatter of the residuals holds it already, so that it is not added.
+    held : (p,) array
+        What part of its variance the residuals hold, 1 where it is contained.
     sensitivity : (p,) array
         Of each parameter, per `unit`; the root sum of squares where the quantity has several
         independent components. NaN for the readings.
@@ -67,6 +78,7 @@ class Row(Result):
     dof: Array
     common: bool
     contained: NDArray[np.bool_]
+    held: Array
     sensitivity: Array
     covariance: Array
 
@@ -78,8 +90,8 @@ class Row(Result):
     @property
     def added(self) -> Array:
         """What enters the sum: the covariance (p, p) without what is contained elsewhere."""
-        left = ~self.contained
-        return np.asarray(np.where(np.outer(left, left), self.covariance, 0.0))
+        left = np.sqrt(1.0 - self.held)
+        return np.asarray(np.outer(left, left) * self.covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,10 +197,10 @@ def evaluate_budget(
     stated = own if budget is None else read_budget(budget)
     gain = estimator_gain(calibration)
     before = [_row(calibration, gain, quantity) for quantity in _quantities(calibration, own)]
-    rows = before
-    if stated is not own:
-        rows = [_row(calibration, gain, quantity) for quantity in _quantities(calibration, stated)]
-    return Evaluation((*_scatter(calibration, before), *rows), calibration.names)
+    scatter = _scatter(calibration, before)
+    variance = np.asarray(sum(np.diag(row.covariance) for row in scatter))
+    rows = [_row(calibration, gain, q, variance) for q in _quantities(calibration, stated)]
+    return Evaluation((*scatter, *rows), calibration.names)
 
 
 def state_budget(calibration: Calibration, budget: "BudgetSource | Budget") -> Calibration:
@@ -231,6 +243,7 @@ def budget_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
             "unit": row.unit,
             "common": row.common,
             "contained": bool(row.contained.all()),
+            "held": dict(zip(evaluation.names, row.held.tolist(), strict=True)),
             "dof": float(row.dof.min()),
             "sensitivity": None
             if row.evaluation == "A"
@@ -276,6 +289,7 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
             dof=np.where(block, dof, np.inf),
             common=False,
             contained=np.zeros(len(dof), bool),
+            held=np.zeros(len(dof)),
             sensitivity=np.full(len(dof), math.nan),
             covariance=np.where(np.outer(block, block), rest, 0.0),
         )
@@ -283,12 +297,23 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
     ]
 
 
-def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
+def _row(
+    calibration: Calibration, gain: Array, quantity: Quantity, scatter: Array | None = None
+) -> Row:
+    """Return the row of a quantity; `scatter` (p,) is the variance that the first rows give."""
     c, kind = calibration, quantity.kind
     effects = parameter_effects(c, gain, quantity)
-    contained = np.isfinite(c.dof_of_outputs)
+    estimated = np.isfinite(c.dof)
+    contained = np.repeat(estimated, [len(terms) for terms in c.model.terms])
     if quantity.name == "orientation" and not c.estimator.exact:
         contained[:] = True  # it is part of that likelihood
+    contained &= not (kind.common or kind.shared)
+    covariance = effects @ effects.T * quantity.u**2
+    held = contained.astype(np.float64)
+    if scatter is not None and kind.common and c.estimator.exact and quantity.name != "gravity":
+        part = _held(c, gain, quantity) * scatter
+        own = np.diag(covariance)
+        held = np.minimum(np.divide(part, own, out=np.zeros_like(own), where=own > 0.0), 1.0)
     return Row(
         quantity=quantity.name,
         text=kind.text,
@@ -298,7 +323,26 @@ def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
         distribution=quantity.distribution,
         dof=np.full(len(c.parameters), quantity.dof),
         common=kind.common,
-        contained=contained & (not (kind.common or kind.shared)),
+        contained=contained,
+        held=held,
         sensitivity=effects[:, 0] if effects.shape[1] == 1 else np.linalg.norm(effects, axis=1),
-        covariance=effects @ effects.T * quantity.u**2,
+        covariance=covariance,
     )
+
+
+def _held(c: Calibration, gain: Array, quantity: Quantity) -> Array:
+    """Return h/s² (p,): the part of the residual variance that a common quantity makes up."""
+    n, m = c.readings.values.shape
+    moves = reading_moves(c, quantity).reshape(n * m, -1)
+    X = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment)
+    left = (moves - X.reshape(n * m, -1) @ (gain @ moves)).reshape(n, m, -1)
+    hidden = np.einsum("nmq,nmq->m", left, left) * quantity.u**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = np.mean(c.sd_of_readings**2, axis=0)
+        stated = np.zeros(m)
+        if c.weighed and c.readings.noise is not None:  # what is stated hides nothing
+            stated = np.mean(diagonal(c.readings.noise).reshape(n, m), axis=0)
+        share = np.minimum(hidden / c.dof, variance - stated) / variance
+    told = np.isfinite(c.dof) & (share > _SECOND_ORDER)  # NaN is not told
+    share = np.where(told, share, 0.0)
+    return np.repeat(share, [len(terms) for terms in c.model.terms])
