@@ -1,0 +1,79 @@
+"""A unit of a batch is doubted for what a fit of it alone is doubted for, and for nothing else."""
+
+import numpy as np
+import pytest
+from fleet_bench import line, rows_of
+
+import multipos as mp
+
+pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
+
+
+def flipped(values, i, j):
+    values[:, i] *= -1.0
+
+
+def interchanged(values, i, j):
+    values[:, [i, j]] = values[:, [j, i]]
+
+
+def in_another_unit(values, i, j):
+    values[:, i] *= 9.80665
+
+
+def permuted(values, i, j):
+    values[:] = values[[1, 0, 2]]
+
+
+def reversed_output(values, i, j):
+    values[1] *= -1.0
+
+
+def clipped(values, i, j):
+    np.clip(values[2], -0.9 * abs(values).max(), 0.9 * abs(values).max(), out=values[2])
+
+
+def copied(values, i, j):
+    values[:, i] = values[:, j]
+
+
+def output_in_another_unit(values, i, j):
+    values[0] *= 9.80665
+
+
+def dead(values, i, j):
+    values[0] = values[0, 0]
+
+
+def shaken(values, i, j):
+    values[0, i] += 0.01 * abs(values).max()
+
+
+FAULTS = (
+    *(flipped, interchanged, in_another_unit, permuted, reversed_output, clipped),
+    *(copied, output_in_another_unit, dead, shaken),
+)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "noise", "counts"),
+    [("fibonacci-24", 3e-4, 0.0), ("faces-corners-14", 2e-3, 16384.0), ("song-qin-6", 1e-3, 0.0)],
+)
+def test_no_doubt_is_lost_and_none_is_added(scheme, noise, counts):
+    units = 2 * len(FAULTS) + 4
+    table = line(units, scheme=scheme, noise=noise, seed=3)
+    if counts:
+        for axis in "xyz":
+            table[f"a{axis}"] = np.round(counts * table[f"a{axis}"])
+    n = len(table["unit"]) // units
+    rng = np.random.default_rng(4)
+    for unit in range(2 * len(FAULTS)):
+        rows = slice(unit * n, unit * n + n)
+        values = np.array([table[f"a{axis}"][rows] for axis in "xyz"])
+        FAULTS[unit % len(FAULTS)](values, *rng.choice(n, 2, replace=False))
+        for axis, column in zip("xyz", values, strict=True):
+            table[f"a{axis}"][rows] = column
+    found = mp.fit_many(table, unit_column="unit", station_column="station")
+    for row, unit in enumerate(found["unit"]):
+        doubts = mp.fit(rows_of(table, unit)).diagnostics.doubts
+        assert found["doubts"][row].split() == list(dict.fromkeys(d.code for d in doubts))
