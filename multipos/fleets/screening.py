@@ -1,6 +1,6 @@
-"""Which units of a batch a doubt may speak of: those are fitted one by one, and looked at in full.
+"""Which units of a batch may not be fit for use: they are fitted one by one and seen in full.
 
-The doubts of `multipos.doubts` need something to begin with, and each bound here is passed by far
+Implausible doubts of `multipos.doubts` need something to begin with, and each bound here is passed by far
 less than any of them needs:
 
 - residuals of half a percent of a g, or one of eight tenths (rows interchanged, flipped, in another
@@ -8,6 +8,10 @@ less than any of them needs:
 - an output that leans more than 14° from its axis, or is reversed (permuted, turned, reversed);
 - a sensitivity that is not within a fifth of that of the other units (units mixed up);
 - two rows that are the same in all outputs (copied).
+
+What is a caution alone and shows in nothing but residuals within that (a missing term, an outlier)
+is asked only of units that are fitted one by one: one in a hundred good units has such a caution
+by chance, and to look at these would take longer than all the others.
 """
 
 import numpy as np

@@ -153,16 +153,3 @@ def test_verdicts_of_units_that_fail_or_are_doubted():
     assert [verdicts[f"U000{i}"] for i in (0, 1, 3, 5)] == ["pass"] * 4
     assert (found["units"], found["fitted"], found["failed"], found["counted"]) == (6, 5, 1, 4)
     assert found["yield"]["value"] == pytest.approx(4 / 6)
-
-
-def test_rows_that_were_flipped_or_interchanged_are_seen_as_by_one_fit():
-    table = line(8)
-    for name in ("ax", "ay", "az"):
-        table[name][24 * 1 + 3] *= -1.0
-        table[name][24 * 5 + np.array([2, 9])] = table[name][24 * 5 + np.array([9, 2])]
-    found = mp.fit_many(table, **APART)
-    from fleet_bench import rows_of
-
-    for row, unit in enumerate(found["unit"]):
-        codes = [doubt.code for doubt in mp.fit(rows_of(table, unit)).diagnostics.doubts]
-        assert found["doubts"][row].split() == list(dict.fromkeys(codes))
