@@ -1,4 +1,4 @@
-"""Which units of a batch may not be fit for use: they are fitted one by one and seen in full.
+"""Which units of a batch may not be fit for use: each is fitted alone, and looked at in full.
 
 Implausible doubts of `multipos.doubts` need something to begin with, and each bound here is passed by far
 less than any of them needs:
