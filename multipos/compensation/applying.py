@@ -33,7 +33,8 @@ from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS, largest_value
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.inverse import has_other_solutions, sensed_axes
 from multipos.sensor.parity import FAULT_LEVEL, parity
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest
 from multipos.uncertainty.validity import applied
@@ -313,6 +314,15 @@ def add_columns(
     else:
         force = calibration.compensate(raw, environment)
     beyond |= ~applied(calibration).holds(force, axes)
+    if isinstance(calibration.model, ExpressionModel):
+        beyond |= has_other_solutions(
+            calibration.model,
+            calibration.parameters,
+            raw,
+            environment,
+            found=force,
+            reach=float(np.linalg.norm(calibration.reference, axis=1).max()),
+        )
     added = _by_axis("f_{}", axes, force)
     if uncertainty is not None and noise is not None:
         u, U = uncertainty.of_force(force, environment, noise)

@@ -1,15 +1,21 @@
 """Known orientations and a model of one's own: searched for, then worth what its tangent is.
 
-Where nothing ties the outputs and no noise is stated, all are searched for together; weights of the
-outputs change none of them. About the end p, A = dh/dp, the readings are those of a linear model,
+Where nothing ties the outputs all are searched for together; weights of whole outputs change none
+of them. About the end p, A = dh/dp, the readings are those of a linear model,
 
     y − h(p) + A p = A p' + e,                                                              (1)
 
 whose least squares are at p' = p: covariance, degrees of freedom, leverage and what cannot be
 separated are those of `multipos.estimation.known`. A model that is linear in its parameters
-is (1) everywhere, and needs no search.
+is (1) everywhere, and needs no search. To second order the estimate is off by
+
+    E p − p = −½ C Σ_k a_k tr(C ∂²h_k/∂p²)/s²,    C its covariance, a_k = ∂h_k/∂p,            (2)
+
+the mean of what noise adds to h by its bend, as least squares take it for parameters; that is
+stated where it is more than a tenth of u.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -24,8 +30,13 @@ from multipos.numerics.arrays import Array
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Status
 from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
 
+_ROUNDS = 8  # of scatter and solution in turn
+_SETTLED = 1e-4  # of u
+_MANY = 200  # readings from which on (2) is not looked at
+_STATED = 0.1  # of u
 _ALIKE = 5.0  # of ln: residuals so much apart leave each output its digits in one search
 _LEAST = 1e-14  # of an output's spread, below which no residual is known
 
@@ -34,7 +45,8 @@ def is_apart(model: Model, readings: Readings) -> bool:
     """Tell whether the outputs of a model of one's own can be fitted as `solve_own_known` does."""
     if not isinstance(model, ExpressionModel):
         return False
-    return model.all_linear or (model.apart and readings.noise is None)
+    noise = readings.noise
+    return model.all_linear or (model.apart and (noise is None or noise.ndim == 1))
 
 
 def solve_own_known(
@@ -54,36 +66,94 @@ def solve_own_known(
     ConvergenceError
         No start led to a minimum.
     """
-    theta, status = np.zeros(len(model.keys)), None
-    if not model.all_linear:
-        best = _searched(model, reference, readings)
-        theta = best.state.theta
-        status = Status(
-            best.converged,
-            best.iterations,
-            f"converged in {best.iterations} iterations",
-            best.last_step,
-            best.gradient,
-        )
+    how = {"pool": pool, "claimed": claimed}
+    if model.all_linear:
+        return _tangent(model, np.zeros(len(model.keys)), reference, readings, how)
+    problem, best = _searched(model, reference, readings)
+    solution = _tangent(model, best.state.theta, reference, readings, how)
+    noise = readings.noise
+    if noise is not None and np.ptp(noise.reshape(readings.values.shape), axis=0).any():
+        for _ in range(_ROUNDS):  # what readings scatter beside the stated noise changes weights
+            before = best.state.theta
+            variance = noise.reshape(readings.values.shape) + _scatter(solution)
+            best = resume(replace(problem, precision=1.0 / variance), best)
+            solution = _tangent(model, best.state.theta, reference, readings, how)
+            moved = np.abs(best.state.theta - before)
+            if (moved <= _SETTLED * np.sqrt(np.diag(solution.covariance))).all():
+                break
+    status = Status(
+        best.converged,
+        best.iterations,
+        f"converged in {best.iterations} iterations",
+        best.last_step,
+        best.gradient,
+    )
+    said = _bends(model, best.state.theta, reference, readings, solution)
+    return replace(solution, status=status, warnings=(*solution.warnings, *said))
+
+
+def _scatter(solution: Solution) -> Array:
+    """Return the variance (M,) that was found beside the stated noise."""
+    found = solution.variance_components
+    if found is None or found.rest_to_rest is None:
+        return np.zeros(len(solution.model.outputs))
+    return np.array([found.rest_to_rest[o].value ** 2 for o in solution.model.outputs])
+
+
+def _tangent(
+    model: ExpressionModel,
+    theta: Array,
+    reference: Array,
+    readings: Readings,
+    how: Mapping[str, bool],
+) -> Solution:
+    """Return the least squares of the model (1) about parameters."""
     outputs, blocks = model.respond(theta, reference, readings.environment)
     values = readings.values - outputs
     for output, (places, slopes) in enumerate(blocks):
         values[:, output] += slopes @ theta[places]
     design = np.concatenate([slopes.T for _, slopes in blocks]).T
     linear = replace(readings, values=values)
-    solution = solve_known(model, reference, linear, pool=pool, claimed=claimed, phi=design)
-    return solution if status is None else replace(solution, status=status)
+    return solve_known(model, reference, linear, phi=design, **how)
 
 
-def _searched(model: ExpressionModel, reference: Array, readings: Readings) -> Optimum:
-    """Return the best optimum over the starts, each output weighed by its own residuals."""
+def _bends(
+    model: ExpressionModel, theta: Array, reference: Array, readings: Readings, solution: Solution
+) -> tuple[str, ...]:
+    """State the bias (2) of parameters where it matters; of many readings it is nothing beside u.
+
+    It falls with their number, and u with the root of it.
+    """
+    sd = solution.residual_sd
+    if len(readings) > _MANY or not (np.isfinite(sd) & (sd > 0.0)).all():
+        return ()
+    bend = model.second_derivatives(theta, reference, readings.environment)
+    moved = np.einsum("nmpq,pq->nm", bend, solution.covariance)
+    slopes = parameter_jacobian(model, theta, reference, readings.environment)
+    right = np.einsum("nmp,nm->p", slopes, moved / sd**2)
+    bias = -0.5 * solution.covariance @ right
+    u = np.sqrt(np.diag(solution.covariance))
+    return tuple(
+        f"`{name}` is {'larger' if off > 0.0 else 'smaller'} by about {abs(off):.2g} than it "
+        "should be, because the model bends within its uncertainty; average longer, or add "
+        "positions"
+        for name, off, one in zip(model.names, bias.tolist(), u.tolist(), strict=True)
+        if abs(off) > _STATED * one
+    )
+
+
+def _searched(
+    model: ExpressionModel, reference: Array, readings: Readings
+) -> tuple[Problem, Optimum]:
+    """Return the problem and its best optimum over the starts."""
     values, n = readings.values, len(readings)
+    noise = None if readings.noise is None else readings.noise.reshape(values.shape)
     spread = np.maximum(np.ptp(values, axis=0), np.abs(values).max(axis=0) * _LEAST + 1e-300)
     problem = Problem(
         model=model,
         values=values,
         environment=readings.environment,
-        precision=np.tile(spread**-2.0, (n, 1)),
+        precision=np.tile(spread**-2.0, (n, 1)) if noise is None else 1.0 / noise,
         reference=reference,
         orientation_sd=np.zeros(n),
         group=np.full(n, -1),
@@ -100,7 +170,7 @@ def _searched(model: ExpressionModel, reference: Array, readings: Readings) -> O
             "them), or choose a model with fewer parameters."
         )
     left = np.sqrt(np.mean(best.point.residuals**2, axis=0))
-    if np.ptp(np.log(np.maximum(left / spread, _LEAST))) < _ALIKE:
-        return best
+    if noise is not None or np.ptp(np.log(np.maximum(left / spread, _LEAST))) < _ALIKE:
+        return problem, best
     weighed = replace(problem, precision=np.tile(np.maximum(left, _LEAST * spread) ** -2.0, (n, 1)))
-    return resume(weighed, best)
+    return weighed, resume(weighed, best)

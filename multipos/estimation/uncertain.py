@@ -43,7 +43,7 @@ from multipos.positions.readings import Readings, select_outputs
 from multipos.sensor.calibration import Status
 from multipos.sensor.diagnostics import find_outlying_positions
 from multipos.sensor.expressions import ExpressionModel, at_bounds
-from multipos.sensor.found import FoundOrientations
+from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Gauge, Model
 from multipos.sensor.own_models import hold
@@ -177,8 +177,17 @@ def _solve_separately(
         warnings=said("warnings"),
         unidentifiable=said("unidentifiable"),
         status=max((part.status for part in parts), key=lambda status: status.iterations),
+        variance_components=_joined([part.variance_components for part in parts]),
         robust_weight=None if robust is None else np.column_stack(weights),
     )
+
+
+def _joined(parts: list[VarianceComponents | None]) -> VarianceComponents | None:
+    """Return what was found of the noise of outputs that were fitted one by one."""
+    found = [part.rest_to_rest for part in parts if part is not None and part.rest_to_rest]
+    if len(found) < len(parts):
+        return parts[0]
+    return VarianceComponents({output: one for part in found for output, one in part.items()})
 
 
 def _require_triad(model: Model) -> None:

@@ -77,29 +77,30 @@ class Compiled:
         columns : (n, E) array
         parameters : (p,) array
         """
-        n = len(force)
-        maps = self._maps()
-        if n not in maps:
-            if len(maps) >= _MAPS:
-                maps.pop(next(iter(maps)))
-            maps[n] = _Map(self._function, n)
-        return _split(maps[n].call(force, columns, parameters), self._sizes)
+        mapped = self._map(self._function, len(force))
+        return _split(mapped.call(force, columns, parameters), self._sizes)
 
-    def _maps(self) -> "dict[int, _Map]":
+    def _map(self, function: Any, n: int) -> "_Map":
+        """Return a function over n rows; the last few are kept."""
         if not hasattr(self._own, "maps"):
             self._own.maps = {}
-        found: dict[int, _Map] = self._own.maps
-        return found
+        maps: dict[tuple[str, int], _Map] = self._own.maps
+        key = (function.name(), n)
+        if key not in maps:
+            if len(maps) >= _MAPS:
+                maps.pop(next(iter(maps)))
+            maps[key] = _Map(function, n)
+        return maps[key]
 
     def bends(self, force: Array, columns: Array, parameters: Array) -> Array:
         """Return the second derivatives d²y/dp² (n, M, p, p)."""
-        if not hasattr(self, "_second"):
-            self._second = _second_derivatives(self._outputs, self._symbols)
         n, m, p = len(force), len(self._sizes), len(parameters)
-        if not n:
-            return np.zeros((0, m, p, p))
-        found = _Map(self._second, n).call(force, columns, parameters)
+        found = self._map(self._second, n).call(force, columns, parameters)
         return found.T.reshape(n, m, p, p)
+
+    @cached_property
+    def _second(self) -> Any:
+        return _second_derivatives(self._outputs, self._symbols)
 
     @cached_property
     def curved(self) -> NDArray[np.bool_]:

@@ -22,7 +22,7 @@ and (1), (3) are solved in turn: the error shrinks by about (cross term/scale fa
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import Array
@@ -31,6 +31,8 @@ from multipos.sensor.model import Model
 
 STEPS = 50  # quadratic convergence needs five; more means there is no solution
 XTOL = 1e-13  # [g], where a step is only rounding
+_APART = 1e-6  # [g], from which on two solutions are two
+_CUBE = 9  # forces along an axis at which it is looked for a turning point
 
 
 def sensed_axes(model: Model) -> tuple[int, ...]:
@@ -50,6 +52,7 @@ def invert(
     environment: Mapping[str, ArrayLike],
     *,
     unseen: Array | None = None,
+    start: Array | None = None,
 ) -> Array:
     """Return the force (n, K) [g] that explains raw readings (n, M); NaN where none does.
 
@@ -59,6 +62,8 @@ def invert(
         Of the calibration, and the readings to compensate.
     unseen : (n, 3) array, optional [g]
         Force whose components that no output senses are taken as known; zero otherwise.
+    start : (3,) array, optional [g]
+        Where eq. (1) starts instead of zero.
 
     Raises
     ------
@@ -69,6 +74,8 @@ def invert(
     if model.is_linear:
         return _solve_linear(model, parameters, raw, unseen)
     force = np.zeros((len(raw), 3))
+    if start is not None:
+        force[:, sensed] = start[sensed]
     if unseen is not None:
         others = list(unseen_axes(model))
         force[:, others] = unseen[:, others]
@@ -90,6 +97,65 @@ def invert(
             break
     force[active] = np.nan
     return np.asarray(force[:, sensed])
+
+
+def has_other_solutions(
+    model: Model,
+    parameters: Array,
+    raw: Array,
+    environment: Mapping[str, ArrayLike],
+    *,
+    found: Array,
+    reach: float,
+) -> NDArray[np.bool_]:
+    """Tell which readings (n,) a second force within reach explains as well as the one found.
+
+    Only a model that turns back has any: where det dh/df, relative to that at no force, keeps its
+    sign over the cube of ± reach, no row is looked at. Elsewhere eq. (1) starts from either end of
+    every axis as well.
+
+    Parameters
+    ----------
+    model, parameters, raw, environment
+        As in `invert`.
+    found : (n, K) array [g]
+        By `invert`.
+    reach : float [g]
+        What was calibrated.
+    """
+    sensed = list(sensed_axes(model))
+    several = np.zeros(len(raw), dtype=bool)
+    if not len(raw) or not _turns_back(model, parameters, environment, reach):
+        return several
+    for axis in sensed:
+        for side in (-reach, reach):
+            other = invert(model, parameters, raw, environment, start=side * np.eye(3)[axis])
+            with np.errstate(invalid="ignore"):
+                apart = np.abs(other - found).max(axis=1) > _APART
+                several |= apart & (np.abs(other) <= reach * (1.0 + _APART)).all(axis=1)
+    return several
+
+
+def _turns_back(
+    model: Model, parameters: Array, environment: Mapping[str, ArrayLike], reach: float
+) -> bool:
+    """Tell whether the outputs turn back somewhere in the cube of ± reach."""
+    sensed = list(sensed_axes(model))
+    line = np.linspace(-reach, reach, _CUBE)
+    axes = [line if i in sensed else np.zeros(1) for i in range(3)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    middle = {
+        name: np.full(len(grid), np.median(np.asarray(environment[name])))
+        for name in model.environment
+    }
+    jacobian = model.force_jacobian(parameters, grid, middle)[:, :, sensed]
+    nominal = np.linalg.pinv(model.force_jacobian(parameters, grid[:1] * 0.0, _first(middle))[0])
+    determinant = np.linalg.det(nominal[sensed] @ jacobian)
+    return not bool((determinant > 0.0).all())
+
+
+def _first(columns: Mapping[str, Array]) -> dict[str, Array]:
+    return {name: column[:1] for name, column in columns.items()}
 
 
 def invert_at_rest(

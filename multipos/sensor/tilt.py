@@ -169,6 +169,10 @@ def force_uncertainty(
         share = np.einsum("nkp,pq,nkq->nk", own, block, own)
         share += inverse[:, :, output] ** 2 * spread[:, [output]]
         effective += share**2 / (calibration.dof[output] or math.nan)
+    shared = model.output_of == len(model.outputs)  # what several outputs tell together
+    if shared.any():
+        own, block = from_parameters[:, :, shared], calibration.covariance[np.ix_(shared, shared)]
+        effective += np.einsum("nkp,pq,nkq->nk", own, block, own) ** 2 / calibration.dof.sum()
     total = np.einsum("nkk->nk", result)
     with np.errstate(divide="ignore", invalid="ignore"):
         dof = np.where(effective == 0.0, np.inf, total**2 / effective)

@@ -38,7 +38,9 @@ from multipos.estimation.starts import reduced_information
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
+from multipos.uncertainty.own_profiles import OwnProfile
 from multipos.uncertainty.propagation import evaluate_budget
 
 Profile = Callable[[float], float]  # how much a parameter's value costs, S_j(t) - S_min
@@ -164,16 +166,29 @@ def profile_interval(calibration: Calibration, output: str, term: str) -> Interv
     index = c.model.index(output, term)
     if not c.estimator.exact:
         return _likelihood_interval(c, index)
-    dof = float(c.dof[c.outputs.index(output)])
+    dof = float(c.dof_of_outputs[index])
     if not dof > 0.0:
         raise MultiposError(
             f"as many terms of {output} as readings: nothing is left to tell how far they may "
             "move; give --reading-sd or more positions."
         )
+    if isinstance(c.model, ExpressionModel) and (c.noise is None or c.noise.ndim == 1):
+        rise, k = OwnProfile(c, index, _own_sd(c, index)), coverage_factor(c.confidence, dof)
+        return _search_ends(rise, float(c.parameters[index]), k, float(c.u[index]))
     residuals, best = _known_problem(c, index)
     return search_interval(
         residuals, best, index, u=float(c.u[index]), dof=dof, confidence=c.confidence
     )
+
+
+def _own_sd(c: Calibration, index: int) -> Array:
+    """Return the sd of every reading (n, M) by which a model of one's own was weighed."""
+    if c.noise is None:
+        return np.broadcast_to(c.residual_sd, c.residuals.shape)
+    root = np.sqrt(c.noise)
+    gain = estimator_gain(c)[index]
+    factor = _scatter_of(c, index) / math.sqrt(float(gain @ (c.noise * gain)))
+    return np.asarray(factor * root.reshape(c.residuals.shape))
 
 
 def _likelihood_interval(c: Calibration, index: int) -> Interval:

@@ -232,3 +232,42 @@ def test_an_empty_line_and_a_missing_output_are_errors():
         mp.fit(readings(), model="ax = b + own")
     with pytest.raises(mp.UsageError, match="expected a number"):
         mp.fit(readings(), model="each =")
+
+
+def test_a_bend_within_the_uncertainty_is_said():
+    """By simulation: the mean of many estimates is off by what one of them states."""
+    up = np.tile([[1.0, 0, 0], [0.6, 0.8, 0], [-0.6, 0.8, 0], [-1.0, 0, 0], [0, 0, 1.0]], (2, 1))
+    own = up[:, 0]
+    b, s, k = 0.0, 1.0, 1.5
+    clean = b + s * own / (1 + k * own**2)
+    generator = np.random.default_rng(9)
+    model = "each = b + s*own/(1 + k*own^2)"
+
+    def fit(noise):
+        return mp.fit(mp.Readings((clean + noise)[:, None], up=up), model=model, axes="x")
+
+    sd = 0.03
+    found = np.array([fit(sd * generator.standard_normal(10)).parameters[2] for _ in range(400)])
+    # every position twice, off by as much either way: the estimate is exact, and s is sd
+    exact = fit(sd * 0.7**0.5 * np.repeat([1.0, -1.0], 5))
+    assert_allclose(exact.parameters[2], k, rtol=1e-6)
+    (said,) = (w for w in exact.diagnostics.warnings if w.startswith("`k_"))
+    stated = float(said.partition("about ")[2].split()[0])
+    off, se = float(found.mean()) - k, float(found.std()) / 20.0
+    assert "larger" in said
+    # of second order: what is of fourth is a third of it here
+    assert abs(off - stated) < 0.35 * stated + 3.0 * se
+
+
+def test_a_second_force_that_explains_a_reading_is_flagged():
+    """f − 0.6 f³ turns back at 0.745 g: 0.45 is read at 0.550 and at 0.918 g, by hand."""
+    from multipos.compensation.applying import apply
+
+    own = UP[:, [0]]
+    noise = 1e-6 * np.random.default_rng(1).standard_normal(own.shape)
+    data = mp.Readings(own - 0.6 * own**3 + noise, up=UP, outputs=("ax",))
+    cal = mp.fit(data, model="each = b + s*own + k*own^3", axes="x")
+    found = apply(cal, {"ax": np.array([0.1, 0.35, 0.45, 0.9])})
+    assert_allclose(found["f_x"][2], 0.5496, rtol=0, atol=1e-3)
+    assert found["outside"].tolist() == [0, 0, 1, 1]
+    assert np.isnan(found["f_x"][3])
