@@ -197,6 +197,9 @@ def _named(arguments: argparse.Namespace, inputs: Sequence[str]) -> Iterator[str
         for each in value if isinstance(value, list) else [value]:
             if each is not None:
                 yield from dict.fromkeys([each, *map(str.strip, each.split("+"))])
+    model = getattr(arguments, "model", None)
+    if isinstance(model, str) and model.strip().lower().endswith(".toml"):
+        yield model.strip()
 
 
 def _refuse_inputs(outputs: Sequence[Path], inputs: Iterable[str]) -> None:

@@ -12,11 +12,12 @@ from multipos.estimation.solution import Solution
 from multipos.files.moments import now
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import linear_term
+from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.attitudes import CONVENTIONS, Convention
 from multipos.positions.readings import Readings, stated_sd
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.diagnostics import Diagnostics, lack_of_fit
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Gravity, add_gravity
 from multipos.sensor.model import Model
@@ -105,7 +106,11 @@ def _diagnose(
     solution: Solution, readings: Readings, convention: Convention, estimator: Estimator
 ) -> Diagnostics:
     model, reference = solution.model, solution.reference
-    warnings = [*readings.notes, *solution.warnings, *_warn_convention(model, solution, convention)]
+    warnings = [
+        *readings.notes,
+        *solution.warnings,
+    ]
+    warnings += _warn_convention(_own_scales(model, solution, readings), convention)
     if solution.condition > _ILL_CONDITIONED:
         warnings.append(
             f"the positions separate the parameters badly (condition {solution.condition:.1e}); "
@@ -125,12 +130,21 @@ def _diagnose(
     )
 
 
-def _warn_convention(model: Model, solution: Solution, convention: str) -> list[str]:
-    own = [
-        solution.parameters[model.keys.index((output, linear_term(axis)))]
+def _own_scales(model: Model, solution: Solution, readings: Readings) -> list[float]:
+    """Return the own-axis scale factors, of a model of one's own the mean slopes there."""
+    if isinstance(model, ExpressionModel):
+        slopes = model.force_jacobian(
+            solution.parameters, solution.reference, readings.environment
+        ).mean(axis=0)
+        return [float(slopes[i, COMPONENTS.index(axis)]) for i, axis in enumerate(model.axes)]
+    return [
+        float(solution.parameters[model.keys.index((output, linear_term(axis)))])
         for output, axis in zip(model.outputs, model.axes, strict=True)
         if (output, linear_term(axis)) in model.keys
     ]
+
+
+def _warn_convention(own: list[float], convention: str) -> list[str]:
     if not own or max(own) >= 0.0:
         return []
     other = next(name for name in CONVENTIONS if name != convention)

@@ -5,10 +5,12 @@ parameters if some change d of them moves every reading as it does,
 
     A d = J (w x f)   at all positions,    A = dh/dp, J = dh/df:                             (1)
 
-the null space of [A, -J (e_a x f)]. Its dimension along w is how many rotations are free; as many
-parameters are held, by choice those that a lower triangular matrix of sensitivities has as zeros,
-slopes along a later axis. A model that no turn leaves as it is says itself where its axes lie, and
-nothing is held.
+the null space of [A, -J (e_a x f)], and what is as good as that: a small square of the own axis
+tells where the axis lies a thousand times worse than linear terms tell the rest, so that a turn
+counts as free there as it does in a polynomial model. Its dimension along w is how many rotations
+are free; as many parameters are held, by choice those that a lower triangular matrix of
+sensitivities has as zeros, slopes along a later axis. A model that no turn leaves as it is says
+itself where its axes lie, and nothing is held.
 """
 
 import numpy as np
@@ -23,7 +25,7 @@ from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Gauge
 from multipos.sensor.own_models import Fixed
 
-_NULL = 1e-9  # of the largest singular value, scaled: what moves no reading
+_NULL = 1e-3  # of the largest singular value, scaled: what moves no reading, or as good as none
 _TOLD = 1e-6  # share of a null direction below which it has no turn, or no such parameter
 _ALONG = 0.99  # cosine from which a slope is along a component
 

@@ -271,3 +271,31 @@ def test_a_second_force_that_explains_a_reading_is_flagged():
     assert_allclose(found["f_x"][2], 0.5496, rtol=0, atol=1e-3)
     assert found["outside"].tolist() == [0, 0, 1, 1]
     assert np.isnan(found["f_x"][3])
+
+
+def test_a_rotation_that_squares_hardly_tell_is_fixed_like_a_free_one():
+    """As in the polynomial's lower gauge, whose upper terms are left out whatever the squares."""
+    generator = np.random.default_rng(5)
+    matrix = np.eye(3) + 0.02 * generator.standard_normal((3, 3))
+    values = UP @ matrix.T + 0.02 + 1e-5 * generator.standard_normal(UP.shape)
+    model = "each = a + p*x + q*y + r*z + k*own^2"
+    plain = mp.fit(mp.Readings(values), model="own-quadratic", unknown_orientation=True)
+    own = mp.fit(mp.Readings(values), model=model, unknown_orientation=True)
+    assert own.model.fixed == (("ax", "q", 0.0), ("ax", "r", 0.0), ("ay", "r", 0.0))
+    assert_allclose(own.parameters, plain.parameters, rtol=0, atol=1e-2 * plain.u.min())
+
+
+def test_a_convention_that_is_not_the_readings_own_is_said():
+    cal = mp.fit(readings(), model=SATURATING, convention="gravity")
+    assert any("look like --convention specific-force" in w for w in cal.diagnostics.warnings)
+
+
+def test_stated_noise_of_outputs_fitted_apart_reaches_the_file(tmp_path):
+    """u of each output is stated; what readings scatter beside it is found for each."""
+    data = readings(1e-4)
+    cal = mp.fit(data, model=SATURATING, reading_sd=[1e-4, 2e-4, 5e-5])
+    assert set(cal.variance_components.rest_to_rest) == {"ax", "ay", "az"}
+    robust = mp.fit(data, model=SATURATING, reading_sd=1e-4, robust="huber")
+    for one in (cal, robust):
+        one.save(tmp_path / "cal.json")
+        assert_allclose(mp.load(tmp_path / "cal.json").u, one.u, rtol=1e-12)
