@@ -65,9 +65,9 @@ def first_guesses(
             for _ in range(2):
                 theta = _improved(model, theta, sought, values, force, environment)
             misfit = _misfit(model, theta, values, force, environment)
-            told = _misfit(model, model.within(start), values, force, environment)
-            if not np.isfinite(misfit):
-                misfit, theta = told, model.within(start)
+            if not np.isfinite(misfit):  # the steps left where the model has values
+                theta = model.within(start)
+                misfit = _misfit(model, theta, values, force, environment)
             if np.isfinite(misfit):
                 found.append((misfit, theta))
             if misfit <= _EXPLAINED * values.size:
