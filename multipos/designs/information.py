@@ -35,6 +35,7 @@ from typing import Any
 
 import numpy as np
 
+from multipos.designs.ranges import range_directions
 from multipos.errors import UsageError
 from multipos.estimation.guesses import nominal_parameters
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
@@ -54,7 +55,6 @@ _AS_UNKNOWN = 2e7
 # Multiplications of a product from which BLAS may start threads: on a busy machine their waiting
 # for each other costs a hundred times what they gain on products of this size.
 _PIECE = 200_000
-_LEANS = 13  # tilts of an axis over a range, whose mean stands for all
 
 
 @dataclass(frozen=True)
@@ -284,8 +284,21 @@ def make_criterion(name: str, setting: Setting, region: Array | None = None) -> 
     if name == "I":
         return Criterion(name, _by_draw(setting, partial(_mean_prediction, region=region)))
     if name.startswith(("tilt:", "force:")):
-        return Criterion(name, _by_draw(setting, partial(_weight_of_range, name)))
+        return Criterion(name, _by_draw(setting, partial(_weigh_range, name)))
     return Criterion(name, _weight_of_one(name, setting))
+
+
+def _weigh_range(name: str, setting: Setting) -> Array:
+    """Return B for the mean variance of tilt or force over a range: `multipos.designs.ranges`."""
+    up, directions = range_directions(name, setting.model.axes)
+    X, J = setting.design(setting.size * up), setting.force_jacobian(up)
+    by_parameter = np.linalg.pinv(J[:, :, list(sensed_axes(setting.model))]) @ X  # (n, K, p)
+    B = np.zeros((X.shape[2], X.shape[2]))
+    for along in directions:
+        rows = np.einsum("nk,nkp->np", along, by_parameter)
+        B += rows.T @ rows / len(rows)
+    # what the quantity does not need must not be left wholly unknown
+    return np.asarray(B + _OTHERS * np.trace(B) / len(B) * np.eye(len(B)))
 
 
 def _by_draw(setting: Setting, weigh: Callable[[Setting], Array]) -> Blocks:
@@ -325,60 +338,6 @@ def _weight_of_one(name: str, setting: Setting) -> Blocks:
     diagonal[index] = 1.0
     blocks = setting.blocks * max(len(setting.draws), 1)
     return tuple(np.diag(diagonal[part]) for part in blocks)
-
-
-def _weight_of_range(name: str, setting: Setting) -> Array:
-    """Return B for the mean variance of tilt within ± degrees, or of force within ± g.
-
-    Of a sensor that stands with z up, every other axis that it has leaned up to the range either
-    way (of a sensor of z alone, z leaned from level). With f = u, t = (e - u (u.e))/cos the
-    direction in which the tilt of axis e grows, dtilt = t.df and df = -J^+ X dp, so that B is the
-    mean of X'(J^+)' t t' J^+ X; of force e stands for t.
-    """
-    up, leaning, angles = _leaning(name, setting.model.axes)
-    X, J = setting.design(setting.size * up), setting.force_jacobian(up)
-    sensed = list(sensed_axes(setting.model))
-    by_parameter = np.linalg.pinv(J[:, :, sensed]) @ X  # (n, K, p)
-    B = np.zeros((X.shape[2], X.shape[2]))
-    for i in leaning:
-        if name.startswith("tilt:"):
-            away = (np.eye(3)[i] - up * up[:, [i]]) / np.cos(angles[:, [i]])
-        else:
-            away = np.tile(np.eye(3)[i], (len(up), 1))
-        if len(sensed) < len(COMPONENTS):  # asin(f/g): nothing else is seen
-            away = np.zeros_like(up)
-            away[:, i] = 1.0 / np.cos(angles[:, i]) if name.startswith("tilt:") else 1.0
-        rows = np.einsum("nk,nkp->np", away[:, sensed], by_parameter)
-        B += rows.T @ rows / len(rows)
-    # what the quantity does not need must not be left wholly unknown
-    return np.asarray(B + _OTHERS * np.trace(B) / len(B) * np.eye(len(B)))
-
-
-def _leaning(name: str, axes: tuple[str, ...]) -> tuple[Array, list[int], Array]:
-    """Return up vectors (n, 3) of a range, the axes that lean in it, and their tilts (n, 3)."""
-    kind, _, text = name.partition(":")
-    try:
-        size = abs(float(text.replace("±", "").replace("+-", "")))
-    except ValueError:
-        size = 0.0
-    largest, unit = (89.0, "degrees") if kind == "tilt" else (1.0, "g")
-    if not 0.0 < size <= largest:
-        raise UsageError(
-            f"criterion '{name}': give {kind}:±SIZE with a size above 0 and up to {largest:g} "
-            f"{unit}, such as {kind}:±{'30' if kind == 'tilt' else '0.5'}."
-        )
-    upright = COMPONENTS.index("z")
-    leaning = [i for i, axis in enumerate(COMPONENTS) if axis in axes and i != upright]
-    if not leaning:
-        leaning, upright = [upright], 0
-    line = np.linspace(-size, size, _LEANS)
-    sines = np.sin(np.radians(line)) if kind == "tilt" else line
-    grid = np.stack(np.meshgrid(*[sines] * len(leaning)), axis=-1).reshape(-1, len(leaning))
-    grid = grid[np.sum(grid**2, axis=1) < 1.0 - 1e-9]
-    up = np.zeros((len(grid), 3))
-    up[:, leaning] = grid
-    up[:, upright] = np.sqrt(1.0 - np.sum(grid**2, axis=1))
-    return up, leaning, np.arcsin(up)
 
 
 def inform(rows: Blocks, weights: Array | None = None) -> Blocks:

@@ -322,7 +322,7 @@ def _build(
     seen = split_names(inputs, "--inputs")
     if isinstance(model, Sketch):
         used = model.columns_among(columns)
-        model.require_no_near_miss(used, (*columns, *readings.outputs))
+        model.require_no_near_miss(used, (*columns, *readings.outputs), readings.outputs)
         return build_sketch(model, readings.outputs, own, seen, readings.unit, used)
     if not isinstance(model, str):
         return build_expression(model, readings.outputs, own, readings.unit, columns)

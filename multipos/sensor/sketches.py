@@ -120,8 +120,10 @@ class Sketch(Result):
         columns = set(known)
         return tuple(n for n in self.possible_columns if n in columns or is_environment(n))
 
-    def require_no_near_miss(self, columns: tuple[str, ...], known: Sequence[str]) -> None:
-        """Refuse a name that is no column but nearly one: it must not become a parameter.
+    def require_no_near_miss(
+        self, columns: tuple[str, ...], known: Sequence[str], outputs: Sequence[str] = ()
+    ) -> None:
+        """Refuse a name that is an output, or no column but nearly one: neither is a parameter.
 
         Raises
         ------
@@ -131,6 +133,12 @@ class Sketch(Result):
         words = {word.casefold(): word for word in (*known, "temperature", "own")}
         for formula in self.formulas.values():
             for name, character in formula.names.items():
+                if name in outputs and name not in self.stated:
+                    formula.fail(
+                        character,
+                        f"'{name}' is an output of the readings, which a formula does not use; "
+                        "give the parameter another name, or the outputs with --outputs",
+                    )
                 if name not in self.possible_columns or name in columns or name in known:
                     continue
                 meant = _meant(name.casefold(), words)

@@ -234,6 +234,16 @@ def test_an_empty_line_and_a_missing_output_are_errors():
         mp.fit(readings(), model="each =")
 
 
+def test_an_output_is_no_parameter():
+    with pytest.raises(mp.UsageError, match="character 12: 'b' is an output of the readings"):
+        mp.fit(
+            mp.Readings(UP + 0.1, up=UP, outputs=("a", "b", "c")),
+            model="each = s + b*own",
+            outputs="a,b,c",
+        )
+
+
+@pytest.mark.slow
 def test_a_bend_within_the_uncertainty_is_said():
     """By simulation: the mean of many estimates is off by what one of them states."""
     up = np.tile([[1.0, 0, 0], [0.6, 0.8, 0], [-0.6, 0.8, 0], [-1.0, 0, 0], [0, 0, 1.0]], (2, 1))
