@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Table
 from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
 from multipos.units import cos_deg, sin_deg
 
 Convention = Literal["specific-force", "gravity"]  # which sign the axis that points up has
@@ -49,6 +50,9 @@ class Attitudes(NamedTuple):
     rotation: Array
 
 
+_EMPTY = ("", "nan")  # of a cell, in a file and in a data frame
+
+
 def check_convention(convention: str) -> None:
     """Refuse a convention that is none."""
     if convention not in CONVENTIONS:
@@ -61,7 +65,18 @@ def rows_with_orientation(table: Table) -> NDArray[np.bool_] | None:
     if form is None:
         return None
     cells = zip(*(table.text(name) for name in FORMS[form]), strict=True)
-    return np.array([any(cell not in ("", "nan") for cell in row) for row in cells])
+    given = np.array([any(cell not in _EMPTY for cell in row) for row in cells])
+    return given & ~rows_without_angle(table)
+
+
+def rows_without_angle(table: Table) -> NDArray[np.bool_]:
+    """Return the rows (n,) that name the axis of a roll and leave its angle open."""
+    if not all(name in table for name in FORMS["roll about an axis"]):
+        return np.zeros(table.rows, dtype=bool)
+    axes, angles = table.text("roll_axis"), table.text("angle_deg")
+    return np.array(
+        [axis in COMPONENTS and a in _EMPTY for axis, a in zip(axes, angles, strict=True)]
+    )
 
 
 def read_attitudes(table: Table, unknown: NDArray[np.bool_] | None = None) -> Attitudes | None:

@@ -65,6 +65,7 @@ def read_readings(
     notes: list[str] = []
     names = _outputs(table, names, environment, notes)
     spread = _orientation_sd(table)
+    spread = _with_open_rolls(table, names, spread, notes)
     oriented, force, reference_u = _where_it_stood(table, names, spread, notes)
     columns = _environment(table, names, environment, notes)
     return Readings(
@@ -109,6 +110,22 @@ def _where_it_stood(
     if oriented is not None and up[0] in free:
         notes += said_of_lengths(free, up)
     return oriented, force, read_reference_u(free, force)
+
+
+def _with_open_rolls(
+    table: Table, names: tuple[str, ...], spread: Array | None, notes: list[str]
+) -> Array | None:
+    """Return the orientation sds, with positions whose angle of a roll is open as unknown."""
+    free = replace(table, columns={k: v for k, v in table.columns.items() if k not in names})
+    open_ = attitudes.rows_without_angle(free)
+    if not open_.any():
+        return spread
+    rows = ", ".join(str(row + 1) for row in np.flatnonzero(open_)[:6].tolist())
+    notes.append(
+        f"row {rows}{' and more' if open_.sum() > 6 else ''}: the angle of the roll is open; the "
+        "position counts as unknown, that its axis lies level is not used"
+    )
+    return np.where(open_, np.nan, np.zeros(table.rows) if spread is None else spread)
 
 
 def _named_otherwise(

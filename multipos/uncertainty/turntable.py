@@ -43,6 +43,7 @@ from multipos.sensor.model import Model, build_model
 from multipos.uncertainty.table_motion import QUANTITIES, SHAFT, shaft_effects, table_effects
 
 _SHIFTED = 1e-3  # chance of a zero shift where there is none
+_ROUNDING = 1e-12  # of the largest reading
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +215,7 @@ def _response(calibration: Calibration) -> Array:
 
 def _estimate(bench: _Bench) -> TableErrors:
     shifts, kept, design = _told_apart(bench.sensor, bench.shifts, bench.nominal, bench.effect)
-    if (not kept and not shifts) or len(design) <= design.shape[1]:
+    if not (kept or shifts) or len(design) <= design.shape[1]:
         return TableErrors(_described(bench, {}), (), 0.0, _shaft_described(bench, {}))
     c, weight = bench.first, bench.weight
     found = solve(design * weight[:, None], bench.values.ravel() * weight)
@@ -254,7 +255,8 @@ def _beside(
     variance = float(found.rss) / dof
     covariance = found.cofactor * variance
     gain = max(float(alone.rss) - float(found.rss), 0.0) / more
-    chance = f_tail(gain / variance, more, dof) if variance > 0.0 else 1.0
+    floor = (_ROUNDING * float(np.abs(values).max())) ** 2  # of residuals that are rounding alone
+    chance = f_tail(gain / variance, more, dof) if variance > floor else 1.0
     everything = np.column_stack(
         [bench.sensor, *bench.shifts.values(), bench.nominal, bench.shaft_nominal]
     )

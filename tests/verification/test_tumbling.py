@@ -174,3 +174,10 @@ def test_the_command_of_several_outputs(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "Misalignment" in said
     assert Path(svg).stat().st_size > 1000
+
+
+def test_readings_without_noise_find_no_errors_of_the_table():
+    scheme = "roll-z-12+roll-y-12+roll-x-12"
+    found = mp.tumble(triad(read_scheme(scheme).up), scheme=scheme, unit="V")
+    assert found.table_errors.beside.p == 1.0
+    assert "Beside the table" not in tumbles_text(found)
