@@ -28,7 +28,7 @@ from multipos.numerics.least_squares import LinearFit, block_design, separabilit
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, add_variances, diagonal, stated_sd
-from multipos.sensor.diagnostics import UNEQUAL, bartlett, find_outliers
+from multipos.sensor.diagnostics import UNEQUAL, bartlett, find_correlated_outliers, find_outliers
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
@@ -88,14 +88,7 @@ def solve_known(
         residuals=fits.residuals,
         residual_sd=np.where(dof > 0, np.sqrt(square / np.maximum(dof, 1.0)), np.nan),
         leverage=fits.leverage,
-        outliers=find_outliers(
-            fits.residuals,
-            fits.leverage,
-            dof.tolist(),
-            model.outputs,
-            readings.labels,
-            found.sd,
-        ),
+        outliers=_outliers(model, phi, readings, found, dof),
         condition=fits.condition,
         warnings=found.warnings,
         unidentifiable=formal_only(
@@ -105,6 +98,32 @@ def solve_known(
             float(np.linalg.norm(reference, axis=1).mean()),
         ),
         variance_components=found.components,
+    )
+
+
+def _outliers(
+    model: Model, phi: Array, readings: Readings, found: "_Weighed", dof: Array
+) -> tuple[str, ...]:
+    """Return which readings are beyond chance, by what they were weighed with."""
+    fits, noise = found.fits, readings.noise
+    if noise is None or noise.ndim == 1:
+        return find_outliers(
+            fits.residuals,
+            fits.leverage,
+            dof.tolist(),
+            model.outputs,
+            readings.labels,
+            found.sd,
+        )
+    assert found.sd is not None  # what is stated, with the scatter beside it
+    more = found.sd.ravel() ** 2 - np.diag(noise)
+    design = block_design([phi[:, columns] for columns in model.columns])
+    return find_correlated_outliers(
+        design.reshape(noise.shape[0], -1),
+        fits.residuals,
+        add_variances(noise, np.maximum(more, 0.0)),
+        model.outputs,
+        readings.labels,
     )
 
 

@@ -109,6 +109,55 @@ def find_outliers(
     return tuple(found)
 
 
+def find_correlated_outliers(
+    design: Array,
+    residuals: Array,
+    covariance: Array,
+    outputs: Sequence[str],
+    labels: Sequence[str],
+) -> tuple[str, ...]:
+    """Name the readings that are beyond chance where readings are correlated.
+
+    With the covariance C, a shift of reading i alone is seen best by (Baarda's data snooping)
+
+        w_i = (C⁻¹ r)_i / √Q_ii,    Q = C⁻¹ − C⁻¹ X (X' C⁻¹ X)⁻¹ X' C⁻¹,                   (2)
+
+    of variance one where the reading is sound; r'C⁻¹r on its degrees of freedom scales it, as in
+    eq. (1). Where C is diagonal both are the same.
+
+    Parameters
+    ----------
+    design : (n M, p) array
+        Output running fastest.
+    residuals : (n, M) array
+    covariance : (n M, n M) array
+    outputs, labels : names of the columns and rows
+    """
+    n, m = residuals.shape
+    nu = float(n * m - design.shape[1])
+    inverse = np.linalg.inv(covariance)
+    seen = inverse @ design
+    Q = inverse - seen @ np.linalg.solve(design.T @ seen, seen.T)
+    shift = inverse @ residuals.ravel()
+    s2 = float(residuals.ravel() @ shift) / nu if nu > 0.0 else 0.0
+    if nu < 2.0 or s2 == 0.0:
+        return ()
+    told = np.diag(Q) > 1e-9 * np.diag(inverse)
+    r2 = np.where(told, shift**2 / np.where(told, np.diag(Q), 1.0), 0.0) / s2
+    found = []
+    for place in np.flatnonzero(r2 > 4.0).tolist():
+        rest = nu - float(r2[place])
+        t = np.inf if rest <= 0.0 else float(np.sqrt(r2[place] * (nu - 1.0) / rest))
+        if t_tail(t, nu - 1.0) < OUTLIER_LEVEL / (n * m):
+            row, column = divmod(place, m)
+            found.append(
+                f"position {labels[row]}: {outputs[column]} is off by "
+                f"{residuals[row, column]:.3g}, {np.sqrt(r2[place]):.1f} times its standard "
+                "deviation"
+            )
+    return tuple(found)
+
+
 def find_outlying_positions(
     q: Array, degrees: Array, dof: float, labels: Sequence[str]
 ) -> tuple[str, ...]:
