@@ -95,6 +95,8 @@ class Units:
     gravity_u : float
         Relative uncertainty of gravity, which all units have in common.
     sources : tuple of (name, SHA-256)
+    counted : bool
+        Units are whole numbers in the tables.
     """
 
     unit: tuple[str, ...]
@@ -114,6 +116,7 @@ class Units:
     confidence: float
     gravity_u: float
     sources: tuple[tuple[str, str | None], ...]
+    counted: bool
 
     def __len__(self) -> int:
         return len(self.unit)
@@ -123,10 +126,16 @@ class Units:
         """Which units have no numbers."""
         return np.array([bool(reason) for reason in self.reasons])
 
+    @property
+    def unit_column(self) -> NDArray[Any]:
+        """The units as the tables name them, texts or whole numbers (B,)."""
+        texts = np.array(self.unit, dtype=np.str_)
+        return texts.astype(np.int64) if self.counted else texts
+
     def columns(self) -> Columns:
         """Return the table of calibrations, one row a unit."""
         columns: dict[str, Any] = {
-            "unit": np.array(self.unit, dtype=np.str_),
+            "unit": self.unit_column,
             "station": np.array(self.station, dtype=np.str_),
         }
         columns |= {name: self.parameters[:, i] for i, name in enumerate(self.names)}
@@ -276,6 +285,7 @@ class _Fleet:
             confidence=float(self._options.get("confidence", 0.95)),
             gravity_u=self._gravity_u,
             sources=tuple((table.source, table.sha256) for table in self._rows.tables),
+            counted=self._rows.counted,
         )
 
     def _outputs(self) -> tuple[str, ...]:

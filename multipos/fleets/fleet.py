@@ -161,7 +161,7 @@ def assemble(units: Units, limits: tuple[Limit, ...]) -> Fleet:
     }
     verdicts = Columns(
         {
-            "unit": np.array(units.unit, dtype=np.str_),
+            "unit": units.unit_column,
             "verdict": judged.verdict,
             "reasons": np.array(judged.reasons, dtype=np.str_),
         }

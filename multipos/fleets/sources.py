@@ -40,12 +40,15 @@ class Rows:
         First row of each table, and the number of all.
     unit, station : Labels
         Of every row; a single station '' where no column names them.
+    counted : bool
+        Units are whole numbers in the tables, and not texts that look like some.
     """
 
     tables: tuple[Table, ...]
     starts: tuple[int, ...]
     unit: Labels
     station: Labels
+    counted: bool
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -128,7 +131,15 @@ def read_rows(
         station = joined_labels([labels_of(table, station_column) for table in tables])
     starts = np.cumsum([0, *(table.rows for table in tables)]).tolist()
     apart = {unit_column, station_column}
-    return Rows(tuple(_without(table, apart) for table in tables), tuple(starts), unit, station)
+    left = tuple(_without(table, apart) for table in tables)
+    return Rows(left, tuple(starts), unit, station, _are_counted(tables, unit_column))
+
+
+def _are_counted(tables: Sequence[Table], name: str) -> bool:
+    columns = [table.columns[name] for table in tables]
+    arrays = [column for column in columns if isinstance(column, np.ndarray)]
+    whole = all(a.dtype.kind in "iu" and np.can_cast(a.dtype, np.int64) for a in arrays)
+    return whole and len(arrays) == len(columns)
 
 
 def _require_units(tables: Sequence[Table], unit: Labels, column: str) -> None:

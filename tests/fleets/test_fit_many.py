@@ -174,3 +174,11 @@ def test_dask_on_a_cluster_of_two_workers_gives_the_same():
             three = mp.fit_many(table, executor=client.get_executor(), **options)
     assert two.calibrations == one.calibrations == three
     assert two["stations"] == one["stations"]
+
+
+def test_units_that_are_numbers_stay_numbers():
+    table = line(3)
+    table["unit"] = np.repeat([12, 7, 30], 24)
+    assert mp.fit_many(table, unit_column="unit")["unit"].tolist() == [12, 7, 30]
+    found = mp.fleet(table, unit_column="unit", station_column="station")
+    assert found.verdicts["unit"].tolist() == [12, 7, 30]
