@@ -9,7 +9,7 @@ from shutil import rmtree
 from multipos.commands.answers import Answer, Output
 from multipos.commands.fit import add_fit_options
 from multipos.commands.options import progress_bar
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import to_json
 from multipos.fleets.fleet import Fleet, fleet
 from multipos.fleets.folder import CSV, file_names, has_parquet, progress_folder, write_fleet
@@ -63,6 +63,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         for table in map(str, arguments.tables)
     ):
         raise UsageError(f"-o {folder} is the folder that is read; give another.")
+    if folder.exists() and not folder.is_dir():
+        raise MultiposError(f"{folder}: a file of this name is there; give a folder with -o.")
     options = {name: value for name, value in vars(arguments).items() if name not in _OWN}
     with progress_bar("units", 0) as told, _kept_if_stopped(folder) as kept:
         found = fleet(*arguments.tables, progress_folder=kept, progress=told, **options)

@@ -171,6 +171,11 @@ def test_the_folder_that_is_read_is_not_written(tmp_path, table, capsys):
     assert main(["fleet", str(tmp_path), *APART, "-o", str(tmp_path)]) == 2
     assert "is the folder that is read" in capsys.readouterr().err
     assert main(["fleet", table, *APART]) == 2
+    there = tmp_path / "there"
+    there.write_text("kept")
+    assert main(["fleet", table, *APART, "-o", str(there)]) == 1
+    assert "a file of this name is there" in capsys.readouterr().err
+    assert there.read_text() == "kept"
 
 
 @pytest.mark.parametrize(
