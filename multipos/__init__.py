@@ -64,6 +64,7 @@ _PUBLIC = {
     "read_scheme": "positions.scheme",
     "read_table": "files.tables",
     "regress": "fitting.columns",
+    "report": "reports.documents",
     "schemes": "designs.assessment",
     "simulate": "sensor.simulation",
     "simulate_budget": "uncertainty.monte_carlo",
@@ -113,6 +114,7 @@ if TYPE_CHECKING:
     from multipos.regression.regression_file import load_regression as load_regression
     from multipos.regression.result import Regression as Regression
     from multipos.regression.several import Regressions as Regressions
+    from multipos.reports.documents import report as report
     from multipos.sensor.calibration import Calibration as Calibration
     from multipos.sensor.calibration_file import load as load
     from multipos.sensor.doubt import Doubt as Doubt

@@ -34,6 +34,7 @@ FORMS: dict[str, tuple[tuple[str, ...], str]] = {
     "html": ((".html",), "a page"),
     "markdown": ((".md",), "Markdown"),
     "text": ((".txt",), "plain text"),
+    "certificate": ((".xml",), "a digital calibration certificate"),
     "export": ((), "what the target reads"),
     "folder": ((), "a folder"),
 }

@@ -1,6 +1,7 @@
 """``multipos report``."""
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +11,8 @@ from multipos.errors import UsageError
 from multipos.files.trees import read_schema, to_json
 from multipos.fleets.fleet import SCHEMA as FLEET
 from multipos.fleets.folder import read_summary
-from multipos.reports.certificate import Content, build_content
-from multipos.reports.documents import html_report, markdown_report, plain_report
+from multipos.reports.certificate import Content, build_content, read_lab
+from multipos.reports.documents import html_report, markdown_report, plain_report, xml_report
 from multipos.reports.fleets import fleet_content
 from multipos.sensor.calibration_file import load
 from multipos.sensor.nominal import read_nominal
@@ -19,7 +20,9 @@ from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.verification.check_file import load_check
 
 INPUTS = ("calibration", "lab", "check")
-OUTPUT = Output("REPORT.html", "file to write", "html", ("markdown", "text"), required=True)
+OUTPUT = Output(
+    "REPORT.html", "file to write", "html", ("markdown", "text", "certificate"), required=True
+)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +62,14 @@ def _of_fleet(arguments: argparse.Namespace) -> Answer:
     found = read_summary(arguments.calibration)
     content = fleet_content(found)
     listing = {"report": arguments.output, "created": found["created"]}
-    return _answer(arguments, content, listing)
+
+    def refuse() -> str:
+        raise UsageError(
+            "a digital calibration certificate (.xml) is of one calibration; write the report of "
+            "a fleet to a .html, .md or .txt file."
+        )
+
+    return _answer(arguments, content, listing, refuse)
 
 
 def run(arguments: argparse.Namespace) -> Answer:
@@ -75,6 +85,7 @@ def run(arguments: argparse.Namespace) -> Answer:
             simulated = simulate_budget(
                 calibration, trials=arguments.monte_carlo, progress=progress
             )
+    lab = read_lab(arguments.lab)
     content = build_content(
         calibration,
         lab=arguments.lab,
@@ -83,11 +94,14 @@ def run(arguments: argparse.Namespace) -> Answer:
         check=None if arguments.check is None else load_check(arguments.check),
     )
     listing = {"report": arguments.output, "created": calibration.created}
-    return _answer(arguments, content, listing)
+    return _answer(arguments, content, listing, lambda: xml_report(calibration, content, lab))
 
 
 def _answer(
-    arguments: argparse.Namespace, content: Content, listing: dict[str, str | None]
+    arguments: argparse.Namespace,
+    content: Content,
+    listing: dict[str, str | None],
+    certificate: Callable[[], str],
 ) -> Answer:
     return Answer(
         text=lambda: f"Written to {arguments.output}\n",
@@ -96,5 +110,6 @@ def _answer(
             "html": lambda: html_report(content),
             "markdown": lambda: markdown_report(content),
             "text": lambda: plain_report(content),
+            "certificate": certificate,
         },
     )

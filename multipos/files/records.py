@@ -47,6 +47,7 @@ class Text:
     """A text without control characters, one of `choices` where these are given."""
 
     choices: tuple[str, ...] = ()
+    empty: bool = True
 
     def check(self, value: Any, place: str) -> None:
         """Raise a fault where the value is something else."""
@@ -56,6 +57,8 @@ class Text:
             return
         if not isinstance(value, str):
             raise _KindError(place, value, "a text")
+        if not (value or self.empty):
+            raise _KindError(place, value, "a text that is not empty")
         if len(value) > LONGEST:
             raise _KindError(place, value, f"a text of at most {LONGEST} characters")
         if control_characters(value):
@@ -245,6 +248,8 @@ class Numbers:
 
 
 ANY_TEXT = Text()
+NAME = Text(empty=False)
+NAMES = Listed(NAME)
 TEXTS = Listed(ANY_TEXT)
 ANY_NUMBER = Number()
 POSITIVE = Number(0.0, above=True)

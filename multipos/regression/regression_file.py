@@ -15,6 +15,8 @@ from multipos.files.records import (
     ANY_TEXT,
     FIGURE,
     INPUT,
+    NAME,
+    NAMES,
     NOT_NEGATIVE,
     P_VALUE,
     POSITIVE,
@@ -45,19 +47,19 @@ REGRESSION = Fields(
         "multipos_version": ANY_TEXT,
         "created": ANY_TEXT,
         "input": INPUT,
-        "response": ANY_TEXT,
-        "variables": TEXTS,
+        "response": NAME,
+        "variables": NAMES,
         "candidates": TEXTS,
         "method": Text(("full", "stepwise", "backward", "subsets")),
         "thresholds": Named(ANY_NUMBER),
         "confidence": SHARE,
         "n": Whole(1),
         "dropped": Whole(),
-        "segment_variable": Maybe(ANY_TEXT),
+        "segment_variable": Maybe(NAME),
         "edges": Listed(ANY_NUMBER),
         "continuous": Flag(),
-        "branch_column": Maybe(ANY_TEXT),
-        "time": Maybe(ANY_TEXT),
+        "branch_column": Maybe(NAME),
+        "time": Maybe(NAME),
         "rates": Named(POSITIVE),
         "hysteresis": Maybe(
             Fields(
@@ -78,7 +80,7 @@ REGRESSION = Fields(
     },
     {
         "causal": Flag(),
-        "run": Maybe(ANY_TEXT),
+        "run": Maybe(NAME),
         "jumps": Listed(
             Fields(
                 {

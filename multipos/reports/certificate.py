@@ -50,6 +50,7 @@ LAB_FIELDS = {
     "laboratory": {
         "name": "Laboratory",
         "address": "Address",
+        "country": "Country (ISO 3166-1)",
         "location": "Place of calibration",
         "accreditation": "Accreditation",
     },

@@ -1,6 +1,6 @@
-"""The report as one HTML page, as Markdown or as plain text.
+"""The report as one HTML page, as Markdown, as plain text, or as a digital certificate.
 
-`write_report` writes everything that `multipos.reports.certificate` has to say. The HTML is one
+`report` writes everything that `multipos.reports.certificate` has to say. The HTML is one
 file: figures are inline SVG, nothing is fetched and no script runs, and the same calibration gives
 the same bytes.
 """
@@ -20,7 +20,8 @@ from multipos.files.characters import visible
 from multipos.files.numbers import markdown_line, markdown_table, markdown_text
 from multipos.files.whole import write_text
 from multipos.plots.style import COLOURS
-from multipos.reports.certificate import Content, build_content
+from multipos.reports.certificate import Content, build_content, read_lab
+from multipos.reports.dcc import dcc_report
 from multipos.reports.page import Figure, PageTable
 from multipos.reports.translations import Language
 from multipos.sensor.calibration import Calibration
@@ -79,7 +80,7 @@ def plain_report(content: Content) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def write_report(
+def report(
     calibration: Calibration,
     path: str | os.PathLike[str],
     *,
@@ -88,7 +89,10 @@ def write_report(
     simulated: MonteCarlo | None = None,
     check: Check | None = None,
 ) -> None:
-    """Write the report in the form that the file's ending asks for: .html, .md or .txt.
+    """Write the report in the form that the file's ending asks for.
+
+    `.html` is one page, `.md` Markdown, `.txt` plain text, and `.xml` a digital calibration
+    certificate (`multipos.reports.dcc`), which holds the page.
 
     Parameters
     ----------
@@ -108,22 +112,33 @@ def write_report(
     UsageError
         Another ending or language.
     MultiposError
-        The lab file is at fault, the check is of another calibration, or the report cannot be
-        written.
+        The lab file is at fault or lacks what a digital certificate needs, the check is of another
+        calibration, or the report cannot be written.
     """
     suffix = Path(path).suffix.lower()
-    if suffix not in _FORMS:
+    if suffix not in (*_FORMS, _CERTIFICATE):
         raise UsageError(
-            f"the report's ending '{suffix}' is unknown; write it to a {', '.join(_FORMS)} file."
+            f"the report's ending '{suffix}' is unknown; write it to a "
+            f"{', '.join((*_FORMS, _CERTIFICATE))} file."
         )
+    said = read_lab(lab)
     content = build_content(
         calibration, lab=lab, language=language, simulated=simulated, check=check
     )
-    write_text(path, _FORMS[suffix](content))
+    if suffix == _CERTIFICATE:
+        write_text(path, xml_report(calibration, content, said))
+    else:
+        write_text(path, _FORMS[suffix](content))
+
+
+def xml_report(calibration: Calibration, content: Content, lab: Mapping[str, str]) -> str:
+    """Return a report as a digital calibration certificate, with the page inside."""
+    return dcc_report(calibration, content, lab, html_report(content))
 
 
 # Between the lines of an entry of a list.
 _BREAK, _MARKDOWN_BREAK = "\n  ", "\\\n  "
+_CERTIFICATE = ".xml"
 _FORMS: dict[str, Callable[[Content], str]] = {
     ".html": html_report,
     ".md": markdown_report,

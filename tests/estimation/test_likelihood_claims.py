@@ -18,7 +18,6 @@ from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.numerics.quantiles import chi2_tail
 from multipos.numerics.rotations import rotation_matrix
 from multipos.positions.scheme import read_scheme
-from multipos.reports.documents import write_report
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.uncertainty.profiles import profile_interval
@@ -289,7 +288,7 @@ def test_joint_tests_reject_as_often_as_they_say(options):
 @pytest.mark.parametrize("options", [{"unknown_orientation": True}, {"orientation_sd": 0.2}, {}])
 def test_the_report_shows_joint_tests(options, tmp_path):
     c = mp.fit(readings(quad=5e-3), **options)
-    write_report(c, tmp_path / "r.md")
+    mp.report(c, tmp_path / "r.md")
     said = (tmp_path / "r.md").read_text(encoding="utf-8")
     assert "Tests of terms over all outputs" in said
     test = judge_terms_jointly(c)[0]

@@ -10,7 +10,6 @@ import multipos as mp
 from multipos.errors import UsageError
 from multipos.files.lists import near, split_names, split_numbers
 from multipos.logs.opening import open_log
-from multipos.reports.documents import write_report
 
 UP = mp.read_scheme("faces-6").up
 TABLE = {"direction": ["E-U-S", "E-N-U", "D-E-S", "W-D-S", "U-W-S", "S-W-D"], "p": [0.1] * 6}
@@ -112,7 +111,7 @@ CHOICES = [
     (mp.apply, "outside", (mp.fit(mp.Readings(UP), scheme="faces-6"), TABLE)),
     (mp.correct, "outside", (mp.regress(ROWS, response="y", variables="A"), ROWS)),
     (mp.export, "to", (mp.fit(mp.Readings(UP), scheme="faces-6"),)),
-    (write_report, "language", (mp.fit(mp.Readings(UP), scheme="faces-6"), "report.html")),
+    (mp.report, "language", (mp.fit(mp.Readings(UP), scheme="faces-6"), "report.html")),
 ]
 
 

@@ -203,6 +203,7 @@ REMOVED = object()
         ("reg", ["edges"], [25.0, 15.0], "not a regression: its edges do not ascend"),
         ("reg", ["edges"], [15.0], "its segments do not fit its edges and branches"),
         ("reg", ["segment_variable"], ["t"], "segment_variable is a list of 1; a text is needed"),
+        ("reg", ["segment_variable"], "", "segment_variable is ''; a text that is not empty"),
         (
             "reg",
             ["segments", 0, "terms", 1, "factors"],

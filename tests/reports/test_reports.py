@@ -15,7 +15,7 @@ from multipos.cli import main
 from multipos.files.numbers import markdown_text, uncertain
 from multipos.positions.scheme import read_scheme
 from multipos.reports.certificate import LAB_FIELDS, build_content
-from multipos.reports.documents import html_report, markdown_report, plain_report, write_report
+from multipos.reports.documents import html_report, markdown_report, plain_report
 from multipos.reports.sheets import check_text
 from multipos.reports.summary import text_report
 from multipos.reports.translations import Translator
@@ -94,8 +94,8 @@ def test_the_page_stands_alone(pages, language):
 def test_the_same_calibration_gives_the_same_bytes(six, ending, tmp_path):
     files = [tmp_path / f"{i}.{ending}" for i in range(2)]
     six.save(tmp_path / "c.json")
-    write_report(six, files[0])
-    write_report(mp.load(tmp_path / "c.json"), files[1])
+    mp.report(six, files[0])
+    mp.report(mp.load(tmp_path / "c.json"), files[1])
     one, two = (file.read_bytes() for file in files)
     assert one == two
 
@@ -181,7 +181,7 @@ def test_beyond_one_g_is_marked(calibration, six):
 
 def test_markdown_and_text_say_what_the_page_says(calibration, tmp_path):
     for ending, show in (("md", markdown_text), ("txt", str)):
-        write_report(calibration, tmp_path / f"r.{ending}")
+        mp.report(calibration, tmp_path / f"r.{ending}")
         text = (tmp_path / f"r.{ending}").read_text("utf-8")
         for section in build_content(calibration).sections:
             assert section.title in text
