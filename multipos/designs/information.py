@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 from multipos.designs.ranges import range_directions
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 from multipos.estimation.guesses import nominal_parameters
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.numerics.rotations import directions
@@ -387,8 +387,20 @@ def objective(information: Blocks, criterion: Criterion) -> float:
 
 
 def kernels(information: Blocks, criterion: Criterion) -> Blocks:
-    """Return G of eq. (3)."""
-    inverses = [np.linalg.inv(M) for M in information]
+    """Return G of eq. (3).
+
+    Raises
+    ------
+    MultiposError
+        The information is singular: the criterion asks nothing of some parameter.
+    """
+    try:
+        inverses = [np.linalg.inv(M) for M in information]
+    except np.linalg.LinAlgError:
+        raise MultiposError(
+            "the best positions for this criterion leave a parameter undetermined, of which it "
+            "asks nothing; give a wider --region, or criterion D."
+        ) from None
     if criterion.weight is None:
         p = sum(len(M) for M in information)
         return tuple(inverse / p for inverse in inverses)

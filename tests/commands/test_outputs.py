@@ -18,6 +18,13 @@ from multipos.errors import MultiposError
 from multipos.files.tables import format_csv
 from multipos.files.whole import write_text, written
 
+LAB = """
+report = {number = "1", authorised_by = "N."}
+laboratory = {name = "Bench", address = "Street 1", country = "DE"}
+customer = {name = "C.", address = "Street 2"}
+item = {description = "triad", serial = "1"}
+measurement = {performed = 2026-03-01}
+"""
 SECTIONS = '{"a": {"start": 0, "end": 90}, "b": {"start": 100, "end": 190}}'
 
 
@@ -37,7 +44,7 @@ def here(tmp_path, monkeypatch):
     session = mp.simulate_log(cal, "faces-6", rate=20.0, rest=3.0, turn=1.0, sample_sd=1e-3, seed=1)
     write_text("session.csv", format_csv(session))
     (tmp_path / "budget.toml").write_text("[level]\nu_deg = 0.01\n")
-    (tmp_path / "lab.toml").write_text("[laboratory]\nname = 'Bench'\n")
+    (tmp_path / "lab.toml").write_text(LAB)
     mp.check(cal, "six.csv").save("check.json")
     mp.export(cal, "c").save("imu.c")
     (tmp_path / "tumble.csv").write_text(
@@ -152,7 +159,7 @@ WRITTEN = {
     "stability": {".json", ".csv", ".txt", ".svg", ".png", ".pdf"},
     "tumble": {".json", ".txt", ".svg", ".png", ".pdf"},
     "simulate": {".csv", ".json", ".txt"},
-    "report": {".html", ".md", ".txt"},
+    "report": {".html", ".md", ".txt", ".xml"},
     "export": {".json"},
     "verify-export": {".json", ".txt"},
     "schemes": {".json", ".txt", ".svg", ".png", ".pdf"},
@@ -167,11 +174,18 @@ RUNS = {
     "calibrate": ["calibrate", "session.csv", "--scheme", "faces-6"],
     "check": ["check", "cal.json", "six.csv"],
     "compare": ["compare", "cal.json", "cal.json"],
+    "report": ["report", "cal.json", "--lab", "lab.toml"],
     "tumble": ["tumble", "tumble.csv"],
     "design": ["design", "--positions", "6"],
     "demo": ["demo"],
 }
-BEGINNINGS = {".svg": b"<svg", ".png": b"\x89PNG", ".pdf": b"%PDF", ".html": b"<!DOCTYPE html>"}
+BEGINNINGS = {
+    ".xml": b"<?xml",
+    ".svg": b"<svg",
+    ".png": b"\x89PNG",
+    ".pdf": b"%PDF",
+    ".html": b"<!DOCTYPE html>",
+}
 
 
 @pytest.mark.parametrize("command", WRITTEN)

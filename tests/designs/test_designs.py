@@ -486,6 +486,14 @@ def test_candidates_hold_the_design_and_the_certificate():
     assert tilted["positions"][:, 2].min() >= math.cos(math.radians(30)) - 1e-12
 
 
+def test_a_criterion_that_asks_nothing_of_a_parameter_is_refused():
+    """At the optimum for forces across x nothing tells x: what is singular hangs on rounding."""
+    from multipos.designs.information import Criterion, kernels
+
+    with pytest.raises(mp.MultiposError, match="give a wider --region, or criterion D"):
+        kernels((np.diag([1.0, 1.0, 0.0]),), Criterion("I", (np.diag([1.0, 1.0, 0.0]),)))
+
+
 def test_region_of_criterion_i():
     # directions near z up: the scheme that predicts best there is better there than the other
     cap = read_bench("tilt-20")
