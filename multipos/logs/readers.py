@@ -43,7 +43,8 @@ class Reader(NamedTuple):
 def _members(path: os.PathLike[str]) -> list[str]:
     from zipfile import BadZipFile, ZipFile
 
-    with suppress(BadZipFile, OSError, NotImplementedError), ZipFile(path) as archive:
+    # ValueError: a name in it is no text
+    with suppress(BadZipFile, OSError, NotImplementedError, ValueError), ZipFile(path) as archive:
         return archive.namelist()
     return []
 

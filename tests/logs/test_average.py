@@ -525,6 +525,15 @@ def test_an_array_that_is_no_table_is_refused(shape, tmp_path, capsys):
         assert f"an array of shape {shape}; a log is one column (n,), or one row" in error
 
 
+def test_an_archive_whose_names_are_no_text_is_refused(tmp_path, capsys):
+    np.savez(tmp_path / "log.npz", **{"äx": np.zeros((50, 3))})
+    whole = (tmp_path / "log.npz").read_bytes()
+    (tmp_path / "log.npz").write_bytes(whole.replace("ä".encode(), b"\xc3\x28"))
+    status, error = failing(capsys, "average", tmp_path / "log.npz")
+    assert status == 1
+    assert "log.npz: cannot read the log" in error
+
+
 @pytest.mark.parametrize("order", "<>")
 def test_an_array_of_what_is_no_text_is_refused(order, tmp_path, capsys):
     np.save(tmp_path / "log.npy", np.full((50, 3), "0.25", dtype=f"{order}U4"))
