@@ -526,7 +526,7 @@ def test_an_array_that_is_no_table_is_refused(shape, tmp_path, capsys):
 
 
 def test_an_archive_whose_names_are_no_text_is_refused(tmp_path, capsys):
-    np.savez(tmp_path / "log.npz", **{"äx": np.zeros((50, 3))})
+    np.savez(tmp_path / "log.npz", äx=np.zeros((50, 3)))
     whole = (tmp_path / "log.npz").read_bytes()
     (tmp_path / "log.npz").write_bytes(whole.replace("ä".encode(), b"\xc3\x28"))
     status, error = failing(capsys, "average", tmp_path / "log.npz")
