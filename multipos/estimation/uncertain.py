@@ -27,6 +27,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.estimation.believed import judge_tied, with_degrees
+from multipos.estimation.first_states import own_starts
 from multipos.estimation.free_rotations import rotations_to_hold
 from multipos.estimation.identifiability import condition, formal_only
 from multipos.estimation.likelihood import linearise
@@ -35,7 +36,7 @@ from multipos.estimation.noise import Appraisal, judge_noise
 from multipos.estimation.problem import Optimum, Problem, state_problem
 from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.solution import Solution
-from multipos.estimation.starts import own_starts, reduced_information, search, too_few
+from multipos.estimation.starts import reduced_information, search, too_few
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.placement import Placement
