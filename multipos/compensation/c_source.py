@@ -12,7 +12,7 @@ import numpy as np
 from multipos import __version__
 from multipos.compensation.c_body import environment_range, function_body, literal
 from multipos.compensation.c_expression import expression_body
-from multipos.compensation.c_tilt import tilt_function, tilt_header, tilt_signature
+from multipos.compensation.c_tilt import declaration, tilt_function, tilt_header, tilt_signature
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import visible
 from multipos.files.numbers import number, table, uncertain
@@ -79,14 +79,7 @@ def _in_metres(body: str, calibration: Calibration, single: bool) -> str:
 
 def signature(calibration: Calibration, name: str, single: bool) -> str:
     """Return the declaration, without a semicolon."""
-    kind = "float" if single else "double"
-    env = len(calibration.model.environment)
-    between = f", const {kind} env[{env}]" if env else ""
-    axes = len(sensed_axes(calibration.model))
-    return (
-        f"void {name}_compensate(const {kind} raw[{len(calibration.outputs)}]{between}, "
-        f"{kind} accel[{axes}])"
-    )
+    return declaration(calibration, f"{name}_compensate", "accel", single)
 
 
 def c_test(

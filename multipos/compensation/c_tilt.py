@@ -23,16 +23,19 @@ from multipos.sensor.tilt import beyond_vertical, magnitude_of
 from multipos.units import STANDARD_GRAVITY
 
 
-def tilt_signature(calibration: Calibration, name: str, single: bool) -> str:
-    """Return the declaration, without a semicolon."""
+def declaration(calibration: Calibration, function: str, result: str, single: bool) -> str:
+    """Return the declaration of a function of raw outputs to one number an axis, without `;`."""
     kind = "float" if single else "double"
     env = len(calibration.model.environment)
     between = f", const {kind} env[{env}]" if env else ""
     axes = len(sensed_axes(calibration.model))
-    return (
-        f"void {name}_tilt(const {kind} raw[{len(calibration.outputs)}]{between}, "
-        f"{kind} tilt_deg[{axes}])"
-    )
+    raw = f"const {kind} raw[{len(calibration.outputs)}]"
+    return f"void {function}({raw}{between}, {kind} {result}[{axes}])"
+
+
+def tilt_signature(calibration: Calibration, name: str, single: bool) -> str:
+    """Return the declaration of NAME_tilt, without a semicolon."""
+    return declaration(calibration, f"{name}_tilt", "tilt_deg", single)
 
 
 def tilt_header(calibration: Calibration) -> list[str]:

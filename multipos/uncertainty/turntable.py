@@ -17,8 +17,7 @@ shift, which no term of the sensor does.
 An output along the shaft reads the level of the shaft as a shift of its zero, its wobble as
 misalignments.
 
-The parameters of the sensor that come out beside all of this are what no such error moves. They are
-given for those that no error does the same as, and with them the F-test of there being none.
+Beside all of this the parameters of the sensor that no error does the same as are what none moves.
 """
 
 from collections.abc import Mapping, Sequence

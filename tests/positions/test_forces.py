@@ -33,10 +33,10 @@ def _bench(forces=CENTRIFUGE, noise=0.0, seed=1):
 
 def test_forces_join_the_positions_in_gravity():
     cal = mp.fit(_bench(), model=MODEL, gravity=G)
-    assert_allclose(cal.parameters, TRUTH, atol=1e-14)  # rounding of readings of a few g
+    assert_allclose(cal.parameters, TRUTH, atol=1e-12)  # rounding of readings of a few g
     assert_allclose(cal.reference, np.vstack([SIZE * FACES, CENTRIFUGE]))
     down = mp.fit(_bench(), model=MODEL, gravity=G, convention="gravity")
-    assert_allclose(down.parameters, TRUTH * [1, -1, -1, -1, 1, -1], atol=1e-14)
+    assert_allclose(down.parameters, TRUTH * [1, -1, -1, -1, 1, -1], atol=1e-12)
 
 
 def test_gravity_beside_forces_needs_its_size():
@@ -108,7 +108,7 @@ def test_a_calibration_with_forces_is_read_back(tmp_path):
 
 def test_a_force_of_no_size_is_a_position_too():
     cal = mp.fit(_bench(np.outer(np.arange(-3.0, 4.0), [1.0, 0, 0])), model=MODEL, gravity=G)
-    assert_allclose(cal.parameters, TRUTH, atol=1e-14)
+    assert_allclose(cal.parameters, TRUTH, atol=1e-12)
 
 
 def test_outside_follows_the_forces_that_were_applied():
@@ -145,7 +145,7 @@ def test_full_quadratic_is_separable_by_forces_of_several_sizes():
     value = value + 4e-3 * force[:, 0] * force[:, 1]
     cal = mp.fit(table | {"ax": value}, model="full-quadratic")
     found = [cal["ax", term].value for term in ("x^2", "y^2", "z^2", "x*y", "x*z")]
-    assert_allclose(found, [1e-3, 2e-3, 3e-3, 4e-3, 0.0], atol=1e-13)
+    assert_allclose(found, [1e-3, 2e-3, 3e-3, 4e-3, 0.0], atol=1e-12)
 
 
 def test_columns_of_apply_are_no_positions(tmp_path):
@@ -204,8 +204,8 @@ def test_a_scheme_of_forces_fits_and_simulates():
     scheme = {"position": [f"c{i}" for i in range(14)], **_columns("f", CENTRIFUGE)}
     table = {"position": scheme["position"], "ax": _reading(CENTRIFUGE)}
     cal = mp.fit(table, scheme=scheme, model="1 + x + x^2 + x^3")
-    assert_allclose(cal.parameters, TRUTH[[0, 1, 4, 5]], atol=1e-14)
-    assert_allclose(mp.simulate(cal, scheme)["ax"], table["ax"], atol=1e-14)
+    assert_allclose(cal.parameters, TRUTH[[0, 1, 4, 5]], atol=1e-12)
+    assert_allclose(mp.simulate(cal, scheme)["ax"], table["ax"], atol=1e-12)
     (found,) = mp.schemes(scheme, model="1 + x", axes="x").schemes
     x = CENTRIFUGE[:, 0]
     assert_allclose(found.u["ax:x"], 1.0 / np.sqrt(x @ x), rtol=1e-12)  # even about zero
