@@ -117,7 +117,7 @@ def test_a_denied_noise_is_added_to_and_said():
     assert f"deny the stated reading noise (chi-square {chi2:.4g} on 30 degrees" in said
     scatter = cal.variance_components.rest_to_rest["ax"].value
     assert f"position to position of {scatter:.3g} reading is added to it" in said
-    assert "--orientation-sd" in said
+    assert "the data favour scatter from rest to rest" in said
     # five times the claim, all of it known from residuals on 30 degrees of freedom
     variance = float(np.sum(cal.residuals**2)) / 30
     assert scatter == pytest.approx(math.sqrt(variance - 1e-6), rel=1e-3)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncertainty
+from multipos.doubts.model_error import said_of_hidden
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Column, Source, Table, format_csv, read_table
 from multipos.logs.opening import read_log
@@ -37,6 +38,7 @@ from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import has_other_solutions, sensed_axes
 from multipos.sensor.parity import FAULT_LEVEL, parity
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest
+from multipos.uncertainty.unseen import unseen_covariance
 from multipos.uncertainty.validity import applied
 
 Outside = Literal["flag", "clamp", "refuse"]
@@ -140,10 +142,11 @@ def apply(
         where = table.where(int(np.argmax(added["outside"])), calibration.outputs[0])
         raise _refusal(where, int(added["outside"].sum()), table.rows)
     kept = {name: copy(column) for name, column in table.columns.items()}  # the caller's own stay
+    said = said_of_hidden(calibration)
     if wanted is None:
-        return Applied({**kept, **added})
-    cautions = (*wanted.said, *wanted.cautions(table, table.columns))
-    return Applied({**kept, **added}, wanted.noise.text, cautions)
+        return Applied({**kept, **added}, warnings=said)
+    said += (*wanted.said, *wanted.cautions(table, table.columns))
+    return Applied({**kept, **added}, wanted.noise.text, said)
 
 
 @dataclass
@@ -183,8 +186,11 @@ class AppliedLog:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What there is to say of the uncertainties, of the rows done so far."""
-        return () if self.uncertainty is None else (*self.uncertainty.said, *self.cautions)
+        """What there is to say of the force and its uncertainties, of the rows done so far."""
+        hidden = said_of_hidden(self.calibration)
+        if self.uncertainty is None:
+            return hidden
+        return (*hidden, *self.uncertainty.said, *self.cautions)
 
     def __iter__(self) -> Iterator[str]:
         """Yield header and rows; under 'refuse' the error comes when all rows have been seen."""
@@ -308,7 +314,8 @@ def add_columns(
         beyond |= np.isnan(found.tilt).any(axis=1)
         tilts = _by_axis("tilt_{}_deg", axes, np.degrees(found.tilt))
         if noise is not None:  # what is a tilt at all does not depend on what is asked for
-            sized = tilt_at_rest(calibration, rest, environment, noise)
+            unseen = unseen_covariance(calibration, force, environment)
+            sized = tilt_at_rest(calibration, rest, environment, noise, unseen)
             tilts |= _by_axis("u_tilt_{}_deg", axes, np.degrees(sized.u))
             tilts |= _by_axis("U_tilt_{}_deg", axes, np.degrees(sized.U))
     else:

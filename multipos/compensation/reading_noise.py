@@ -1,6 +1,6 @@
 """What the force of one reading is worth: parameters, budget and the reading's own noise together.
 
-With the covariance C of the parameters, what an unseen term adds (`multipos.uncertainty.validity`)
+With the covariance C of the parameters, what unseen terms add (`multipos.uncertainty.unseen`)
 and the noise s of one reading, at the force f,
 
     cov f = (df/dp) C (df/dp)' + cov unseen + J⁺ diag(s²) J⁺'.                              (1)
@@ -39,7 +39,7 @@ from multipos.uncertainty.propagation import (
     row_dof,
     welch_satterthwaite,
 )
-from multipos.uncertainty.validity import third_order_covariance
+from multipos.uncertainty.unseen import unseen_covariance
 
 _ENOUGH = 20  # rows that tell samples from positions
 _NEIGHBOURS = 0.05  # [g], by which samples that follow each other differ at most, mostly
@@ -217,7 +217,7 @@ class ReadingUncertainty:
         else:
             variance.append(own.sum(axis=1))
             dof.append(np.full(len(own), np.inf))
-        unseen = third_order_covariance(c, force, environment)
+        unseen = unseen_covariance(c, force, environment)
         variance.append(np.einsum("nkk->nk", unseen).ravel())
         dof.append(np.full(len(own), np.inf))
         parts = np.sqrt(np.maximum(np.array(variance), 0.0))

@@ -40,7 +40,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import build_model
 
-_CANDIDATES = "1 + x + y + z + own^2 + own^3 + OWN*OTHER"  # what a reader asks of: K2, K3, Kip
+_CANDIDATES = "1 + x + y + z + own^2 + own^3 + own*other"  # what a reader asks of: K2, K3, Kip
 _ORDERS = 4
 _FEWEST = 8  # positions of a roll that make a Fourier view
 
@@ -105,10 +105,7 @@ def judge_terms(calibration: Calibration) -> list[TermTest]:
         if n <= p:
             continue
         own = residual_sum(c, column, terms)
-        formula = _CANDIDATES.replace(
-            "OWN*OTHER", " + ".join(f"{axis}*{other}" for other in COMPONENTS if other != axis)
-        )
-        wider = build_model(formula, (output,), (axis,)).terms[0]
+        wider = build_model(_CANDIDATES, (output,), (axis,)).terms[0]
         for term in dict.fromkeys((*terms, *wider)):
             if term.force_degree < 2:
                 continue

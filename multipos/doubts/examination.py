@@ -9,7 +9,11 @@ are none of these.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from multipos.doubts.claims import denied_noise, placement, unequal_noise
 from multipos.doubts.columns import dead_output, temperature_kelvin
+from multipos.doubts.model_error import hidden_terms, missing_term
+from multipos.doubts.over_temperature import zero_per_soak
+from multipos.doubts.score_tests import judge_model
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import Doubt, implausible
 
@@ -20,16 +24,26 @@ Question = Callable[[Calibration], Doubt | None]
 IMPLAUSIBLE: tuple[Question, ...] = (dead_output,)
 # Cautions about what was given and what the positions can show.
 CAUTIONS: tuple[Question, ...] = (temperature_kelvin,)
-# Cautions about what the residuals show.
-OF_RESIDUALS: tuple[Question, ...] = ()
+# Cautions about what the residuals show, and cannot show.
+OF_RESIDUALS: tuple[Question, ...] = (
+    hidden_terms,
+    zero_per_soak,
+    missing_term,
+    denied_noise,
+    placement,
+    unequal_noise,
+)
 
 
 def examine(calibration: Calibration) -> Calibration:
     """Return a calibration with what does not look right about it.
 
     The doubts stand in `diagnostics.doubts`, the worst first, and their texts are the first of
-    `diagnostics.warnings`.
+    `diagnostics.warnings`; beside them stand the tests of the terms that the model lacks.
     """
+    tested = judge_model(calibration)
+    of_model = replace(calibration.diagnostics, model_tests=tested.tests, hidden=tested.hidden)
+    calibration = replace(calibration, diagnostics=of_model)
     found = _answers(IMPLAUSIBLE, calibration)
     found += _answers(CAUTIONS, calibration)
     if not implausible(found):

@@ -44,7 +44,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Model, build_model
 
-_GROUPS = ("own^2", "own^3", "own*|own|", "OWN*OTHER")  # K2, K3, Koq, Kip with Kio
+_GROUPS = ("own^2", "own^3", "own*|own|", "own*other")  # K2, K3, Koq, Kip with Kio
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def _nested(model: Model) -> Iterator[tuple[str, bool, Model, Model]]:
         large = tuple(tuple(dict.fromkeys((*own, *new))) for own, new in pairs)
         other = replace(model, terms=small if inside else large)
         if any(group):
-            yield formula.lower(), inside, *((other, model) if inside else (model, other))
+            yield formula, inside, *((other, model) if inside else (model, other))
 
 
 def _by_likelihood(c: Calibration) -> Iterator[JointTest]:

@@ -127,6 +127,7 @@ def _diagnose(
         outliers=solution.outliers,
         unidentifiable=solution.unidentifiable,
         warnings=tuple(warnings),
+        claim=solution.claim,
     )
 
 

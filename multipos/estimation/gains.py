@@ -23,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from multipos.estimation.likelihood import evaluate, linearise
-from multipos.estimation.problem import start_state
+from multipos.estimation.problem import Problem, State, start_state
 from multipos.estimation.restatement import restate
 from multipos.estimation.six_positions import closed_form_gain
 from multipos.numerics.arrays import Array
@@ -96,9 +96,7 @@ def uncertain_gain(calibration: Calibration) -> Array:
     """
     readings, reference = calibration.readings, calibration.reference
     n, m = readings.values.shape
-    # About the solution itself: its reference is the listed one, already turned and stepped.
-    problem = replace(restate(calibration), reference=reference)
-    state = start_state(problem, calibration.parameters, directions(reference))
+    problem, state = about_solution(calibration)
     normal = linearise(problem, state, evaluate(problem, state))
     p = len(calibration.parameters)
     slopes = parameter_jacobian(calibration.model, state.theta, reference, readings.environment)
@@ -106,3 +104,13 @@ def uncertain_gain(calibration: Calibration) -> Array:
     weighted = normal.marginal @ everything  # (n, M, p + shared)
     solved = np.linalg.solve(normal.information, weighted.reshape(n * m, -1).T)
     return np.asarray(solved[:p])
+
+
+def about_solution(calibration: Calibration) -> tuple[Problem, State]:
+    """Return the problem of a calibration about its solution, and the state there.
+
+    Its reference is the listed one, already turned and stepped.
+    """
+    reference = calibration.reference
+    problem = replace(restate(calibration), reference=reference)
+    return problem, start_state(problem, calibration.parameters, directions(reference))

@@ -8,7 +8,8 @@ output, y = X p + e, and is solved by `multipos.numerics.least_squares`. The cov
 
 A stated noise is a floor: V is it and what readings scatter from rest to rest beside it
 (`multipos.estimation.scatter`). Where χ² = r'V⁻¹r under the stated part alone passes its 99.9 %
-point, or is below its 0.1 % point, that is said.
+point it is denied, which `multipos.doubts.claims` says with its cause; below its 0.1 % point it is
+called overstated.
 
 References
 ----------
@@ -28,7 +29,13 @@ from multipos.numerics.least_squares import LinearFit, block_design, separabilit
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, add_variances, diagonal, stated_sd
-from multipos.sensor.diagnostics import UNEQUAL, bartlett, find_correlated_outliers, find_outliers
+from multipos.sensor.diagnostics import (
+    UNEQUAL,
+    Claim,
+    bartlett,
+    find_correlated_outliers,
+    find_outliers,
+)
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
@@ -73,7 +80,7 @@ def solve_known(
         found = _from_residuals(model, fits, dof, pool)
     else:
         found = _beside_stated(model, phi, readings, fits, pool)
-        found = found if claimed else replace(found, warnings=())
+        found = found if claimed else replace(found, warnings=(), claim=None)
     fits = found.fits
     covariance = fits.cofactor * np.outer(found.inflation, found.inflation)
     square = np.einsum("nm,nm->m", fits.residuals, fits.residuals)
@@ -98,6 +105,7 @@ def solve_known(
             float(np.linalg.norm(reference, axis=1).mean()),
         ),
         variance_components=found.components,
+        claim=found.claim,
     )
 
 
@@ -149,6 +157,7 @@ class _Weighed:
     sd: Array | None  # (n, M), that the readings were weighed by
     warnings: tuple[str, ...] = ()
     components: VarianceComponents | None = None
+    claim: Claim | None = None
 
 
 def _from_residuals(model: Model, fits: _Fits, dof: Array, pool: bool) -> _Weighed:
@@ -189,10 +198,10 @@ def _beside_stated(
         }
     )
     sd = np.sqrt(diagonal(noise).reshape(n, m) + found.variance)
-    said = judge_claim(float(fits.chi2.sum()), float(left), found.variance, readings.unit)
-    return _Weighed(
-        weighed, u / np.sqrt(np.diag(weighed.cofactor)), found.dof, sd, said, components
-    )
+    claim = Claim(float(fits.chi2.sum()), float(left))
+    inflation = u / np.sqrt(np.diag(weighed.cofactor))
+    said = overstated(claim)
+    return _Weighed(weighed, inflation, found.dof, sd, said, components, claim)
 
 
 def _weigh_again(
@@ -298,31 +307,12 @@ def chi_squares(residuals: Array, noise: Array | None) -> Array:
     )
 
 
-def judge_claim(chi2: float, dof: float, scatter: Array, unit: str) -> tuple[str, ...]:
-    """Say where the residuals of all outputs deny the stated noise, or are far below it.
-
-    Parameters
-    ----------
-    chi2, dof : float
-        Of the residuals under the stated noise.
-    scatter : (M,) array
-        Variance that was found beside it.
-    unit : str
-    """
-    seen = f"(chi-square {chi2:.4g} on {dof:g} degrees of freedom)"
-    if chi2 > chi2_quantile(DENIED, dof):
-        sizes = ", ".join(dict.fromkeys(f"{size:.3g}" for size in np.sqrt(scatter).tolist()))
-        found = (
-            f"the residuals deny the stated reading noise {seen}: a scatter from position to "
-            f"position of {sizes} {unit} is added to it; placement error is the usual "
-            "cause, see --orientation-sd"
-        )
-        return (found,)
-    if chi2 < chi2_quantile(1.0 - DENIED, dof):
-        return (
-            f"the residuals are far smaller than the stated noise {seen}: it may be overstated",
-        )
-    return ()
+def overstated(claim: Claim) -> tuple[str, ...]:
+    """Say where the residuals of all outputs are far below the stated noise."""
+    if claim.chi2 >= chi2_quantile(1.0 - DENIED, claim.dof):
+        return ()
+    seen = f"(chi-square {claim.chi2:.4g} on {claim.dof:g} degrees of freedom)"
+    return (f"the residuals are far smaller than the stated noise {seen}: it may be overstated",)
 
 
 def per_parameter(model: Model, values: Array) -> Array:

@@ -65,7 +65,7 @@ def evaluate(problem: Problem, state: State) -> Point:
     force = problem.magnitude[:, None] * direction
     outputs, blocks = problem.model.respond(state.theta, force, problem.environment)
     residuals = problem.values - outputs
-    q = np.einsum("nm,nm->n", residuals, _weigh(problem.precision, residuals))
+    q = np.einsum("nm,nm->n", residuals, weigh(problem.precision, residuals))
     if problem.prior.any():
         q += problem.prior * np.einsum("ni,ni->n", state.step, state.step)
     total = q if problem.robust is None else loss(problem.robust, q, problem.degrees)
@@ -81,10 +81,10 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
     """Return the normal equations of eqs. (5), (6), weighted by the loss."""
     by_force = problem.model.force_jacobian(state.theta, point.force, problem.environment)
     jacobian = np.einsum("nmi,nij->nmj", by_force, _force_by_step(problem, state))
-    weighted = _weigh(problem.precision, jacobian)
+    weighted = weigh(problem.precision, jacobian)
     own = eliminate(_full(problem.precision), jacobian, weighted, problem.prior, problem.exact)
     gain, inverse, marginal = own.gain, own.inverse, own.marginal
-    weighted_residuals = _weigh(problem.precision, point.residuals)
+    weighted_residuals = weigh(problem.precision, point.residuals)
     pull = np.einsum("nmi,nm->ni", weighted, point.residuals)
     pull -= problem.prior[:, None] * state.step
     push = weighted_residuals - np.einsum("nmi,ni->nm", gain, pull)
@@ -215,7 +215,7 @@ def _by_shared(problem: Problem, state: State, point: Point, by_force: Array) ->
     return result
 
 
-def _weigh(precision: Array, array: Array) -> Array:
+def weigh(precision: Array, array: Array) -> Array:
     """Return Sigma^-1 times (n, M) or (n, M, c)."""
     if precision.ndim == 2:
         return precision * array if array.ndim == 2 else precision[:, :, None] * array

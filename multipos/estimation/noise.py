@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from multipos.estimation.descent import resume
-from multipos.estimation.known import judge_claim
+from multipos.estimation.known import overstated
 from multipos.estimation.placed_scatter import (
     as_scatter,
     integrate_both,
@@ -27,6 +27,7 @@ from multipos.estimation.problem import Optimum, Problem
 from multipos.estimation.scatter import Posterior, standard_uncertainty
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile
+from multipos.sensor.diagnostics import Claim
 from multipos.sensor.found import Component, Placed, RestToRest, VarianceComponents
 
 _STILL = 0.99  # χ² point beyond which a scatter does not explain what readings differ by
@@ -51,6 +52,7 @@ class Appraisal:
     components: VarianceComponents | None = None
     u: Array | None = None  # (p,), where it is not the root of the covariance times the factor
     weight: Array | None = None  # (n,) of each position under a robust loss
+    claim: Claim | None = None  # of the stated noise, where there is one
 
 
 Found = tuple[Problem, Optimum, Appraisal]
@@ -93,8 +95,7 @@ def _beside_stated(first: Problem, start: Optimum, nu: float) -> Found:
     if nu <= 0:
         return first, start, Appraisal(1.0, np.inf)
     problem, optimum, posterior = integrate_placed(first, start, nu)
-    tau2 = posterior.summary[0]
-    claim = judge_claim(start.point.objective, nu, np.array([tau2]), first.model.unit)
+    claim = Claim(start.point.objective, nu)
     unexplained = optimum.point.objective > chi2_quantile(_STILL, nu)
     if unexplained and problem.prior.any() and tells_apart(first, start):
         # the placement is then a floor as well, and no longer what was stated
@@ -104,9 +105,11 @@ def _beside_stated(first: Problem, start: Optimum, nu: float) -> Found:
             f"some {_widest(problem):.2g} degrees, see --orientation-sd auto"
         )
         worth = _worth(problem, both.posterior, stated=True)
-        worth = replace(worth, warnings=(*claim, said), orientation_sd=problem.orientation_sd)
+        orientation_sd = problem.orientation_sd
+        worth = replace(worth, warnings=(said,), orientation_sd=orientation_sd, claim=claim)
         return problem, optimum, worth
-    return problem, optimum, replace(_worth(problem, posterior, stated=True), warnings=claim)
+    worth = _worth(problem, posterior, stated=True)
+    return problem, optimum, replace(worth, warnings=overstated(claim), claim=claim)
 
 
 def _beside_placement(problem: Problem, optimum: Optimum, nu: float) -> Found:

@@ -33,6 +33,7 @@ from multipos.estimation.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.estimation.noise import Appraisal
 from multipos.estimation.problem import Optimum, Problem
 from multipos.numerics.quantiles import chi2_quantile
+from multipos.sensor.diagnostics import Claim
 
 ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is still reported
 _BEYOND_DOUBT = 1e-6  # chance below which a position is set aside
@@ -82,19 +83,20 @@ def judge_robustly(
         optimum = resume(problem, optimum)
     q, kept = optimum.point.q, problem.weight == 1.0
     weight = np.where(kept, loss_weight(problem.robust, q, problem.degrees), 0.0)
+    claim = None
     if stated:
         chi2 = float(np.sum(q * weight**2))
         if not (nu > 0 and chi2 > chi2_quantile(DENIED, nu)):
             worth = Appraisal(1.0 / EFFICIENCY, np.inf, warnings=tuple(said), weight=weight)
             return problem, optimum, worth
-        said.append(
-            f"the residuals of all outputs deny the stated reading noise (chi-square {chi2:.4g} on "
-            f"{nu:g} degrees of freedom): its covariance is multiplied by {chi2 / nu:.4g}; "
-            "placement error is the usual cause, see --orientation-sd"
-        )
+        claim = Claim(chi2, nu)
     counted = max(float(np.sum(weight * problem.degrees)) - problem.unknowns, 1.0)
     factor = _huber_factor(problem, optimum, counted)
-    return problem, optimum, Appraisal(factor, counted, warnings=tuple(said), weight=weight)
+    return (
+        problem,
+        optimum,
+        Appraisal(factor, counted, None, tuple(said), weight=weight, claim=claim),
+    )
 
 
 def set_aside(problem: Problem, rows: NDArray[np.bool_]) -> Problem:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Status
+from multipos.sensor.diagnostics import Claim
 from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.model import Model
 
@@ -36,6 +37,8 @@ class Solution:
         Where it was estimated; inf for unknown.
     variance_components, orientations, robust_weight
         As in `Calibration`.
+    claim : Claim or None
+        As in `Diagnostics`.
     """
 
     model: Model
@@ -57,3 +60,4 @@ class Solution:
     variance_components: VarianceComponents | None = None
     orientations: FoundOrientations | None = None
     robust_weight: Array | None = None
+    claim: Claim | None = None

@@ -42,7 +42,7 @@ from multipos.numerics.rotations import rotation_vector
 from multipos.positions.placement import Placement
 from multipos.positions.readings import Readings, select_outputs
 from multipos.sensor.calibration import Status
-from multipos.sensor.diagnostics import find_outlying_positions
+from multipos.sensor.diagnostics import Claim, find_outlying_positions
 from multipos.sensor.expressions import ExpressionModel, at_bounds
 from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.inverse import parameter_jacobian
@@ -180,6 +180,7 @@ def _solve_separately(
         status=max((part.status for part in parts), key=lambda status: status.iterations),
         variance_components=_joined([part.variance_components for part in parts]),
         robust_weight=None if robust is None else np.column_stack(weights),
+        claim=_together([part.claim for part in parts if part.claim is not None]),
     )
 
 
@@ -189,6 +190,13 @@ def _joined(parts: list[VarianceComponents | None]) -> VarianceComponents | None
     if len(found) < len(parts):
         return parts[0]
     return VarianceComponents({output: one for part in found for output, one in part.items()})
+
+
+def _together(claims: list[Claim]) -> Claim | None:
+    """Return the claim of outputs that were fitted one by one."""
+    if not claims:
+        return None
+    return Claim(sum(claim.chi2 for claim in claims), sum(claim.dof for claim in claims))
 
 
 def _require_triad(model: Model) -> None:
@@ -262,6 +270,7 @@ def _solution(
         variance_components=worth.components,
         orientations=_found_orientations(problem, optimum, readings),
         robust_weight=worth.weight,
+        claim=worth.claim,
     )
 
 

@@ -6,10 +6,12 @@ evaluated on components, so the same lines take NumPy arrays and CasADi symbols.
 
 Formulas are parsed, never evaluated: `formula = term ('+' term)*`, `term = factor ('*' factor)*`,
 `factor = '1' | form ['^' power]`, where a form is a name, `'|' name '|'`, or what else
-`multipos.numerics.factors` lists.
+`multipos.numerics.factors` lists. In models of a sensor `own` is the component along the output's
+own axis, and a term of `other` stands for one with each of the others.
 """
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -31,12 +33,13 @@ NAMED = {
     "linear": "1 + x + y + z",
     "own-quadratic": "1 + x + y + z + own^2",
     "own-cubic": "1 + x + y + z + own^2 + own^3",
-    "cross-quadratic": "1 + x + y + z + own^2 + OWN*OTHER",
-    "ieee": "1 + x + y + z + own^2 + own^3 + OWN*OTHER",
-    "ieee-odd": "1 + x + y + z + own^2 + own^3 + OWN*OTHER + own*|own|",
+    "cross-quadratic": "1 + x + y + z + own^2 + own*other",
+    "ieee": "1 + x + y + z + own^2 + own^3 + own*other",
+    "ieee-odd": "1 + x + y + z + own^2 + own^3 + own*other + own*|own|",
     "full-quadratic": "1 + x + y + z + x^2 + y^2 + z^2 + x*y + x*z + y*z",
 }
 _LARGEST_POWER = 100.0  # log10 of what a term may reach: its square is a number still
+_OTHER = re.compile(r"\bother\b")
 HIGHEST_POWER = 9  # beyond it a term of specific force within 1 g says nothing new
 
 
@@ -144,7 +147,7 @@ def formula_columns(text: str) -> tuple[str, ...]:
     if name in NAMED:
         return ()
     used = variables_in(name)
-    return tuple(dict.fromkeys(v for v in used if v not in (*COMPONENTS, "own")))
+    return tuple(dict.fromkeys(v for v in used if v not in (*COMPONENTS, "own", "other")))
 
 
 def sees_only(term: Term, inputs: tuple[str, ...]) -> bool:
@@ -152,10 +155,19 @@ def sees_only(term: Term, inputs: tuple[str, ...]) -> bool:
     return all(f.variable in inputs for f in term.factors if f.variable in COMPONENTS)
 
 
-def expand_products(formula: str, axis: str) -> str:
-    """Write out the products of the own component with each of the two others."""
-    products = " + ".join(f"{axis}*{other}" for other in COMPONENTS if other != axis)
-    return formula.replace("OWN*OTHER", products)
+def expand_others(parts: Iterable[str], axis: str, inputs: Sequence[str]) -> list[str]:
+    """Write out terms of `other` for each component that is not the own one and is seen."""
+    others = [other for other in inputs if other != axis]
+    result = []
+    for part in parts:
+        made = [_OTHER.sub(other, part) for other in others] if _OTHER.search(part) else [part]
+        result += made
+    return result
+
+
+def kind_terms(kind: str, axis: str, inputs: Sequence[str]) -> tuple[Term, ...]:
+    """Return the terms of a kind, such as `own*other`, for an output of an axis."""
+    return tuple(parse_term(part, kind, axis) for part in expand_others([kind], axis, inputs))
 
 
 def split_terms(formula: str, text: str) -> list[str]:

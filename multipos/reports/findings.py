@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from multipos.doubts.model_error import not_stated
 from multipos.files.numbers import number, uncertain
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
@@ -16,6 +17,7 @@ from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation, Row
+from multipos.uncertainty.unseen import unseen_sizes
 from multipos.uncertainty.validity import applied, evaluate_sphere
 
 
@@ -225,7 +227,7 @@ def _contribution(budget: Evaluation, quantity: str, parameter: int) -> str:
 
 def sphere_section(c: Calibration, tr: Translator) -> Section:
     """Return how well force and tilt are known, and where."""
-    allowed = "third_order" in c.budget_tables
+    allowed, hidden = bool(unseen_sizes(c)), not_stated(c)
     seen = applied(c)
     forced = (seen.largest,) if c.readings.forced.any() and seen.largest > 1.0 else ()
     sizes = sorted({1.0, *forced, *((2.0, 5.0) if allowed else ())})
@@ -236,8 +238,8 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
             "directions; the noise of the reading that is compensated comes on top."
         ),
         tr(
-            "Lines marked * are beyond what was applied; U there grows with the third-order term "
-            "that the budget allows."
+            "Lines marked * are beyond what was applied; U there grows with the terms that the "
+            "budget states."
         )
         if allowed
         else tr(
@@ -246,6 +248,20 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
             size=f"{seen.largest:.4g}",
         ),
     ]
+    if hidden:
+        without = tr(
+            "These positions cannot show {terms}: between the directions that were applied such "
+            "terms act, and U leaves them out.",
+            terms=", ".join(hidden),
+        )
+        paragraphs[1:] = [paragraphs[1], without] if allowed else [without]
+    if c.model.inputs == COMPONENTS and not c.readings.forced.any():
+        paragraphs.append(
+            tr(
+                "No static positions at all can tell the sum of the squares of x, y and z from a "
+                "bias: at rest it is one."
+            )
+        )
     if c.readings.forced.any():
         told = seen.in_words(sensed_axes(c.model))
         paragraphs.append(tr("Forces that were applied beside gravity: {range}.", range=told))

@@ -46,7 +46,7 @@ from multipos.positions.forces import known_rows
 from multipos.positions.readings import Readings
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, Status
-from multipos.sensor.diagnostics import Diagnostics
+from multipos.sensor.diagnostics import Claim, Diagnostics
 from multipos.sensor.doubt import DOUBTS, Doubt
 from multipos.sensor.found import (
     Chosen,
@@ -61,6 +61,7 @@ from multipos.sensor.found import (
 from multipos.sensor.functions import load_expression
 from multipos.sensor.gravity import Gravity
 from multipos.sensor.model import Model, build_model
+from multipos.sensor.model_test import MODEL_TESTS, model_test_from_dict
 from multipos.sensor.nominal import read_nominal
 from multipos.sensor.own_models import expression_dict, load_sketch
 
@@ -74,6 +75,7 @@ _DIAGNOSTICS = (
     "unidentifiable",
     "warnings",
     "doubts",
+    "hidden",
     "leverage",
 )
 # Null is infinite, 0 none; less than a millionth of one is neither.
@@ -96,6 +98,7 @@ _QUANTITY = Fields(
         "high": ANY_NUMBER,
     },
 )
+_CLAIM = Maybe(Fields({"chi2": NOT_NEGATIVE, "dof": POSITIVE}))
 _TESTED = Fields({"term": ANY_TEXT, "F": FIGURE, "p": P_VALUE})
 
 CALIBRATION = Fields(
@@ -151,7 +154,7 @@ CALIBRATION = Fields(
                 "unidentifiable": TEXTS,
                 "warnings": TEXTS,
             },
-            {"doubts": DOUBTS},
+            {"doubts": DOUBTS, "model_tests": MODEL_TESTS, "hidden": TEXTS, "claim": _CLAIM},
         ),
         "cross_check": Maybe(Fields({"closed_form_max_difference": ANY_NUMBER})),
     },
@@ -252,7 +255,11 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         **_known_of(readings),
         "rms": c.rms,
         "linearity": c.linearity,
-        "diagnostics": {key: getattr(c.diagnostics, key) for key in _DIAGNOSTICS},
+        "diagnostics": {
+            **{key: getattr(c.diagnostics, key) for key in _DIAGNOSTICS},
+            "model_tests": [test.to_dict() for test in c.diagnostics.model_tests],
+            "claim": c.diagnostics.claim and c.diagnostics.claim._asdict(),
+        },
         "cross_check": None
         if c.cross_check is None
         else {"closed_form_max_difference": c.cross_check},
@@ -438,6 +445,9 @@ def _diagnostics(found: Mapping[str, Any]) -> Diagnostics:
         unidentifiable=tuple(found["unidentifiable"]),
         warnings=tuple(found["warnings"]),
         doubts=tuple(map(_doubt, found.get("doubts", ()))),
+        model_tests=tuple(map(model_test_from_dict, found.get("model_tests", ()))),
+        hidden=tuple(found.get("hidden", ())),
+        claim=Claim(**claim) if (claim := found.get("claim")) else None,
     )
 
 

@@ -18,6 +18,7 @@ References
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,9 +29,17 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result
 from multipos.sensor.doubt import Doubt
 from multipos.sensor.model import Model
+from multipos.sensor.model_test import ModelTest
 
 UNEQUAL = 0.05  # level at which outputs are called unequally noisy
 OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named
+
+
+class Claim(NamedTuple):
+    """chi² of the residuals under the stated noise alone, on its degrees of freedom."""
+
+    chi2: float
+    dof: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +58,12 @@ class Diagnostics(Result):
         The texts of the doubts are the first warnings.
     doubts : tuple of Doubt
         What does not look right, the worst first.
+    model_tests : tuple of ModelTest
+        Of every standard term up to third order that the model lacks and the positions show.
+    hidden : tuple of str
+        Terms of that set that the positions cannot show.
+    claim : Claim or None
+        How the residuals stand to the stated noise, where there is one.
     """
 
     rank: int
@@ -60,6 +75,9 @@ class Diagnostics(Result):
     unidentifiable: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     doubts: tuple[Doubt, ...] = ()
+    model_tests: tuple[ModelTest, ...] = ()
+    hidden: tuple[str, ...] = ()
+    claim: Claim | None = None
 
 
 def find_outliers(

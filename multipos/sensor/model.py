@@ -29,7 +29,7 @@ from multipos.numerics.terms import (
     CONSTANT,
     NAMED,
     Term,
-    expand_products,
+    expand_others,
     linear_term,
     parse_term,
     sees_only,
@@ -381,7 +381,7 @@ def build_model(
     Parameters
     ----------
     text : str
-        A name of `NAMED`, or a formula over x, y, z, own, |own| and other columns.
+        A name of `NAMED`, or a formula over x, y, z, own, |own|, other and other columns.
     outputs, axes, inputs : tuples of str
         See `Model`.
     unit : str
@@ -402,7 +402,7 @@ def build_model(
             f"{LONGEST}; write every term once."
         )
     formula = NAMED.get(name, name)
-    words = (*NAMED, *COMPONENTS, "1", "own", *(known or ()))
+    words = (*NAMED, *COMPONENTS, "1", "own", "other", *(known or ()))
     if re.fullmatch(r"[\w-]+", name) and name not in words:
         raise UsageError(
             f"unknown model '{name}'; give {', '.join(NAMED)} "
@@ -417,7 +417,12 @@ def build_model(
 
 def _seen_terms(formula: str, text: str, axis: str, inputs: tuple[str, ...]) -> tuple[Term, ...]:
     """Return the terms of an output that its inputs let act; a name leaves the others out."""
-    parts = split_terms(expand_products(formula, axis), text)
+    parts = expand_others(split_terms(formula, text), axis, inputs)
+    if not parts:
+        raise UsageError(
+            f"model '{text}': there is no other component than {axis} among --inputs "
+            f"{','.join(inputs)}; drop the term or name the input."
+        )
     parsed = dict.fromkeys(parse_term(part, text, axis) for part in parts)
     seen = tuple(term for term in parsed if sees_only(term, inputs))
     if len(seen) < len(parsed) and text.strip() not in NAMED:

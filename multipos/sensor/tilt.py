@@ -90,6 +90,7 @@ def tilt_at_rest(
     rest: Array,
     environment: Mapping[str, Array],
     noise: Array | None = None,
+    unseen: Array | None = None,
 ) -> Tilt:
     """Return the tilt that a force (n, 3) at rest tells, with its uncertainty.
 
@@ -101,11 +102,12 @@ def tilt_at_rest(
     environment : mapping of str to (n,) array
     noise : (n, M) or (M,) array, optional
         Standard uncertainty of the readings; `reading_noise` where not given.
+    unseen : (n, K, K) array, optional [g²]
+        As in `force_uncertainty`.
     """
     axes = list(sensed_axes(calibration.model))
-    covariance, dof = force_uncertainty(
-        calibration, rest, environment, reading_noise(calibration) if noise is None else noise
-    )
+    noise = reading_noise(calibration) if noise is None else noise
+    covariance, dof = force_uncertainty(calibration, rest, environment, noise, unseen)
     u = np.sqrt(np.einsum("nkk->nk", covariance))
     k = coverage_factors(calibration.confidence, dof)
     sign, magnitude, force = calibration.sign, magnitude_of(calibration), rest[:, axes]
@@ -148,12 +150,17 @@ def reading_noise(calibration: Calibration) -> Array:
 
 
 def force_uncertainty(
-    calibration: Calibration, rest: Array, environment: Mapping[str, Array], noise: Array
+    calibration: Calibration,
+    rest: Array,
+    environment: Mapping[str, Array],
+    noise: Array,
+    unseen: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return the covariance (n, K, K) [g²] of force from new readings, eq. (4), and its dof (n, K).
 
-    The degrees of freedom are Welch and Satterthwaite's over the outputs. Two components that
-    one axis leaves unseen count as what they are: anything on a circle.
+    `unseen` (n, K, K) is what terms that the positions did not show add. The degrees of freedom
+    are Welch and Satterthwaite's over the outputs. Two components that one axis leaves unseen count
+    as what they are: anything on a circle.
     """
     model, parameters = calibration.model, calibration.parameters
     held = np.where(np.isfinite(rest), rest, 0.0)
@@ -173,6 +180,8 @@ def force_uncertainty(
     if shared.any():
         own, block = from_parameters[:, :, shared], calibration.covariance[np.ix_(shared, shared)]
         effective += np.einsum("nkp,pq,nkq->nk", own, block, own) ** 2 / calibration.dof.sum()
+    if unseen is not None:
+        result += unseen
     total = np.einsum("nkk->nk", result)
     with np.errstate(divide="ignore", invalid="ignore"):
         dof = np.where(effective == 0.0, np.inf, total**2 / effective)

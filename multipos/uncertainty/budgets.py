@@ -16,9 +16,11 @@ A budget is a small TOML file, one table for each input quantity, all optional:
 ``temperature``  of the sensor [degC], common; ``bias_per_degC`` [reading unit/degC] and
                  ``scale_per_degC`` [relative/degC] where the model has no temperature terms
 ``third_order``  own-axis third-order coefficient that the positions did not show, relative to
-                 the scale factor [1/g²]: what is known beyond ±1 g
+                 the scale factor [1/g²]: as ``"own^3"`` of ``unseen``, instead of it
 ``stability``    zero from switch-on to switch-on: ``file``, a result of `multipos stability` of
                  several records, or its standard deviations ``u_<output>``, and ``dof``
+``unseen``       terms that the positions did not show: standard uncertainty [g] of each kind,
+                 ``"own^2"``, ``"own^3"``, ``"own*|own|"``, ``"own*other"``
 ===============  ==========================================================================
 
 How large a quantity is, is said in one of three ways (angles with ``_deg`` behind the name): the
@@ -50,6 +52,8 @@ DIVISORS = {
     "triangular": math.sqrt(6.0),
     "arcsine": math.sqrt(2.0),
 }
+UNSEEN = ("own^2", "own^3", "own*|own|", "own*other")
+OF_FORCE_ALONE = ("third_order", "unseen")  # no part of the uncertainty of parameters
 _FEWEST = 1e-3  # degrees of freedom: of fewer nothing can be said
 _SPREAD = ("u", "U", "k", "half_width", "distribution", "dof")
 
@@ -93,6 +97,7 @@ KINDS = {
         "temperature of the sensor", "degC", True, ("bias_per_degC", "scale_per_degC")
     ),
     "third_order": QuantityKind("third-order term beyond the positions", "1/g^2", True),
+    "unseen": QuantityKind("terms that the positions did not show", "g", True, UNSEEN),
     "stability": QuantityKind(
         "zero from switch-on to switch-on", "1", False, ("file", "u_<output>"), True
     ),
@@ -148,6 +153,11 @@ def read_budget(source: "BudgetSource | Budget") -> Budget:
     if "stability" in tables:
         stated = resolve(f"{where}, [stability]", tables["stability"], where)
         tables = {**tables, "stability": stated}
+    if "unseen" in tables and "third_order" in tables:
+        raise MultiposError(
+            f"{where}: [third_order] and [unseen] both state what the positions do not show; write "
+            '[third_order] as "own^3" of [unseen].'
+        )
     quantities = {
         name: _quantity(f"{where}, [{name}]", name, table) for name, table in tables.items()
     }
@@ -166,6 +176,8 @@ def _quantity(where: str, name: str, table: Any) -> Quantity:
     if name == "stability":
         return Quantity(name, 1.0, KINDS[name].unit, "normal", float(table["dof"]), dict(table))
     kind = KINDS[name]
+    if name == "unseen":
+        return Quantity(name, 1.0, kind.unit, "normal", math.inf, _unseen(where, table))
     suffix = "_deg" if kind.unit == "deg" else ""
     spread, settings = _split(where, table, kind, suffix)
     if name == "resolution" and "step" in settings:
@@ -176,6 +188,16 @@ def _quantity(where: str, name: str, table: Any) -> Quantity:
         raise MultiposError(f"{where}: 'dof' must be above 0, at least {_FEWEST:g}, got {dof:g}.")
     _check_settings(where, name, settings)
     return Quantity(name, u, kind.unit, distribution, dof, settings)
+
+
+def _unseen(where: str, table: Mapping[str, Any]) -> dict[str, float]:
+    """Return the sizes [g] of kinds of terms."""
+    unknown = [key for key in table if key not in UNSEEN]
+    if unknown or not table:
+        found = f"unknown kind of term '{unknown[0]}'" if unknown else "no kind of term"
+        names = ", ".join(f'"{name}"' for name in UNSEEN)
+        raise MultiposError(f"{where}: {found}; it takes {names}, each a standard uncertainty [g].")
+    return {kind: _number(where, table, kind) for kind in UNSEEN if kind in table}
 
 
 def _split(

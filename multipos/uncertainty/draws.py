@@ -19,7 +19,7 @@ from multipos.estimation.restatement import noise_factor, restate, return_to_opt
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator, VarianceComponents
-from multipos.uncertainty.budgets import Quantity, read_budget
+from multipos.uncertainty.budgets import OF_FORCE_ALONE, Quantity, read_budget
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.sensitivities import reading_moves, turn_axes
 
@@ -154,7 +154,7 @@ def _quantities_to_draw(c: Calibration) -> list[Quantity]:
     contained = {r.quantity for r in evaluate_budget(c).rows if r.contained.all()}
     if c.estimator is Estimator.UNKNOWN:
         contained |= {"level", "index"}  # orientations that were not used cannot be wrong
-    left_out = ("gravity", "third_order", *contained)
+    left_out = ("gravity", *OF_FORCE_ALONE, *contained)
     quantities = [quantity for name, quantity in stated.items() if name not in left_out]
     if c.gravity is not None and c.gravity.u > 0.0:
         given = stated.get("gravity")

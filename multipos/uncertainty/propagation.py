@@ -37,7 +37,13 @@ from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.uncertainty.budgets import Budget, BudgetSource, Quantity, read_budget
+from multipos.uncertainty.budgets import (
+    OF_FORCE_ALONE,
+    Budget,
+    BudgetSource,
+    Quantity,
+    read_budget,
+)
 from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
 
 _SECOND_ORDER = 1e-3  # of the residual variance: a gain moves readings with their noise
@@ -256,7 +262,7 @@ def budget_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
 
 def _quantities(calibration: Calibration, budget: Budget) -> list[Quantity]:
     """Return the quantities that reach the parameters, gravity first and as it was used."""
-    found = [q for name, q in budget.quantities.items() if name not in ("gravity", "third_order")]
+    found = [q for name, q in budget.quantities.items() if name not in ("gravity", *OF_FORCE_ALONE)]
     gravity = calibration.gravity
     if gravity is None or not gravity.u > 0.0:
         return found

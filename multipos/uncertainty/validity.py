@@ -9,31 +9,26 @@ a calibration is worth what it gives at its worst direction and, as root mean sq
 them. The reading that is compensated adds its own noise, which is not in these numbers.
 
 What was applied is a sphere of |f| = g, and known forces, which along an axis go from the smallest
-component to the largest and in size to the largest of them. Beyond, a third-order term κ_i f_i³
-(relative to the scale factor s_i) that the positions could not show grows. The fit absorbed it as
-far as it looks like the model, so with the gain G of the estimator compensated force is off by
-
-    δf(f) = J⁺ (e_i s_i κ_i f_i³ - φ(f)' G e_i s_i κ_i f_i³ at the positions),               (2)
-
-nothing at ±1 g and (f² - 1) f κ beyond, for positions along the axes.
+component to the largest and in size to the largest of them. Terms that the positions could not
+show are in the uncertainty as far as the budget states them (`multipos.uncertainty.unseen`):
+between the directions applied, and beyond what was applied.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.terms import COMPONENTS, linear_term
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import inverse_covariance, sensed_axes
+from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.inverse import sensitivities as inverse_sensitivities
-from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.propagation import evaluate_budget
+from multipos.uncertainty.unseen import unseen_covariance
 
 # Noise and placement make |f| of a sensor at rest differ from 1 g; only more than this is outside.
 _MARGIN = 0.01
@@ -94,16 +89,6 @@ def applied(calibration: Calibration) -> Applied:
     return Applied(sphere, largest, np.asarray(low), np.asarray(high), margin)
 
 
-def force_covariance(
-    calibration: Calibration, force: Array, environment: Mapping[str, ArrayLike]
-) -> Array:
-    """Return the covariance (n, K, K) [g²] of compensated force (n, K) [g], eq. (2) included."""
-    c = calibration
-    return inverse_covariance(
-        c.model, c.parameters, c.covariance, force, environment
-    ) + third_order_covariance(c, force, environment)
-
-
 def evaluate_sphere(
     calibration: Calibration, *, size: float = 1.0, directions: str = POINTS
 ) -> dict[str, dict[str, dict[str, Any]]]:
@@ -136,7 +121,7 @@ def evaluate_sphere(
     full[:, sensed] = force
     inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)
     gradient = -inverse @ by_parameter  # (n, K, p)
-    extra = third_order_covariance(c, force, environment)
+    extra = unseen_covariance(c, force, environment)
     turns = {"force": np.broadcast_to(np.eye(len(sensed)), extra.shape)}
     if len(sensed) == len(COMPONENTS):
         turns["tilt_deg"] = np.degrees(_tilt_gradient(force))
@@ -171,41 +156,3 @@ def _tilt_gradient(force: Array) -> Array:
     axis = np.arange(3)
     gradient[:, axis, axis] = rest / square
     return np.asarray(gradient)
-
-
-def third_order_covariance(
-    calibration: Calibration, force: Array, environment: Mapping[str, ArrayLike]
-) -> Array:
-    """Return the covariance (n, K, K) [g²] that an unseen third-order term adds, by eq. (2).
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Zero unless its budget allows a third-order term.
-    force : (n, K) array [g]
-        Compensated force, on the axes that the sensor has.
-    environment : mapping of str to (n,) array
-    """
-    c = calibration
-    sensed = list(sensed_axes(c.model))
-    total = np.zeros((len(force), len(sensed), len(sensed)))
-    tables = c.budget_tables
-    if "third_order" not in tables:
-        return total
-    u = read_budget({"third_order": tables["third_order"]}).quantities["third_order"].u
-    full = np.zeros((len(force), 3))
-    full[:, sensed] = np.where(np.isfinite(force), force, 0.0)  # NaN: no force explains it
-    inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)
-    gain = estimator_gain(c)
-    for output, axis in enumerate(c.model.axes):
-        key = (c.outputs[output], linear_term(axis))
-        if key not in c.model.keys:
-            continue
-        scale, i = c.parameters[c.model.keys.index(key)], COMPONENTS.index(axis)
-        seen = np.zeros_like(c.readings.values)
-        seen[:, output] = scale * c.reference[:, i] ** 3
-        moved = -by_parameter @ (gain @ seen.ravel())
-        moved[:, output] += scale * full[:, i] ** 3
-        off = np.einsum("nkm,nm->nk", inverse, moved) * u
-        total += off[:, :, None] * off[:, None, :]
-    return total

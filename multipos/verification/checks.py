@@ -46,6 +46,7 @@ from multipos.sensor.tilt import (
     triad_tilt,
     true_tilt,
 )
+from multipos.uncertainty.unseen import unseen_covariance
 from multipos.verification.regression_checks import check_regression, check_regressions
 from multipos.verification.verdicts import Check, judge_errors, require_limit
 
@@ -234,7 +235,8 @@ def _force_errors(
         known = np.where(forced, calibration.sign * data.force, known)
         rest = np.where(forced, _explained(calibration, data, known), rest)
     reference = known[:, axes]
-    covariance, dof = force_uncertainty(calibration, rest, data.environment, noise)
+    unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
+    covariance, dof = force_uncertainty(calibration, rest, data.environment, noise, unseen)
     square = np.einsum("ni,ni->n", known, known)[:, None]
     across = np.sqrt(np.maximum(square - reference**2, 0.0))
     own = np.sqrt(np.einsum("nkk->nk", covariance))
@@ -276,7 +278,8 @@ def _tilt_errors(
     axes = list(sensed_axes(calibration.model))
     reference = true_tilt(up)[:, axes]
     rest = at_rest(calibration, data.values, data.environment, up)
-    found = tilt_at_rest(calibration, rest, data.environment, noise)
+    unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
+    found = tilt_at_rest(calibration, rest, data.environment, noise, unseen)
     placed = _placement(data)
     force = nominal_force(calibration.model, data.values, nominal)
     if len(axes) == 3:

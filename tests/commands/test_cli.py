@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from cli_bench import MULTIPOS, SIX, run, snapshot
+from cli_bench import MULTIPOS, SIX, beside_hidden, run, snapshot
 
 import multipos as mp
 from multipos import cli
@@ -222,7 +222,9 @@ def test_json_is_one_object_and_nothing_else(here, capsys):
 def test_warnings_go_to_stderr(here, capsys):
     status, out, err = run(capsys, "fit", "six.csv", "--convention", "gravity", "--json")
     assert status == 0
-    assert err.startswith("multipos: warning: every own-axis scale factor is negative")
+    assert beside_hidden(err).startswith(
+        "multipos: warning: every own-axis scale factor is negative"
+    )
     assert json.loads(out)["diagnostics"]["warnings"]
     _, _, err = run(capsys, "fit", "six.csv", "--outputs", "ax")
     assert "column 'ay' is not among the outputs and is not used" in err
@@ -265,7 +267,7 @@ def test_the_file_is_what_python_gives(here, capsys, monkeypatch):
 def test_every_form_of_a_table_gives_the_same(form, here, capsys):
     (here / "six.csv").write_bytes(FORMS[form])
     _, out, err = run(capsys, "fit", "six.csv", "--json")
-    assert err == ""
+    assert beside_hidden(err) == ""
     found = json.loads(out)["parameters"]
     assert [p["value"] for p in found] == list(mp.load("cal.json").parameters)
 
@@ -317,7 +319,7 @@ def test_apply_keeps_every_column_and_its_form(here, capsys):
     force = mp.load("cal.json").compensate([0.5, 0.1, 0.8])[0]
     written = [float(cell.replace(",", ".")) for cell in first[5:8]]
     assert written == pytest.approx(list(force), abs=1e-15)
-    said, last = err.splitlines()
+    said, last = beside_hidden(err).splitlines()
     assert "averaged reading of the calibration" in said
     assert last == "multipos: warning: 1 of 2 rows are outside what was calibrated"
     status, out, _ = run(capsys, "apply", "cal.json", "raw.csv", "-o", "out.csv")
@@ -415,7 +417,8 @@ def test_a_full_disk_and_a_closed_pipe(here):
         check=False,
     )
     assert full.returncode == 1
-    assert full.stderr == "multipos: error: cannot write to stdout: No space left on device.\n"
+    said = beside_hidden(full.stderr)
+    assert said == "multipos: error: cannot write to stdout: No space left on device.\n"
     head = subprocess.run(
         f"{MULTIPOS} schemes all-26 | head -n 1",
         shell=True,

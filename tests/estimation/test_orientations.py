@@ -278,7 +278,8 @@ def test_denied_noise_is_added_to_and_said(mode):
     honest = mp.fit(mp.Readings(readings.values, up=readings.up), **how)
     said = [w for w in cal.diagnostics.warnings if "deny the stated reading noise" in w]
     assert len(said) == 1
-    assert "--orientation-sd" in said[0]
+    assert "scatter from rest to rest" in said[0]
+    assert "--orientation-sd" not in said[0]  # it is given, or nothing is known of orientations
     scatter = cal.variance_components.rest_to_rest["ay"].value
     assert f"position to position of {scatter:.3g} reading" in said[0]
     # 15 or some 24 contrasts that no orientation touches

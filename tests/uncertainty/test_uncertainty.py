@@ -17,11 +17,8 @@ from multipos.positions.scheme import read_scheme
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.propagation import evaluate_budget, state_budget, welch_satterthwaite
 from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
-from multipos.uncertainty.validity import (
-    evaluate_sphere,
-    force_covariance,
-    third_order_covariance,
-)
+from multipos.uncertainty.unseen import unseen_covariance
+from multipos.uncertainty.validity import evaluate_sphere
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
 BIAS = np.array([0.01, -0.02, 0.015])
@@ -359,11 +356,13 @@ def test_sphere_of_a_linear_fit_by_hand():
 def test_an_unseen_third_order_term_grows_beyond_what_was_applied():
     c = calibrate("faces-6", reading_sd=1e-5, budget={"third_order": {"u": 1e-3}})
     size = np.array([[1.0, 0, 0], [-1.0, 0, 0], [2.0, 0, 0], [5.0, 0, 0]])
-    u = np.sqrt(third_order_covariance(c, size, {})[:, 0, 0])
+    u = np.sqrt(unseen_covariance(c, size, {})[:, 0, 0])
     # x³ at the six faces looks like x: what is left is κ (f³ − f) along the own axis
     assert_allclose(u[:2], 0.0, atol=1e-15)
     assert_allclose(u[2:], [1e-3 * 6, 1e-3 * 120], rtol=0.02)
-    assert (force_covariance(c, size, {})[3, 0, 0]) > u[3] ** 2
+    raw = dict(zip(c.outputs, c.predict(size).T, strict=True))
+    applied = mp.apply(c, raw, uncertainty=True, parameters_only=True)
+    assert applied["u_f_x"][3] > u[3]
 
 
 def test_degrees_of_freedom_beyond_what_was_applied_by_hand():
@@ -385,7 +384,7 @@ def test_a_third_order_term_that_was_fitted_is_not_unseen():
     c = calibrate(
         "icosahedron-12", model="own-cubic", reading_sd=1e-5, budget={"third_order": {"u": 1e-3}}
     )
-    assert_allclose(third_order_covariance(c, np.array([[3.0, 1.0, 2.0]]), {}), 0.0, atol=1e-24)
+    assert_allclose(unseen_covariance(c, np.array([[3.0, 1.0, 2.0]]), {}), 0.0, atol=1e-24)
 
 
 # --- files and options that are at fault

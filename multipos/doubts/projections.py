@@ -1,0 +1,315 @@
+"""What positions show of terms that a model lacks: projections, and what they leave unseen.
+
+With the whitened design X = Q R and columns Z of terms that are not in it, V = Z − QQ'Z is what a
+fit leaves of them. At known orientations V depends on the positions and not on the readings; its
+orthonormal rows are kept from one fit to the next.
+
+**Hidden.** A combination c that is not fitted puts force at f off by E(f) c, E = Z(f) − X(f) X⁺Z.
+One just large enough to be found, c'V'Vc ≈ λ, puts it off by √(λ r) of the noise, while u of force
+is √l of it:
+
+    r = max c'Ec / c'V'Vc, E the mean of E(f)'E(f),    l = mean of |X(f) R⁻¹|²,             (1)
+
+means over the sphere. √(r/l) is .4 to .8 where positions are spread evenly, 4 to 18 at six faces
+that are 3° to 1° off, infinite at the faces; where it passes `_HIDDEN` terms spoil U long before
+they are found. Where no positions could show a combination E is zero as well, and little where
+the model does nearly the same: own·|own| beside own and own³.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.doubts.candidates import OF_FORCE, Kind
+from multipos.numerics.arrays import Array
+from multipos.numerics.least_squares import block_design
+from multipos.numerics.terms import COMPONENTS
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.calibration import Calibration
+
+_HIDDEN = 2.0  # of the root of r/l: a term just found puts force off by some ten u
+TOLD = 1e-8  # of a column's square, below which what is left of it tells nothing
+_IMITATED = 0.1  # of a term, within which the model does the same over the sphere
+_APPLIED = 1e-9  # of the largest square, below which a direction was never applied
+_NOTHING = 1e-12  # of a column's square, below which it is rounding
+_DIRECTIONS = 100
+_KEPT = 8  # projections
+
+
+class Setting:
+    """What a projection depends on: positions, terms and weights; equal where these are."""
+
+    def __init__(self, c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> None:
+        self.calibration, self.kinds, self.added = c, kinds, added
+        columns = c.readings.environment
+        self._key = (
+            *(c.model.names, c.model.axes, c.model.inputs, tuple(kind.name for kind in kinds)),
+            *(added, c.reference.tobytes(), *(columns[name].tobytes() for name in sorted(columns))),
+            b"" if is_level(c) or c.noise is None else c.noise.tobytes(),
+            b"" if c.robust_weight is None else c.robust_weight.tobytes(),
+        )
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Setting) and self._key == other._key
+
+
+@dataclass(frozen=True)
+class Projection:
+    """V at known orientations, as orthonormal rows in blocks of a kind and an output.
+
+    Attributes
+    ----------
+    whitener : (n, M) or (n M, n M) array
+    fitted : tuple of arrays
+        Q of each output's design, or of the one of all.
+    rows : (R, n) or (R, n M) array
+    output : (R,) array
+        The column of whitened residuals that a row is for.
+    starts, place : arrays
+        Where blocks begin, and their place among (kinds, outputs).
+    q : (kinds, outputs) array
+    left : (outputs,) array
+        Degrees of freedom without the terms.
+    names, hidden : tuples of str
+    """
+
+    whitener: Array
+    fitted: tuple[Array, ...]
+    rows: Array
+    output: NDArray[np.intp]
+    starts: NDArray[np.intp]
+    place: NDArray[np.intp]
+    q: Array
+    left: Array
+    names: tuple[str, ...]
+    hidden: tuple[str, ...]
+
+    def whitened(self, residuals: Array) -> Array:
+        """Return residuals (n, M) as columns that the rows take."""
+        if self.whitener.shape == residuals.shape:
+            return self.whitener * residuals
+        return np.asarray((self.whitener @ residuals.ravel())[:, None])
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The design of one output, or of all, and the terms of each kind; here and on the sphere."""
+
+    design: Array
+    terms: tuple[Array, ...]
+    design_there: Array
+    terms_there: tuple[Array, ...]
+
+
+@lru_cache(maxsize=_KEPT)
+def project(setting: Setting) -> Projection:
+    """Return the projection of a setting; a kind is hidden where it is of any output."""
+    c, kinds = setting.calibration, setting.kinds
+    together = c.noise is not None and c.noise.ndim == 2
+    whitener, weight = _whitener(c)
+    parts = [_joint_part(c, kinds, whitener)] if together else _own_parts(c, kinds, whitener)
+    q = np.zeros((len(kinds), len(parts)))
+    blocks: list[Array] = []
+    place: list[int] = []
+    fitted, hidden = [], set()
+    for column, part in enumerate(parts):
+        Q, R = np.linalg.qr(part.design)
+        there = part.design_there @ np.linalg.inv(R)
+        for kind, Z in zip(kinds, part.terms, strict=True):
+            if kind.name in setting.added:
+                Q = np.column_stack([Q, seen_rows(left_of(Q, Z), Z).T])
+        fitted.append(Q)
+        for k, (kind, Z, Z_there) in enumerate(
+            zip(kinds, part.terms, part.terms_there, strict=True)
+        ):
+            if not Z.shape[1] or kind.name in setting.added:
+                continue
+            V = left_of(Q, Z)
+            if not setting.added and kind.name in OF_FORCE:
+                error = Z_there - there @ (Q.T @ Z)
+                size = float(np.mean(np.sum(there**2, axis=1)))
+                hidden |= {kind.name} if hides(V.T @ V, error, Z_there, size) else set()
+            rows = seen_rows(V, Z)
+            if len(rows):
+                blocks.append(rows)
+                place.append(k * len(parts) + column)
+                q[k, column] = len(rows)
+    left = np.array([weight.sum()] if together else weight.sum(axis=0))
+    sizes = np.array([len(rows) for rows in blocks], dtype=np.intp)
+    return Projection(
+        whitener=whitener,
+        fitted=tuple(fitted),
+        rows=np.concatenate([np.zeros((0, len(parts[0].design))), *blocks]),
+        output=np.repeat(np.array(place, dtype=np.intp) % len(parts), sizes),
+        starts=np.cumsum(sizes) - sizes,
+        place=np.array(place, dtype=np.intp),
+        q=q,
+        left=left - [Q.shape[1] for Q in fitted],
+        names=tuple(kind.name for kind in kinds),
+        hidden=tuple(kind.name for kind in kinds if kind.name in hidden),
+    )
+
+
+def hides(gram: Array, error: Array, whole: Array, size: float) -> bool:
+    """Tell whether √(r/l) of eq. (1) passes its limit, and the error is one.
+
+    Parameters
+    ----------
+    gram : (q, q) array
+        V'V.
+    error : (J, q) array
+        E(f) at directions f.
+    whole : (J, q) array
+        The terms there.
+    size : float
+        l.
+    """
+    if not (np.mean(error**2, axis=0) > _IMITATED**2 * np.mean(whole**2, axis=0)).any():
+        return False
+    scale = float(np.trace(gram)) + size**-1.0 * float(np.mean(error**2))
+    mean = error.T @ error / len(error)
+    ratio = np.linalg.eigvals(np.linalg.solve(gram + _NOTHING * scale * np.eye(len(gram)), mean))
+    return bool(ratio.real.max() > _HIDDEN**2 * size)
+
+
+def seen_rows(V: Array, Z: Array) -> Array:
+    """Return orthonormal rows (r, n) of the part of V (n, q) that is more than rounding of Z."""
+    scale = np.sqrt(np.einsum("nq,nq->q", Z, Z))
+    U = V / np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(U.T @ U)
+    told = values > TOLD
+    return np.asarray((U @ vectors[:, told] / np.sqrt(values[told])).T)
+
+
+def values_of(
+    kinds: Sequence[Kind], force: Array, environment: Mapping[str, Array]
+) -> tuple[Array, NDArray[np.intp]]:
+    """Return all terms as columns (n, M, R) of readings, and the kind of each (R,)."""
+    m = len(kinds[0].terms)
+    variables = {axis: force[:, i] for i, axis in enumerate(COMPONENTS)} | dict(environment)
+    places = [
+        (k, output, term)
+        for k, kind in enumerate(kinds)
+        for output, terms in enumerate(kind.terms)
+        for term in terms
+    ]
+    result = np.zeros((len(force), m, len(places)))
+    for column, (_, output, term) in enumerate(places):
+        result[:, output, column] = term.evaluate(variables)
+    return result, np.array([k for k, _, _ in places], dtype=np.intp)
+
+
+def sphere(c: Calibration) -> tuple[Array, dict[str, Array]]:
+    """Return directions (J, 3) [g] that force may have, with the mean of every other column.
+
+    Of the components that the model sees, within what was applied: on a circle, or a line, where
+    all positions lie in a plane, or along one.
+    """
+    seen = np.array([axis in c.model.inputs for axis in COMPONENTS])
+    values, vectors = np.linalg.eigh((c.reference * seen).T @ (c.reference * seen))
+    applied = values > _APPLIED * values[-1]
+    up = _directions(int(applied.sum())) @ vectors[:, applied].T
+    size = float(np.linalg.norm(c.reference, axis=1).mean())
+    means = {
+        name: np.full(_DIRECTIONS, float(np.mean(column)))
+        for name, column in c.readings.environment.items()
+    }
+    return size * up, means
+
+
+@lru_cache(maxsize=3)
+def _directions(dimensions: int) -> Array:
+    """Return points (J, dimensions) spread evenly over a sphere, a circle or from −1 to 1."""
+    if dimensions == 1:
+        return np.linspace(-1.0, 1.0, _DIRECTIONS)[:, None]
+    if dimensions == 2:
+        angle = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        return np.column_stack([np.cos(angle), np.sin(angle)])
+    return read_scheme(f"fibonacci-{_DIRECTIONS}").up
+
+
+def is_level(c: Calibration) -> bool:
+    """Tell whether all readings of an output have the same noise, so that no projection has it."""
+    noise = c.noise
+    return (
+        noise is not None
+        and noise.ndim == 1
+        and not np.ptp(noise.reshape(len(c.readings), -1), axis=0).any()
+    )
+
+
+def level_of(c: Calibration) -> Array | float:
+    """Return what levels the noise of outputs (M,) with each other, where projections do not."""
+    noise = c.noise
+    if noise is None or not is_level(c):
+        return 1.0
+    return np.asarray(1.0 / np.sqrt(noise[: c.residuals.shape[1]]))
+
+
+def left_of(Q: Array, Z: Array) -> Array:
+    """Return what orthonormal columns Q (n, p) leave of others Z (n, q)."""
+    V = Z - Q @ (Q.T @ Z)
+    return np.asarray(V - Q @ (Q.T @ V))  # twice is enough
+
+
+def _whitener(c: Calibration) -> tuple[Array, Array]:
+    """Return what whitens residuals, and how much each of them (n, M) counts."""
+    shape = c.residuals.shape
+    weight = np.ones(shape)
+    if c.robust_weight is not None:
+        weight = np.broadcast_to(c.robust_weight.reshape(shape[0], -1), shape)
+    if c.noise is not None and c.noise.ndim == 2:
+        root = np.sqrt(weight).reshape(-1, 1)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(c.noise)) * root), weight
+    variances = np.ones(shape)
+    if c.noise is not None and not is_level(c):
+        variances = c.noise.reshape(shape)
+    return np.asarray(np.sqrt(weight / variances)), weight
+
+
+def _own_parts(c: Calibration, kinds: tuple[Kind, ...], whitener: Array) -> list[_Part]:
+    directions, means = sphere(c)
+    here = c.model.basis(c.reference, c.readings.environment)
+    there = c.model.basis(directions, means)
+    result = []
+    for i, columns in enumerate(c.model.columns):
+        alone = [Kind(kind.name, (kind.terms[i],)) for kind in kinds]
+        weight = whitener[:, [i]]
+        result.append(
+            _Part(
+                here[:, columns] * weight,
+                tuple(weight * z for z in _by_kind(alone, c.reference, c.readings.environment)),
+                there[:, columns],
+                _by_kind(alone, directions, means),
+            )
+        )
+    return result
+
+
+def _joint_part(c: Calibration, kinds: tuple[Kind, ...], whitener: Array) -> _Part:
+    """Return the part of outputs whose readings are correlated."""
+    directions, means = sphere(c)
+    designs = []
+    for force, columns in ((c.reference, c.readings.environment), (directions, means)):
+        phi = c.model.basis(force, columns)
+        whole = block_design([phi[:, mine] for mine in c.model.columns])
+        terms = _by_kind(kinds, force, columns)
+        designs.append([each.reshape(-1, each.shape[2]) for each in (whole, *terms)])
+    (here, *z_here), (there, *z_there) = designs
+    return _Part(whitener @ here, tuple(whitener @ z for z in z_here), there, tuple(z_there))
+
+
+def _by_kind(
+    kinds: Sequence[Kind], force: Array, environment: Mapping[str, Array]
+) -> tuple[Array, ...]:
+    """Return the columns of each kind, (n, q) of one output, (n, M, q) of several."""
+    values, kind_of = values_of(kinds, force, environment)
+    if values.shape[1] == 1:
+        values = values[:, 0]
+    return tuple(values[..., kind_of == k] for k in range(len(kinds)))

@@ -1,0 +1,244 @@
+"""Does the model lack a term? Score tests of all that it could have, from one projection.
+
+About a solution the readings have whitened residuals e, the whitened design X of the parameters
+(and of what positions share), and terms that the model lacks would add columns Z. With
+
+    V = Z − X X⁺Z,    Δ = e'V (V'V)⁻¹ V'e,    R = (Δ/q) / ((e'e − Δ)/ν),                    (1)
+
+R follows F(q, ν) if nothing is in the terms, q the rank of V and ν what is left of the degrees of
+freedom: no model is fitted again, and at known orientations (1) is the F test of nested models.
+- Known orientations without a stated noise: each output has a scatter and so an R of its own.
+- Elsewhere outputs are whitened by what was found of their noise and share one R. Uncertain and
+  unknown orientations have the marginal weights W_k of `multipos.estimation.likelihood`, so that
+  V'V = Z'WZ − Z'WA S⁻¹ A'WZ, and V'e = Z'Σ⁻¹r − Z'WA S⁻¹ A'Σ⁻¹r.
+
+What positions cannot show, and how V is made and kept, is said in `multipos.doubts.projections`.
+
+References
+----------
+C. R. Rao 1948, Proc. Cambridge Phil. Soc. 44, 50 (the score test); IEEE Std 1293 (the terms).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.doubts.candidates import OF_FORCE, Kind, lacking
+from multipos.doubts.projections import TOLD, Setting, hides, level_of, project, sphere, values_of
+from multipos.estimation.gains import about_solution
+from multipos.estimation.likelihood import evaluate, linearise, weigh
+from multipos.estimation.problem import Problem
+from multipos.numerics.arrays import Array
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.found import Estimator
+from multipos.sensor.inverse import parameter_jacobian, sensed_axes
+from multipos.sensor.model_test import ModelTest
+
+LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
+# of the readings' span: what scatters less is rounded, and rounding follows no law
+_FINEST = 3e-7
+_LARGEST = 1e30  # of R, where nothing is left
+_CLEAR = 0.005  # of a column's square: with as much left of it no term is hidden
+
+
+@dataclass(frozen=True)
+class Tested:
+    """What was tested, and the kinds of terms that the positions do not show."""
+
+    tests: tuple[ModelTest, ...]
+    hidden: tuple[str, ...]
+
+
+def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
+    """Test every kind of term that the model lacks, by eq. (1).
+
+    Parameters
+    ----------
+    c : Calibration
+    added : tuple of str
+        Kinds that are taken as if the model had them.
+    """
+    kinds = lacking(c)
+    alone = c.estimator.exact and not isinstance(c.model, ExpressionModel)
+    told = bool((np.isfinite(c.residual_sd) & (c.residual_sd > 0.0)).all())
+    told = alone or (told and (c.robust_weight is None or c.robust_weight.ndim == 1))
+    if not kinds or not told:
+        return Tested((), ())
+    try:
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return (_at_known if alone else _by_likelihood)(c, kinds, added)
+    except np.linalg.LinAlgError:  # as good as singular: nothing can be said of what is beside it
+        return Tested((), ())
+
+
+def significant(tests: Sequence[ModelTest]) -> tuple[ModelTest, ...]:
+    """Return the tests that chance alone passes once in a hundred sets of tests, the best first.
+
+    The best is the least probable; where probabilities are too small for numbers, what gains most.
+    """
+    if not tests:
+        return ()
+    level = 1.0 - (1.0 - LEVEL) ** (1.0 / len(tests))
+    return tuple(sorted((t for t in tests if t.is_below(level)), key=lambda t: (t.p, -t.gain)))
+
+
+def _at_known(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> Tested:
+    """Test at known orientations, with a projection that is kept from one fit to the next."""
+    found = project(Setting(c, kinds, added))
+    if not len(found.starts):
+        return Tested((), found.hidden)
+    e = found.whitened(c.residuals) * level_of(c)
+    if added or c.estimator is Estimator.CLOSED_FORM or c.robust_weight is not None:
+        pairs = zip(found.fitted, e.T, strict=True)  # such residuals are not orthogonal to X
+        e = np.column_stack([column - Q @ (Q.T @ column) for Q, column in pairs])
+    along = (found.rows @ e)[np.arange(len(found.rows)), found.output]
+    explained = np.zeros(found.q.shape)
+    explained.flat[found.place] = np.add.reduceat(along**2, found.starts)
+    whole, q, left = np.einsum("nm,nm->m", e, e), found.q, found.left
+    if c.noise is None:
+        floor = np.square(np.ptp(c.readings.values, axis=0) * _FINEST)
+        tests = _ratios(found.names, c.outputs, explained, whole, q, left, floor)
+        return Tested(tests, found.hidden)
+    explained, q = explained.sum(axis=1, keepdims=True), q.sum(axis=1, keepdims=True)
+    one = _ratios(found.names, (), explained, whole.sum(), q, left.sum(), np.zeros(1))
+    return Tested(one, found.hidden)
+
+
+def _ratios(
+    kinds: Sequence[str],
+    outputs: tuple[str, ...],
+    explained: Array,
+    whole: Array | float,
+    q: Array,
+    left: Array | float,
+    floor: Array,
+) -> tuple[ModelTest, ...]:
+    """Return R of eq. (1) for kinds (K, B) of outputs, or of all as one."""
+    nu = left - q
+    rest = np.maximum(whole - explained, nu * floor)
+    told = (q > 0.0) & (nu >= 1.0) & (rest > 0.0) & np.isfinite(explained)
+    safe = np.where(told, rest, 1.0)
+    ratio = np.minimum(explained * nu / (np.where(told, q, 1.0) * safe), _LARGEST)
+    tests = []
+    for kind, chosen, fs, qs, nus in zip(
+        kinds, told.tolist(), ratio.tolist(), q.tolist(), nu.tolist(), strict=True
+    ):
+        rows = [i for i, keep in enumerate(chosen) if keep]
+        if rows:
+            tests.append(
+                ModelTest(
+                    kind,
+                    tuple(outputs[i] for i in rows if outputs),
+                    tuple(fs[i] for i in rows),
+                    tuple((qs[i], nus[i]) for i in rows),
+                )
+            )
+    return tuple(tests)
+
+
+def _by_likelihood(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> Tested:
+    """Test all outputs as one, about the solution of the likelihood."""
+    problem, state = about_solution(c)
+    point = evaluate(problem, state)
+    normal = linearise(problem, state, point)
+    surroundings = c.readings.environment
+    slopes = parameter_jacobian(c.model, c.parameters, point.force, surroundings)
+    A = np.concatenate([slopes, normal.shared], axis=2)
+    Z, kind_of = values_of(kinds, point.force, surroundings)
+    WZ = np.einsum("nij,njq->niq", normal.marginal, Z)
+    cross = np.einsum("nip,niq->pq", A, WZ)
+    across = np.linalg.solve(normal.information, cross)  # X⁺Z
+    gram = np.einsum("niq,nir->qr", Z, WZ)
+    size = np.diag(gram).copy()
+    gram -= cross.T @ across
+    push = weigh(problem.precision, point.residuals)
+    score = np.einsum("niq,ni->q", Z, push) - across.T @ np.einsum("nip,ni->p", A, push)
+    left = float(problem.degrees[problem.weight == 1.0].sum()) - problem.unknowns
+    names = [kind.name for kind in kinds]
+    for name in added:  # fitted beside the parameters
+        T, _ = _told(gram, size, kind_of == names.index(name))
+        score, gram = score - gram @ T @ (T.T @ score), gram - gram @ T @ (T.T @ gram)
+        left -= T.shape[1]
+    explained, q = np.zeros((len(kinds), 1)), np.zeros((len(kinds), 1))
+    faint = []
+    for k, name in enumerate(names):
+        if name not in added:
+            T, least = _told(gram, size, kind_of == k)
+            along = T.T @ score
+            explained[k], q[k] = along @ along, len(along)
+            faint += [k] if least < _CLEAR and name in OF_FORCE else []
+    hidden: tuple[str, ...] = ()
+    if faint and not added:
+        some = np.isin(kind_of, faint)
+        shown = gram[np.ix_(some, some)], across[:, some], normal.information
+        hidden = _hidden(c, [kinds[k] for k in faint], *shown)
+    whole = float(np.sum(point.q)) + _of_priors(c, problem)
+    # what was stated of positions is a floor: less is no finer scale to judge by
+    floor = np.ones(1) if problem.has_prior else np.zeros(1)
+    return Tested(_ratios(names, (), explained, whole, q, left, floor), hidden)
+
+
+def _of_priors(c: Calibration, problem: Problem) -> float:
+    """Return what steps and tilt add to F, which is stated about the solution itself."""
+    found = c.orientations
+    if found is None:
+        return 0.0
+    total = 0.0
+    if found.orientation_error_deg is not None:
+        steps = np.radians(np.nan_to_num(found.orientation_error_deg))
+        total += float(problem.prior @ steps**2)
+    if found.level_tilt_deg is not None and found.level_sd_deg:
+        total += float(np.sum((found.level_tilt_deg / found.level_sd_deg) ** 2))
+    return total
+
+
+def _told(gram: Array, size: Array, mine: NDArray[np.bool_]) -> tuple[Array, float]:
+    """Return T (R, r) of the terms of a kind, T'GT = 1, and the least part left of a term."""
+    scale = np.where(size > 0.0, np.sqrt(np.maximum(size, 0.0)), 1.0)
+    values, vectors = np.linalg.eigh((gram / (scale[:, None] * scale))[mine][:, mine])
+    seen = values > TOLD
+    result = np.zeros((len(size), int(seen.sum())))
+    result[mine] = vectors[:, seen] / np.sqrt(values[seen]) / scale[mine, None]
+    return result, float(values[0])
+
+
+def _hidden(
+    c: Calibration,
+    kinds: Sequence[Kind],
+    gram: Array,
+    across: Array,
+    information: Array,
+) -> tuple[str, ...]:
+    """Return which kinds are hidden, as far as force is concerned.
+
+    Where nothing ties the case to the world, only the size of a force is judged: its direction
+    has a rotation in it that is a convention.
+    """
+    directions, means = sphere(c)
+    p = len(c.parameters)
+    slopes = parameter_jacobian(c.model, c.parameters, directions, means)
+    by_force = c.model.force_jacobian(c.parameters, directions, means)
+    inverse = np.linalg.pinv(by_force[:, :, list(sensed_axes(c.model))])
+    values, kind_of = values_of(kinds, directions, means)
+    whole = inverse @ values
+    error = whole - inverse @ slopes @ across[:p]
+    moved = inverse @ slopes
+    if c.model.gauge is not None:
+        out = directions[:, None, :] / np.linalg.norm(directions, axis=1)[:, None, None]
+        whole, error, moved = out @ whole, out @ error, out @ moved
+    covariance = np.linalg.inv(information)[:p, :p]
+    size = float(np.einsum("jkp,pq,jkq->", moved, covariance, moved)) / len(directions)
+    size /= moved.shape[1]
+    found = []
+    for k, kind in enumerate(kinds):
+        mine = kind_of == k
+        wrong, all_of_it = (
+            np.sqrt(part.shape[1]) * part[:, :, mine].reshape(-1, int(mine.sum()))
+            for part in (error, whole)
+        )
+        if hides(gram[np.ix_(mine, mine)], wrong, all_of_it, size):
+            found.append(kind.name)
+    return tuple(found)
