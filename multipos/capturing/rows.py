@@ -16,7 +16,7 @@ from multipos.errors import MultiposError
 from multipos.logs.clock import Clock, read_clock, sample_rate, time_columns
 from multipos.logs.names import choose_outputs
 from multipos.logs.rests import Rest
-from multipos.logs.samples import Timing, good_rows, rows_in_log
+from multipos.logs.samples import Timing, good_rows, rows_in_log, usual_size
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 
@@ -66,7 +66,7 @@ class LiveRows:
         self.others = tuple(name for name in log.numeric if name not in apart)
         names = [*self.outputs, *self.others, *([column] if column else [])]
         self._order = [log.numeric.index(name) for name in names]
-        self._like = self._arranged(head)
+        self._usual = usual_size(self._arranged(head))
         self._last = -np.inf
         self._seen = 0
         self._store = _Store(len(names))
@@ -89,7 +89,7 @@ class LiveRows:
         """
         data = self._arranged(columns)
         timed = self.clock is not None
-        good = good_rows(data, len(self.outputs), timed=timed, like=self._like)
+        good = good_rows(data, len(self.outputs), timed=timed, usual=self._usual)
         if not good.all():
             self.dropped += (self._seen + np.flatnonzero(~good)).tolist()
             data = data[:, good]
@@ -139,20 +139,22 @@ class _Store:
         self._width = width
         self._first = 0  # row of the first piece
         self._new: list[Array] = []
+        self._size = 0  # numbers in the new pieces
         self._filed: list[int] = []  # rows of the pieces in the file
         self._file: IO[bytes] | None = None
 
     def add(self, piece: Array) -> None:
         if piece.shape[1]:
             self._new.append(piece)
-        if sum(each.size for each in self._new) > _IN_MEMORY:
+            self._size += piece.size
+        if self._size > _IN_MEMORY:
             if self._file is None:
                 self._file = tempfile.TemporaryFile()  # noqa: SIM115
             self._file.seek(0, 2)
             together = np.concatenate(self._new, axis=1)
             self._file.write(np.ascontiguousarray(together).tobytes())
             self._filed.append(together.shape[1])
-            self._new = []
+            self._new, self._size = [], 0
         elif len(self._new) > 256:
             self._new = [np.concatenate(self._new, axis=1)]
 
@@ -175,7 +177,9 @@ class _Store:
             self._filed = []
             self._first += filed
         while not self._filed and self._new and self._first + self._new[0].shape[1] <= row:
-            self._first += self._new.pop(0).shape[1]
+            piece = self._new.pop(0)
+            self._first += piece.shape[1]
+            self._size -= piece.size
 
     def close(self) -> None:
         if self._file is not None:

@@ -240,7 +240,7 @@ def rows_in_log(rest: Rest, dropped: Sequence[int]) -> Rest:
     return Rest(rest.start + start, rest.end + last)
 
 
-def good_rows(data: Array, outputs: int, *, timed: bool, like: Array | None = None) -> Mask:
+def good_rows(data: Array, outputs: int, *, timed: bool, usual: Array | None = None) -> Mask:
     """Return which rows (n,) have a time and outputs, and nothing beyond what sensors read.
 
     Parameters
@@ -249,19 +249,23 @@ def good_rows(data: Array, outputs: int, *, timed: bool, like: Array | None = No
         The outputs come first, the time last where there is one.
     outputs : int
     timed : bool
-    like : (k, m) array, optional
-        Rows that show what is usual; those of `data` otherwise.
+    usual : (k,) array, optional
+        Of each column, as `usual_size` gives it; that of `data` otherwise.
     """
     required = [*range(outputs), *([len(data) - 1] if timed else [])]
     size = np.abs(data)
     good: Mask = np.logical_and.reduce(np.isfinite(data[required]))
     good &= ~(size > _LATEST).any(axis=0)
     good &= (size[:outputs] <= LARGEST_SAMPLE).all(axis=0)
-    for row, known in zip(size, size if like is None else np.abs(like), strict=True):
-        there = known[np.isfinite(known)]
-        usual = float(np.median(there)) if len(there) else 0.0
-        good &= ~((row > _FAR * usual) & (usual > 0.0))
+    limit = _FAR * (usual_size(data) if usual is None else usual)[:, np.newaxis]
+    good &= ~((size > limit) & (limit > 0.0)).any(axis=0)
     return good
+
+
+def usual_size(data: Array) -> Array:
+    """Return the median size of what is a number in each column (k,), 0 where nothing is."""
+    there = [np.abs(row[np.isfinite(row)]) for row in data]
+    return np.array([np.median(row) if len(row) else 0.0 for row in there])
 
 
 def _rises(table: Table, name: str) -> bool:
