@@ -43,9 +43,13 @@ def main() -> None:
     parser.add_argument("what", choices=["poses", "stop", "long"])
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--target", type=float, default=3e-4, help="U at the stop [g, g/g]")
     chosen = parser.parse_args()
     rng = np.random.default_rng(chosen.seed)
-    {"poses": poses, "stop": stop, "long": long}[chosen.what](chosen.runs, rng)
+    if chosen.what == "stop":
+        stop(chosen.runs, rng, chosen.target)
+    else:
+        {"poses": poses, "long": long}[chosen.what](chosen.runs, rng)
 
 
 def poses(runs: int, rng: np.random.Generator) -> None:
@@ -136,11 +140,11 @@ WAYS: dict[str, Callable[[np.random.Generator, dict[str, float]], Iterator[np.nd
 }
 
 
-def stop(runs: int, rng: np.random.Generator) -> None:
+def stop(runs: int, rng: np.random.Generator, target: float) -> None:
     held: dict[str, list[np.ndarray]] = {"capture": [], "first claim": []}
     counts: dict[str, list[int]] = {name: [] for name in held}
     for _ in range(runs):
-        for name, (covered, n) in session(rng).items():
+        for name, (covered, n) in session(rng, target).items():
             held[name].append(covered)
             counts[name].append(n)
     print("| stop | poses, median | coverage, mean % | worst % |\n|---|---|---|---|")
@@ -151,7 +155,7 @@ def stop(runs: int, rng: np.random.Generator) -> None:
         )
 
 
-def session(rng: np.random.Generator) -> dict[str, tuple[np.ndarray, int]]:
+def session(rng: np.random.Generator, target: float) -> dict[str, tuple[np.ndarray, int]]:
     """One session, and where each rule ends it: which parameters U holds, and after how many."""
     bias = 0.03 * rng.standard_normal(3)
     matrix = np.eye(3) + np.tril(0.01 * rng.standard_normal((3, 3)))
@@ -160,7 +164,7 @@ def session(rng: np.random.Generator) -> dict[str, tuple[np.ndarray, int]]:
     values = np.empty((0, 3))
     small = 0
     ended: dict[str, tuple[np.ndarray, int]] = {}
-    targets = {name: TARGET for name in MODEL.names if name.startswith(("bias", "scale"))}
+    targets = {name: target for name in MODEL.names if name.startswith(("bias", "scale"))}
     while len(ended) < 2:
         asked = best_pose(MODEL, None, up, targets, unknown_orientation=True)
         new = random(rng, {}).__next__() if asked is None else missed(asked.direction, rng)
@@ -175,7 +179,7 @@ def session(rng: np.random.Generator) -> dict[str, tuple[np.ndarray, int]]:
             cal = mp.fit(readings, unknown_orientation=True)
         U = np.array([entry.U for entry in cal.entries])
         covered = np.abs(cal.parameters - truth) <= U
-        claims = bool((U[WANTED] <= TARGET).all())
+        claims = bool((U[WANTED] <= target).all())
         small = small + 1 if claims and len(up) - 9 >= FEWEST_DOF else 0
         if claims and "first claim" not in ended:
             ended["first claim"] = covered, len(up)
@@ -203,9 +207,6 @@ def long(hours: int, rng: np.random.Generator) -> None:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"{len(session.poses)} poses, {session.rows.rows} rows")
     print(f"{100 * used / (hours * 3600):.2f} % of a core, {memory:.0f} MB")
-
-
-TARGET = 3.0e-4  # [g, g/g]: about what 15 to 18 poses give
 
 
 if __name__ == "__main__":
