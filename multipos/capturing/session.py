@@ -180,9 +180,11 @@ class Session:
         """
         if self.finished:
             return
-        self.finished = True
-        if self.rests is not None and self.rests.finish():
-            self._offer_settled()
+        try:
+            if self.rests is not None and self.rests.finish():
+                self._offer_settled()
+        finally:
+            self.finished = True
         self.under_way = None
         self.next = None
         self.version += 1

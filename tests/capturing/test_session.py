@@ -102,6 +102,7 @@ def test_one_line_a_rest_with_what_follows_from_it(log, capsys):
     assert np.abs(directions - truth).max() < 0.03  # bias and cross-axis of the sensor
     assert np.abs(directions[-10:] - truth[-10:]).max() < 0.02  # orientation is up to the gauge
     assert [len(line["parameters"]) for line in lines][:8] == [0] * 8
+    assert all(line["next"]["gain"] > 0.0 for line in lines[:-1])
     assert {p["name"] for p in last["parameters"]} == set(mp.calibrate(log).names)
 
 
