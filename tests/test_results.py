@@ -143,6 +143,14 @@ def rested():
 
 
 @cache
+def captured():
+    with TemporaryDirectory() as folder:
+        log = mp.simulate_log(sensor(), "all-26", rate=50.0, rest=4.0, sample_sd=1e-3, seed=1)
+        mp.write_table(Path(folder) / "log.csv", log)
+        return mp.capture(f"replay:{Path(folder) / 'log.csv'}:0", positions=16)
+
+
+@cache
 def verified():
     with TemporaryDirectory() as folder:
         (file,) = mp.export(sensor(), to="ros-imu-calib").save(Path(folder) / "ros.yaml")
@@ -163,6 +171,7 @@ RESULTS = {
         scheme={"direction": ["U-N-W", "D-S-W", "S-U-W"]},
         inputs="x,y",
     ),
+    "Captured": captured,
     "Check": checked,
     "Comparison": lambda: mp.compare(calibrated(1), calibrated(2)),
     "Demonstration": mp.demo,
