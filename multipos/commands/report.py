@@ -11,15 +11,19 @@ from multipos.errors import UsageError
 from multipos.files.trees import read_schema, to_json
 from multipos.fleets.fleet import SCHEMA as FLEET
 from multipos.fleets.folder import read_summary
+from multipos.regression.regression_file import SCHEMA as REGRESSION
+from multipos.regression.regression_file import load_regression
+from multipos.regression.several import all_of
 from multipos.reports.certificate import Content, build_content, read_lab
 from multipos.reports.documents import html_report, markdown_report, plain_report, xml_report
 from multipos.reports.fleets import fleet_content
+from multipos.reports.regressions import regression_content
 from multipos.sensor.calibration_file import load
 from multipos.sensor.nominal import read_nominal
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.verification.check_file import load_check
 
-INPUTS = ("calibration", "lab", "check")
+INPUTS = ("calibration", "lab", "check", "data")
 OUTPUT = Output(
     "REPORT.html", "file to write", "html", ("markdown", "text", "certificate"), required=True
 )
@@ -30,9 +34,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add(
         "calibration",
-        metavar="CAL.json|FLEET",
-        help="calibration to report, or what multipos fleet wrote",
+        metavar="CAL.json|REG.json|FLEET",
+        help="calibration or regression to report, or what multipos fleet wrote",
     )
+    add("--data", metavar="DATA.csv", help="the rows of a regression, where not beside it")
     add("--lab", metavar="FILE", help="TOML file of what only the laboratory knows")
     add(
         "--check", metavar="CHECK.json", help="what check -o CHECK.json wrote of an independent run"
@@ -63,19 +68,37 @@ def _of_fleet(arguments: argparse.Namespace) -> Answer:
     content = fleet_content(found)
     listing = {"report": arguments.output, "created": found["created"]}
 
-    def refuse() -> str:
-        raise UsageError(
-            "a digital calibration certificate (.xml) is of one calibration; write the report of "
-            "a fleet to a .html, .md or .txt file."
-        )
+    return _answer(arguments, content, listing, _no_certificate)
 
-    return _answer(arguments, content, listing, refuse)
+
+def _no_certificate() -> str:
+    """Refuse what only a calibration has."""
+    raise UsageError(
+        "a digital calibration certificate (.xml) is of one calibration; write this report to a "
+        ".html, .md or .txt file."
+    )
+
+
+def _of_regression(arguments: argparse.Namespace) -> Answer:
+    """Return the report of a regression."""
+    if arguments.check or arguments.monte_carlo or arguments.language != "en":
+        raise UsageError("--check, --language and --monte-carlo are of one calibration.")
+    regression = load_regression(arguments.calibration)
+    content = regression_content(
+        regression, lab=arguments.lab, data=arguments.data, beside=arguments.calibration
+    )
+    listing = {"report": arguments.output, "created": all_of(regression)[0].created}
+    return _answer(arguments, content, listing, _no_certificate)
 
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     if Path(arguments.calibration).is_dir() or read_schema(arguments.calibration) == FLEET:
         return _of_fleet(arguments)
+    if read_schema(arguments.calibration) == REGRESSION:
+        return _of_regression(arguments)
+    if arguments.data is not None:
+        raise UsageError("--data are the rows of a regression; a calibration holds its readings.")
     calibration = load(arguments.calibration)
     if arguments.nominal is not None:
         calibration = replace(calibration, nominal=read_nominal(arguments.nominal))

@@ -7,6 +7,7 @@ import numpy as np
 from multipos.numerics.terms import CONSTANT
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure
 from multipos.verification.comparison import Comparison
+from multipos.verification.regression_comparison import RegressionComparison
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,4 +53,35 @@ def runs_figure(comparison: Comparison) -> "Figure":
     """Return the biases against the run."""
     figure, axes = new_figure()
     draw_runs(comparison, axes[0])
+    return figure
+
+
+def terms_figure(comparison: RegressionComparison) -> "Figure":
+    """Return the terms of repeated regressions, each less its mean over its u."""
+    figure, axes = new_figure(height=0.9 + 0.22 * len(comparison.terms))
+    one = axes[0]
+    runs = len(comparison.files)
+    for run in range(runs):
+        places, values = [], []
+        for row, term in enumerate(comparison.terms):
+            if not np.isnan(term.values[run]) and term.u[run] > 0.0:
+                typical = float(np.sqrt(np.nanmean(term.u**2)))
+                values.append((term.values[run] - np.nanmean(term.values)) / typical)
+                places.append(row)
+        one.plot(
+            values,
+            places,
+            color=COLOURS[run % 6],
+            marker=MARKERS[run % 8],
+            linestyle="none",
+            label=str(run + 1),
+        )
+    one.set_yticks(
+        range(len(comparison.terms)),
+        [f"{t.segment}: {t.term}" for t in comparison.terms],
+    )
+    one.invert_yaxis()
+    one.axvline(0.0, color="#000000", linewidth=0.6)
+    one.set_xlabel("less its mean, over u")
+    name_series(one, min(runs, 6))
     return figure

@@ -24,15 +24,23 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import spread
 from multipos.files.numbers import number, table, uncertain
+from multipos.files.trees import read_schema
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
+from multipos.regression.regression_file import SCHEMA, load_regression
+from multipos.regression.result import Regression
+from multipos.regression.several import Regressions, all_of
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.verification.consistency import Judgement, judge_repeats
 from multipos.verification.drift import ABSOLUTE, GIVEN, ORDERED, find_drift
+from multipos.verification.regression_comparison import (
+    RegressionComparison,
+    compare_regressions,
+)
 
-Run = Calibration | str | os.PathLike[str]
+Run = Calibration | Regression | Regressions | str | os.PathLike[str]
 
 _DAY = 86400.0  # s
 _TIMES = {
@@ -156,24 +164,26 @@ class Comparison(Result):
         }
 
 
-def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> Comparison:
+def compare(
+    *calibrations: "Run | Sequence[Run]", confidence: float = 0.95
+) -> Comparison | RegressionComparison:
     """Compare repeated calibrations of one unit, or several methods on the same readings.
 
     Parameters
     ----------
-    *calibrations : Calibration or path
+    *calibrations : Calibration, Regression or path
         Two or more, in the order of the runs; one by one, or one list or tuple of them.
     confidence : float
         They are called inconsistent where chance would do so with probability 1 − confidence.
 
     Returns
     -------
-    Comparison
+    Comparison, or RegressionComparison of regressions
 
     Raises
     ------
     UsageError
-        Fewer than two calibrations.
+        Fewer than two calibrations, or regressions among them.
     MultiposError
         They are not of the same model, outputs, unit and convention.
     """
@@ -182,8 +192,14 @@ def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> C
         raise UsageError("compare needs two or more calibrations.")
     if not 0.0 < confidence < 1.0:
         raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
-    found = tuple(c if isinstance(c, Calibration) else load(c) for c in runs)
+    loaded = tuple(_loaded(run) for run in runs)
     files = _files(runs)
+    regressions = [all_of(one) for one in loaded if not isinstance(one, Calibration)]
+    if regressions:
+        if len(regressions) < len(loaded):
+            raise UsageError("calibrations and regressions are no repeats; compare one kind.")
+        return compare_regressions(regressions, files, confidence)
+    found = tuple(one for one in loaded if isinstance(one, Calibration))
     _check_alike(found, files)
     values = np.array([c.parameters for c in found])
     sd = values.std(axis=0, ddof=1)
@@ -228,9 +244,13 @@ def compare(*calibrations: "Run | Sequence[Run]", confidence: float = 0.95) -> C
 def _files(runs: Sequence[Run]) -> tuple[str, ...]:
     """Return what the runs are called in messages and tables."""
     return tuple(
-        f"calibration {i}" if isinstance(c, Calibration) else str(c)
+        f"{_kind(c)} {i}" if isinstance(c, Calibration | Regression | Regressions) else str(c)
         for i, c in enumerate(runs, start=1)
     )
+
+
+def _kind(run: Run) -> str:
+    return "calibration" if isinstance(run, Calibration) else "regression"
 
 
 def _check_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
@@ -269,6 +289,13 @@ def _same_readings(found: Sequence[Calibration]) -> bool:
     first = found[0].readings.values
     several = len({c.estimator for c in found}) > 1
     return several and all(np.array_equal(first, c.readings.values) for c in found[1:])
+
+
+def _loaded(run: Run) -> Calibration | Regression | Regressions:
+    """Return what a path holds, by its schema."""
+    if isinstance(run, Calibration | Regression | Regressions):
+        return run
+    return load_regression(run) if read_schema(run) == SCHEMA else load(run)
 
 
 def comparison_text(found: Comparison) -> str:

@@ -1,0 +1,325 @@
+"""The page of a regression: what to know first, tests in the paper's form, terms, path, figures.
+
+The figures need the rows of the fit, which a regression does not hold: they are drawn from the file
+that stands beside it and has its checksum, or that is named. Before and after have an axis each,
+because an error that is corrected a hundredfold is a flat line on the other's scale.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
+from multipos.errors import MultiposError
+from multipos.files.numbers import number, uncertain
+from multipos.files.tables import Table, read_table
+from multipos.numerics.arrays import Array
+from multipos.plots.style import COLOURS
+from multipos.plots.temperature import draw_path
+from multipos.regression.junctions import Junction
+from multipos.regression.result import Regression, format_span
+from multipos.regression.segment import Segment
+from multipos.regression.several import Regressions, all_of
+from multipos.reports.certificate import LAB_FIELDS, Content, read_lab
+from multipos.reports.page import Figure, PageTable, Section, draw_svg
+from multipos.reports.translations import Translator
+
+_WORDS = (
+    "Warnings",
+    "Administrative data",
+    "to be filled in by the laboratory",
+    "There is nothing to warn of.",
+    "Contents",
+    "end of the report",
+)
+
+
+def regression_content(
+    regression: Regression | Regressions,
+    *,
+    lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
+    data: "str | os.PathLike[str] | None" = None,
+    beside: "str | os.PathLike[str] | None" = None,
+) -> Content:
+    """Return what the report of a regression says.
+
+    Parameters
+    ----------
+    regression : Regression or Regressions
+    lab : path or mapping, optional
+        What only the laboratory knows.
+    data : path, optional
+        The rows of the fit, for the figures.
+    beside : path, optional
+        A file in whose folder they are looked for otherwise.
+
+    Raises
+    ------
+    MultiposError
+        The lab file is at fault, or `data` are not those of the fit.
+    """
+    tr = Translator("en")
+    said = read_lab(lab)
+    several = all_of(regression)
+    table = _rows_of_fit(several[0], data, beside)
+    sections: list[Section] = []
+    for r in several:
+        name = f" of {r.response}" if len(several) > 1 else ""
+        sections += [
+            _knowledge(r, name),
+            *_figures(r, table, name, tr),
+            _tests(r, name),
+            *_terms(r, name),
+            *_paths(r, name, tr),
+        ]
+    return Content(
+        language="en",
+        title="Regression report",
+        subtitle=f"{', '.join(r.response for r in several)} by {', '.join(several[0].variables)}",
+        verdict=None,
+        warnings=regression.warnings,
+        fields=tuple(
+            (label, said.get(f"{section}.{key}"))
+            for section, keys in LAB_FIELDS.items()
+            for key, label in keys.items()
+        ),
+        sections=(*sections, _method(several)),
+        words={text: text for text in _WORDS},
+    )
+
+
+def _rows_of_fit(
+    r: Regression,
+    data: "str | os.PathLike[str] | None",
+    beside: "str | os.PathLike[str] | None",
+) -> Table | None:
+    """Return the table of the fit, known by its checksum; None where it is not to be found."""
+    if data is None:
+        if r.source is None or beside is None:
+            return None
+        there = Path(beside).parent / r.source
+        if not there.is_file():
+            return None
+        found = read_table(there, what="data")
+        return found if found.sha256 == r.sha256 else None
+    found = read_table(data, what="data")
+    if r.sha256 is not None and found.sha256 != r.sha256:
+        raise MultiposError(
+            f"{found.source}: not the data that the regression of '{r.response}' was fitted to "
+            f"({r.source}), by its checksum; give these, or leave out --data."
+        )
+    return found
+
+
+def _knowledge(r: Regression, name: str) -> Section:
+    """Say what a user must know before relying on it."""
+    first = (
+        f"The response {r.response} was described over {r.n} rows in {len(r.segments)} segments; "
+        "beyond the limits in the tables a polynomial says nothing."
+    )
+    told = [first]
+    between = next((s.between for s in r.segments if s.between is not None), None)
+    if between is None:
+        told.append(
+            "One switch-on, or runs that were not told apart: the zero of the next switch-on is "
+            "not in U. Fit several with --run."
+        )
+    else:
+        told.append(
+            f"{between.runs} switch-ons were told apart by '{r.run}': U holds the zero of the next."
+        )
+    if any(s.robust is not None for s in r.segments):
+        worth = ", ".join(
+            f"{s.robust.n_effective:.3g} of {s.n}" for s in r.segments if s.robust is not None
+        )
+        told.append(f"Rows are correlated in time and worth fewer: {worth}, by segment.")
+    clear = [j for j in r.junctions if j.clear]
+    if clear:
+        most = max(abs(j.jump) for j in clear)
+        told.append(
+            f"The segments were fitted apart, and the correction jumps at an edge by up to "
+            f"{most:.2g}; --continuous fits without."
+        )
+    if r.rates and not r.causal:
+        told.append("Rates need rows that come later: for a device fit it with --causal.")
+    if r.cross_validation is not None:
+        told.append(
+            f"On blocks of time left out in turn the error is {r.cross_validation['rms']:.3g} rms."
+        )
+    return Section(f"What to know{name}", paragraphs=tuple(told))
+
+
+def _tests(r: Regression, name: str) -> Section:
+    """Return the paper's table: F of every segment against its critical value."""
+    header = ("segment", "n", "k", "n − k − 1", "F", f"F_{r.confidence:g}", "F_robust", "R²", "rms")
+    rows = []
+    for s in r.segments:
+        robust = "-" if s.robust is None else number(s.robust.F)
+        mark = "" if s.significant else " (not significant)"
+        rows.append(
+            (
+                f"{_span(r, s)}{mark}",
+                str(s.n),
+                str(s.dof[0]),
+                str(s.dof[1]),
+                number(s.F),
+                f"{s.F_critical:.4f}",
+                robust,
+                number(s.r2),
+                number(s.rms, 3),
+            )
+        )
+    tables = [PageTable("F of every segment, against what chance exceeds", header, tuple(rows))]
+    if r.junctions:
+        jumps = tuple(
+            (f"{j.edge:.6g}{_branch(j)}", uncertain(j.jump, j.u), number(j.U, 2))
+            for j in r.junctions
+        )
+        caption = f"Largest jump at every edge of {r.segment_variable}"
+        tables.append(PageTable(caption, ("edge", "jump(u)", "U"), jumps))
+    return Section(f"Tests{name}", tables=tuple(tables))
+
+
+def _branch(j: Junction) -> str:
+    return f", {j.branch}" if j.branch else ""
+
+
+def _terms(r: Regression, name: str) -> list[Section]:
+    tables = []
+    for s in r.segments:
+        rows = tuple(
+            (
+                c.term,
+                uncertain(c.value, c.u if c.u_robust is None else c.u_robust),
+                number(c.t if c.t_robust is None else c.t_robust),
+                number(c.p if c.p_robust is None else c.p_robust, 2),
+            )
+            for c in s.coefficients
+        )
+        tables.append(PageTable(f"Segment {_span(r, s)}", ("term", "value(u)", "t", "p"), rows))
+        limits = tuple((v, number(low, 6), number(high, 6)) for v, (low, high) in s.limits.items())
+        tables.append(PageTable("fitted over", ("variable", "from", "to"), limits))
+    return [Section(f"Terms{name}", tables=tuple(tables))]
+
+
+def _paths(r: Regression, name: str, tr: Translator) -> list[Section]:
+    """Return how the terms were chosen, drawn and in numbers."""
+    chosen = [s for s in r.segments if s.path][: 1 if r.continuous else None]
+    if not chosen:
+        return []
+    figures, tables = [], []
+    for s in chosen:
+        span = "all segments" if r.continuous else _span(r, s)
+        height = 0.8 + 0.22 * len(s.path)
+        figures.append(
+            Figure(
+                f"Path of terms, {span}",
+                "F of every step; a diamond is the runner-up.",
+                partial(draw_svg, tr, 1, height, partial(_draw_path, s)),
+            )
+        )
+        rows = tuple(
+            (
+                str(step.step),
+                f"{'+' if step.action == 'add' else '−'} {step.term}",
+                number(step.F, 5),
+                number(step.p, 2),
+                "-" if step.runner_up is None else f"{step.runner_up.term} {step.runner_up.F:.4g}",
+            )
+            for step in s.path
+        )
+        header = ("step", "term", "F", "p", "runner-up")
+        tables.append(PageTable(f"Steps, {span}", header, rows, left=2))
+    return [Section(f"Path{name}", figures=tuple(figures), tables=tuple(tables))]
+
+
+def _draw_path(segment: Segment, axes: Any) -> None:
+    draw_path(segment, axes[0])
+
+
+def _figures(r: Regression, table: Table | None, name: str, tr: Translator) -> list[Section]:
+    """Return before and after against the variable of the segments and against time."""
+    if table is None:
+        told = f"The rows of the fit ({r.source}) are not here; --data draws before and after."
+        return [Section(f"Before and after{name}", paragraphs=(told,))]
+    complete = _complete(r, table)
+    columns = read_predictors(r, complete, read_runs(r, complete))
+    variable, x = range_column(r, complete, columns)
+    before = complete.number(r.response)
+    after = np.asarray(correct(r, complete, column=r.response)["corrected"])
+    against: list[tuple[str, Array, Sequence[float]]] = [(variable, x, r.edges)]
+    if r.time is not None and r.time != variable:
+        against.append((r.time, complete.number(r.time), ()))
+    figures = tuple(
+        Figure(
+            f"Before and after against {label}",
+            "Above before, below after, each on its own scale.",
+            partial(
+                draw_svg, tr, 2, 1.9, partial(_draw_both, label, values, edges, before, after, r)
+            ),
+        )
+        for label, values, edges in against
+    )
+    most, left = (float(np.abs(values).max()) for values in (before, after))
+    rms, rms_left = (float(np.sqrt(np.mean(values**2))) for values in (before, after))
+    told = (
+        f"Largest |{r.response}| {most:.4g} before and {left:.4g} after, rms {rms:.4g} and "
+        f"{rms_left:.4g}, on the rows of the fit; an independent run is what proves it (check)."
+    )
+    return [Section(f"Before and after{name}", paragraphs=(told,), figures=figures)]
+
+
+def _draw_both(
+    label: str,
+    x: Array,
+    edges: Sequence[float],
+    before: Array,
+    after: Array,
+    r: Regression,
+    axes: Any,
+) -> None:
+    for one, values, word, colour in zip(
+        axes, (before, after), ("before", "after"), (COLOURS[6], COLOURS[0]), strict=True
+    ):
+        one.plot(x, values, color=colour, marker=".", linestyle="none", markersize=3.0)
+        one.axhline(0.0, color="#000000", linewidth=0.5)
+        for edge in edges:
+            one.axvline(edge, color="#000000", linewidth=0.8, linestyle="--")
+        one.set_ylabel(f"{r.response}, {word}")
+        one.ticklabel_format(axis="y", scilimits=(-3, 4))
+    axes[-1].set_xlabel(label)
+
+
+def _complete(r: Regression, table: Table) -> Table:
+    """Return the rows that the regression can be applied to."""
+    needed = [r.response, r.range_variable, *r.needed, *([r.time] if r.time else [])]
+    names = {n if n in table else n.removesuffix("_rate") for n in needed}
+    columns = [table.number(n, empty=True) for n in names if n in table]
+    return table.select(np.flatnonzero(np.isfinite(columns).all(axis=0)).tolist())
+
+
+def _method(several: Sequence[Regression]) -> Section:
+    r = several[0]
+    rows = [
+        ("Data", r.source or "from memory"),
+        ("SHA-256 of the data", r.sha256 or "-"),
+        ("Rows, left out", f"{r.n}, {r.dropped}"),
+        ("Method", r.method + "".join(f", {k} {v:g}" for k, v in r.thresholds.items())),
+        ("Candidates", ", ".join(r.candidates)),
+        *((f"Rate {name}", f"window {w:.6g}") for name, w in r.rates.items()),
+        ("Rates", "of past rows" if r.causal else "of rows before and after"),
+        ("Confidence", f"{r.confidence:g}"),
+        ("Computed", f"{r.created}, multipos {r.version}"),
+    ]
+    return Section(
+        "Method and data",
+        tables=(PageTable("How it was done", ("Item", "Value"), tuple(rows), left=2),),
+    )
+
+
+def _span(r: Regression, s: Segment) -> str:
+    return format_span(r.range_variable, s.range, s.branch)

@@ -1,0 +1,217 @@
+"""Repeated regressions of one response: whether their terms agree within what they claim.
+
+R coefficients b_i of one term in one segment, with standard uncertainties u_i on ν_i degrees of
+freedom and weights w_i = 1/u_i², are compared by Welch's test, which needs no equal variances:
+
+    F = Σ w_i (b_i − b̃)²/(R − 1) / (1 + 2 (R − 2) Λ/(R² − 1)),   b̃ = Σ w_i b_i/Σ w_i,      (1)
+    Λ = Σ (1 − w_i/Σ w)²/ν_i,       on R − 1 and (R² − 1)/(3 Λ) degrees of freedom.
+
+All terms together are called inconsistent where the smallest p times their number is below
+1 − confidence. A term that is not in every repeat has no p, and is said.
+
+A regression of one switch-on knows nothing of the next: its constant is expected to move, and
+``regress --run`` puts that into its u.
+
+Sources: B. L. Welch, Biometrika 38, 1951.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.files.numbers import number, table
+from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import f_tail
+from multipos.regression.result import Regression, format_span
+from multipos.results import Result, plain
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedTerm(Result):
+    """One term of one segment over the repeats.
+
+    Attributes
+    ----------
+    response, segment, term : str
+    values, u : (R,) arrays
+        NaN where a repeat has not the term.
+    sd, F, p : float
+        Scatter of the values, and Welch's test of eq. (1).
+    """
+
+    response: str
+    segment: str
+    term: str
+    values: Array
+    u: Array
+    sd: float
+    F: float
+    p: float
+
+
+@dataclass(frozen=True, eq=False)
+class RegressionComparison(Result):
+    """Repeated regressions.
+
+    Attributes
+    ----------
+    files, created : tuple of R str
+    terms : tuple of ComparedTerm
+    confidence : float
+    consistent : bool
+    warnings : tuple of str
+    """
+
+    files: tuple[str, ...] = field(compare=False)
+    created: tuple[str, ...] = field(compare=False)
+    terms: tuple[ComparedTerm, ...]
+    confidence: float
+    consistent: bool
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as what JSON can carry."""
+        runs = zip(self.files, self.created, strict=True)
+        found: dict[str, Any] = plain(
+            {
+                "regressions": [{"file": file, "created": made} for file, made in runs],
+                "terms": [
+                    {
+                        "response": t.response,
+                        "segment": t.segment,
+                        "term": t.term,
+                        "values": t.values,
+                        "u": t.u,
+                        "sd": t.sd,
+                        "F": t.F,
+                        "p": t.p,
+                    }
+                    for t in self.terms
+                ],
+                "consistent": self.consistent,
+                "warnings": self.warnings,
+            }
+        )
+        return found
+
+    def __str__(self) -> str:
+        header = ["segment", "term", *(str(i + 1) for i in range(len(self.files))), "sd", "p"]
+        rows = [
+            [
+                t.segment,
+                t.term,
+                *("-" if math.isnan(v) else number(v, 4) for v in t.values.tolist()),
+                number(t.sd, 2),
+                "-" if math.isnan(t.p) else number(t.p, 2),
+            ]
+            for t in self.terms
+        ]
+        verdict = "agree" if self.consistent else "do not agree"
+        named = [f"{i}: {file}" for i, file in enumerate(self.files, start=1)]
+        closing = f"The repeats {verdict} at {100 * self.confidence:g} %, all terms together."
+        return "\n".join([*named, "", table(header, rows, left=2), "", closing]) + "\n"
+
+
+def compare_regressions(
+    runs: Sequence[Sequence[Regression]], files: Sequence[str], confidence: float
+) -> RegressionComparison:
+    """Compare repeats, each of the same responses and segments.
+
+    Parameters
+    ----------
+    runs : sequence of R sequences of Regression
+        The responses of each repeat.
+    files : sequence of R str
+    confidence : float
+
+    Raises
+    ------
+    MultiposError
+        Their responses, edges or branches are not the same.
+    """
+    first = runs[0]
+    for run, file in zip(runs[1:], files[1:], strict=True):
+        _check_alike(first, run, file)
+    terms = [
+        term
+        for k, r in enumerate(first)
+        for s in range(len(r.segments))
+        for term in _compared([run[k] for run in runs], s)
+    ]
+    tested = [t.p for t in terms if not math.isnan(t.p)]
+    consistent = not tested or min(tested) * len(tested) >= 1.0 - confidence
+    lonely = list(dict.fromkeys(t.term for t in terms if np.isnan(t.values).any()))
+    said = [f"not in every repeat, and not judged: {', '.join(lonely)}"] if lonely else []
+    if not consistent and not all(r.run for run in runs for r in run):
+        said.append(
+            "a regression of one switch-on does not know the zero of the next; fit several with "
+            "--run"
+        )
+    return RegressionComparison(
+        files=tuple(files),
+        created=tuple(run[0].created for run in runs),
+        terms=tuple(terms),
+        confidence=confidence,
+        consistent=consistent,
+        warnings=tuple(said),
+    )
+
+
+def _check_alike(first: Sequence[Regression], other: Sequence[Regression], file: str) -> None:
+    if len(first) != len(other) or any(
+        a.response != b.response for a, b in zip(first, other, strict=True)
+    ):
+        raise MultiposError(
+            f"{file}: describes {', '.join(r.response for r in other)} where the first describes "
+            f"{', '.join(r.response for r in first)}; compare repeats of one response."
+        )
+    for a, b in zip(first, other, strict=True):
+        if (a.segment_variable, a.edges, a.branch_column) != (
+            b.segment_variable,
+            b.edges,
+            b.branch_column,
+        ):
+            raise MultiposError(
+                f"{file}: its segments are others than those of the first; fit both with the same "
+                "--segment and --branches."
+            )
+
+
+def _compared(repeats: Sequence[Regression], place: int) -> list[ComparedTerm]:
+    segments = [r.segments[place] for r in repeats]
+    names = list(dict.fromkeys(c.term for s in segments for c in s.coefficients))
+    first = repeats[0]
+    where = "all"
+    if len(first.segments) > 1:
+        s = first.segments[place]
+        where = format_span(first.range_variable, s.range, s.branch)
+    found = []
+    for name in names:
+        values, u, dof = (np.full(len(segments), np.nan) for _ in range(3))
+        for i, s in enumerate(segments):
+            for c in s.coefficients:
+                if c.term == name:
+                    values[i], u[i] = c.value, c.u if c.u_robust is None else c.u_robust
+                    own = s.dof[1] if s.robust is None else s.robust.t_dof
+                    dof[i] = own if c.dof is None else c.dof
+        F, p = welch(values, u, dof)
+        here = values[~np.isnan(values)]
+        sd = float(here.std(ddof=1)) if len(here) > 1 else math.nan
+        found.append(ComparedTerm(first.response, where, name, values, u, sd, F, p))
+    return found
+
+
+def welch(values: Array, u: Array, dof: Array) -> tuple[float, float]:
+    """Return F and p of eq. (1); NaN where a value is missing or without uncertainty."""
+    if np.isnan(values).any() or not (u > 0.0).all() or not (dof > 0.0).all():
+        return math.nan, math.nan
+    R, w = len(values), 1.0 / u**2
+    mean = float(w @ values / w.sum())
+    spread = float(((1.0 - w / w.sum()) ** 2 / dof).sum())
+    F = float(w @ (values - mean) ** 2) / (R - 1)
+    F /= 1.0 + 2.0 * (R - 2) * spread / (R**2 - 1)
+    return F, f_tail(F, R - 1, (R**2 - 1) / (3.0 * spread))
