@@ -4,12 +4,13 @@ Edges are given, or found where they are worth their coefficients; branches are 
 heating and of cooling, by the sign of a rate.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
+from multipos.numerics.arrays import Array
 from multipos.numerics.terms import evaluate_terms
 from multipos.regression.hysteresis import BRANCHES, branch_of
 from multipos.regression.observations import Data, Rows
@@ -18,7 +19,7 @@ from multipos.regression.result import format_span
 from multipos.regression.runs import within_runs
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import check_edges, find_edges, segment_of
-from multipos.regression.whitening import find_whitening
+from multipos.regression.whitening import Law, find_law, whitening_of
 
 
 @dataclass(frozen=True)
@@ -69,12 +70,17 @@ def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> 
     if data.order is not None:
         # what five segments leave is close to noise alone, whatever the edges will be
         bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
-        place = segment_of(values, bins.tolist())
-        apart = [np.where((place == i)[:, np.newaxis], design, 0.0) for i in range(len(bins) + 1)]
-        whitening = find_whitening(np.column_stack(apart), response, data.order)
+        law = _law(design, data, segment_of(values, bins.tolist()))
+        whitening = whitening_of(data.order, law)
         if whitening is not None:
             design, response = whitening(design), whitening(response)
     return find_edges(values, design, response, minimum=minimum)
+
+
+def _law(design: Array, data: Data, place: Rows) -> Law | None:
+    """Return the law of the noise that fits to the rows of each place leave."""
+    apart = [np.where((place == i)[:, np.newaxis], design, 0.0) for i in np.unique(place)]
+    return find_law(np.column_stack(apart), data.response, data.order)
 
 
 @dataclass(frozen=True)
@@ -109,7 +115,13 @@ def fit_cut(plan: Plan, data: Data, cut: Cut) -> list[Segment]:
         A segment has no rows, or fewer than terms, or terms that its rows cannot tell apart.
     """
     fit = _fit_joined if cut.continuous and cut.edges else _fit_apart
-    return [segment for branch in _branches(data, cut) for segment in fit(plan, data, cut, branch)]
+    branches = _branches(data, cut)
+    design, within = within_runs(evaluate_terms(plan.terms, data.columns, len(data)), data)
+    place = np.empty(len(data), dtype=np.intp)
+    for b, branch in enumerate(branches):
+        place[branch.rows] = branch.place + b * (len(cut.edges) + 1)
+    data = replace(data, law=_law(design, within, place))
+    return [segment for branch in branches for segment in fit(plan, data, cut, branch)]
 
 
 def _fit_joined(plan: Plan, data: Data, cut: Cut, branch: _Branch) -> list[Segment]:

@@ -17,6 +17,7 @@ from multipos.files.tables import Table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.regression.correlation import TimeOrder, time_order
 from multipos.regression.rates import default_window, form_rate, rows_of_runs
+from multipos.regression.whitening import Law
 
 Rows = NDArray[np.intp]
 
@@ -29,13 +30,14 @@ _SAME = 1e-10  # relative difference below which two columns are one
 
 @dataclass(frozen=True)
 class Data:
-    """Columns of the rows that are fitted, with their order in time, clusters and runs."""
+    """Columns of the rows that are fitted, with order in time, clusters, runs and noise's law."""
 
     columns: Mapping[str, Array]
     response: Array
     order: TimeOrder | None = None
     cluster: Rows | None = None
     run: Rows | None = None
+    law: Law | None = None
 
     def take(self, rows: Rows) -> "Data":
         """Return some of the rows."""
@@ -45,6 +47,7 @@ class Data:
             None if self.order is None else self.order.of(rows),
             None if self.cluster is None else self.cluster[rows],
             None if self.run is None else self.run[rows],
+            self.law,
         )
 
     def __len__(self) -> int:

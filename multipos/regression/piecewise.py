@@ -40,7 +40,7 @@ from multipos.regression.robust import RobustFit, RowDependence, robust_fit, rob
 from multipos.regression.runs import add_between, find_between, runs_lost, within_runs
 from multipos.regression.segment import Robust, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
-from multipos.regression.whitening import find_whitening
+from multipos.regression.whitening import whitening_of
 
 METHODS = ("full", "stepwise", "backward", "subsets")
 
@@ -324,7 +324,7 @@ def _select(
 ) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
     if plan.method == "full":
         return all_columns(names), ()
-    whitening = find_whitening(design, data.response, data.order)
+    whitening = whitening_of(data.order, data.law)
     if whitening is None:
         triangle = compress(design, data.response)
     else:

@@ -23,7 +23,7 @@ from multipos.regression.correlation import (
 from multipos.regression.observations import Data
 from multipos.regression.runs import runs_lost
 from multipos.regression.segment import Robust
-from multipos.regression.whitening import find_whitening
+from multipos.regression.whitening import whitening_of
 
 RowDependence = Literal["hac", "effective"]
 ROBUST: tuple[RowDependence, ...] = get_args(RowDependence)
@@ -75,7 +75,7 @@ def robust_fit(
         return None
     e, cofactor = found.residuals, found.cofactor
     rho, correlated, size = _neighbours(e, data.order)
-    whitening = find_whitening(X, data.response, data.order)
+    whitening = whitening_of(data.order, data.law)
     correlated |= whitening is not None
     if data.cluster is not None:
         covariance, m = cluster_covariance(X, e, cofactor, data.cluster)

@@ -16,9 +16,10 @@ it does the correlation of its residuals:
     l(ρ, θ) = −R/2 ln r − 1/2 ln |X̃'X̃| − (n − p)/2 ln rss,                                (3)
 
 R runs, p columns; they are used where 2 (l(ρ, θ) − l(0, 0)) is beyond what independent rows give
-once in a hundred. What is still left is fitted by an autoregression of up to six orders, as many as
-the Bayesian criterion grants, and taken off likewise. What tests of terms then do where nothing is
-there stands in `docs/theory/regression.md`.
+once in a hundred. The law is one of the sensor, not of a segment, and is found from all rows at
+once, with the columns of every segment apart. What is still left is fitted by an autoregression of
+up to six orders, as many as the Bayesian criterion grants, and taken off likewise. What tests of
+terms then do where nothing is there stands in `docs/theory/regression.md`.
 
 Sources: D. Cochrane, G. H. Orcutt, J. Am. Stat. Assoc. 44, 1949; S. J. Prais, C. B. Winsten, Cowles
 Commission 383, 1954 (the first row); D. M. Cooper, R. Thompson, Biometrika 64, 1977 (3);
@@ -28,6 +29,7 @@ G. Schwarz, Ann. Stat. 6, 1978.
 from dataclasses import dataclass
 from itertools import pairwise
 from math import log
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,49 +37,51 @@ from numpy.typing import NDArray
 from multipos.numerics.arrays import Array
 from multipos.regression.correlation import TimeOrder
 
-_GRID = np.concatenate([np.arange(0.0, 0.85, 0.1), 1.0 - np.geomspace(0.15, 0.002, 9)])
-_SHARES = (0.0, 0.3, 0.5, 0.7, 0.85, 0.95)  # of θ in ρ
+_GRID = np.concatenate([np.arange(0.0, 0.8, 0.15), 1.0 - np.geomspace(0.15, 0.003, 7)])
+_SHARES = (0.0, 0.3, 0.6, 0.8, 0.93)  # of θ in ρ
 _BEYOND_CHANCE = 7.4  # of twice the likelihood's logarithm
-_ROWS = 5000  # of which the correlation is estimated: the first in time
+_ROWS = 3000  # of which the correlation is estimated: the first in time
 _ORDERS = 6
 _RANK = 1e-10
 _FEWEST = 6  # rows beyond the columns, for a correlation to be told
 _NOTHING = 1e-12  # of the response, below which what is left is rounding
 
 
-@dataclass(frozen=True)
-class Whitening:
-    """A filter that makes rows independent.
+class Law(NamedTuple):
+    """The law of the noise: ρ and θ of eq. (1), and the autoregression of what eq. (2) leaves."""
 
-    Attributes
-    ----------
-    order : TimeOrder
-    rho, theta : float
-        Of eq. (1).
-    further : (q,) array
-        The autoregression of what eq. (2) leaves.
-    """
-
-    order: TimeOrder
     rho: float
     theta: float
     further: Array
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """A filter that makes rows independent, by the law of their noise."""
+
+    order: TimeOrder
+    law: Law
 
     def __call__(self, columns: Array) -> Array:
         """Return columns (n, p) or (n,) with independent errors, row by row as they stand."""
         order = self.order.order
         age = _ages(self.order.run)
-        white = _filtered(columns[order], age, self.rho, self.theta)
+        white = _filtered(columns[order], age, self.law.rho, self.law.theta)
         full = white
-        for lag, a in enumerate(self.further.tolist(), start=1):
+        for lag, a in enumerate(self.law.further.tolist(), start=1):
             full = full - (white - _less(white, a, age, lag))
         back = np.empty_like(full)
         back[order] = full
         return back
 
 
-def find_whitening(design: Array, response: Array, order: TimeOrder | None) -> Whitening | None:
-    """Return the filter for the errors of a fit to all columns; None where rows are independent.
+def whitening_of(order: TimeOrder | None, law: Law | None) -> Whitening | None:
+    """Return the filter of rows in an order; None where they are independent."""
+    return None if order is None or law is None else Whitening(order, law)
+
+
+def find_law(design: Array, response: Array, order: TimeOrder | None) -> Law | None:
+    """Return the law of the noise that a fit to all columns leaves; None of independent rows.
 
     Parameters
     ----------
@@ -103,7 +107,7 @@ def find_whitening(design: Array, response: Array, order: TimeOrder | None) -> W
     white = _filtered(both, age, rho, theta)
     fit = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=_RANK)[0]
     rest = white[:, -1] - white[:, :-1] @ fit
-    return Whitening(order, rho, theta, _autoregression(rest, age))
+    return Law(rho, theta, _autoregression(rest, age))
 
 
 def _basis(design: Array) -> Array:

@@ -8,7 +8,7 @@ import pytest
 import multipos as mp
 from multipos.numerics.quantiles import f_tail, normal_quantile
 from multipos.regression.correlation import time_order
-from multipos.regression.whitening import Whitening, find_whitening
+from multipos.regression.whitening import Law, Whitening, find_law, whitening_of
 
 
 def slow(rng, n, rho, columns=1):
@@ -22,7 +22,7 @@ def slow(rng, n, rho, columns=1):
 def test_the_filter_by_hand():
     """ρ = 1/2, θ = 1/4: r = (1 − 1/4 + 1/16)/(3/4) = 13/12; two runs, told by the gap in time."""
     order = time_order([0.0, 1.0, 2.0, 20.0, 21.0])
-    white = Whitening(order, 0.5, 0.25, np.empty(0))(np.array([13.0, 2.0, 4.0, 13.0, 8.0]))
+    white = Whitening(order, Law(0.5, 0.25, np.empty(0)))(np.array([13.0, 2.0, 4.0, 13.0, 8.0]))
     first = 13.0 / math.sqrt(13.0 / 12.0)
     one = 2.0 - 6.5 + 0.25 * 12.0  # the memory of the first row is z/r = 12
     two = 4.0 - 1.0 + 0.25 * one
@@ -34,8 +34,8 @@ def test_rows_are_filtered_in_time_and_stand_where_they_stood():
     time, z = np.arange(50.0), rng.standard_normal((50, 2))
     shuffle = rng.permutation(50)
     further = np.array([0.3, -0.1])
-    plain = Whitening(time_order(time), 0.8, 0.2, further)(z)
-    mixed = Whitening(time_order(time[shuffle]), 0.8, 0.2, further)(z[shuffle])
+    plain = Whitening(time_order(time), Law(0.8, 0.2, further))(z)
+    mixed = Whitening(time_order(time[shuffle]), Law(0.8, 0.2, further))(z[shuffle])
     np.testing.assert_array_equal(mixed, plain[shuffle])
 
 
@@ -43,7 +43,7 @@ def test_the_covariance_of_the_noise_becomes_the_identity():
     """W V W' of a known first-order process, column by column of W = filter of the identity."""
     rho, n = 0.9, 12
     V = rho ** np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / (1.0 - rho**2)
-    W = Whitening(time_order(np.arange(float(n))), rho, 0.0, np.empty(0))(np.eye(n))
+    W = Whitening(time_order(np.arange(float(n))), Law(rho, 0.0, np.empty(0)))(np.eye(n))
     np.testing.assert_allclose(W @ V @ W.T, np.eye(n), atol=1e-13)
 
 
@@ -52,15 +52,13 @@ def test_what_is_estimated():
     rng = np.random.default_rng(2)
     n = 3000
     order, ones = time_order(np.arange(float(n))), np.ones((n, 1))
-    alone = find_whitening(ones, slow(rng, n, 0.95)[:, 0], order)
+    alone = find_law(ones, slow(rng, n, 0.95)[:, 0], order)
     assert alone.rho == pytest.approx(0.95, abs=0.02)
     assert alone.theta < 0.1
-    both = find_whitening(
-        ones, 0.4 * slow(rng, n, 0.95)[:, 0] + 0.3 * rng.standard_normal(n), order
-    )
+    both = find_law(ones, 0.4 * slow(rng, n, 0.95)[:, 0] + 0.3 * rng.standard_normal(n), order)
     assert both.rho == pytest.approx(0.95, abs=0.04)
     assert both.theta > 0.3
-    assert find_whitening(ones, rng.standard_normal(n), order) is None
+    assert find_law(ones, rng.standard_normal(n), order) is None
 
 
 @pytest.mark.slow
@@ -72,7 +70,7 @@ def test_false_alarms_of_terms(rho, n):
     for _ in range(runs):
         X = np.column_stack([np.ones(n), slow(rng, n, rho, 4)])
         y = slow(rng, n, rho)[:, 0]
-        white = find_whitening(X, y, order)
+        white = whitening_of(order, find_law(X, y, order))
         A, v = (X, y) if white is None else (white(X), white(y))
         rss = [
             float(((v - B @ np.linalg.lstsq(B, v, rcond=None)[0]) ** 2).sum())

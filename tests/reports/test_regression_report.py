@@ -1,0 +1,86 @@
+"""The page of a regression: what it says first, its table, and figures on scales that show both."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos.cli import main
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    rng = np.random.default_rng(1)
+    time = np.arange(200.0)
+    t = 20.0 * np.sin(time / 15.0)
+    error = 2e-3 * t + 5e-3 * (t > 0) + rng.normal(0.0, 1e-4, 200)
+    mp.write_table(tmp_path / "data.csv", {"time": time, "temperature": t, "error": error})
+    monkeypatch.chdir(tmp_path)
+    options = ["--variables", "temperature", "--stepwise", "--segment", "temperature:0"]
+    assert main(["regress", "data.csv", "--response", "error", *options, "-o", "reg.json"]) == 0
+    return tmp_path
+
+
+def page(name):
+    return Path(name).read_text("utf-8")
+
+
+def test_report_of_a_regression(folder, capsys):
+    assert main(["report", "reg.json", "-o", "r.html"]) == 0
+    html = page("r.html")
+    # before and after against temperature and against time, and a path for each segment
+    assert html.count("<svg") == 4
+    for said in (
+        "What to know",
+        "One switch-on",
+        "jumps at an edge",
+        "F_0.95",
+        "n − k − 1",
+        "Path of",
+    ):
+        assert said in html
+    assert main(["report", "reg.json", "-o", "r.txt"]) == 0
+    assert "Largest |error|" in page("r.txt")
+    assert main(["report", "reg.json", "-o", "r.md"]) == 0
+    model = mp.load_regression("reg.json")
+    for s in model.segments:
+        assert f"{s.F_critical:.4f}" in page("r.md")
+
+
+def test_before_and_after_have_scales_of_their_own(folder):
+    """A flat line on the other's scale: the ticks of the two panels differ by ten at least."""
+    main(["report", "reg.json", "-o", "r.html"])
+    first = re.search(r"<svg.*?</svg>", page("r.html"), re.DOTALL)[0]
+    heights = [float(y) for y in re.findall(r'<use [^>]*y="([\d.]+)"', first)]
+    assert len(heights) > 2 * 200  # every row in both panels, and ticks
+    labels = re.findall(r"<text[^>]*>([^<]*)</text>", first)
+    assert "error, before" in labels
+    assert "error, after" in labels
+
+
+def test_without_the_rows_there_are_no_figures_of_them(folder, capsys):
+    (folder / "data.csv").rename(folder / "else.csv")
+    assert main(["report", "reg.json", "-o", "r.txt"]) == 0
+    assert "--data draws before and after" in page("r.txt")
+    assert main(["report", "reg.json", "--data", "else.csv", "-o", "r.html"]) == 0
+    assert page("r.html").count("<svg") == 4
+    mp.write_table("other.csv", {"time": [0.0], "temperature": [1.0], "error": [0.0]})
+    capsys.readouterr()
+    assert main(["report", "reg.json", "--data", "other.csv", "-o", "no.html"]) == 1
+    assert "not the data that the regression" in capsys.readouterr().err
+    assert not (folder / "no.html").exists()
+    assert main(["report", "reg.json", "--language", "zh", "-o", "no.html"]) == 2
+
+
+def test_runs_and_several_responses(folder):
+    table = mp.read_table("data.csv")
+    columns = {name: np.tile(table.number(name), 3) for name in table.columns}
+    columns |= {"run": np.repeat([1, 2, 3], 200), "other": -columns["error"]}
+    found = mp.regress(columns, response="error,other", variables="temperature", run="run")
+    found.save("both.json")
+    assert main(["report", "both.json", "-o", "r.txt"]) == 0
+    text = page("r.txt")
+    assert "3 switch-ons were told apart by 'run'" in text
+    assert "Tests of other" in text
