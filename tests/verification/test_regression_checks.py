@@ -228,8 +228,6 @@ def test_a_regression_is_sent_to_its_own_functions(files, capsys):
     with pytest.raises(TypeError, match=r"got Regression; for a regression call `multipos\.corr"):
         mp.apply(mp.load_regression(model), later)
     assert run(capsys, "report", model, "-o", folder / "r.html")[0] == 0
-    status, out, err = run(capsys, "tumble", model)
-    assert (status, out) == (1, "")
     mp.demo(folder)
     with pytest.raises(MultiposError, match=r"a calibration is read by multipos\.load\."):
         mp.load_regression(folder / "calibration.json")
