@@ -186,6 +186,7 @@ RESULTS = {
     "Readings": session,
     "Readings with columns": lambda: warmed().readings,
     "Regression": regressed,
+    "Regressions": lambda: mp.Regressions({"one": regressed()}),
     "Stability": rested,
     "Verification": verified,
     "Scheme": lambda: mp.read_scheme("faces-6"),

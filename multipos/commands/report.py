@@ -67,7 +67,6 @@ def _of_fleet(arguments: argparse.Namespace) -> Answer:
     found = read_summary(arguments.calibration)
     content = fleet_content(found)
     listing = {"report": arguments.output, "created": found["created"]}
-
     return _answer(arguments, content, listing, _no_certificate)
 
 
