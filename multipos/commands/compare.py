@@ -1,16 +1,13 @@
 """``multipos compare``."""
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
 from multipos.verification.comparison import Comparison, compare, comparison_text
 from multipos.verification.regression_comparison import RegressionComparison
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 INPUTS = ("calibrations",)
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))
@@ -46,7 +43,8 @@ def _text(found: Comparison | RegressionComparison) -> str:
     return str(found) if isinstance(found, RegressionComparison) else comparison_text(found)
 
 
-def _figure(found: Comparison | RegressionComparison) -> "Figure":
+def _figure(found: Comparison | RegressionComparison) -> Any:
+    """Return the figure of what was compared."""
     if isinstance(found, RegressionComparison):
         return terms_figure(found)
     return runs_figure(found)
