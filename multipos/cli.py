@@ -9,6 +9,7 @@ everything has succeeded, messages to stderr; exit status 1 means the data or th
 
 import argparse
 import os
+import re
 import signal
 import sys
 import threading
@@ -167,9 +168,20 @@ def _show_warning(
 def _parse(parser: argparse.ArgumentParser, argv: list[str]) -> argparse.Namespace | None:
     """Return the arguments; None where argparse has printed what was asked for, such as help."""
     try:
-        return parser.parse_args(argv)
+        return parser.parse_args(_signed(argv))
     except SystemExit:
         return None
+
+
+def _signed(argv: list[str]) -> list[str]:
+    """Return arguments in which ``--axes -x,y,z`` is one, for -x looks like an option."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and joined[-1] == "--axes" and re.fullmatch(r"-[xyz](,-?[xyz])*", word):
+            joined[-1] = f"--axes={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _top_parser() -> argparse.ArgumentParser:

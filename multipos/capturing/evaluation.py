@@ -23,11 +23,11 @@ from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.fitting.logs import fit_rests
 from multipos.logs.averages import Averages
 from multipos.logs.joining import Chosen, complete
-from multipos.logs.names import named_axes
 from multipos.logs.still import StillLog
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, formula_columns
 from multipos.positions.attitudes import Convention
+from multipos.positions.column_names import named_axes
 from multipos.positions.scheme import Scheme
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration

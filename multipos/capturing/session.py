@@ -33,11 +33,11 @@ from multipos.capturing.poses import (
 from multipos.capturing.rests import LiveRests
 from multipos.capturing.rows import LiveRows
 from multipos.errors import UsageError
-from multipos.logs.names import named_axes
 from multipos.logs.samples import Timing
 from multipos.logs.still import Still, StillLog
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
+from multipos.positions.column_names import named_axes
 from multipos.sensor.model import Model
 
 _LIVE = 0.05  # [s] of rows that a live value is the mean of

@@ -126,7 +126,13 @@ def check_targets(arguments: argparse.Namespace) -> None:
 
 def _own(target: Target, options: dict[str, Any]) -> dict[str, Any]:
     """Return the options that one of several targets has, for each has its own."""
-    own = {"name", "allow_lossy", *target.takes, *(("float",) if target.is_code else ())}
+    own = {
+        "name",
+        "allow_lossy",
+        "accept_doubts",
+        *target.takes,
+        *(("float",) if target.is_code else ()),
+    }
     return {name: value for name, value in options.items() if name in own}
 
 

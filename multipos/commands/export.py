@@ -64,6 +64,11 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
         help="let go of terms that the target cannot express, and say what that costs",
     )
     add("--tilt", action="store_true", help="write NAME_tilt as well, angles in degrees, in C")
+    add(
+        "--accept-doubts",
+        action="store_true",
+        help="export what is not fit for use all the same; the file says so",
+    )
     add("--output-unit", metavar="g|m/s^2", help="unit of the force, in C (default g)")
     add("--instance", type=int, metavar="N", help="which accelerometer of the autopilot it is")
     add(
@@ -84,17 +89,9 @@ def _whole(text: str) -> int:
 
 def export_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the options that `add_export_options` added, as `export` takes them."""
-    names = (
-        "name",
-        "float",
-        "allow_lossy",
-        "output_unit",
-        "instance",
-        "device_id",
-        "stability",
-        "tilt",
-    )
-    return {name: getattr(arguments, name) for name in names}
+    asked = ("name", "float", "allow_lossy", "accept_doubts")
+    own = ("output_unit", "instance", "device_id", "stability", "tilt")
+    return {name: getattr(arguments, name) for name in (*asked, *own)}
 
 
 def run(arguments: argparse.Namespace) -> Answer:

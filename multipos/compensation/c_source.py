@@ -6,6 +6,7 @@ called from any firmware. What the function does is in `multipos.compensation.c_
 
 import re
 from collections.abc import Sequence
+from textwrap import wrap
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from multipos.files.numbers import number, table, uncertain
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.doubt import accepted
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.tilt import at_rest, tilt_at_rest
@@ -32,6 +34,7 @@ SIGNATURE = re.compile(
 )
 METRES = re.compile(r"^ \* accel\[\d+\] = [^\n]*\[m/s\^2\], convention", re.MULTILINE)
 WRITTEN_BY = re.compile(r"^ \* written by +multipos (?P<version>\S+)$", re.MULTILINE)
+_WIDTH = 90  # of a comment
 _NEGLIGIBLE = 1e-9  # of the largest linear coefficient: what a precision may lose
 
 
@@ -202,6 +205,7 @@ def _header(calibration: Calibration, name: str, how: str, unit: str, tilt: bool
     what = "specific force" if c.convention == "specific-force" else "gravity"
     lines = [
         f"{name}_compensate: raw accelerometer readings to {what} [{unit}].",
+        *(line for said in accepted(c.diagnostics.doubts) for line in wrap(said, _WIDTH)),
         "",
         f"raw[{len(c.outputs)}] = {', '.join(c.outputs)} [{model.unit}]",
         *env,

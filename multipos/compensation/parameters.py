@@ -36,6 +36,7 @@ from multipos.files.trees import to_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.doubt import accepted
 
 _LARGEST_ID = 2**31 - 1  # autopilots keep it as a whole number of 32 bits with a sign
 _SAME = 1e-6  # how far the forces of a file may be from those of its law [g]
@@ -192,6 +193,7 @@ def origin(calibration: Calibration) -> list[str]:
     ]
     if calibration.gravity is None:
         lines.append("one g of the calibration, the local gravity, is taken as 9.80665 m/s^2")
+    lines += accepted(calibration.diagnostics.doubts)
     return [visible(line) for line in lines]
 
 

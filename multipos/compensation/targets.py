@@ -16,6 +16,7 @@ from multipos.compensation.target_px4 import PX4
 from multipos.compensation.target_ros import ROS
 from multipos.errors import UsageError
 from multipos.files.lists import Names
+from multipos.sensor.doubt import refuse_implausible
 from multipos.sensor.stability import Stability
 from multipos.sensor.stability_file import load_stability
 
@@ -33,6 +34,7 @@ def export(
     name: str = "multipos",
     float: bool = False,
     allow_lossy: bool = False,
+    accept_doubts: bool = False,
     output_unit: Unit | None = None,
     instance: int | None = None,
     device_id: int | None = None,
@@ -54,6 +56,8 @@ def export(
         Single instead of double precision, of a target that is code.
     allow_lossy : bool
         Let go of terms that the target cannot express; the rest is fitted again.
+    accept_doubts : bool
+        Export a calibration with implausible doubts all the same; the file says so.
     output_unit : str, optional
         'g' or 'm/s^2', of C; one g of a calibration without gravity is taken as 9.80665 m/s².
     instance, device_id : int, optional
@@ -73,8 +77,8 @@ def export(
     Raises
     ------
     MultiposError
-        The target cannot express the model, its inverse does not converge in fixed steps, or a
-        regression has rates that are not causal.
+        The calibration is not fit for use, the target cannot express the model, its inverse does
+        not converge in fixed steps, or a regression has rates that are not causal.
     UsageError
         An unknown target, a name that is no C identifier, or an option of another target.
     """
@@ -94,6 +98,8 @@ def export(
         "tilt": tilt or None,
     }
     _check_options(target, {name: value for name, value in others.items() if value is not None})
+    if first is not None and not accept_doubts:
+        refuse_implausible(first.diagnostics.doubts, f"the export to {to}")
     if regressions:
         if tilt:
             raise UsageError("--tilt is of a calibration alone; a correction tells no angles.")

@@ -9,29 +9,42 @@ are none of these.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from multipos.doubts.absurdities import explained
 from multipos.doubts.claims import denied_noise, placement, unequal_noise
-from multipos.doubts.columns import dead_output, temperature_kelvin
+from multipos.doubts.columns import (
+    counter_column,
+    dead_output,
+    repeated_rows,
+    saturated,
+    temperature_kelvin,
+)
 from multipos.doubts.model_error import hidden_terms, missing_term
 from multipos.doubts.over_temperature import zero_per_soak
+from multipos.doubts.redundancy import no_redundancy
+from multipos.doubts.residuals import lack_of_fit, outlier, time_correlated
+from multipos.doubts.scales import gravity
 from multipos.doubts.score_tests import judge_model
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt, implausible
+from multipos.sensor.doubt import Doubt, besides, implausible
 
 Question = Callable[[Calibration], Doubt | None]
 
-# Implausible whatever the fit says, then what explains a fit that is no good: the first answer
-# of either counts, the rest would speak of its traces.
-IMPLAUSIBLE: tuple[Question, ...] = (dead_output,)
+# Implausible whatever the fit says; where a column is no output at all, no more is asked of it.
+OF_COLUMNS: tuple[Question, ...] = (dead_output, counter_column, saturated)
+OF_OPTIONS: tuple[Question, ...] = (gravity,)
 # Cautions about what was given and what the positions can show.
-CAUTIONS: tuple[Question, ...] = (temperature_kelvin,)
+CAUTIONS: tuple[Question, ...] = (no_redundancy, repeated_rows, temperature_kelvin)
 # Cautions about what the residuals show, and cannot show.
 OF_RESIDUALS: tuple[Question, ...] = (
     hidden_terms,
     zero_per_soak,
     missing_term,
+    outlier,
+    lack_of_fit,
     denied_noise,
     placement,
     unequal_noise,
+    time_correlated,
 )
 
 
@@ -44,15 +57,18 @@ def examine(calibration: Calibration) -> Calibration:
     tested = judge_model(calibration)
     of_model = replace(calibration.diagnostics, model_tests=tested.tests, hidden=tested.hidden)
     calibration = replace(calibration, diagnostics=of_model)
-    found = _answers(IMPLAUSIBLE, calibration)
-    found += _answers(CAUTIONS, calibration)
+    found = _answers(OF_COLUMNS, calibration)
+    if not found:
+        found += explained(calibration)
+    found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
     if not implausible(found):
         found += _answers(OF_RESIDUALS, calibration)
     if not found:
         return calibration
+    doubts = tuple(sorted(found, key=lambda doubt: not doubt.implausible))
     before = calibration.diagnostics
-    warnings = (*(doubt.text for doubt in found), *before.warnings)
-    return replace(calibration, diagnostics=replace(before, doubts=tuple(found), warnings=warnings))
+    warnings = (*(doubt.text for doubt in doubts), *besides(before.warnings, doubts))
+    return replace(calibration, diagnostics=replace(before, doubts=doubts, warnings=warnings))
 
 
 def _answers(questions: Sequence[Question], calibration: Calibration) -> list[Doubt]:

@@ -20,7 +20,6 @@ from multipos.fitting.readings import fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
-from multipos.logs.names import named_axes
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
 from multipos.numerics.terms import COMPONENTS
@@ -178,8 +177,6 @@ def fit_rests(
 
     Parameters and errors are those of `calibrate`.
     """
-    if axes is None and len(found.outputs) <= len(COMPONENTS):
-        axes = [COMPONENTS[i] for i in named_axes(found.outputs)]
     told = closed_form or orientation_sd is not None or level_sd != 0.0
     assumed = found.scheme_up is None and not told
     try:

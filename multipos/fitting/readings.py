@@ -31,6 +31,7 @@ from multipos.estimation.solution import Solution
 from multipos.estimation.uncertain import solve_uncertain
 from multipos.files.lists import Names, split_names
 from multipos.files.tables import Source
+from multipos.fitting.facing import face, note_names
 from multipos.numerics.terms import COMPONENTS, formula_columns, largest_value
 from multipos.positions.attitudes import Convention
 from multipos.positions.placement import Placement, as_used, resolve
@@ -42,7 +43,7 @@ from multipos.sensor.expressions import Expression, ExpressionModel
 from multipos.sensor.found import Chosen, Estimator
 from multipos.sensor.functions import build_expression
 from multipos.sensor.gravity import Gravity, resolve_gravity, signed_size
-from multipos.sensor.model import GAUGES, Gauge, Model, build_model, default_axes
+from multipos.sensor.model import GAUGES, Gauge, Model, build_model, default_axes, stated_facing
 from multipos.sensor.nominal import read_nominal
 from multipos.sensor.own_models import build_sketch
 from multipos.sensor.sketches import Sketch, read_model
@@ -94,7 +95,8 @@ def fit(
     convention : str
         'specific-force': the axis that points up reads +1; 'gravity': the one that points down.
     outputs, axes, inputs : sequences of str, or comma-separated str, optional
-        The output columns, the case axis each senses, and the components the model sees.
+        The output columns, the case axis each senses, -x where it faces down that axis, and the
+        components the model sees. Outputs named ax, ay, az sense the axes they name.
     closed_form : bool
         Use the six-position inversion instead of least squares.
     unknown_orientation : bool
@@ -176,6 +178,8 @@ def fit(
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
     built = _build(written, data, axes, inputs)
+    if axes is None:
+        data = note_names(data, built)
     _check_environment(data, built)
     data, placement = resolve(
         data,
@@ -190,6 +194,9 @@ def fit(
     calibration = _calibrate(built, data, placement, options, local)
     if before is not None:
         calibration = replace(calibration, nominal=before)
+    facing = stated_facing(axes)
+    if facing is not None:
+        calibration = face(calibration, facing)
     if stated is not None:
         calibration = state_budget(calibration, stated)
     calibration = examine(calibration)

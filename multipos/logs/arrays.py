@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Table
 from multipos.logs.isolation import first_line, read_apart
-from multipos.logs.names import name_header, split_unit
+from multipos.logs.names import name_header
 from multipos.logs.table import Log, Piece
+from multipos.positions.column_names import split_unit
 
 _ROWS = 1 << 16  # at a time
 

@@ -11,11 +11,11 @@ from multipos.errors import MultiposError
 from multipos.logs.averages import Averages, RestAverage
 from multipos.logs.log_faults import differ_in_unit
 from multipos.logs.matching import Match, match_rests
-from multipos.logs.names import named_axes
 from multipos.logs.rest_faults import compare_scales, find_faults, find_stuck
 from multipos.logs.rests import Rest
 from multipos.logs.still import Still, StillLog
 from multipos.positions.attitudes import Convention
+from multipos.positions.column_names import named_axes
 from multipos.positions.scheme import Scheme
 
 _SHOWN = 4  # short stretches that are listed in words

@@ -4,7 +4,7 @@ A CSV file, a mapping of columns or a data frame; its columns are listed in
 `docs/reference/formats`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from multipos.files.lists import Names, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions import attitudes
+from multipos.positions.column_names import Component, component, split_unit, unit_of
 from multipos.positions.forces import (
     FORCE,
     REFERENCE_U,
@@ -61,8 +62,9 @@ def read_readings(
     names = None if outputs is None else split_names(outputs, "--outputs")
     if isinstance(source, Readings):
         return _named_otherwise(source, names, unit, environment)
-    table = read_table(source, what="readings")
+    table, units = plain_names(read_table(source, what="readings"))
     notes: list[str] = []
+    names = None if names is None else tuple(find_column(table, name) for name in names)
     names = _outputs(table, names, environment, notes)
     spread = _orientation_sd(table)
     spread = _with_open_rolls(table, names, spread, notes)
@@ -83,7 +85,7 @@ def read_readings(
         force=force,
         reference_u=reference_u,
         environment=columns,
-        unit=unit or "reading",
+        unit=_unit(table, names, units, unit),
         source=None if table.sha256 is None else table.source,
         sha256=table.sha256,
         notes=tuple(notes),
@@ -138,7 +140,7 @@ def _named_otherwise(
     if names is None and not set(environment).isdisjoint(readings.outputs):
         names = tuple(name for name in readings.outputs if name not in environment)
     readings = readings if names is None else select_outputs(readings, names)
-    return readings if unit is None else replace(readings, unit=unit)
+    return readings if unit is None else replace(readings, unit=unit_as_known(unit))
 
 
 def _outputs(
@@ -159,7 +161,8 @@ def _outputs(
     if names is None:
         return _numeric(table, candidates, notes)
     require_columns(names, table.columns, table.source)
-    others = (name for name in candidates if name not in names)
+    beside = _averaged_along(tuple(candidates), table)
+    others = (name for name in candidates if name not in names and name not in beside)
     notes += [f"column '{name}' is not among the outputs and is not used" for name in others]
     return names
 
@@ -173,11 +176,117 @@ def _numeric(table: Table, candidates: list[str], notes: list[str]) -> tuple[str
             f"{table.source}: no numeric column can be an output; "
             f"the columns are {quoted(table.columns)}."
         )
+    beside = _averaged_along(numeric, table)  # which `average` itself has written: no word
+    left = tuple(name for name in numeric if name not in beside)
+    kinds = {name: component(name) for name in candidates}
+    chosen = _of_acceleration(left, kinds)
+    _refuse_text(table, chosen, text, kinds)
     notes += [f"column '{name}' holds text and is not used" for name in text]
-    beside = _averaged_along(numeric, table)
-    if beside:
-        notes.append(f"no sd_… beside column {quoted(beside)}, as outputs have; not used")
-    return tuple(name for name in numeric if name not in beside)
+    others = [name for name in left if name not in chosen]
+    if others:
+        notes.append(
+            f"outputs are {', '.join(chosen)}, by their names; {', '.join(others)} beside them "
+            f"{'is of another sensor' if len(others) == 1 else 'are of other sensors'}"
+        )
+    return chosen
+
+
+def _of_acceleration(names: tuple[str, ...], kinds: Mapping[str, Component]) -> tuple[str, ...]:
+    """Return the columns named as acceleration, where others are named as rate or field."""
+    named = tuple(name for name in names if kinds[name].acceleration)
+    elsewhere = any(kinds[name].elsewhere and kinds[name].axis >= 0 for name in names)
+    if not named or not elsewhere:
+        return names
+    return tuple(name for name in names if name in named or not kinds[name].elsewhere)
+
+
+def _refuse_text(
+    table: Table, chosen: tuple[str, ...], text: Sequence[str], kinds: Mapping[str, Component]
+) -> None:
+    """Refuse to drop a column that is an output by its name."""
+    stems = {kinds[name].stem.casefold() for name in chosen if kinds[name].axis >= 0}
+    for name in text:
+        kind = kinds[name]
+        if kind.acceleration or (kind.axis >= 0 and kind.stem.casefold() in stems):
+            cell = table.text(name)[0]
+            held = f"text ('{cell[:20]}')" if cell.strip() else "nothing"
+            raise MultiposError(
+                f"{table.where(0, name)}: an output by its name, but the column holds {held}; "
+                "correct it, or name the outputs with --outputs."
+            )
+
+
+def plain_names(table: Table) -> tuple[Table, dict[str, str]]:
+    """Return a table whose names have no unit in brackets and known names their own case.
+
+    Returns
+    -------
+    (Table, {column: unit})
+    """
+    bare = {name: split_unit(name) for name in table.columns}
+    if len({name for name, _ in bare.values()}) < len(bare):
+        bare = {name: (name, None) for name in table.columns}  # the units tell columns apart
+    known = {name.casefold(): name for name in (*_RESERVED, "temperature", "time")}
+    short = [name for name, _ in bare.values()]
+    folded = [name.casefold() for name in short]
+    beside = {f"{p}_{name}".casefold(): f"{p}_{name}" for p in ("u", "sd") for name in short}
+    renamed, units = {}, {}
+    for name, (plain, unit) in bare.items():
+        own = plain.casefold()
+        if folded.count(own) == 1:
+            plain = known.get(own) or beside.get(own) or _as_environment(plain)
+        renamed[plain] = table.columns[name]
+        if unit is not None:
+            units[plain] = unit
+    return replace(table, columns=renamed), units
+
+
+def _as_environment(name: str) -> str:
+    """Return a name of the surroundings in small letters, where it is one in any."""
+    folded = name.casefold()
+    return folded if is_environment(folded) and not is_environment(name) else name
+
+
+def find_column(table: Table, name: str) -> str:
+    """Return the name that a column has, whatever the case and the unit it is asked for with."""
+    if name in table:
+        return name
+    folded = split_unit(name)[0].casefold()
+    alike = [own for own in table.columns if own.casefold() == folded]
+    return alike[0] if len(alike) == 1 else name
+
+
+def unit_as_known(unit: str) -> str:
+    """Return a unit of acceleration as it is called here: m/s2, mps2 and m/s**2 are m/s^2."""
+    known = unit_of(unit)
+    return known if known in ("m/s^2", "g", "mg", "ug") else unit
+
+
+def _unit(
+    table: Table, names: tuple[str, ...], units: Mapping[str, str], stated: str | None
+) -> str:
+    """Return the unit of the outputs, of their header or as stated.
+
+    Raises
+    ------
+    MultiposError
+        The outputs differ in unit, or the header contradicts what is stated.
+    """
+    written = {name: units[name] for name in names if name in units}
+    kinds = sorted(set(written.values()))
+    if len(kinds) > 1:
+        said = ", ".join(f"{name} in {unit}" for name, unit in written.items())
+        raise MultiposError(f"{table.source}: outputs differ in unit, {said}; give them in one.")
+    if stated is None:
+        return kinds[0] if kinds else "reading"
+    asked = unit_as_known(stated)
+    if kinds and kinds[0] != asked and kinds[0] != unit_of(asked):
+        first = next(iter(written))
+        raise MultiposError(
+            f"{table.source}: the header gives column '{first}' in {kinds[0]}, and --unit says "
+            f"{stated}; correct one, or leave --unit away."
+        )
+    return asked
 
 
 def _may_be_output(name: str, table: Table) -> bool:

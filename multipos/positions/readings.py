@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import control_characters, visible
+from multipos.files.lists import near
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
 from multipos.positions.forces import along_forces, known_rows
@@ -354,8 +355,9 @@ def require_columns(names: Sequence[str], columns: Any, where: str) -> None:
     """Refuse names of which a table, named by `where`, has no column."""
     missing = [name for name in names if name not in columns]
     if missing:
+        way = near(missing[0], columns).removesuffix(".")
         raise MultiposError(
-            f"{where}: no column {quoted(missing)}; the columns are {quoted(columns)}."
+            f"{where}: no column {quoted(missing)}{way}; the columns are {quoted(columns)}."
         )
 
 

@@ -177,7 +177,8 @@ def build_content(
         ),
         verdict=tr(NOT_FIT) if implausible(c.diagnostics.doubts) else None,
         warnings=tuple(
-            tr.message(text) for text in (*c.diagnostics.warnings, *c.diagnostics.outliers)
+            tr.message(text)
+            for text in (*(doubt.text for doubt in c.diagnostics.doubts), *c.diagnostics.said)
         ),
         fields=fields,
         sections=(

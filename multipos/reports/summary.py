@@ -12,7 +12,7 @@ from multipos.files.numbers import largest_rows, number, table
 from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sheets import installation_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration, parameter_rows
-from multipos.sensor.doubt import NOT_FIT, besides, implausible
+from multipos.sensor.doubt import NOT_FIT, implausible
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.turntable import has_rolls, table_errors
 
@@ -32,9 +32,8 @@ def _sections(calibration: Calibration) -> list[tuple[str, str]]:
         title = NOT_FIT if implausible(found.doubts) else "Doubts"
         sections.append((title, _bullets(doubt.text for doubt in found.doubts)))
     sections.append(("Calibration", _summary(calibration)))
-    said = besides((*found.warnings, *found.outliers), found.doubts)
-    if said:
-        sections.append(("Warnings", _bullets(said)))
+    if found.said:
+        sections.append(("Warnings", _bullets(found.said)))
     header, rows = parameter_rows(calibration)
     sections.append(("Parameters", table(header, rows)))
     if len(sensed_axes(calibration.model)) < len(COMPONENTS):

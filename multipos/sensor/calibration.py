@@ -113,6 +113,8 @@ class Calibration(Result):
         What the covariance follows from beside the readings.
     nominal : Nominal or None
         The conversion before the calibration, where it was stated.
+    facing : tuple of M str, or None
+        What was said of the axis and sense of each output, as x or -y; None where nothing was.
     """
 
     model: Model
@@ -140,6 +142,7 @@ class Calibration(Result):
     selection: Mapping[str, Chosen] | None = None
     budget: StatedBudget | None = None
     nominal: Nominal | None = None
+    facing: tuple[str, ...] | None = None
 
     def __getitem__(self, key: str | tuple[str, str]) -> Parameter:
         """Return a parameter by (output, term) or by name: ``cal["ax", "x"]``, ``cal["scale_ax"]``.
@@ -258,6 +261,13 @@ class Calibration(Result):
             return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
         left = force - self.reference[:, list(inverse.sensed_axes(self.model))]
         return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+
+    @cached_property
+    def sensitivity(self) -> Array:
+        """Response of each output to each component (M, 3), about zero force, in reading units."""
+        environment = {name: [mean] for name, mean in self.mean_environment.items()}
+        jacobian = self.model.force_jacobian(self.parameters, np.zeros((1, 3)), environment)
+        return np.asarray(jacobian[0])
 
     @cached_property
     def linearity(self) -> dict[str, dict[str, float]]:

@@ -184,6 +184,7 @@ CALIBRATION = Fields(
                 "orientation_sd_deg": _PLACED,
             },
         ),
+        "facing": Listed(Text(tuple(f"{sign}{axis}" for sign in ("", "-") for axis in COMPONENTS))),
         "selection": Named(
             Fields(
                 {
@@ -299,6 +300,7 @@ def _found_dict(c: Calibration) -> dict[str, Any]:
         "robust_weight": c.robust_weight,
         "selection": c.selection,
         "nominal": None if c.nominal is None else c.nominal._asdict(),
+        "facing": c.facing,
         **(c.orientations or {}),
     }
     for name, parts in (("variance_components", c.variance_components), ("budget", c.budget)):
@@ -470,6 +472,8 @@ def _found(content: Mapping[str, Any]) -> dict[str, Any]:
         if groups is not None:
             orientations["group_rotation_deg"] = {k: _numbers(v) for k, v in groups.items()}
         found["orientations"] = FoundOrientations(**orientations)
+    if "facing" in content:
+        found["facing"] = tuple(content["facing"])
     if chosen is not None:
         found["selection"] = {output: _chosen(said) for output, said in chosen.items()}
     if "nominal" in content:

@@ -27,7 +27,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_tail, f_tail, t_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result
-from multipos.sensor.doubt import Doubt
+from multipos.sensor.doubt import Doubt, besides
 from multipos.sensor.model import Model
 from multipos.sensor.model_test import ModelTest
 
@@ -78,6 +78,12 @@ class Diagnostics(Result):
     model_tests: tuple[ModelTest, ...] = ()
     hidden: tuple[str, ...] = ()
     claim: Claim | None = None
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """Warnings and outliers beside the texts of the doubts."""
+        known = any(doubt.code == "outlier" for doubt in self.doubts)
+        return besides((*self.warnings, *(() if known else self.outliers)), self.doubts)
 
 
 def find_outliers(

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from multipos.errors import MultiposError
 from multipos.files.records import ANY_TEXT, TEXTS, Fields, Listed, Text
 from multipos.results import Keyed
 
@@ -58,6 +59,30 @@ class Doubt(Keyed):
 def implausible(doubts: Iterable[Doubt]) -> tuple[Doubt, ...]:
     """Return the doubts that make a calibration unfit for use."""
     return tuple(doubt for doubt in doubts if doubt.implausible)
+
+
+def refuse_implausible(doubts: Iterable[Doubt], what: str) -> None:
+    """Refuse to pass on a calibration that is not fit for use.
+
+    Raises
+    ------
+    MultiposError
+        It has implausible doubts; the first is told.
+    """
+    found = implausible(doubts)
+    if found:
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        raise MultiposError(
+            f"{what} is refused, as the calibration is not fit for use: {found[0].text}{more}; "
+            "or accept it as it is with --accept-doubts, and the file says so."
+        )
+
+
+def accepted(doubts: Iterable[Doubt]) -> list[str]:
+    """Return what a file says that passes on a calibration in spite of its doubts, as lines."""
+    found = implausible(doubts)
+    head = [f"ACCEPTED IN SPITE OF DOUBTS. {NOT_FIT}"] if found else []
+    return head + [f"{doubt.code}: {doubt.text}" for doubt in found]
 
 
 def besides(said: Iterable[str], doubts: Sequence[Doubt]) -> tuple[str, ...]:

@@ -35,6 +35,7 @@ from multipos.numerics.terms import (
     sees_only,
     split_terms,
 )
+from multipos.positions.column_names import axes_by_name
 from multipos.results import Result
 from multipos.sensor.names import parameter_label, parameter_name
 from multipos.units import unit_per
@@ -466,15 +467,27 @@ def paper_symbol(model: Model, index: int) -> str | None:
 
 
 def default_axes(outputs: Sequence[str], axes: Names | None) -> tuple[str, ...]:
-    """Return the case axis of each output: as given, or x, y, z in order."""
+    """Return the case axis of each output: as given, as it names it, or x, y, z in order.
+
+    An axis that is given may have a minus before it, which tells which way the output faces and
+    is no part of what is returned (`multipos.sensor.model.stated_facing`).
+    """
     if axes is not None:
-        return split_names(axes, "--axes")
+        return tuple(axis.removeprefix("-") for axis in split_names(axes, "--axes"))
+    named = axes_by_name(outputs)
+    if named is not None:
+        return named
     if len(outputs) > 3:
         raise UsageError(
             f"{len(outputs)} columns could be outputs: {', '.join(outputs)}; name them with "
             "--outputs, or say with --axes which axis each one senses."
         )
     return COMPONENTS[: len(outputs)]
+
+
+def stated_facing(axes: Names | None) -> tuple[str, ...] | None:
+    """Return what `--axes` says, as x or -y; None where it is not given."""
+    return None if axes is None else split_names(axes, "--axes")
 
 
 def check_axes(outputs: tuple[str, ...], axes: tuple[str, ...], inputs: tuple[str, ...]) -> None:
