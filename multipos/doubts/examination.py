@@ -46,6 +46,8 @@ OF_RESIDUALS: tuple[Question, ...] = (
     unequal_noise,
     time_correlated,
 )
+# What is alike from row to row because of these is no drift.
+_EXPLAINING = frozenset({"zero-per-soak", "missing-term"})
 
 
 def examine(calibration: Calibration) -> Calibration:
@@ -63,6 +65,8 @@ def examine(calibration: Calibration) -> Calibration:
     found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
     if not implausible(found):
         found += _answers(OF_RESIDUALS, calibration)
+        if not _EXPLAINING.isdisjoint(doubt.code for doubt in found):
+            found = [doubt for doubt in found if doubt.code != "time-correlated"]
     if not found:
         return calibration
     doubts = tuple(sorted(found, key=lambda doubt: not doubt.implausible))

@@ -71,7 +71,8 @@ def time_correlated(c: Calibration) -> Doubt | None:
     n, outputs = c.residuals.shape
     if n < _FEWEST or not c.estimator.exact:
         return None
-    unit = c.reference / np.linalg.norm(c.reference, axis=1, keepdims=True)
+    size = np.linalg.norm(c.reference, axis=1, keepdims=True)
+    unit = c.reference / np.where(size > 0.0, size, 1.0)
     between = np.degrees(np.arccos(np.clip(np.sum(unit[1:] * unit[:-1], axis=1), -1.0, 1.0)))
     square = np.sum(c.residuals**2, axis=0)
     if float(np.median(between)) < _APART or not (square > 0.0).all():

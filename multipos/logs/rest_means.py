@@ -21,7 +21,7 @@ remember much.
 No autoregression is flicker noise or a random walk, whose means do not settle. They are known by
 the Allan variances (`multipos.numerics.allan`) over m = b/64 … b/4 batches, a weighted line in
 ln σ²(m) of slope −1 for white noise, 0 for flicker, 1 for a walk (each known to about 0.2). A rest
-wanders where that slope is above −.55 although σ² does not rise up to b/64 either, as it does
+wanders where that slope is above −.45 although σ² does not rise up to b/64 either, as it does
 where the noise has only a short memory, or where it rises by more than .6 to the end. Neighbouring
 means then differ by √2 σ(b) of that line, and those of a session sixteen rests long by
 
@@ -55,8 +55,8 @@ _EDGE = 10  # an edge is a tenth of a rest
 # Parts of a rest that eq. (3) averages over, and the degrees of freedom of their Allan variances
 # for white noise, which are about as many as they overlap.
 _PARTS = ((64, 80.0), (32, 40.0), (16, 20.0), (8, 11.6), (4, 4.2))
-_SETTLES = -0.55  # slope of ln σ² below which the mean settles; white noise has −1(.17)
-_RISES = 0.3  # slope over short times, above which noise has a memory
+_SETTLES = -0.45  # slope of ln σ² below which the mean settles; white noise has −1(.17)
+_RISES = 0.1  # slope over short times, above which noise has a memory; flicker has 0
 _WALKS = 0.6  # slope over long times, above which it is more than a memory
 
 

@@ -73,7 +73,8 @@ def draw_check(
 def _draw_limit(found: Check, axes: "Axes") -> None:
     if found.limit is None:
         return
-    for height, label in ((-found.limit, None), (found.limit, f"limit ±{found.limit:g}")):
+    said = f"limit ±{found.limit:g} {found.unit}".rstrip()
+    for height, label in ((-found.limit, None), (found.limit, said)):
         axes.axhline(height, color="#555555", linestyle="--", linewidth=0.8, label=label)
 
 

@@ -243,9 +243,8 @@ def test_f_thresholds():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ((0.1, 0.1, None, None), "--remove must be above"),
-        ((0.2, 0.1, None, None), "--remove must be above"),
-        ((None, None, 3.0, 4.0), "--f-remove must be below"),
+        ((0.2, 0.1, None, None), "--remove must not be below --enter"),
+        ((None, None, 3.0, 4.0), "--f-remove must not be above --f-enter"),
         ((None, None, 3.0, None), "go together"),
         ((0.1, None, 3.0, 2.0), "give one kind"),
     ],
