@@ -140,7 +140,10 @@ def read_npz(path: os.PathLike[str]) -> Mapping[str, Any]:
 def _legible(path: os.PathLike[str], columns: dict[str, Any]) -> dict[str, Any]:
     """Return columns whose texts are made of characters: NumPy reads any four bytes as one."""
     for name, column in columns.items():
-        if column.dtype.kind != "U" or not column.dtype.itemsize:
+        # what is no array in an archive comes as bytes
+        if not isinstance(column, np.ndarray) or column.dtype.kind != "U":
+            continue
+        if not column.dtype.itemsize:
             continue
         number = np.dtype(np.uint32).newbyteorder(column.dtype.byteorder)
         if (np.ascontiguousarray(column).view(number) > sys.maxunicode).any():

@@ -211,3 +211,15 @@ def test_a_regression_has_the_noise_of_its_rows():
     new = mp.correct(fitted, {"t": [1.0, 2.0]}, uncertainty=True)
     assert list(new) == ["t", "predicted", "u_predicted", "U_predicted", "outside"]
     assert "no column 'y' to correct: predicted only" in new.warnings[0]
+
+
+def test_rows_of_samples_are_told_of_models_of_ones_own_too():
+    """The slope at no force is asked of every kind of model."""
+    rng = np.random.default_rng(3)
+    up = mp.read_scheme("faces-corners-14").up
+    values = 0.01 + up / (1.0 + 0.02 * up**2) + 1e-4 * rng.standard_normal(up.shape)
+    cal = mp.fit(mp.Readings(values, up=up), model="each = b + s*own/(1 + k*own^2)")
+    samples = np.array([0.01, 0.01, 1.0]) + 5e-3 * rng.standard_normal((40, 3))
+    columns = dict(zip(("ax", "ay", "az"), samples.T, strict=True))
+    found = mp.apply(cal, columns, uncertainty=True)
+    assert any("look like single samples" in text for text in found.warnings)

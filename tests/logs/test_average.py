@@ -534,6 +534,16 @@ def test_an_archive_whose_names_are_no_text_is_refused(tmp_path, capsys):
     assert "log.npz: cannot read the log" in error
 
 
+def test_what_is_no_array_in_an_archive_is_left_out(tmp_path, capsys):
+    np.savez(tmp_path / "log.npz", ax=np.zeros((50, 3)))
+    whole = (tmp_path / "log.npz").read_bytes()
+    (tmp_path / "log.npz").write_bytes(whole.replace(b"ax.npy", b"axxnpy"))
+    status, error = failing(capsys, "average", tmp_path / "log.npz")
+    assert status == 1
+    assert error.startswith("multipos: error:")
+    assert "a fault of multipos" not in error
+
+
 @pytest.mark.parametrize("order", "<>")
 def test_an_array_of_what_is_no_text_is_refused(order, tmp_path, capsys):
     np.save(tmp_path / "log.npy", np.full((50, 3), "0.25", dtype=f"{order}U4"))
