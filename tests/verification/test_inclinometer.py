@@ -215,7 +215,7 @@ def test_one_axis_feels_what_it_cannot_see():
 
 
 @pytest.mark.slow
-def test_tilt_within_a_twentieth_of_a_degree_and_its_claim():
+def test_tilt_within_a_twentieth_of_a_degree_and_its_claim(monkeypatch):
     """The paper's ±0.1° before and ±0.05° after, on 1,000 simulated benches.
 
     Two things are held to 99 %: a run with its own noise and errors of the table and the zero of
@@ -223,6 +223,8 @@ def test_tilt_within_a_twentieth_of_a_degree_and_its_claim():
     together, at every single reading, reaches less: 98.4 % of these and of 5,000 other benches, for
     at ±60° noise, zero and table are 0.016° in one standard deviation.
     """
+    # Doubts change no number, and take as long as the fit.
+    monkeypatch.setattr("multipos.fitting.readings.examine", lambda c: c)
     runs = 1000
     before, after, systematic, together, covered, readings = [], [], [], [], 0, 0
     for seed in range(runs):
