@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from fleet_bench import line, rows_of
+from numpy.testing import assert_allclose, assert_array_equal
 
 import multipos as mp
 from multipos.cli import main
@@ -128,10 +129,13 @@ def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
         found = mp.fleet(table, executor=executor, **options)
     assert solved + again == [[0, 1], [2, 3], [4, 5]]
     monkeypatch.undo()
-    assert (
-        found.calibrations
-        == mp.fleet(table, unit_column="unit", station_column="station").calibrations
-    )
+    whole = mp.fleet(table, unit_column="unit", station_column="station").calibrations
+    assert list(found.calibrations) == list(whole)
+    for name, column in whole.items():
+        if column.dtype.kind == "f":  # batches of other sizes are summed in another order
+            assert_allclose(found.calibrations[name], column, rtol=1e-10, atol=1e-13)
+        else:
+            assert_array_equal(found.calibrations[name], column)
 
 
 def test_the_report_is_written_again_from_the_folder(tmp_path, table, capsys):
