@@ -14,7 +14,7 @@ from multipos.fleets.folder import read_summary
 from multipos.regression.regression_file import SCHEMA as REGRESSION
 from multipos.regression.regression_file import load_regression
 from multipos.regression.several import all_of
-from multipos.reports.certificate import Content, build_content, read_lab
+from multipos.reports.certificate import Content, build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report, xml_report
 from multipos.reports.fleets import fleet_content
 from multipos.reports.regressions import regression_content
@@ -107,7 +107,6 @@ def run(arguments: argparse.Namespace) -> Answer:
             simulated = simulate_budget(
                 calibration, trials=arguments.monte_carlo, progress=progress
             )
-    lab = read_lab(arguments.lab)
     content = build_content(
         calibration,
         lab=arguments.lab,
@@ -116,7 +115,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         check=None if arguments.check is None else load_check(arguments.check),
     )
     listing = {"report": arguments.output, "created": calibration.created}
-    return _answer(arguments, content, listing, lambda: xml_report(calibration, content, lab))
+    return _answer(arguments, content, listing, lambda: xml_report(calibration, content))
 
 
 def _answer(

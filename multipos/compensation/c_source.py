@@ -38,6 +38,12 @@ _WIDTH = 90  # of a comment
 _NEGLIGIBLE = 1e-9  # of the largest linear coefficient: what a precision may lose
 
 
+def require_identifier(name: str) -> None:
+    """Refuse a name that is no C identifier."""
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+        raise UsageError(f"--name '{name}' is no C identifier; use letters, digits and _.")
+
+
 def c_source(
     calibration: Calibration,
     name: str,
@@ -55,8 +61,7 @@ def c_source(
     MultiposError
         The steps would not converge, or a coefficient is beyond the precision.
     """
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
-        raise UsageError(f"--name '{name}' is no C identifier; use letters, digits and _.")
+    require_identifier(name)
     _require_held(calibration, single)
     _vectors(calibration, single)  # which says why, where the model has no inverse
     if isinstance(calibration.model, ExpressionModel):

@@ -241,9 +241,7 @@ class ReadingUncertainty:
         c = self.calibration
         raw = np.column_stack([table.number(name) for name in c.outputs])
         step = np.quantile(np.abs(np.diff(raw, axis=0)), _ONE_SD, axis=0) / np.sqrt(2.0)
-        mean = {name: np.array([value]) for name, value in c.mean_environment.items()}
-        slope = c.model.force_jacobian(c.parameters, np.zeros((1, 3)), mean)[0]
-        close = step < _NEIGHBOURS * np.linalg.norm(slope, axis=1)
+        close = step < _NEIGHBOURS * np.linalg.norm(c.sensitivity, axis=1)
         if not close.all() or not (step > _TELLING * self.noise.sd).any():
             return ()
         told = ",".join(f"{each:.2g}" for each in step.tolist())

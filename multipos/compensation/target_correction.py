@@ -19,7 +19,7 @@ from multipos.compensation.c_correction import (
     rounding,
 )
 from multipos.compensation.c_running import compile_and_run
-from multipos.compensation.c_source import array, comment
+from multipos.compensation.c_source import array, comment, require_identifier
 from multipos.compensation.replay import Drive, expected_rows, fitted_rows, generated_rows
 from multipos.compensation.target import Exported, GivenFile
 from multipos.compensation.target_c import difference_of
@@ -213,8 +213,7 @@ def write_correction(c: Correction, name: str, *, single: bool) -> Exported:
     UsageError
         `name` is no C identifier.
     """
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
-        raise UsageError(f"--name '{name}' is no C identifier; use letters, digits and _.")
+    require_identifier(name)
     text = correction_source(c, name, single=single)
     return Exported("c", text, _self_test(c, name, single))
 

@@ -141,9 +141,8 @@ def _legible(path: os.PathLike[str], columns: dict[str, Any]) -> dict[str, Any]:
     """Return columns whose texts are made of characters: NumPy reads any four bytes as one."""
     for name, column in columns.items():
         # what is no array in an archive comes as bytes
-        if not isinstance(column, np.ndarray) or column.dtype.kind != "U":
-            continue
-        if not column.dtype.itemsize:
+        is_text = isinstance(column, np.ndarray) and column.dtype.kind == "U"
+        if not is_text or not column.dtype.itemsize:
             continue
         number = np.dtype(np.uint32).newbyteorder(column.dtype.byteorder)
         if (np.ascontiguousarray(column).view(number) > sys.maxunicode).any():

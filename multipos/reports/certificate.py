@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,16 @@ LAB_FIELDS = {
 }
 
 
+_WORDS = (
+    "Warnings",
+    "Administrative data",
+    "to be filled in by the laboratory",
+    "There is nothing to warn of.",
+    "Contents",
+    "end of the report",
+)
+
+
 @dataclass(frozen=True)
 class Content:
     """A whole report.
@@ -88,18 +99,24 @@ class Content:
     fields : tuple of (label, text or None)
         What only the laboratory knows; None where it has not said.
     sections : tuple of Section
-    words : mapping of str to str
-        The template's own words, translated.
+    lab : mapping of str to str
+        What the laboratory has said, by ``section.key``.
     """
 
-    language: str
+    language: Language
     title: str
     subtitle: str
     verdict: str | None
     warnings: tuple[str, ...]
     fields: tuple[tuple[str, str | None], ...]
     sections: tuple[Section, ...]
-    words: Mapping[str, str] = field(default_factory=dict)
+    lab: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def words(self) -> dict[str, str]:
+        """The template's own words, translated."""
+        tr = Translator(self.language)
+        return {text: tr(text) for text in _WORDS}
 
 
 def read_lab(source: "str | os.PathLike[str] | Mapping[str, Any] | None") -> dict[str, str]:
@@ -128,6 +145,15 @@ def read_lab(source: "str | os.PathLike[str] | Mapping[str, Any] | None") -> dic
                 )
             said[f"{section}.{key}"] = str(value)
     return said
+
+
+def lab_fields(said: Mapping[str, str], tr: Translator) -> tuple[tuple[str, str | None], ...]:
+    """Return every field of the laboratory with what it has said, or None."""
+    return tuple(
+        (tr(label), said.get(f"{section}.{key}"))
+        for section, keys in LAB_FIELDS.items()
+        for key, label in keys.items()
+    )
 
 
 def build_content(
@@ -162,11 +188,6 @@ def build_content(
     c = calibration
     budget = evaluate_budget(c)
     forces = math.isfinite(c.rms)  # else an output does not respond, as a doubt says
-    fields = tuple(
-        (tr(label), said.get(f"{section}.{key}"))
-        for section, keys in LAB_FIELDS.items()
-        for key, label in keys.items()
-    )
     return Content(
         language=language,
         title=tr("Calibration report"),
@@ -180,7 +201,7 @@ def build_content(
             tr.message(text)
             for text in (*(doubt.text for doubt in c.diagnostics.doubts), *c.diagnostics.said)
         ),
-        fields=fields,
+        fields=lab_fields(said, tr),
         sections=(
             parameters_section(c, tr),
             sensor_section(c, budget, tr),
@@ -197,17 +218,7 @@ def build_content(
             _method(c, tr),
             _statements(c, tr),
         ),
-        words={
-            text: tr(text)
-            for text in (
-                "Warnings",
-                "Administrative data",
-                "to be filled in by the laboratory",
-                "There is nothing to warn of.",
-                "Contents",
-                "end of the report",
-            )
-        },
+        lab=said,
     )
 
 

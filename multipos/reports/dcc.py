@@ -68,16 +68,14 @@ _UNITS = {
 Lab = Mapping[str, str]
 
 
-def dcc_report(calibration: Calibration, content: Content, lab: Lab, page: str) -> str:
+def dcc_report(calibration: Calibration, content: Content, page: str) -> str:
     """Return the certificate as XML.
 
     Parameters
     ----------
     calibration : Calibration
     content : Content
-        Of the report, whose statements and warnings are taken over.
-    lab : mapping of str to str
-        What the laboratory says, by ``section.key``.
+        Of the report, whose statements, warnings and words of the laboratory are taken over.
     page : str
         The HTML report, which goes inside.
 
@@ -86,6 +84,7 @@ def dcc_report(calibration: Calibration, content: Content, lab: Lab, page: str) 
     MultiposError
         The laboratory has not said what the schema needs; the fields are named as `section.key`.
     """
+    lab = content.lab
     _require(lab)
     for prefix, namespace in (("dcc", DCC), ("si", SI), ("xsi", _SCHEMA)):
         ElementTree.register_namespace(prefix, namespace)

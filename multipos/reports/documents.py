@@ -20,7 +20,7 @@ from multipos.files.characters import visible
 from multipos.files.numbers import markdown_line, markdown_table, markdown_text
 from multipos.files.whole import write_text
 from multipos.plots.style import COLOURS
-from multipos.reports.certificate import Content, build_content, read_lab
+from multipos.reports.certificate import Content, build_content
 from multipos.reports.dcc import dcc_report
 from multipos.reports.page import Figure, PageTable
 from multipos.reports.translations import Language
@@ -121,19 +121,18 @@ def report(
             f"the report's ending '{suffix}' is unknown; write it to a "
             f"{', '.join((*_FORMS, _CERTIFICATE))} file."
         )
-    said = read_lab(lab)
     content = build_content(
         calibration, lab=lab, language=language, simulated=simulated, check=check
     )
     if suffix == _CERTIFICATE:
-        write_text(path, xml_report(calibration, content, said))
+        write_text(path, xml_report(calibration, content))
     else:
         write_text(path, _FORMS[suffix](content))
 
 
-def xml_report(calibration: Calibration, content: Content, lab: Mapping[str, str]) -> str:
+def xml_report(calibration: Calibration, content: Content) -> str:
     """Return a report as a digital calibration certificate, with the page inside."""
-    return dcc_report(calibration, content, lab, html_report(content))
+    return dcc_report(calibration, content, html_report(content))
 
 
 # Between the lines of an entry of a list.

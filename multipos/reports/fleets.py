@@ -64,17 +64,6 @@ def fleet_content(found: Mapping[str, Any]) -> Content:
         warnings=(),
         fields=(("Units", str(found["units"])), ("Computed", found["created"])),
         sections=tuple(section for section in sections if section is not None),
-        words={
-            text: tr(text)
-            for text in (
-                "Warnings",
-                "Administrative data",
-                "to be filled in by the laboratory",
-                "There is nothing to warn of.",
-                "Contents",
-                "end of the report",
-            )
-        },
     )
 
 

@@ -24,18 +24,9 @@ from multipos.regression.junctions import Junction
 from multipos.regression.result import Regression, format_span
 from multipos.regression.segment import Segment
 from multipos.regression.several import Regressions, all_of
-from multipos.reports.certificate import LAB_FIELDS, Content, read_lab
+from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.page import Figure, PageTable, Section, draw_svg
 from multipos.reports.translations import Translator
-
-_WORDS = (
-    "Warnings",
-    "Administrative data",
-    "to be filled in by the laboratory",
-    "There is nothing to warn of.",
-    "Contents",
-    "end of the report",
-)
 
 
 def regression_content(
@@ -82,13 +73,9 @@ def regression_content(
         subtitle=f"{', '.join(r.response for r in several)} by {', '.join(several[0].variables)}",
         verdict=None,
         warnings=regression.warnings,
-        fields=tuple(
-            (label, said.get(f"{section}.{key}"))
-            for section, keys in LAB_FIELDS.items()
-            for key, label in keys.items()
-        ),
+        fields=lab_fields(said, tr),
         sections=(*sections, _method(several)),
-        words={text: text for text in _WORDS},
+        lab=said,
     )
 
 

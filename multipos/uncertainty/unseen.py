@@ -67,13 +67,11 @@ def unseen_covariance(
 
 def _moves(c: Calibration, sizes: Mapping[str, float], force: Array) -> Array:
     """Return what each term, at its standard uncertainty, does to readings, (n, M, terms)."""
-    at_zero = {name: np.array([value]) for name, value in c.mean_environment.items()}
-    by_force = c.model.force_jacobian(c.parameters, np.zeros((1, 3)), at_zero)[0]
     components = {axis: force[:, i] for i, axis in enumerate(COMPONENTS)}
     moves = []
     for kind, u in sizes.items():
         for output, axis in enumerate(c.model.axes):
-            scale = by_force[output, COMPONENTS.index(axis)]
+            scale = c.sensitivity[output, COMPONENTS.index(axis)]
             for term in kind_terms(kind, axis, c.model.inputs):
                 moved = np.zeros((len(force), len(c.outputs)))
                 moved[:, output] = u * scale * term.evaluate(components)
