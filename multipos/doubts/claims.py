@@ -38,7 +38,7 @@ import numpy as np
 from multipos.doubts.score_tests import significant
 from multipos.estimation.gains import about_solution
 from multipos.estimation.known import DENIED
-from multipos.estimation.likelihood import evaluate, linearise, weigh
+from multipos.estimation.likelihood import evaluate, linearise, respond, weigh
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile
 from multipos.numerics.terms import COMPONENTS
@@ -279,7 +279,7 @@ def judge_equality(c: Calibration) -> tuple[float, Array]:
     slopes = parameter_jacobian(c.model, c.parameters, point.force, c.readings.environment)
     A = np.concatenate([slopes, normal.shared], axis=2)
     WA = (normal.marginal @ A).reshape(n * m, -1)
-    P = -WA @ np.linalg.solve(normal.information, WA.T)
+    P = -WA @ respond(normal, WA.T)
     P = P.reshape(n, m, n, m)
     P[np.arange(n), :, np.arange(n)] += normal.marginal
     push = weigh(problem.precision, point.residuals)

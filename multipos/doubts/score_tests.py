@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from multipos.doubts.candidates import OF_FORCE, Kind, lacking
 from multipos.doubts.projections import TOLD, Setting, hides, level_of, project, sphere, values_of
 from multipos.estimation.gains import about_solution
-from multipos.estimation.likelihood import evaluate, linearise, weigh
+from multipos.estimation.likelihood import evaluate, linearise, respond, weigh
 from multipos.estimation.problem import Problem
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
@@ -150,7 +150,7 @@ def _by_likelihood(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ..
     Z, kind_of = values_of(kinds, point.force, surroundings)
     WZ = np.einsum("nij,njq->niq", normal.marginal, Z)
     cross = np.einsum("nip,niq->pq", A, WZ)
-    across = np.linalg.solve(normal.information, cross)  # X⁺Z
+    across = respond(normal, cross)  # X⁺Z
     gram = np.einsum("niq,nir->qr", Z, WZ)
     size = np.diag(gram).copy()
     gram -= cross.T @ across

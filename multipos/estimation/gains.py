@@ -22,7 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from multipos.estimation.likelihood import evaluate, linearise
+from multipos.estimation.likelihood import evaluate, linearise, respond
 from multipos.estimation.problem import Problem, State, start_state
 from multipos.estimation.restatement import restate
 from multipos.estimation.six_positions import closed_form_gain
@@ -102,8 +102,7 @@ def uncertain_gain(calibration: Calibration) -> Array:
     slopes = parameter_jacobian(calibration.model, state.theta, reference, readings.environment)
     everything = np.concatenate([slopes, normal.shared], axis=2)
     weighted = normal.marginal @ everything  # (n, M, p + shared)
-    solved = np.linalg.solve(normal.information, weighted.reshape(n * m, -1).T)
-    return np.asarray(solved[:p])
+    return respond(normal, weighted.reshape(n * m, -1).T)[:p]
 
 
 def about_solution(calibration: Calibration) -> tuple[Problem, State]:

@@ -135,6 +135,17 @@ def assemble(
     return information, right
 
 
+def respond(normal: Normal, push: Array) -> Array:
+    """Return how all unknowns follow a push (p + shared, k), the least where some are free.
+
+    Many groups of few positions leave directions of the information that rounding alone fills.
+    """
+    scale = np.sqrt(np.diag(normal.information))
+    scale = np.where(scale > 0.0, scale, 1.0)[:, None]
+    relative = normal.information / (scale * scale.T)
+    return np.asarray(np.linalg.lstsq(relative, push / scale, rcond=None)[0] / scale)
+
+
 def moved(
     problem: Problem, state: State, point: Point, normal: Normal, step: Array, damping: float
 ) -> State:

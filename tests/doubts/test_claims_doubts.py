@@ -88,3 +88,15 @@ def test_good_claims_are_not_doubted():
     for how in ({"reading_sd": 1e-4}, {}, {"unknown_orientation": True}):
         c = mp.fit(readings("fibonacci-24", 6), **how)
         assert c.diagnostics.doubts == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_groups_that_leave_directions_free_end_no_fit(seed):
+    # one group has a single position, whose turn about the vertical nothing tells
+    up = read_scheme("all-26").up
+    group = "03303433340330100000111121"
+    values = up + 5e-3 * np.random.default_rng(seed).standard_normal(up.shape)
+    columns = dict(zip(("up_x", "up_y", "up_z", "ax", "ay", "az"), (*up.T, *values.T), strict=True))
+    columns["group"] = list(map(int, group))
+    fitted = mp.fit(columns, orientation_sd=0.1, reading_sd=0.001)
+    assert 0.0 <= judge_equality(fitted)[0] <= 1.0

@@ -105,6 +105,26 @@ serial = "117"
 performed = "2024"
 traceability = "Gravity by the national institute"
 """
+OWN_MODEL = """\
+[parameters]
+b = { start = 0, unit = "V" }
+s = { start = 1, unit = "V/g", low = 0.5, high = 2 }
+common_k = { start = 0.01, sd = 0.02, low = 0 }
+
+[outputs]
+each = "b + s*own/(1 + common_k*own^2)"
+"""
+OWN_OUTPUTS = """\
+[parameters]
+c = 0.001
+
+[outputs]
+ax = "b + s*x + c*temperature"
+ay = "b + s*y + exp(-c*temperature)"
+az = "b + s*z + c*sin(pi*own)"
+"""
+LIMITS_CSV = "name,lsl,usl\nbias_ax,-0.035,0.035\nU:scale_ax,,0.02\nrms,,0.01\n"
+LIMITS_TOML = "bias_ax = [-0.035, 0.035]\nscale_ay = [0.98, inf]\nrms = [0, 0.01]\n"
 SECTIONS_CSV = "position,start,end\na,0,100\nb,200,300\nc,400,500\n"
 SECTIONS_JSON = json.dumps({"a": {"start": 0, "end": 100}, "b": {"start": 200, "end": 300}})
 
@@ -149,6 +169,12 @@ export expression.json --to c -o expression.c
 export lin.json --to px4 --allow-lossy -o lin.params
 export lin.json --to ardupilot --allow-lossy -o lin.parm
 export lin.json --to ros-imu-calib --allow-lossy -o lin.yaml
+regress data.csv --response y --variables T,T_rate --time time --causal --degree 2 -o causal-reg.json
+regress data.csv --response y,H --variables T -o both-reg.json
+export causal-reg.json --to c --name drift --correct y -o causal.c
+fit r26.csv --unit g --model own.toml -o own.json
+export own.json --to c -o own.c
+stability log.csv --calibration grav.json --json -o noise.json
 """  # noqa: E501
 
 READINGS = listed(
@@ -163,19 +189,26 @@ CALIBRATIONS = listed(
     """
     lin.json closed.json grav.json level.json ieee.json stepwise.json unknown.json uncertain.json
     auto.json robust.json budget.json one.json two.json averaged.json shared.json grouped.json
-    redundant.json warm.json expression.json
+    redundant.json warm.json expression.json own.json
     """
 )
-REGRESSIONS = ("plain-reg.json", "cut-reg.json", "branch-reg.json", "auto-reg.json")
+REGRESSIONS = listed(
+    "plain-reg.json cut-reg.json branch-reg.json auto-reg.json causal-reg.json both-reg.json"
+)
 CHECKS = ("force-check.json", "tilt-check.json")
 BUDGETS = ("bench.toml", "head.toml")
 LABORATORIES = ("laboratory.toml",)
 SECTIONS = ("sections.csv", "sections.json")
-EXPORTS = ("imu.c", "warm.c", "expression.c", "lin.params", "lin.parm", "lin.yaml")
+EXPORTS = listed("imu.c warm.c expression.c own.c causal.c lin.params lin.parm lin.yaml")
+MODELS = ("own.toml", "outputs.toml")
+FLEETS = ("fleet.csv",)
+LIMITS = ("limits.csv", "limits.toml")
+RECORDS = ("noise.json",)
 DATA = ("data.csv",)
 NAMES = (
     *(READINGS + SCHEMES + LOGS + CALIBRATIONS + REGRESSIONS + CHECKS),
     *(BUDGETS + LABORATORIES + SECTIONS + EXPORTS + DATA),
+    *(MODELS + FLEETS + LIMITS + RECORDS),
 )
 
 
@@ -232,6 +265,10 @@ def _written() -> dict[str, str]:
         "bench.toml": BENCH_BUDGET,
         "head.toml": HEAD_BUDGET,
         "laboratory.toml": LABORATORY,
+        "own.toml": OWN_MODEL,
+        "outputs.toml": OWN_OUTPUTS,
+        "limits.csv": LIMITS_CSV,
+        "limits.toml": LIMITS_TOML,
         "sections.csv": SECTIONS_CSV,
         "sections.json": SECTIONS_JSON,
     }
@@ -251,6 +288,13 @@ def _derived() -> dict[str, str]:
         warmth, damp = 20 + 15 * math.sin(i / 20), rng.gauss(50, 5)
         response = 1 + 0.1 * warmth + 0.002 * warmth**2 + 0.01 * damp + rng.gauss(0, 0.05)
         data.append({"time": i, "T": warmth, "H": damp, "y": response})
+    fleet = []
+    for unit in range(8):
+        bias = rng.gauss(0, 0.01)
+        for row in _rows("r26.csv")[:14]:
+            read = {name: float(row[name]) + bias + rng.gauss(0, 1e-3) for name in ("ax", "ay")}
+            unit_of = {"unit": f"U{unit}", "station": "AB"[unit % 2], "time": unit}
+            fleet.append({**row, **read, **unit_of})
     redundant = [{**row, "a4": 1.01 * float(row["ax"]) + rng.gauss(0, 1e-3)} for row in rows]
     with Path("log.csv").open() as stream:
         bare = "".join(line.replace(",", " ") for line in stream.readlines()[1:])
@@ -262,6 +306,7 @@ def _derived() -> dict[str, str]:
         "rolled.csv": _with_outputs("roll-pitch.csv", "up-rolled.csv"),
         "posed.csv": _with_outputs("quaternions.csv", "up-posed.csv"),
         "data.csv": _csv(data),
+        "fleet.csv": _csv(fleet),
         "bare.log": bare,
     }
 

@@ -82,7 +82,7 @@ def _masked(text: str) -> str:
 
 
 def _failure(case: Case, run: Run, stderr: str) -> Iterator[str]:
-    if run.stdout:
+    if run.stdout and not _is_live(case):
         yield f"stdout: not empty on {run.status}"
     if case.stderr != "open":
         return
@@ -91,28 +91,36 @@ def _failure(case: Case, run: Run, stderr: str) -> Iterator[str]:
         yield "stderr: does not end in 'multipos: error: '"
     elif _LAST_HANDLER.search(lines[-1]):
         yield f"unexpected: {_masked(lines[-1])[:80]}"
-    yield from _strange_lines(lines[:-1])
+    yield from _strange_lines(case, lines[:-1])
     if _CONTROL.search(stderr):
         yield "stderr: a control character"
 
 
 def _success(case: Case, run: Run, stderr: str) -> Iterator[str]:
     if case.stderr == "open":
-        yield from _strange_lines(stderr.splitlines())
+        yield from _strange_lines(case, stderr.splitlines())
         if _CONTROL.search(stderr):
             yield "stderr: a control character"
-    if "--json" in case.argv and case.stdout == "open" and not _to_stdout(case):
-        fault = _json_fault(run.stdout)
+    if "--json" not in case.argv or case.stdout != "open" or _to_stdout(case):
+        return
+    for text in run.stdout.splitlines() if _is_live(case) else (run.stdout,):
+        fault = _json_fault(text)
         if fault:
             yield f"json: stdout of {case.argv[0]} is {fault}"
 
 
-def _strange_lines(lines: list[str]) -> Iterator[str]:
+def _is_live(case: Case) -> bool:
+    """Whether lines are printed, and rows are kept, as they come."""
+    return "capture" in case.argv[:1]
+
+
+def _strange_lines(case: Case, lines: list[str]) -> Iterator[str]:
     """Lines that are neither a warning of the program nor its usage."""
+    told = "multipos: " if _is_live(case) else "multipos: warning: "
     usage = False
     for line in lines:
         usage = line.startswith("usage: ") or (usage and line.startswith(" "))
-        if not usage and not line.startswith("multipos: warning: ") and not _WARNING.match(line):
+        if not usage and not line.startswith(told) and not _WARNING.match(line):
             if line.startswith("  "):  # the source line that Python shows below its warning
                 continue
             yield f"stderr: a strange line, {_masked(line)[:60]!r}"
@@ -166,7 +174,7 @@ def _folder(case: Case, run: Run) -> Iterator[str]:
         yield from _written(case, run)
     elif changed and case.stdout != "open":
         yield from _written(case, run)  # the output was whole before stdout failed
-    elif changed:
+    elif changed := changed - _kept(case):
         what = "made" if min(changed) not in run.before else "touched"
         yield f"files: {what} on failure, {_shape(case, min(changed))} ({case.argv[0]})"
 
@@ -187,9 +195,22 @@ def _expected(case: Case, run: Run, changed: set[str]) -> set[str]:
         name
         for name in changed
         for path in allowed
-        if case.argv[0] == "demo" and (path == "." or name.startswith(f"{path}/"))
+        if case.argv[0] in ("demo", "fleet") and (path == "." or name.startswith(f"{path}/"))
     }
-    return (changed & allowed) | inside
+    return (changed & (allowed | _kept(case))) | inside
+
+
+def _kept(case: Case) -> set[str]:
+    """What a live recording may leave where it fails, as a refused target loses no readings."""
+    if not _is_live(case) or not case.output or case.output == "-":
+        return set()
+    own = PurePath(case.output)
+    if not own.name:
+        return set()
+    endings = (".csv", ".json", ".html", ".c", ".params", ".parm", ".yaml", ".txt", ".md")
+    parts = ("", "_log", "_session", "_cal", "_test", "_cal_test")
+    beside = {str(own.with_name(f"{own.stem}{a}{b}")) for a in parts for b in endings}
+    return {str(own), *beside}
 
 
 def _shape(case: Case, name: str) -> str:

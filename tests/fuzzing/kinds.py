@@ -76,13 +76,13 @@ def case(kind: str, seed: int, number: int, valid: Files) -> Case:
 
 def _case(words: list[str], valid: Files, changed: Files | None = None) -> Case:
     """A case of this command line, with those of the valid files that it names."""
-    files = {word: valid[word] for word in words if word in valid}
+    files = recipes.files_of(words, valid)
     return Case(tuple(word.replace("\0", "") for word in words), files | (changed or {}))
 
 
 def _with_options(rng: random.Random, words: list[str], odds: float = 0.25) -> list[str]:
     """Now and then an option more, or another output, for a command that has its inputs."""
-    inputs = tuple(word for word in words[1:] if word in bases.NAMES)
+    inputs = tuple(name for name in map(recipes.file_of, words[1:]) if name in bases.NAMES)
     words = list(words)
     while rng.random() < odds:
         words += options.draw(rng, words[0], (*inputs, *bases.SCHEMES, *bases.BUDGETS))
@@ -104,7 +104,7 @@ def _damaged(names: tuple[str, ...], mutate: Mutate) -> Callable[[random.Random,
 
     def make(rng: random.Random, valid: Files) -> Case:
         words = list(recipes.draw(rng, names).words)
-        name = rng.choice([word for word in words if word in names])
+        name = rng.choice([name for name in map(recipes.file_of, words) if name in names])
         changed = {name: mutate(rng, valid[name])}
         return _case(_with_options(rng, words), valid, changed)
 
@@ -113,6 +113,23 @@ def _damaged(names: tuple[str, ...], mutate: Mutate) -> Callable[[random.Random,
 
 def _sections(rng: random.Random, data: bytes) -> bytes:
     return (json_files if data.startswith(b"{") else tables).mutate(rng, data)
+
+
+def _limits(rng: random.Random, data: bytes) -> bytes:
+    return (tables if data.startswith(b"name,") else toml_files).mutate(rng, data)
+
+
+def _captures(rng: random.Random, valid: Files) -> Case:
+    """A log that comes as if live: damaged, and with options."""
+    fitting = [recipe for recipe in recipes.RECIPES if recipe.command == "capture"]
+    words = list(rng.choice(fitting).words)
+    name = recipes.file_of(words[1])
+    data = tables.mutate(rng, valid[name]) if rng.random() < 0.8 else valid[name]
+    words = _with_options(rng, words, odds=0.4)
+    if rng.random() < 0.3:
+        words[1] = "-"
+        return Case(tuple(words), recipes.files_of(words, valid), stdin=data)
+    return _case(words, valid, {name: data})
 
 
 def _export(rng: random.Random, data: bytes) -> bytes:
@@ -150,7 +167,7 @@ def _arrays(rng: random.Random, valid: Files) -> Case:
 def _options(rng: random.Random, valid: Files) -> Case:
     """Valid files, and options that nobody gives together."""
     words = list(recipes.draw(rng).words)
-    inputs = tuple(word for word in words[1:] if word in valid)
+    inputs = tuple(recipes.files_of(words[1:], valid))
     for _ in range(rng.choice((1, 1, 1, 2, 2, 3))):
         words += options.draw(rng, words[0], (*inputs, *bases.SCHEMES, *bases.BUDGETS))
     if rng.random() < 0.1:
@@ -199,13 +216,14 @@ def _formulas(rng: random.Random, valid: Files) -> Case:
 def _streams(rng: random.Random, valid: Files) -> Case:
     """An input through a pipe, -o to stdout, and streams that are closed, full or broken."""
     words = list(recipes.draw(rng).words)
-    inputs = [i for i, word in enumerate(words) if word in valid]
-    stdin, files = None, {word: valid[word] for word in words if word in valid}
+    inputs = [i for i, word in enumerate(words) if recipes.file_of(word) in valid]
+    stdin, files = None, recipes.files_of(words, valid)
     if inputs and rng.random() < 0.8:
         at = rng.choice(inputs)
-        name, words[at] = words[at], rng.choice(("-", "/dev/stdin"))
+        name = recipes.file_of(words[at])
+        words[at] = rng.choice(("-", recipes.renamed(words[at], "/dev/stdin")))
         stdin = _mutate_any(rng, name, valid[name]) if rng.random() < 0.4 else valid[name]
-        if name not in words:
+        if name not in map(recipes.file_of, words):
             del files[name]
         if rng.random() < 0.05:
             words[rng.choice(inputs)] = words[at]
@@ -242,19 +260,19 @@ PLACES = (
 def _paths(rng: random.Random, valid: Files) -> Case:
     """Names of files: inputs and outputs that are strange, the same, links, folders, missing."""
     words = list(recipes.draw(rng).words)
-    files = {word: valid[word] for word in words if word in valid}
-    inputs = [i for i, word in enumerate(words) if word in valid]
+    files = recipes.files_of(words, valid)
+    inputs = [i for i, word in enumerate(words) if recipes.file_of(word) in valid]
     linked = rng.choice(inputs) if inputs else None
     if inputs and rng.random() < 0.5:
         at = rng.choice(inputs)
         if rng.random() < 0.5:
             name = rng.choice(NAMES)
-            files[name] = files[words[at]]
+            files[name] = files[recipes.file_of(words[at])]
         else:
             name = rng.choice(PLACES)
-        words[at] = name
+        words[at] = recipes.renamed(words[at], name)
     # To what the command reads now: another file may be written over where -o names it.
-    target = "" if linked is None else words[linked]
+    target = "" if linked is None else recipes.file_of(words[linked])
     links = {
         "loop": "loop",
         "dangling": "nowhere",
@@ -262,7 +280,7 @@ def _paths(rng: random.Random, valid: Files) -> Case:
         "beside.csv": "missing/x.csv",
     }
     if rng.random() < 0.7:
-        same = [f"{rng.choice(('', './'))}{words[i]}" for i in inputs]
+        same = [f"{rng.choice(('', './'))}{recipes.file_of(words[i])}" for i in inputs]
         named = (*PLACES, "/dev/full", *NAMES, *same * 3)
         words = _replace_output(words, rng.choice(named))
     return Case(tuple(words), files, links=links, folders=("folder",))
@@ -283,6 +301,11 @@ KINDS: dict[str, Callable[[random.Random, Files], Case]] = {
     "budgets": _damaged(bases.BUDGETS, toml_files.mutate),
     "laboratories": _damaged(bases.LABORATORIES, toml_files.mutate),
     "exports": _damaged(bases.EXPORTS, _export),
+    "models": _damaged(bases.MODELS, toml_files.mutate),
+    "fleets": _damaged(bases.FLEETS, tables.mutate),
+    "limits": _damaged(bases.LIMITS, _limits),
+    "records": _damaged(bases.RECORDS, json_files.mutate),
+    "captures": _captures,
     "options": _options,
     "formulas": _formulas,
     "streams": _streams,

@@ -6,6 +6,7 @@ that 100,000 cases fit in two hours of one core.
 
 import random
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 TEXT = """
@@ -155,6 +156,45 @@ TEXT = """
  4 check branch-reg.json data.csv
 .2 check auto-reg.json data.csv -o o.svg
 .3 demo -o o
+ 6 apply causal-reg.json data.csv --uncertainty
+ 4 apply both-reg.json data.csv -o o.csv
+ 3 check both-reg.json data.csv --json
+ 2 compare plain-reg.json plain-reg.json
+ 2 compare cut-reg.json cut-reg.json --json
+ 1 report plain-reg.json -o o.md
+.5 report causal-reg.json -o o.txt
+.1 report both-reg.json -o o.html
+ 6 export causal-reg.json --to c -o o.c
+ 4 export plain-reg.json --to c --float --name drift --correct y -o o.c
+ 3 export cut-reg.json both-reg.json --to c -o o.c --json
+ 2 export lin.json plain-reg.json --to c -o o.c
+.5 verify-export causal.c causal-reg.json
+.5 verify-export causal.c causal-reg.json --data data.csv
+ 6 regress data.csv --response y --variables T,T_rate --time time --causal --json
+ 4 regress data.csv --response y,H --variables T -o o.json
+ 3 regress data.csv --response y --variables T --run H
+ 4 fit r26.csv --unit g --model own.toml
+ 4 fit warm.csv --unit g --model outputs.toml --json
+ 2 fit r26.csv --unit g --model own.toml --orientation-sd 0.5 --reading-sd 0.001 -o o.json
+ 1 fit r26.csv --unit g --model own.toml --unknown-orientation
+ 3 schemes all-26 --model own.toml --json
+.2 design --model own.toml --positions 9
+ 3 apply own.json r26.csv --uncertainty
+ 2 check own.json r26.csv --limit-g 0.01
+ 1 export own.json --to c --float -o o.c
+.3 verify-export own.c own.json
+ 2 export grav.json --to kalibr --allow-lossy --stability noise.json -o o.yaml
+ 2 export lin.json --to imucal --allow-lossy -o o.json
+ 1 export lin.json --to inav --allow-lossy -o o.txt
+ 2 fleet fleet.csv --unit-column unit --unit g -o o
+ 2 fleet fleet.csv --unit-column unit --station-column station --limits limits.csv --json -o o
+ 2 fleet fleet.csv --unit-column unit --limits limits.toml --json -o o
+ 1 fleet fleet.csv --unit-column unit --unknown-orientation --json -o o
+ 1 fleet fleet.csv --unit-column unit --reading-sd 0.001 --model own-quadratic --json -o o
+.5 capture replay:log.csv:0 --headless
+.5 capture replay:log.csv:0 --headless --scheme faces-6 -o o.csv
+.3 capture replay:log.csv:0 --headless --positions 6 --target bias=0.01 --to c -o o.csv
+.3 capture replay:bare.log:0 --headless --columns time,ax,ay,az --threshold 0.01
 """
 
 
@@ -176,10 +216,26 @@ def _read() -> tuple[Recipe, ...]:
     return tuple(Recipe(float(weight), tuple(shlex.split(words))) for weight, _, words in lines)
 
 
+_REPLAY, _AT_ONCE = "replay:", ":0"
 RECIPES = _read()
 
 
 def draw(rng: random.Random, names: tuple[str, ...] | None = None) -> Recipe:
     """Draw a command line, or one that names one of these files."""
-    fitting = [r for r in RECIPES if names is None or set(names) & set(r.words)]
+    fitting = [r for r in RECIPES if names is None or set(names) & set(map(file_of, r.words))]
     return rng.choices(fitting, [r.weight for r in fitting])[0]
+
+
+def file_of(word: str) -> str:
+    """The file that a word of a command line names, where it names one: also in replay:FILE:0."""
+    return word.removeprefix(_REPLAY).removesuffix(_AT_ONCE)
+
+
+def renamed(word: str, name: str) -> str:
+    """The word with another file in its place; without `replay:` a log would be waited on."""
+    return f"{_REPLAY}{name}{_AT_ONCE}" if word.startswith(_REPLAY) and name != "-" else name
+
+
+def files_of(words: list[str], valid: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Those of the valid files that a command line names."""
+    return {name: valid[name] for name in map(file_of, words) if name in valid}

@@ -14,19 +14,23 @@ KEYS = (
         "u U u_deg U_deg k dof value step half_width half_width_deg distribution harmonics axis"
     ),
     *listed("each_output latitude_deg height_m name x bias_per_degC number issued serial 1 a.b"),
+    *listed("each ax start sd low high unit rms b common_k own"),
     *('"own^2"', '""', '"a b"'),
 )
 SECTIONS = (
     *listed("[gravity] [level] [orientation] [index] [gain] [resolution] [temperature] [unseen]"),
     *listed('[third_order] [voltmeter] [x] [[level]] [level.x] [""] [report] [laboratory] [ ='),
     *("[customer]", "[item]", "[measurement]", "report = 5", "level = 3"),
+    *("[parameters]", "[outputs]", "[parameters.b]", "outputs = 3", 'outputs = "b*own"'),
 )
 VALUES = (
     *listed('true false "x" "" [] [0] [-1] [1000000] [1.5] ["x"] {a=1} {} 1979-05-27 07:32:00 "z"'),
     *listed('1979-05-27T07:32:00Z "rectangular" "triangular" "normal" "u-shaped" "*/" "a|b" 0x10'),
     *("[1, 2]", "[1000000000000000000000]", '"""\n<b>&\n"""', '"\\u001b[31m"', '"a\\nb"', "1_000"),
     *("'</style><script>alert(1)</script>'", "+1", "0o7", "[[[[[]]]]]", "[" * 5000, "1e400"),
-    *("9" * 400, "9" * 5000),
+    *("9" * 400, "9" * 5000, "[0.98, inf]", "[nan, 1]", "[2, 1]", '"b + s*own"', '"b"', '"own"'),
+    *("{start = 1, sd = 0}", "{start = nan}", "{low = 1, high = 1}", "{start = 5, high = 2}"),
+    *('"exp(exp(exp(b)))*own"', '"b/0"', '"sqrt(-1)"', '"atan2(own"', '"b+s*own+b/(s-s)"', "inf"),
 )
 
 
