@@ -16,7 +16,17 @@ _PACKAGE = str(Path(__file__).parent)
 
 
 class MultiposError(ValueError):
-    """The data or the fit is at fault."""
+    """The data or the fit is at fault.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> try:
+    ...     mp.fit({"up_x": [0.0, 0.0], "up_y": [0.0, 0.0], "up_z": [1.0, -1.0], "az": [1.01, "-"]})
+    ... except mp.MultiposError as error:
+    ...     print(error)
+    readings: row 2, column 'az': '-' is not a number; a number is needed there.
+    """
 
 
 class RankError(MultiposError):
@@ -28,6 +38,15 @@ class RankError(MultiposError):
         How many parameters can be separated, and how many there are.
     combinations : tuple of str
         What cannot be told apart, one sentence each; empty where there are simply too few rows.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> try:
+    ...     mp.fit({"direction": ["E-U-S", "E-D-N"], "ay": [1.002, -0.998]}, axes="y")
+    ... except mp.RankError as error:
+    ...     print(error.rank, "of", error.parameters)
+    2 of 4
     """
 
     def __init__(
@@ -40,15 +59,43 @@ class RankError(MultiposError):
 
 
 class ConvergenceError(MultiposError):
-    """An iteration ended before its criterion was met."""
+    """An iteration ended before its criterion was met.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> issubclass(mp.ConvergenceError, mp.MultiposError)
+    True
+    """
 
 
 class UsageError(ValueError):
-    """The command line or an option is at fault."""
+    """The command line or an option is at fault.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> try:
+    ...     mp.fit({"up_z": [1.0, -1.0], "az": [1.0, -1.0]}, gauge="upper")
+    ... except mp.UsageError as error:
+    ...     print(error)
+    unknown gauge 'upper'; give lower or symmetric.
+    """
 
 
 class CalibrationWarning(UserWarning):
-    """What a fit warns of; its doubts come first."""
+    """What a fit warns of; its doubts come first.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import multipos as mp
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     cal = mp.demo().calibration
+    >>> caught[0].category is mp.CalibrationWarning, len(cal.diagnostics.warnings)
+    (True, 1)
+    """
 
 
 def warn_of(texts: Iterable[str]) -> None:

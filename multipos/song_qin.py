@@ -70,6 +70,14 @@ def demo(folder: str | os.PathLike[str] | None = None) -> Demonstration:
     Returns
     -------
     Demonstration
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> found = mp.demo()
+    >>> scale = found.calibration["scale_ax"]
+    >>> print(f"{scale.value:.5f} {scale.unit}, U = {scale.U:.4f}")
+    0.99647 1, U = 0.0094
     """
     readings = Readings(TABLE_2, unit="g", positions=tuple("123456"))
     least_squares, closed_form = (

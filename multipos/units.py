@@ -43,6 +43,12 @@ def normal_gravity(latitude_deg: float, height: float = 0.0) -> float:
     Returns
     -------
     float [m/s²]
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> round(mp.normal_gravity(45.0, 0.0), 5)
+    9.8062
     """
     if not abs(latitude_deg) <= 90.0:
         raise ValueError(f"`latitude` must lie between -90 and 90 degrees, got {latitude_deg}.")

@@ -13,6 +13,7 @@ All of a page happens in one temporary folder, from top to bottom.
 import difflib
 import doctest
 import importlib
+import inspect
 import io
 import os
 import pkgutil
@@ -228,6 +229,11 @@ def test_docstring_examples_print_what_they_say(name, tmp_path, monkeypatch):
         runner.run(test, out=report.write)
     if report.getvalue():
         pytest.fail(report.getvalue(), pytrace=False)
+
+
+@pytest.mark.parametrize("name", sorted(multipos._PUBLIC))
+def test_every_public_name_has_an_example(name):
+    assert ">>> import multipos as mp" in inspect.getdoc(getattr(multipos, name))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

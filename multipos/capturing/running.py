@@ -48,6 +48,18 @@ class Captured(Result):
     problem : str or None
     state : mapping
         What was shown at last, keys as in the reference of the command.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> sensor = mp.demo().calibration
+    >>> log = mp.simulate_log(sensor, "corners-8", rate=50, rest=4, sample_sd=1e-3, seed=1)
+    >>> mp.write_table("log.csv", log)
+    >>> found = mp.capture("replay:log.csv:0")
+    >>> len(found.averages.rests), found.calibration is None
+    (8, True)
+    >>> print(found.problem[:44])
+    8 positions give 8 equations for 9 parameter
     """
 
     averages: Averages | None
@@ -118,6 +130,16 @@ def capture(
         The source cannot be read, or nothing in it is like a rest.
     UsageError
         An option is at fault.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> sensor = mp.demo().calibration
+    >>> log = mp.simulate_log(sensor, "faces-6", rate=50, rest=4, sample_sd=1e-3, seed=1)
+    >>> mp.write_table("log.csv", log)
+    >>> found = mp.capture("replay:log.csv:0", scheme="faces-6", convention="gravity")
+    >>> len(found.averages.rests), found.calibration.names[0]
+    (6, 'bias_ax')
     """
     opened = open_source(source)
     plan = make_plan(target, positions, scheme, {**fitting, "convention": convention})

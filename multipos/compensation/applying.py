@@ -125,6 +125,17 @@ def apply(
         A column is missing or has a bad cell, or a row is outside under 'refuse'.
     TypeError
         `calibration` is something else: for a regression `multipos.correct` does this.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> cal = mp.demo().calibration
+    >>> log = {"ax": [0.5], "ay": [0.0], "az": [-0.86]}
+    >>> found = mp.apply(cal, log, tilt=True, uncertainty=True)
+    >>> list(found)[3:6]
+    ['f_x', 'f_y', 'f_z']
+    >>> print(f"{found.tilt_x_deg[0]:.1f} degrees, U of f_x {found.U_f_x[0]:.3f} g")
+    -30.7 degrees, U of f_x 0.017 g
     """
     if not isinstance(calibration, Calibration):
         raise TypeError(

@@ -83,6 +83,19 @@ def correct(
     ------
     MultiposError
         A column is missing or has a bad cell, or a row is outside under 'refuse'.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> T = np.linspace(-20.0, 60.0, 81)
+    >>> table = {"T": T, "error": 0.01 + 5e-4 * T + 1e-4 * np.sin(7.0 * T)}
+    >>> found = mp.regress(table, response="error", variables="T")
+    >>> left = mp.correct(found, table)
+    >>> list(left)
+    ['T', 'error', 'predicted', 'corrected', 'outside']
+    >>> bool(np.abs(left.corrected).max() < 0.01 * np.abs(table["error"]).max())
+    True
     """
     check_outside(outside)
     check_noise_options(uncertainty, reading_sd, parameters_only)

@@ -41,6 +41,17 @@ def verify_export(
         no compiler; or `data` are not those of the fit.
     UsageError
         `data` without a regression.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> run = mp.simulate(mp.demo().calibration, "faces-6", reading_sd=1e-4, seed=1)
+    >>> cal = mp.fit(run, convention="gravity", unit="g")
+    >>> mp.export(cal, to="px4", allow_lossy=True).save("px4.params")
+    ('px4.params',)
+    >>> found = mp.verify_export("px4.params", cal)
+    >>> found.target
+    'px4'
     """
     first, regressions = split_parts(calibration)
     if data is not None and not regressions:

@@ -81,6 +81,13 @@ def export(
         not converge in fixed steps, or a regression has rates that are not causal.
     UsageError
         An unknown target, a name that is no C identifier, or an option of another target.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> found = mp.export(mp.demo().calibration, to="c", name="imu")
+    >>> [line for line in found.text.splitlines() if line.startswith("void")]
+    ['void imu_compensate(const double raw[3], double accel[3])']
     """
     target = named_target(to)
     if target is None:

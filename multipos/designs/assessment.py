@@ -169,6 +169,17 @@ def schemes(
     Returns
     -------
     Schemes
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> found = mp.schemes("faces-6", "faces-corners-14", model="own-cubic")
+    >>> for entry in found.schemes:
+    ...     print(entry.name, entry.identifiable)
+    faces-6 False
+    faces-corners-14 True
+    >>> round(found.schemes[1].d_efficiency, 3)
+    0.944
     """
     setting = read_setting(model, axes, inputs, unknown_orientation, orientation_sd, reading_sd)
     setting = setting.stated

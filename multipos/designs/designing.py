@@ -164,6 +164,13 @@ def design(
         Too few positions, an unknown criterion or bench, options that contradict each other.
     RankError
         The candidates cannot separate the parameters, which are named.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> found = mp.design("own-quadratic", 12)
+    >>> round(found.efficiency, 3), found.certificate["parameters"]
+    (1.0, 15)
     """
     setting = read_setting(model, axes, inputs, unknown_orientation, orientation_sd, reading_sd)
     wanted = make_criterion(criterion, setting, None if region is None else read_bench(region))

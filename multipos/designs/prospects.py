@@ -126,6 +126,17 @@ def worth(
         The calibration states no noise to predict from, or a model with other columns.
     UsageError
         No such parameter, or a target without one.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> sensor = mp.demo().calibration
+    >>> run = mp.simulate(sensor, "fibonacci-12", reading_sd=1e-4, seed=1)
+    >>> cal = mp.fit(run, convention="gravity", reading_sd=1e-4)
+    >>> found = mp.worth(cal, parameter="ax:1", target=3e-5)
+    >>> best = found.candidates[0]
+    >>> bool(best.u["ax:1"] < found.u["ax:1"])
+    True
     """
     keys = [f"{output}:{term}" for output, term in calibration.model.keys]
     _check_target(keys, parameter, target)

@@ -87,6 +87,14 @@ def judge_terms_jointly(calibration: Calibration) -> list[JointTest]:
     ------
     MultiposError
         A robust loss, or a model that is an expression: neither has nested tests of terms.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> cal = mp.demo().calibration
+    >>> for test in mp.judge_terms_jointly(cal):
+    ...     print(test.terms, test.inside, round(test.p, 2))
+    own^2 True 0.81
     """
     c = calibration
     if c.robust_weight is not None or isinstance(c.model, ExpressionModel):

@@ -139,6 +139,14 @@ def read_table(source: Source, *, what: str = "table") -> Table:
     ------
     MultiposError
         Missing, empty, unreadable, ragged, or with duplicate or unnamed columns.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> mp.write_table("run.csv", {"angle": [0.0, 90.0], "volt": [0.012, 2.513]})
+    >>> table = mp.read_table("run.csv")
+    >>> list(table.columns), table.numbers("volt").tolist()
+    (['angle', 'volt'], [0.012, 2.513])
     """
     if isinstance(source, Table):
         return source
@@ -366,5 +374,13 @@ def write_table(path: str | os.PathLike[str], columns: Source) -> None:
     ------
     MultiposError
         The columns are empty or differ in length, or the file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import multipos as mp
+    >>> mp.write_table("run.csv", {"angle": [0.0, 90.0], "volt": [0.012, float("nan")]})
+    >>> Path("run.csv").read_text().split()
+    ['angle,volt', '0.0,0.012', '90.0,']
     """
     write_text(path, format_csv(read_table(columns).columns))

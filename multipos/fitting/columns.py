@@ -130,6 +130,19 @@ def regress(
         The data are at fault; the message says what, where, and the way out.
     UsageError
         An option is at fault.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> T = np.linspace(-20.0, 60.0, 81)
+    >>> table = {"T": T, "error": 0.01 + 5e-4 * T + 1e-4 * np.sin(7.0 * T)}
+    >>> found = mp.regress(table, response="error", variables="T")
+    >>> (segment,) = found.segments
+    >>> [str(term) for term in segment.terms], segment.significant
+    (['1', 'T'], True)
+    >>> print(f"rms {1e6 * segment.rms:.0f}e-6")
+    rms 72e-6
     """
     arguments = dict(locals())  # all arguments as they are, for each of several responses
     responses = split_names(response, "--response")

@@ -101,6 +101,15 @@ def calibrate(
     ------
     MultiposError, UsageError
         As of `multipos.average` and `multipos.fit`.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> sensor = mp.demo().calibration
+    >>> log = mp.simulate_log(sensor, "all-26", rate=50, rest=4, sample_sd=1e-3, seed=1)
+    >>> cal = mp.calibrate(log)
+    >>> print(cal.estimator, len(cal.readings), bool(cal.rms < 1e-3))
+    unknown-orientation 26 True
     """
     found = average(
         *logs,

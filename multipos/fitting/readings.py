@@ -154,6 +154,16 @@ def fit(
     References
     ----------
     JCGM 100:2008, clauses 5.1, 6.2 and annex G; Song and Qin 2009 for the six positions.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> columns = {"direction": ["E-U-S", "E-N-U", "D-E-S", "W-D-S", "U-W-S", "S-W-D"],
+    ...            "ax": [0.0071, -0.0094, -0.9965, -0.0076, 0.9965, 0.0067]}
+    >>> cal = mp.fit(columns, unit="V")
+    >>> bias = cal["bias_ax"]
+    >>> print(f"{bias.value:.5f} {bias.unit}, U = {bias.U:.4f}, dof {bias.dof:g}")
+    -0.00053 V, U = 0.0018, dof 2
     """
     options = check_options(
         convention=convention,

@@ -182,6 +182,22 @@ def fit_many(
         A table or a column is missing or cannot be read.
     UsageError
         An option is at fault.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> rng = np.random.default_rng(1)
+    >>> up = mp.read_scheme("faces-6").up
+    >>> bias = 0.01 * rng.standard_normal((3, 1, 3))
+    >>> values = bias + up + 1e-4 * rng.standard_normal((3, 6, 3))
+    >>> table = {"unit": np.repeat(["A", "B", "C"], 6), "position": np.tile(np.arange(1, 7), 3)}
+    >>> table |= dict(zip(("ax", "ay", "az"), values.reshape(-1, 3).T))
+    >>> found = mp.fit_many(table, unit_column="unit", scheme="faces-6")
+    >>> list(found)[:4]
+    ['unit', 'station', 'bias_ax', 'scale_ax']
+    >>> bool(np.abs(found["bias_ax"] - bias[:, 0, 0]).max() < 5e-4)
+    True
     """
     opened = open_engine("threads") if executor is None else nullcontext(executor)
     with opened as running:

@@ -54,6 +54,20 @@ class Fleet(Result):
     time : (B,) array
         Mean of the column `time` of every unit; NaN without.
     created, version : str
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> rng = np.random.default_rng(1)
+    >>> up = mp.read_scheme("faces-6").up
+    >>> bias = 0.01 * rng.standard_normal((3, 1, 3))
+    >>> values = bias + up + 1e-4 * rng.standard_normal((3, 6, 3))
+    >>> table = {"unit": np.repeat(["A", "B", "C"], 6), "position": np.tile(np.arange(1, 7), 3)}
+    >>> table |= dict(zip(("ax", "ay", "az"), values.reshape(-1, 3).T))
+    >>> found = mp.fleet(table, unit_column="unit", scheme="faces-6")
+    >>> found.summary["units"], found.verdicts["verdict"].tolist()
+    (3, ['pass', 'pass', 'pass'])
     """
 
     summary: Mapping[str, Any]
@@ -117,6 +131,21 @@ def fleet(
         A table, a column or the limits are missing or cannot be read.
     UsageError
         An option is at fault.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> rng = np.random.default_rng(1)
+    >>> up = mp.read_scheme("faces-6").up
+    >>> bias = 0.01 * rng.standard_normal((3, 1, 3))
+    >>> values = bias + up + 1e-4 * rng.standard_normal((3, 6, 3))
+    >>> table = {"unit": np.repeat(["A", "B", "C"], 6), "position": np.tile(np.arange(1, 7), 3)}
+    >>> table |= dict(zip(("ax", "ay", "az"), values.reshape(-1, 3).T))
+    >>> limits = {"bias_ax": (-0.05, 0.05)}
+    >>> found = mp.fleet(table, unit_column="unit", scheme="faces-6", limits=limits)
+    >>> found.summary["fitted"], found.summary["yield"]["value"]
+    (3, 1.0)
     """
     given = () if limits is None else read_limits(limits)
     if len({limit.name for limit in given}) < len(given):

@@ -70,6 +70,16 @@ class Averages(Result):
         Stretches that stood still for less than a rest: the name of the log, and its rows.
     unit : str or None
         Of the outputs, where the log tells it.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> log = mp.simulate_log(mp.demo().calibration, "faces-6", sample_sd=1e-3, seed=1)
+    >>> found = mp.average(log)
+    >>> len(found.rests), found.outputs
+    (6, ('ax', 'ay', 'az'))
+    >>> found.readings.values.shape
+    (6, 3)
     """
 
     source: str = field(compare=False)

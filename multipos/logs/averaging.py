@@ -95,6 +95,14 @@ def average(
         output; outputs of different units; rests that match no position.
     UsageError
         An option is at fault.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> log = mp.simulate_log(mp.demo().calibration, "faces-6", sample_sd=1e-3, seed=1)
+    >>> found = mp.average(log, scheme="faces-6", convention="gravity")
+    >>> [rest.position for rest in found.rests], round(found.sample_rate, 6)
+    (['1', '2', '3', '4', '5', '6'], 100.0)
     """
     sources = spread(logs)
     _check_options(sources, time_column, rate, threshold, sections, label_column)

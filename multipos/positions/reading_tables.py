@@ -58,6 +58,17 @@ def read_readings(
     MultiposError
         A file that is missing, empty, ragged or holds a bad cell, which is named by file, row
         and column; an output that is not there.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> columns = {"direction": ["E-U-S", "E-D-N"], "ay": [1.002, -0.998]}
+    >>> columns["temperature"] = [21.5, 21.6]
+    >>> readings = mp.read_readings(columns, unit="g")
+    >>> readings.up.round(1).tolist()
+    [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]
+    >>> readings.environment["temperature"]
+    array([21.5, 21.6])
     """
     names = None if outputs is None else split_names(outputs, "--outputs")
     if isinstance(source, Readings):

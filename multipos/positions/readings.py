@@ -63,6 +63,17 @@ class Readings(Result):
         What was left out on reading, in words.
     dof : (n, M) array or None
         Degrees of freedom of `u`; infinite where None.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> up = mp.read_scheme("faces-6").up
+    >>> readings = mp.Readings(0.01 + 0.99 * up, outputs=("ax", "ay", "az"), up=up, unit="g")
+    >>> len(readings), readings.outputs, readings.unit
+    (6, ('ax', 'ay', 'az'), 'g')
+    >>> readings.values[:2].round(3)
+    array([[ 1.  ,  0.01,  0.01],
+           [-0.98,  0.01,  0.01]])
     """
 
     values: Array

@@ -55,6 +55,15 @@ class Scheme(Result):
         Position labels, unique; None where the source has none.
     force : (n, 3) array or None [g]
         Known specific force, NaN at positions that are at rest in gravity.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> scheme = mp.read_scheme("roll-x-8")
+    >>> len(scheme), scheme.labels[:3]
+    (8, ('1', '2', '3'))
+    >>> scheme.up[1].round(4)
+    array([0.    , 0.7071, 0.7071])
     """
 
     name: str
@@ -83,6 +92,15 @@ def read_scheme(source: "Source | Scheme") -> Scheme:
         No such name.
     MultiposError
         A file that is missing or holds no orientation, or labels that appear twice.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> [len(mp.read_scheme(name)) for name in ("faces-6", "faces-6+corners-8", "fibonacci-24")]
+    [6, 14, 24]
+    >>> mp.read_scheme({"roll_deg": [180.0, 0.0], "pitch_deg": [0.0, 0.0]}).up.round(6) + 0.0
+    array([[ 0.,  0.,  1.],
+           [ 0.,  0., -1.]])
     """
     if isinstance(source, Scheme):
         return source

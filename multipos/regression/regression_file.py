@@ -139,6 +139,17 @@ def load_regression(path: str | os.PathLike[str]) -> Regression | Regressions:
     ------
     MultiposError
         The file is missing, truncated, of another schema, or holds what no regression does.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> T = np.linspace(-20.0, 60.0, 81)
+    >>> table = {"T": T, "error": 0.01 + 5e-4 * T + 1e-4 * np.sin(7.0 * T)}
+    >>> found = mp.regress(table, response="error", variables="T")
+    >>> found.save("model.json")
+    >>> mp.load_regression("model.json") == found
+    True
     """
     content = read_json(path, SCHEMA)
     if "responses" not in content:

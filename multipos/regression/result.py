@@ -58,6 +58,18 @@ class Regression(Result):
     hysteresis, cross_validation : mapping or None
     warnings : tuple of str
     source, sha256, created, version : str or None
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> T = np.linspace(-20.0, 60.0, 81)
+    >>> table = {"T": T, "error": 0.01 + 5e-4 * T + 1e-4 * np.sin(7.0 * T)}
+    >>> found = mp.regress(table, response="error", variables="T")
+    >>> found.variables, found.n
+    (('T',), 81)
+    >>> bool(abs(found.predict({"T": [20.0]})[0] - 0.02) < 1e-4)
+    True
     """
 
     response: str

@@ -18,6 +18,17 @@ class Regressions(Result, Mapping[str, Regression]):
     Attributes
     ----------
     responses : mapping of str to Regression
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> T = np.linspace(-20.0, 60.0, 81)
+    >>> hum = 1e-4 * np.sin(7.0 * T)
+    >>> table = {"T": T, "zero_x": 0.01 + 5e-4 * T + hum, "zero_y": 0.02 - 1e-4 * T + hum}
+    >>> found = mp.regress(table, response="zero_x,zero_y", variables="T")
+    >>> list(found.responses), found["zero_x"].response
+    (['zero_x', 'zero_y'], 'zero_x')
     """
 
     responses: Mapping[str, Regression]

@@ -114,6 +114,14 @@ def report(
     MultiposError
         The lab file is at fault or lacks what a digital certificate needs, the check is of another
         calibration, or the report cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import multipos as mp
+    >>> mp.report(mp.demo().calibration, "report.md")
+    >>> Path("report.md").read_text(encoding="utf-8").splitlines()[0]
+    '# Calibration report'
     """
     suffix = Path(path).suffix.lower()
     if suffix not in (*_FORMS, _CERTIFICATE):

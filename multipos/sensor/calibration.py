@@ -115,6 +115,20 @@ class Calibration(Result):
         The conversion before the calibration, where it was stated.
     facing : tuple of M str, or None
         What was said of the axis and sense of each output, as x or -y; None where nothing was.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> cal = mp.demo().calibration
+    >>> cal.names[:5]
+    ('bias_ax', 'scale_ax', 'cross_ax_y', 'cross_ax_z', 'quad_ax')
+    >>> p = cal["ax", "x^2"]
+    >>> print(f"{1e3 * p.value:.2f} mg/g^2, u = {1e3 * p.u:.2f}, dof {p.dof:g}")
+    0.79 mg/g^2, u = 0.91, dof 1
+    >>> cal["quad_ax"] == p
+    True
+    >>> cal.compensate([[0.5, 0.0, 0.0]])[:, 0].round(3)
+    array([0.502])
     """
 
     model: Model

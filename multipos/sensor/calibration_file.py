@@ -320,6 +320,13 @@ def load(path: str | os.PathLike[str]) -> Calibration:
     ------
     MultiposError
         The file is missing, truncated, of another schema, or holds what no calibration does.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> mp.demo().calibration.save("cal.json")
+    >>> mp.load("cal.json") == mp.demo().calibration
+    True
     """
     return from_dict(read_json(path, SCHEMA), str(path))
 

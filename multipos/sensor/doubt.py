@@ -42,6 +42,13 @@ class Doubt(Keyed):
         What was found, where, and the way out.
     rows, outputs : tuples of str
         The positions and outputs that it is about; empty where it is about all.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> (doubt,) = mp.demo().calibration.diagnostics.doubts
+    >>> doubt.code, doubt.severity
+    ('hidden-terms', 'caution')
     """
 
     code: str

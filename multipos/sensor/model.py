@@ -64,6 +64,13 @@ class Model(Result):
     gauge : str or None
         'lower' or 'symmetric' where the orientation of the case is a convention (see
         `multipos.estimation.likelihood`), which fixes the upper triangle of the linear terms.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> model = mp.demo().calibration.model
+    >>> model.text, model.axes, len(model.names)
+    ('own-quadratic', ('x', 'y', 'z'), 15)
     """
 
     text: str

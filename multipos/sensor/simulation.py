@@ -75,6 +75,13 @@ def simulate(
     Returns
     -------
     Simulation
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> run = mp.simulate(mp.demo().calibration, "faces-6", reading_sd=2e-4, seed=1)
+    >>> list(run)
+    ['position', 'up_x', 'up_y', 'up_z', 'ax', 'ay', 'az']
     """
     rng = np.random.default_rng(seed)
     known = read_scheme(scheme)
@@ -133,6 +140,13 @@ def simulate_log(
     Returns
     -------
     SimulatedLog
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> log = mp.simulate_log(mp.demo().calibration, "faces-6", rate=50, rest=4, sample_sd=1e-3)
+    >>> list(log), len(log["ax"])
+    (['time', 'ax', 'ay', 'az'], 1700)
     """
     for option, value, lowest in (("--rate", rate, 0.0), ("--rest", rest, 0.0)):
         if not lowest < value < math.inf:

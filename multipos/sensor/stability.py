@@ -156,6 +156,18 @@ class Stability(Result):
     calibration : str or None
         When the calibration was made that the records were compensated with.
     warnings : tuple of str
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> rng = np.random.default_rng(1)
+    >>> record = {"time": np.arange(4000) / 10.0, "ax": 0.01 + 2e-4 * rng.standard_normal(4000)}
+    >>> found = mp.stability(record)
+    >>> round(found.sample_rate, 6), found.tau[:3].round(6).tolist()
+    (10.0, [0.1, 0.2, 0.4])
+    >>> bool(abs(found.outputs["ax"].white_noise.value / 6.3e-5 - 1.0) < 0.1)
+    True
     """
 
     tau: Array

@@ -165,6 +165,16 @@ def load_stability(path: str | os.PathLike[str]) -> Stability:
     ------
     MultiposError
         The file is missing, truncated, of another schema, or holds what no stability does.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> rng = np.random.default_rng(1)
+    >>> record = {"time": np.arange(4000) / 10.0, "ax": 0.01 + 2e-4 * rng.standard_normal(4000)}
+    >>> mp.stability(record).save("zero.json")
+    >>> list(mp.load_stability("zero.json").outputs)
+    ['ax']
     """
     content = read_json(path, SCHEMA)
     require(content, STABILITY, str(path), "run stability again")

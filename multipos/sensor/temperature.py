@@ -80,6 +80,20 @@ def over_temperature(
     ------
     UsageError
         The model has no term with the column.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> up = np.tile(mp.read_scheme("faces-6").up, (2, 1))
+    >>> T = np.repeat([0.0, 40.0], 6)
+    >>> values = up * (1.0 + 1e-4 * T[:, None]) + 1e-5 * np.sin(np.arange(36.0)).reshape(12, 3)
+    >>> names, warm = ("ax", "ay", "az"), {"temperature": T}
+    >>> readings = mp.Readings(values, outputs=names, up=up, environment=warm)
+    >>> cal = mp.fit(readings, model="1 + x + y + z + temperature*own")
+    >>> scale = mp.over_temperature(cal, [0.0, 20.0, 40.0])[1]
+    >>> scale.name, scale.value.round(3).tolist()
+    ('scale_ax', [1.0, 1.002, 1.004])
     """
     model = calibration.model
     if column not in model.environment:

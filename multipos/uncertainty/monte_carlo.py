@@ -138,6 +138,14 @@ def simulate_budget(
     ------
     UsageError
         An option is out of range, or the calibration needs an `estimator`.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> cal = mp.state_budget(mp.demo().calibration, {"level": {"u_deg": 0.1}})
+    >>> found = mp.simulate_budget(cal, trials=2000, rng=1)
+    >>> found.trials, found.names[0]
+    (2000, 'bias_ax')
     """
     _check_options(trials, digits)
     c = calibration

@@ -157,6 +157,14 @@ def profile_interval(calibration: Calibration, output: str, term: str) -> Interv
         The fit was robust, and its loss is no likelihood; or nothing tells the noise.
     ConvergenceError
         As in `search_interval`.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> cal = mp.demo().calibration
+    >>> found = mp.profile_interval(cal, "ax", "1")
+    >>> print(f"{1e3 * found.low:.2f} to {1e3 * found.high:.2f} mg")
+    -7.44 to 5.87 mg
     """
     c = calibration
     if c.robust_weight is not None:

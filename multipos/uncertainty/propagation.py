@@ -198,6 +198,13 @@ def evaluate_budget(
     ------
     MultiposError
         A quantity needs what the calibration does not know, such as the heading of its positions.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> found = mp.evaluate_budget(mp.demo().calibration, {"level": {"u_deg": 0.01}})
+    >>> [(row.quantity, row.evaluation) for row in found.rows][-1]
+    ('level', 'B')
     """
     own = read_budget(calibration.budget_tables)
     stated = own if budget is None else read_budget(budget)
@@ -226,6 +233,14 @@ def state_budget(calibration: Calibration, budget: "BudgetSource | Budget") -> C
     ------
     MultiposError
         As in `evaluate_budget`.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> cal = mp.demo().calibration
+    >>> level = mp.state_budget(cal, {"level": {"u_deg": 0.1}})
+    >>> round(float(level["bias_ax"].u / cal["bias_ax"].u), 2)
+    1.19
     """
     stated = read_budget(budget)
     found = evaluate_budget(calibration, stated)

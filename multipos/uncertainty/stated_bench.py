@@ -49,6 +49,19 @@ def state_bench(
         Of e_0, and of each coefficient of the first and second harmonic, on every roll.
     level_sd_deg, wobble_sd_deg : float
         Of the shaft from the horizon, and of each coefficient of its nodding, on every roll.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> angle = np.arange(0.0, 360.0, 30.0)
+    >>> i, p = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    >>> volt = 0.012 + 2.5 * i + 0.001 * p + 2e-5 * np.cos(40.0 * angle)
+    >>> readings = {"roll_axis": ["z"] * 12, "angle_deg": angle, "volt": volt}
+    >>> first = mp.fit(readings, axes="x", inputs="x,y")
+    >>> known = mp.state_bench(first, reading_sd=5e-5, angle_sd_deg=0.01)
+    >>> known.covariance.shape, bool(known.covariance[0, 0] < known.covariance[3, 3])
+    ((12, 12), True)
     """
     model, readings = calibration.model, calibration.readings
     rolls = find_rolls(readings)

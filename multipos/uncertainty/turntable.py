@@ -145,6 +145,18 @@ def table_errors(calibration: Calibration, *beside: Calibration) -> TableErrors:
         Of readings with at least one roll; without, everything is empty.
     beside : Calibrations
         Of further outputs that were read at the same positions.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> angle = np.arange(0.0, 360.0, 30.0)
+    >>> i, p = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    >>> volt = 0.012 + 2.5 * i + 0.001 * p + 2e-5 * np.cos(40.0 * angle)
+    >>> readings = {"roll_axis": ["z"] * 12, "angle_deg": angle, "volt": volt}
+    >>> found = mp.table_errors(mp.fit(readings, axes="x", inputs="x,y"))
+    >>> [(error.quantity, error.value_deg is None) for error in found.errors[:3]]
+    [('zero_offset', True), ('first_cos', False), ('first_sin', False)]
     """
     try:
         return _estimate(_Bench((calibration, *beside)))

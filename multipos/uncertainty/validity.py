@@ -108,6 +108,13 @@ def evaluate_sphere(
         {"force": {axis: entry}, "tilt_deg": {axis: entry}}, the entry {"worst": largest u,
         "U", "k", "dof": there, "at": [x, y, z], "rms": of u}; force in g. `tilt_deg` is of a
         triad only. The environment is the mean of the readings'.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> force = mp.evaluate_sphere(mp.demo().calibration)["force"]
+    >>> print(", ".join(f"{axis}: {1e3 * entry['U']:.0f} mg" for axis, entry in force.items()))
+    x: 13 mg, y: 162 mg, z: 17 mg
     """
     c = calibration
     sensed = list(sensed_axes(c.model))

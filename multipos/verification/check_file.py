@@ -110,6 +110,15 @@ def load_check(path: str | os.PathLike[str]) -> Check:
     MultiposError
         The file is missing, truncated, of another schema or of a regression, or holds what no
         check does.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> cal = mp.demo().calibration
+    >>> found = mp.check(cal, mp.simulate(cal, "faces-6", seed=1))
+    >>> found.save("check.json")
+    >>> mp.load_check("check.json") == found
+    True
     """
     content = read_json(path, SCHEMA)
     if content.get("against") is not None:

@@ -99,6 +99,15 @@ def check(
         The data are at fault: an output missing, no orientation, a reading out of range.
     UsageError
         An option is at fault.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> cal = mp.demo().calibration
+    >>> run = mp.simulate(cal, "faces-6", reading_sd=2e-4, seed=1)
+    >>> found = mp.check(cal, run, limit_g=0.02)
+    >>> sorted(set(found.verdicts.ravel().tolist()))
+    ['pass', 'undecided']
     """
     if isinstance(calibration, Regression | Regressions):
         _refuse_options(

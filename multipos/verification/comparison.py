@@ -186,6 +186,14 @@ def compare(
         Fewer than two calibrations, or regressions among them.
     MultiposError
         They are not of the same model, outputs, unit and convention.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> found = mp.demo()
+    >>> told = mp.compare(found.calibration, found.closed_form)
+    >>> told.consistent, bool(abs(told.values[0] - told.values[1]).max() < 1e-12)
+    (True, True)
     """
     runs: tuple[Run, ...] = spread(calibrations)
     if len(runs) < 2:

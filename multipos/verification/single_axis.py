@@ -67,6 +67,20 @@ class Tumble(Result):
         Of the rolls that were passed forward and backward.
     beside_table : dict of str to TumbleCoefficient
         Those coefficients that no error of the table does the same as, estimated beside all.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> angle = np.arange(0.0, 360.0, 30.0)
+    >>> i, p = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    >>> volt = 0.012 + 2.5 * i + 0.001 * p + 2e-5 * np.cos(40.0 * angle)
+    >>> readings = {"roll_axis": ["z"] * 12, "angle_deg": angle, "volt": volt}
+    >>> found = mp.tumble(readings, unit="V")
+    >>> list(found.coefficients)
+    ['K0', 'K1', 'delta_o', 'K2', 'K3', 'Kip', 'Koq']
+    >>> print(f"{found.harmonics[1].order}: {found.harmonics[1].amplitude:.3f} V")
+    1: 2.500 V
     """
 
     coefficients: dict[str, TumbleCoefficient]

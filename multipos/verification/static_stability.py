@@ -94,6 +94,16 @@ def stability(
         their outputs or sample rates.
     UsageError
         No log, or an option is at fault.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> rng = np.random.default_rng(1)
+    >>> record = {"time": np.arange(4000) / 10.0, "ax": 0.01 + 2e-4 * rng.standard_normal(4000)}
+    >>> noise = mp.stability(record, unit="g").outputs["ax"].white_noise
+    >>> print(f"{1e6 * noise.value:.0f}e-6 {noise.unit}")
+    63e-6 g/sqrt(Hz)
     """
     given: tuple[Source | Log, ...] = spread(logs)
     if not given:

@@ -48,6 +48,19 @@ class Tumbles(Result):
         By output, the coefficients that no error of the table does the same as.
     misalignment, misalignment_u : (M, 3) arrays [rad]
         M_ij of eq. (1), a row an output; NaN where the points cannot tell.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> angle = np.arange(0.0, 360.0, 30.0)
+    >>> i, p = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    >>> volt = 0.012 + 2.5 * i + 0.001 * p + 2e-5 * np.cos(40.0 * angle)
+    >>> readings = {"roll_axis": ["z"] * 12, "angle_deg": angle, "volt": volt}
+    >>> readings["second"] = 0.5 * volt
+    >>> found = mp.tumble(readings, axes="x,x")
+    >>> list(found.outputs), found.axes
+    (['volt', 'second'], ('x', 'x'))
     """
 
     outputs: dict[str, Tumble]
@@ -137,6 +150,19 @@ def tumble(
         The points cannot separate K0 and K1 of an output, or the model given.
     UsageError
         An option is at fault.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> angle = np.arange(0.0, 360.0, 30.0)
+    >>> i, p = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    >>> volt = 0.012 + 2.5 * i + 0.001 * p + 2e-5 * np.cos(40.0 * angle)
+    >>> readings = {"roll_axis": ["z"] * 12, "angle_deg": angle, "volt": volt}
+    >>> found = mp.tumble(readings, unit="V")
+    >>> K0 = found.coefficients["K0"]
+    >>> print(f"K0 {1e3 * K0.value:.3f} mg, U {1e3 * K0.U:.3f} mg")
+    K0 4.806 mg, U 0.001 mg
     """
     data = orient(read_readings(readings, outputs=outputs, unit=unit), scheme)
     own = _axes(data, axes)

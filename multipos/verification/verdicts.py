@@ -56,6 +56,17 @@ class Check(Result):
     against : str or None
     segments : mapping of str to (n,) array of bool
         The rows of every segment of a regression.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> cal = mp.demo().calibration
+    >>> run = mp.simulate(cal, "faces-6", reading_sd=2e-4, seed=1)
+    >>> found = mp.check(cal, run)
+    >>> found.quantity, found.unit, found.after.shape
+    ('force', 'g', (6, 3))
+    >>> bool(abs(found.after).max() < abs(found.before).max())
+    True
     """
 
     quantity: str
