@@ -4,33 +4,39 @@ The loop is timed on some units and counted up, as a loop over all of them would
 """
 
 import warnings
+from typing import Any
 
 import numpy as np
 
 import multipos as mp
 from benchmarks.timing import Ratio, paired_ratio
 
-_UNITS, _LOOPED = 20_000, 10
+_LOOPED = 10
 
 
 def run() -> list[Ratio]:
     warnings.simplefilter("ignore", mp.CalibrationWarning)
-    return [_known("linear", 1 / 200), _known("own-quadratic", 1 / 100)]
+    known = {"scheme": "fibonacci-24"}
+    return [
+        _paired("linear", 20_000, 1 / 200, known),
+        _paired("own-quadratic", 20_000, 1 / 100, known | {"model": "own-quadratic"}),
+        _paired("unknown orientation", 4000, 1 / 20, {"unknown_orientation": True}),
+    ]
 
 
-def _known(model: str, goal: float) -> Ratio:
-    table = _line(_UNITS)
+def _paired(name: str, count: int, goal: float, options: dict[str, Any]) -> Ratio:
+    table = _line(count)
     units = [_rows(table, i) for i in range(_LOOPED)]
 
     def loop() -> list[mp.Calibration]:
-        return [mp.fit(unit, scheme="fibonacci-24", model=model) for unit in units]
+        return [mp.fit(unit, **options) for unit in units]
 
     def batch() -> object:
-        return mp.fit_many(table, unit_column="unit", scheme="fibonacci-24", model=model)
+        return mp.fit_many(table, unit_column="unit", **options)
 
     pairs = paired_ratio(batch, loop, repeats=7, inner=1)
-    scaled = [pair * _LOOPED / _UNITS for pair in pairs]
-    return Ratio(f"fit_many, {_UNITS} units, 24 positions, {model}", "a loop of fit", scaled, goal)
+    scaled = [pair * _LOOPED / count for pair in pairs]
+    return Ratio(f"fit_many, {count} units, 24 positions, {name}", "a loop of fit", scaled, goal)
 
 
 def _line(units: int) -> dict[str, np.ndarray]:

@@ -5,9 +5,14 @@ zero to rounding, say nothing. With orientations unknown a position is one equat
 many outputs it has.
 """
 
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import Doubt
 from multipos.sensor.found import Estimator
+from multipos.sensor.model import Model
 
 _POOR = 0.02  # U of a linear term, as a share of the scale factor of its output
 
@@ -33,17 +38,37 @@ def no_redundancy(c: Calibration) -> Doubt | None:
 
 def _poorly_known(c: Calibration) -> Doubt | None:
     """Find linear terms that positions of unknown orientation leave nearly open."""
-    scale = {c.model.keys[i][0]: abs(float(c.parameters[i])) for i in c.model.own_scales}
+    share = _shares(c.model, c.parameters[None], c.U[None])[0]
     poor = [
-        (name, size / scale[output])
-        for (output, term), name, size in zip(c.model.keys, c.names, c.U.tolist(), strict=True)
-        if term.along is not None and output in scale and size > _POOR * scale[output]
+        (name, each) for name, each in zip(c.names, share.tolist(), strict=True) if each > _POOR
     ]
     if not poor:
         return None
-    said = ", ".join(f"{name} to {1e3 * share:.2g} mrad" for name, share in poor[:4])
+    said = ", ".join(f"{name} to {1e3 * each:.2g} mrad" for name, each in poor[:4])
     return Doubt(
         "no-redundancy",
         "caution",
         f"the positions hardly tell some parameters: {said} (U); add positions that differ more",
     )
+
+
+def are_poorly_known(model: Model, parameters: Array, U: Array) -> NDArray[np.bool_]:
+    """Tell which units (B,) have a linear term that is nearly open; of many at once.
+
+    Parameters
+    ----------
+    model : Model
+    parameters, U : (B, p) arrays
+        Expanded uncertainties.
+    """
+    return np.asarray((_shares(model, parameters, U) > _POOR).any(axis=1))
+
+
+def _shares(model: Model, parameters: Array, U: Array) -> Array:
+    """Return U of linear terms as a share of the own scale factor (B, p), of others 0."""
+    places = {model.keys[i][0]: i for i in model.own_scales}
+    share = np.zeros_like(U)
+    for i, (output, term) in enumerate(model.keys):
+        if term.along is not None and output in places:
+            share[:, i] = U[:, i] / np.abs(parameters[:, places[output]])
+    return share

@@ -77,7 +77,7 @@ class Estimates(NamedTuple):
     Attributes
     ----------
     parameters, u : (B, p) arrays
-    dof : (p,) array
+    dof : (p,) or (B, p) array
     rms : (B,) array [g]
     residuals : M arrays (B, n), in reading units
     inverse : (B, K, M) array
@@ -169,19 +169,51 @@ def estimate_batch(
     u = np.empty_like(parameters)
     for i, cofactor in enumerate(shared.cofactors):
         u[:, model.slices[i]] = np.sqrt(variance[i][:, None] * cofactor)
-    theta = np.zeros((count, len(model.outputs), len(model.basis_terms)))
-    for output, (part, columns) in enumerate(zip(model.slices, model.columns, strict=True)):
-        theta[:, output, columns] = parameters[:, part]
-    inverse, inverted = _invert(shared, theta)
-    if model.is_linear:
-        rms = _rms(inverse, residuals)
-    else:
-        rms, ended = _rms_of_compensated(shared, theta, inverse, values, residuals)
-        inverted &= ended
+    rms, inverse, inverted = rms_of(shared, parameters, values, residuals)
     sound &= inverted & (np.abs(parameters).max(axis=1) <= LARGEST)
     return Estimates(
         parameters, u, per_parameter(model, dof), rms, tuple(residuals), inverse, sound
     )
+
+
+def rms_of(
+    shared: SharedDesign, parameters: Array, values: Sequence[Array], residuals: Sequence[Array]
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return what is left after compensation (B,) [g], inverses (B, K, M), and where they are."""
+    model = shared.model
+    theta = model_coefficients(model, parameters)
+    if model.is_linear:
+        inverse, inverted = _invert(model, shared.environment, theta)
+        return _rms(inverse, residuals), inverse, inverted
+    left = compensated(model, shared.environment, shared.reference, theta, values, residuals)
+    rms = np.sqrt(np.einsum("bnk,bnk->b", left.force, left.force) / len(shared.reference))
+    return rms, left.inverse, left.sound
+
+
+def join_estimates(parts: Sequence[Estimates]) -> Estimates:
+    """Return estimates of some units after others."""
+    if len(parts) == 1:
+        return parts[0]
+    residuals = zip(*(part.residuals for part in parts), strict=True)
+    return Estimates(
+        np.concatenate([part.parameters for part in parts]),
+        np.concatenate([part.u for part in parts]),
+        np.concatenate([np.broadcast_to(part.dof, part.u.shape) for part in parts]),
+        np.concatenate([part.rms for part in parts]),
+        tuple(np.concatenate(each) for each in residuals),
+        np.concatenate([part.inverse for part in parts]),
+        np.concatenate([part.sound for part in parts]),
+    )
+
+
+def model_coefficients(model: Model, parameters: Array) -> Array:
+    """Return the coefficients (B, M, T) of parameters (B, p), as `Model.coefficients` of one."""
+    outputs, columns, copies = model.rows
+    theta = np.zeros((len(parameters), len(model.outputs), len(model.basis_terms)))
+    theta[:, outputs, columns] = parameters
+    for parameter, output, column in copies:
+        theta[:, output, column] = parameters[:, parameter]
+    return theta
 
 
 def _fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
@@ -199,10 +231,12 @@ def _fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
     return np.ldexp(b, -shift) + step, r
 
 
-def _invert(shared: SharedDesign, theta: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _invert(
+    model: Model, environment: Mapping[str, Array], theta: Array
+) -> tuple[Array, NDArray[np.bool_]]:
     """Return the inverse (B, K, M) of the sensitivities, and of which units there is one."""
-    sensed = list(sensed_axes(shared.model))
-    matrix = _linear_part(shared, theta)[:, :, sensed]
+    sensed = list(sensed_axes(model))
+    matrix = _linear_part(model, environment, theta)[:, :, sensed]
     inverted = _can_be_inverted(matrix)
     matrix[~inverted] = np.eye(*matrix.shape[1:])
     square = len(sensed) == matrix.shape[1]
@@ -220,14 +254,14 @@ def _rms(inverse: Array, residuals: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(total / residuals[0].shape[1]))
 
 
-def _linear_part(shared: SharedDesign, theta: Array) -> Array:
+def _linear_part(model: Model, environment: Mapping[str, Array], theta: Array) -> Array:
     """Return the sensitivities (B, M, 3) to the components, in the mean environment."""
     matrix = np.zeros((*theta.shape[:2], 3))
-    for column, term in enumerate(shared.model.basis_terms):
+    for column, term in enumerate(model.basis_terms):
         if term.along is None:
             continue
         beside = Term(tuple(f for f in term.factors if f.variable not in COMPONENTS))
-        weight = np.mean(beside.evaluate(shared.environment))
+        weight = np.mean(beside.evaluate(environment))
         matrix[:, :, COMPONENTS.index(term.along)] += weight * theta[:, :, column]
     return matrix
 
@@ -240,32 +274,64 @@ def _can_be_inverted(matrix: Array) -> NDArray[np.bool_]:
     return np.asarray(np.linalg.det(information) > _SINGULAR)
 
 
-def _rms_of_compensated(
-    shared: SharedDesign,
+class Compensated(NamedTuple):
+    """What is left of readings after compensation.
+
+    Attributes
+    ----------
+    force : (B, n, K) array [g]
+        Compensated less reference, of the K components that the sensor has.
+    inverse : (B, K, M) array
+        Of the sensitivities.
+    sound : (B,) array of bool
+        Where there is an inverse, and the compensation came to its end.
+    """
+
+    force: Array
+    inverse: Array
+    sound: NDArray[np.bool_]
+
+
+def compensated(
+    model: Model,
+    environment: Mapping[str, Array],
+    reference: Array,
     theta: Array,
-    inverse: Array,
     values: Sequence[Array],
     residuals: Sequence[Array],
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the same of any model, and of which units the compensation came to its end."""
-    model = shared.model
+) -> Compensated:
+    """Return what is left after compensation by steps of the inverse sensitivities.
+
+    Parameters
+    ----------
+    model : Model
+    environment : mapping of str to (n,) array
+    reference : (n, 3) or (B, n, 3) array [g]
+    theta : (B, M, T) array
+        Coefficients.
+    values, residuals : M arrays (B, n)
+    """
     count, n = values[0].shape
+    inverse, sound = _invert(model, environment, theta)
     sensed = list(sensed_axes(model))
-    if len(sensed) != len(values):  # then the steps below would end at another force
-        return np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
-    raw = np.stack(values, axis=2)
-    misfit = np.stack(residuals, axis=2)
+    misfit = np.stack(list(residuals), axis=2)
+    if model.is_linear:
+        return Compensated(misfit @ inverse.transpose(0, 2, 1), inverse, sound)
     left = np.zeros((count, n, len(sensed)))
-    force = np.repeat(shared.reference[None], count, axis=0)
+    if len(sensed) != len(values):  # then the steps below would end at another force
+        return Compensated(left * np.nan, inverse, np.zeros(count, dtype=np.bool_))
+    raw = np.stack(list(values), axis=2)
+    force = np.array(np.broadcast_to(reference, (count, n, 3)))
+    start = force[:, :, sensed]
     size = np.full(count, np.inf)
-    columns = {name: np.tile(column, count) for name, column in shared.environment.items()}
+    columns = {name: np.tile(column, count) for name, column in environment.items()}
     for _ in range(_STEPS):
         step = misfit @ inverse.transpose(0, 2, 1)
         left += step
         size = np.abs(step).max(axis=(1, 2))
         if not (size > _XTOL).any():
             break
-        force[:, :, sensed] = shared.reference[:, sensed] + left
+        force[:, :, sensed] = start + left
         basis = model.basis(force.reshape(-1, 3), columns).reshape(count, n, -1)
         misfit = raw - basis @ theta.transpose(0, 2, 1)
-    return np.sqrt(np.einsum("bnk,bnk->b", left, left) / n), size <= 10.0 * _XTOL
+    return Compensated(left, inverse, sound & (size <= 10.0 * _XTOL))

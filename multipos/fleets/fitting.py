@@ -359,7 +359,7 @@ class _Fleet:
         return None
 
     def _batches(self, units: Places, pattern: Pattern) -> Iterator[Task]:
-        n = len(pattern.shared.reference)
+        n = int(self._grouped.counts[units[0]])
         size = max(1, _READINGS // n)
         for start in range(0, len(units), size):
             mine = units[start : start + size]

@@ -144,8 +144,8 @@ def _name(task: Task) -> str:
     if task.pattern is not None:
         shared = task.pattern.shared
         digest.update(repr((shared.model.text, shared.model.names, task.pattern.gravity)).encode())
-        for array in (shared.reference, *shared.designs):
-            digest.update(np.ascontiguousarray(array).tobytes())
+        for name in shared.__dataclass_fields__:
+            digest.update(_said(getattr(shared, name)).encode())
     for table in task.tables.values():
         for name, column in table.columns.items():
             digest.update(f"{name}={[str(cell) for cell in column]}".encode())

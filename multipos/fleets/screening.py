@@ -6,7 +6,8 @@ by far less than any of them needs:
 - residuals of half a percent of a g, or one of eight tenths (rows interchanged, flipped, in another
   unit, saturated; they need two percent, or one);
 - an output that leans more than 14° from its axis, or is reversed (permuted, turned, reversed);
-- a sensitivity that is not within a fifth of that of the other units (units mixed up);
+- a sensitivity that is not within a fifth of that of the other units (units mixed up), or one of
+  the others that is not what the stated unit says (all in another unit);
 - two rows that are the same in all outputs (copied).
 
 What is a caution alone and shows in nothing but residuals within that (a missing term, an outlier)
@@ -17,10 +18,12 @@ by chance, and to look at these would take longer than all the others.
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.batches import Estimates, SharedDesign
+from multipos.doubts.scales import are_of_unit
+from multipos.estimation.batches import Estimates
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.model import Model
 
 _RMS = 0.005  # [g]
 _LARGEST = 0.008  # [g]
@@ -29,34 +32,34 @@ _OTHER = 1.2  # times the sensitivity of the units beside it
 _WEIGHTS = (1.0, 0.7071067811865476, 0.5773502691896257)  # that make one number of a row
 
 
-def find_suspects(
-    shared: SharedDesign, values: tuple[Array, ...], found: Estimates
-) -> NDArray[np.bool_]:
+def find_suspects(model: Model, values: tuple[Array, ...], found: Estimates) -> NDArray[np.bool_]:
     """Tell which units (B,) are to be looked at in full.
 
     Parameters
     ----------
-    shared : SharedDesign
+    model : Model
     values : M arrays (B, n)
     found : Estimates
     """
     square = found.inverse.shape[1] == found.inverse.shape[2]
     matrix = np.asarray((np.linalg.inv if square else np.linalg.pinv)(found.inverse))
     length = np.asarray(np.linalg.norm(matrix, axis=2))
-    suspect = ~(found.rms <= _RMS) | _repeats(values) | _leans(shared, matrix, length)
+    usual = np.median(length, axis=0).tolist()
+    suspect = ~(found.rms <= _RMS) | _repeats(values) | _leans(model, matrix, length)
     for i, residuals in enumerate(found.residuals):
         size = length[:, i]
-        typical = float(np.median(size))
-        suspect |= ~((size < _OTHER * typical) & (size > typical / _OTHER))
+        suspect |= ~((size < _OTHER * usual[i]) & (size > usual[i] / _OTHER))
         suspect |= np.abs(residuals).max(axis=1) > _LARGEST * size
+    if not are_of_unit([min(usual) / _OTHER, max(usual) * _OTHER], model.unit):
+        suspect[:] = True
     return suspect
 
 
-def _leans(shared: SharedDesign, matrix: Array, length: Array) -> NDArray[np.bool_]:
+def _leans(model: Model, matrix: Array, length: Array) -> NDArray[np.bool_]:
     """Tell of which units an output leans from its axis; `matrix` are their sensitivities."""
-    sensed = sensed_axes(shared.model)
+    sensed = sensed_axes(model)
     leans = np.zeros(len(matrix), dtype=np.bool_)
-    for i, axis in enumerate(shared.model.axes):
+    for i, axis in enumerate(model.axes):
         own = matrix[:, i, sensed.index(COMPONENTS.index(axis))]
         leans |= ~(own > _LEANS * length[:, i])
     return leans

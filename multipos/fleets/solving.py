@@ -7,7 +7,7 @@ depends on which way was taken.
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from typing import Any, NamedTuple
@@ -15,13 +15,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.doubts.redundancy import are_poorly_known
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates, SharedDesign, estimate_batch, share_design
+from multipos.estimation.sphere_batches import SharedSphere, estimate_spheres, share_sphere
 from multipos.files.tables import Table
 from multipos.fitting.readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests
 from multipos.fleets.screening import find_suspects
 from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import coverage_factor
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import implausible
 from multipos.sensor.expressions import ExpressionModel
@@ -29,6 +32,7 @@ from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Gravity
 
 Places = NDArray[np.intp]
+Shared = SharedDesign | SharedSphere
 
 
 class Solved(NamedTuple):
@@ -64,7 +68,8 @@ class Pattern:
 
     Attributes
     ----------
-    shared : SharedDesign
+    shared : SharedDesign or SharedSphere
+        Known orientations, or unknown ones.
     nest : Nest or None
         Where the angles of the positions can be told from residuals.
     gravity : Gravity or None
@@ -72,7 +77,7 @@ class Pattern:
         Codes that the positions alone give, whatever the unit.
     """
 
-    shared: SharedDesign
+    shared: Shared
     nest: Nest | None
     gravity: Gravity | None
     doubts: str
@@ -108,8 +113,7 @@ def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Patter
     """Return what units share with one that was fitted; None where there is no batch for them."""
     c = calibration
     plain = (
-        c.estimator is Estimator.LINEAR
-        and not isinstance(c.model, ExpressionModel)
+        not isinstance(c.model, ExpressionModel)
         and c.readings.noise is None
         and c.robust_weight is None
         and c.budget is None
@@ -118,34 +122,66 @@ def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Patter
     if not plain or options.get("range") is not None:
         return None
     try:
-        shared = share_design(c.model, c.reference, c.readings.environment)
+        shared = _share(c)
     except RankError:
         return None
     if shared is None:
         return None
-    return Pattern(shared, Nest.of(shared, c.readings.labels), c.gravity, _common(c))
+    nest = None
+    if isinstance(shared, SharedDesign):
+        nest = Nest.of(shared, c.readings.labels)
+    return Pattern(shared, nest, c.gravity, _common(c))
+
+
+def _share(c: Calibration) -> Shared | None:
+    columns = c.readings.environment
+    if c.estimator is Estimator.LINEAR:
+        return share_design(c.model, c.reference, columns)
+    sd = c.readings.orientation_sd
+    if c.estimator is Estimator.UNKNOWN and sd is not None and np.isinf(sd).all():
+        return share_sphere(c.model, float(np.linalg.norm(c.reference[0])), columns)
+    return None
 
 
 # What every unit at these positions is doubted for.
-_COMMON = ("no-redundancy", "hidden-terms", "gravity", "temperature-kelvin", "turned")
+_POOR = "no-redundancy"
+_COMMON = ("gravity", "turned", _POOR, "temperature-kelvin", "hidden-terms")
 
 
 def _common(calibration: Calibration) -> str:
-    codes = dict.fromkeys(doubt.code for doubt in calibration.diagnostics.doubts)
-    return " ".join(code for code in codes if code in _COMMON)
+    c = calibration
+    codes = {doubt.code for doubt in c.diagnostics.doubts}
+    if c.estimator is Estimator.UNKNOWN and len(c.readings) > len(c.parameters):
+        codes -= {_POOR}  # which then depends on the unit
+    return _in_order(codes)
+
+
+def _in_order(codes: Iterable[str]) -> str:
+    return " ".join(code for code in _COMMON if code in codes)
+
+
+def _doubts(task: Task, pattern: Pattern, found: Estimates) -> list[str]:
+    """Return what every unit is doubted for."""
+    common = pattern.doubts
+    if not isinstance(pattern.shared, SharedSphere):
+        return [common] * len(task.units)
+    k = coverage_factor(float(task.options.get("confidence", 0.95)), float(np.min(found.dof)))
+    more = _in_order((*common.split(), _POOR))
+    poor = are_poorly_known(pattern.shared.model, found.parameters, k * found.u)
+    return [more if each else common for each in poor.tolist()]
 
 
 def solve_task(task: Task) -> Solved:
     """Return what a task finds of its units; those a batch does not answer for are left NaN."""
     if task.pattern is None:
         return _solve_each(task)
-    found = estimate_batch(task.pattern.shared, task.values, pool=bool(task.options.get("pool")))
+    found = _estimate(task.pattern.shared, task)
     u, dof = _with_gravity(task.pattern, found)
     count = len(task.units)
     nests: tuple[NestSums, ...] = ()
     if task.pattern.nest is not None:
         nests = sum_nests(task.pattern.nest, found, task.stations)
-    looked_at = ~found.sound | find_suspects(task.pattern.shared, task.values, found)
+    looked_at = ~found.sound | find_suspects(task.pattern.shared.model, task.values, found)
     reasons = [LEFT if left else "" for left in looked_at.tolist()]
     return Solved(
         task.units,
@@ -154,11 +190,17 @@ def solve_task(task: Task) -> Solved:
         u,
         dof,
         found.rms,
-        [task.pattern.doubts] * count,
+        _doubts(task, task.pattern, found),
         reasons,
         np.zeros(count, dtype=np.bool_),
         nests,
     )
+
+
+def _estimate(shared: Shared, task: Task) -> Estimates:
+    if isinstance(shared, SharedSphere):
+        return estimate_spheres(shared, task.values)
+    return estimate_batch(shared, task.values, pool=bool(task.options.get("pool")))
 
 
 LEFT = "\0left"  # the reason of a unit that a batch leaves to the fit of one

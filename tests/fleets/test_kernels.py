@@ -1,0 +1,110 @@
+"""Batches of other estimators than the plain one are the fit of each unit, and not by chance.
+
+Searches end within 1e-8 u of the optimum, wherever they began: numbers are held to 1e-6 u.
+"""
+
+import numpy as np
+import pytest
+from fleet_bench import line, rows_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import multipos as mp
+from multipos.fleets import solving
+
+pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
+APART = {"unit_column": "unit", "station_column": "station"}
+
+
+def worst_difference(found, table, **options):
+    """The largest difference to `fit` in units of u, of u and rms relative."""
+    worst = 0.0
+    for row, unit in enumerate(found["unit"].tolist()):
+        assert not found["reason"][row]
+        cal = mp.fit(rows_of(table, unit), **options)
+        for p in cal.entries:
+            differences = (
+                (found[p.name][row] - p.value) / p.u,
+                found[f"u_{p.name}"][row] / p.u - 1.0,
+                found[f"dof_{p.name}"][row] / p.dof - 1.0 if np.isfinite(p.dof) else 0.0,
+            )
+            worst = max(worst, *map(abs, differences))
+        worst = max(worst, abs(found["rms"][row] / cal.rms - 1.0))
+    return worst
+
+
+@pytest.fixture
+def fitted(monkeypatch):
+    """How many units were fitted one by one, the first of a group included."""
+    count = []
+    fit = solving.fit
+    monkeypatch.setattr(solving, "fit", lambda *a, **o: count.append(1) or fit(*a, **o))
+    return count
+
+
+@pytest.mark.parametrize(
+    ("scheme", "options"),
+    [
+        ("fibonacci-24", {}),
+        ("fibonacci-24", {"gauge": "symmetric", "confidence": 0.99}),
+        ("icosahedron-12", {"convention": "gravity", "gravity": 9.81, "gravity_u": 1e-4}),
+        ("all-26", {"model": "own-quadratic"}),
+        ("fibonacci-24", {"model": "1 + x + y + z + own^3"}),
+        ("fibonacci-24", {"model": "1 + x + y + z + temperature"}),
+    ],
+)
+def test_unknown_orientation(scheme, options, fitted):
+    table = line(4, scheme=scheme, noise=1e-4)
+    surroundings = np.random.default_rng(3).uniform(-10.0, 10.0, len(table["unit"]) // 4)
+    table["temperature"] = np.tile(surroundings, 4)
+    found = mp.fit_many(table, unknown_orientation=True, **APART, **options)
+    assert len(fitted) == 2  # for the columns, and for what units share
+    assert worst_difference(found, table, unknown_orientation=True, **options) < 1e-6
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([1e-5, 1e-4, 5e-3]),
+    st.sampled_from([1.0, 16384.0, 1e-7]),
+    st.sampled_from([1e-3, 0.1]),
+)
+def test_noise_unit_and_lot_do_not_matter(seed, noise, size, lot):
+    table = line(3, noise=noise, seed=seed, lot=lot)
+    for axis in "xyz":
+        table[f"a{axis}"] = size * table[f"a{axis}"]
+    found = mp.fit_many(table, unknown_orientation=True, **APART)
+    assert worst_difference(found, table, unknown_orientation=True) < 1e-6
+
+
+def test_a_unit_whose_search_is_no_search_is_left_to_fit():
+    table = line(6, noise=1e-4)
+    flat, loud = (table["unit"] == unit for unit in ("U0002", "U0004"))
+    table["az"][flat] = 0.1  # on a circle
+    table["ax"][loud] += np.random.default_rng(1).standard_normal(24)
+    found = mp.fit_many(table, unknown_orientation=True, **APART)
+    for row, unit in ((2, "U0002"), (4, "U0004")):
+        with pytest.raises(mp.MultiposError) as said:
+            mp.fit(rows_of(table, unit), unknown_orientation=True)
+        assert found["reason"][row] == " ".join(str(said.value).split())
+    assert [bool(reason) for reason in found["reason"]] == [False, False, True, False, True, False]
+
+
+def test_what_the_positions_hardly_tell_is_said_unit_by_unit():
+    table = line(12, scheme="icosahedron-12", noise=5e-3)
+    found = mp.fit_many(table, unknown_orientation=True, **APART)
+    said = []
+    for unit in found["unit"].tolist():
+        doubts = mp.fit(rows_of(table, unit), unknown_orientation=True).diagnostics.doubts
+        said.append("no-redundancy" in {doubt.code for doubt in doubts})
+    assert [("no-redundancy" in each.split()) for each in found["doubts"]] == said
+    assert 0 < sum(said) < len(said)
+
+
+@pytest.mark.parametrize("options", [{}, {"unknown_orientation": True}])
+def test_a_line_that_is_all_in_another_unit_is_doubted(options):
+    table = line(5)
+    for axis in "xyz":
+        table[f"a{axis}"] = 9.8 * table[f"a{axis}"]
+    found = mp.fit_many(table, unit="g", **APART, **options)
+    assert [doubts.split()[0] for doubts in found["doubts"]] == ["unit"] * 5
