@@ -19,12 +19,13 @@ _FEWEST = 5  # units of a point
 def histogram(values: Array) -> dict[str, Any] | None:
     """Return counts of values (n,) between low and high, and how many are beyond."""
     told = values[np.isfinite(values)]
-    if len(told) < 2 or np.ptp(told) == 0.0:
-        return None
+    finest = _BINS * float(np.spacing(np.max(np.abs(told), initial=0.0)))
+    if len(told) < 2 or np.ptp(told) <= finest:
+        return None  # alike but for rounding
     middle = float(np.median(told))
     reach = _REACH * NORMAL * float(np.median(np.abs(told - middle)))
     low, high = float(told.min()), float(told.max())
-    if reach > 0.0:
+    if reach > finest:
         low, high = max(low, middle - reach), min(high, middle + reach)
     counts, _ = np.histogram(told, bins=_BINS, range=(low, high))
     return {
