@@ -187,6 +187,8 @@ def build_content(
     said = read_lab(lab)
     c = calibration
     budget = evaluate_budget(c)
+    doubts = (*c.diagnostics.doubts, *(() if check is None else check.doubts))
+    said_first = (*(doubt.text for doubt in doubts), *c.diagnostics.said)
     forces = math.isfinite(c.rms)  # else an output does not respond, as a doubt says
     return Content(
         language=language,
@@ -196,11 +198,8 @@ def build_content(
             outputs=", ".join(c.outputs),
             model=c.model.text,
         ),
-        verdict=tr(NOT_FIT) if implausible(c.diagnostics.doubts) else None,
-        warnings=tuple(
-            tr.message(text)
-            for text in (*(doubt.text for doubt in c.diagnostics.doubts), *c.diagnostics.said)
-        ),
+        verdict=tr(NOT_FIT) if implausible(doubts) else None,
+        warnings=tuple(tr.message(text) for text in dict.fromkeys(said_first)),
         fields=lab_fields(said, tr),
         sections=(
             parameters_section(c, tr),

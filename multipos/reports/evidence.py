@@ -20,7 +20,12 @@ from multipos.plots.calibration import (
 from multipos.plots.check import draw_check
 from multipos.plots.tumble import draw_harmonics, draw_rolls
 from multipos.reports.page import Figure, PageTable, Section, draw_svg, largest_positions
-from multipos.reports.sheets import Sheet, check_sheets, table_error_sheets
+from multipos.reports.sheets import (
+    Sheet,
+    check_sheets,
+    run_conclusions,
+    table_error_sheets,
+)
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.turntable import table_errors
@@ -287,6 +292,7 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
                 verdict=tr(found.verdict or "-"),
             )
         )
+    paragraphs += map(tr.message, run_conclusions(found))
     return Section(
         tr("Independent check"),
         tuple(paragraphs),

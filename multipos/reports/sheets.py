@@ -11,6 +11,7 @@ import numpy as np
 from multipos.files.numbers import largest_rows, number, table, uncertain
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.turntable import TableErrors
+from multipos.verification.agreement import agreement_in_words
 from multipos.verification.verdicts import VERDICTS, Check, worst
 
 
@@ -174,14 +175,35 @@ def check_text(found: Check) -> str:
     """Return the check as plain text."""
     sheets = check_sheets(found)
     text = "\n".join(f"{s.title}\n{'-' * len(s.title)}\n{s}\n" for s in sheets)
-    if found.limit is None:
-        return text
-    count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}
-    said = ", ".join(f"{count[name]} {name}" for name in VERDICTS)
-    return (
-        f"{text}\n{found.verdict} against {found.limit:g} {found.unit} with U "
-        f"({100 * found.confidence:g} %) as guard band: {said}\n"
-    )
+    said = []
+    if found.limit is not None:
+        count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}
+        counted = ", ".join(f"{count[name]} {name}" for name in VERDICTS)
+        said.append(
+            f"{found.verdict} against {found.limit:g} {found.unit} with U "
+            f"({100 * found.confidence:g} %) as guard band: {counted}"
+        )
+    said += run_conclusions(found)
+    return text + ("\n" + "\n".join(said) + "\n" if said else "")
+
+
+def run_conclusions(found: Check) -> list[str]:
+    """Return the verdict of a run as a whole, and whether it agrees with the calibration."""
+    said = []
+    if found.limit is not None:
+        said.append(
+            f"the run as a whole: {found.run_verdict}; it fails where an error is beyond the limit "
+            f"by more than the U of all {int(found.counted.sum())} together"
+        )
+    whole = found.consistency
+    if whole is not None and np.isfinite(whole.statistic):
+        agrees = "consistent" if whole.p >= 1.0 - found.confidence else "NOT consistent"
+        largest = found.summary()["after"]["largest_En"]
+        said.append(
+            f"{agrees} with the calibration: {agreement_in_words(whole)}; largest En "
+            f"{number(largest, 2)}"
+        )
+    return said
 
 
 def _signed(value: float) -> str:

@@ -37,7 +37,7 @@ class Translator:
         for pattern, translated in self.messages.items():
             match = re.fullmatch(_regular(pattern), text)
             if match:
-                inside = {name: self(part) for name, part in match.groupdict().items()}
+                inside = {name: self.message(part) for name, part in match.groupdict().items()}
                 return translated.format(**inside)
         return self(text)
 

@@ -144,9 +144,15 @@ def beyond_vertical(calibration: Calibration) -> Array:
 def reading_noise(calibration: Calibration) -> Array:
     """Return the standard uncertainty (M,) of one reading, a mean over positions.
 
-    NaN where nothing is left to estimate it from.
+    NaN where nothing is left to estimate it from. Where the outputs were pooled it is one number,
+    to which their common degrees of freedom belong.
     """
-    return np.asarray(np.sqrt(np.mean(calibration.sd_of_readings**2, axis=0)))
+    c = calibration
+    square = np.mean(c.sd_of_readings**2, axis=0)
+    own = np.array([len(c.readings) - len(terms) for terms in c.model.terms])
+    if c.estimator.exact and np.isfinite(c.dof).all() and (c.dof > own).all() and own.all():
+        square = np.full(len(square), float(own @ square) / float(own.sum()))
+    return np.asarray(np.sqrt(square))
 
 
 def force_uncertainty(

@@ -22,8 +22,7 @@ from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, kind_terms
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import sensed_axes
-from multipos.sensor.inverse import sensitivities as inverse_sensitivities
+from multipos.sensor.inverse import parameter_jacobian, sensed_axes
 from multipos.uncertainty.budgets import read_budget
 
 
@@ -54,15 +53,36 @@ def unseen_covariance(
     """
     c = calibration
     sensed = list(sensed_axes(c.model))
-    sizes = unseen_sizes(c)
-    if not any(sizes.values()):
-        return np.zeros((len(force), len(sensed), len(sensed)))
     full = np.zeros((len(force), 3))
     full[:, sensed] = np.where(np.isfinite(force), force, 0.0)  # NaN: no force explains it
-    inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)
-    absorbed = estimator_gain(c) @ _moves(c, sizes, c.reference).reshape(c.readings.values.size, -1)
-    off = inverse @ (_moves(c, sizes, full) - by_parameter @ absorbed)
+    moves = unseen_moves(c, full, environment)
+    if not moves.size:
+        return np.zeros((len(force), len(sensed), len(sensed)))
+    jacobian = c.model.force_jacobian(c.parameters, full, environment)
+    off = np.linalg.pinv(jacobian[:, :, sensed]) @ moves
     return np.asarray(off @ off.transpose(0, 2, 1))
+
+
+def unseen_moves(
+    calibration: Calibration, force: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    """Return how each unseen term moves readings beyond what the fit absorbed (n, M, terms).
+
+    The bracket of eq. (1), at one standard uncertainty of each term; without terms (n, M, 0).
+
+    Parameters
+    ----------
+    calibration : Calibration
+    force : (n, 3) array [g]
+    environment : mapping of str to (n,) array
+    """
+    c = calibration
+    sizes = unseen_sizes(c)
+    if not any(sizes.values()):
+        return np.zeros((len(force), len(c.outputs), 0))
+    by_parameter = parameter_jacobian(c.model, c.parameters, force, environment)
+    absorbed = estimator_gain(c) @ _moves(c, sizes, c.reference).reshape(c.readings.values.size, -1)
+    return np.asarray(_moves(c, sizes, force) - by_parameter @ absorbed)
 
 
 def _moves(c: Calibration, sizes: Mapping[str, float], force: Array) -> Array:

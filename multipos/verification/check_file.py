@@ -4,6 +4,7 @@ What a check derives again when it is read (its summary and verdicts) is not rea
 here; what every key means is in `docs/reference/check-and-tumble`.
 """
 
+import math
 import os
 from collections.abc import Mapping
 from typing import Any
@@ -15,11 +16,15 @@ from multipos.files.records import (
     ANY_NUMBER,
     ANY_TEXT,
     AXIS,
+    FIGURE,
     INPUT,
     NOT_NEGATIVE,
+    P_VALUE,
     POSITIVE,
     SHARE,
     TEXTS,
+    AnyOf,
+    Entries,
     Fields,
     Flag,
     Listed,
@@ -31,10 +36,12 @@ from multipos.files.records import (
 from multipos.files.trees import read_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.doubt import DOUBTS, Doubt
+from multipos.verification.agreement import Agreement
 from multipos.verification.verdicts import Check, judge_errors, worst
 
 SCHEMA = "multipos/check/1"
-_BY_AXIS = ("reference", "before", "after", "u", "U", "counted", "by_axis")
+_BY_AXIS = ("reference", "before", "after", "u", "U", "U_family", "counted", "by_axis")
 _ERRORS = Named(ANY_NUMBER)
 _BY_AXIS_OR_NONE = Named(Maybe(ANY_NUMBER))
 _UNCERTAINTIES = Named(Maybe(NOT_NEGATIVE))
@@ -60,13 +67,27 @@ CHECK = Fields(
                     "u": _UNCERTAINTIES,
                     "U": _UNCERTAINTIES,
                     "counted": Named(Flag()),
-                }
+                },
+                {"U_family": _UNCERTAINTIES},
             ),
             1,
         ),
         "by_axis": Named(Fields({"before": _LINEARITY, "after": _LINEARITY})),
         "warnings": TEXTS,
-    }
+    },
+    {
+        "consistency": Maybe(
+            Fields(
+                {
+                    "statistic": FIGURE,
+                    "dof": AnyOf((Maybe(NOT_NEGATIVE), Entries((POSITIVE, Maybe(POSITIVE))))),
+                    "p": P_VALUE,
+                    "test": ANY_TEXT,
+                }
+            )
+        ),
+        "doubts": DOUBTS,
+    },
 )
 
 
@@ -75,8 +96,10 @@ def check_dict(c: Check) -> dict[str, Any]:
     rows = []
     for row, label in enumerate(c.positions):
         entry: dict[str, Any] = {"position": label}
-        for name in ("reference", "before", "after", "u", "U"):
+        for name in ("reference", "before", "after", "u", "U", "En"):
             entry[name] = dict(zip(c.axes, getattr(c, name)[row].tolist(), strict=True))
+        if c.U_family is not None:
+            entry["U_family"] = dict(zip(c.axes, c.U_family[row].tolist(), strict=True))
         entry["verdict"] = worst(c.verdicts[row])
         entry["counted"] = dict(zip(c.axes, c.counted[row].tolist(), strict=True))
         rows.append(entry)
@@ -93,11 +116,14 @@ def check_dict(c: Check) -> dict[str, Any]:
         "axes": c.axes,
         "positions": rows,
         **c.summary(),
+        "run_verdict": c.run_verdict,
+        "consistency": None if c.consistency is None else c.consistency.to_dict(),
         "by_axis": {axis: c.summary(axis) for axis in c.axes},
         "by_segment": {
             name: {"rows": int(rows.sum()), **c.summary(segment=name)}
             for name, rows in c.segments.items()
         },
+        "doubts": [doubt.to_dict() for doubt in c.doubts],
         "warnings": c.warnings,
     }
 
@@ -167,4 +193,24 @@ def _from_dict(c: Mapping[str, Any]) -> Check:
         sha256=c["input"]["sha256"],
         warnings=tuple(c["warnings"]),
         calibration=c["calibration"],
+        U_family=column("U_family") if all("U_family" in row for row in c["positions"]) else None,
+        consistency=_agreement(c.get("consistency")),
+        doubts=tuple(map(_doubt, c.get("doubts", ()))),
     )
+
+
+def _agreement(c: Mapping[str, Any] | None) -> Agreement | None:
+    """Return what a file says of the run as a whole; an unlimited dof is null there."""
+    if c is None:
+        return None
+    statistic, p = (math.nan if c[key] is None else float(c[key]) for key in ("statistic", "p"))
+    dof: float | list[float] = math.nan
+    if isinstance(c["dof"], list):
+        dof = [math.inf if value is None else float(value) for value in c["dof"]]
+    elif c["dof"] is not None:
+        dof = float(c["dof"])
+    return Agreement(statistic, dof, p, c["test"])
+
+
+def _doubt(c: Mapping[str, Any]) -> Doubt:
+    return Doubt(c["code"], c["severity"], c["text"], tuple(c["rows"]), tuple(c["outputs"]))

@@ -7,7 +7,12 @@ tilt [degrees]: before by the nominal conversion (raw − bias)/scale, after by 
 
 with u(f) of eq. (4) of `multipos.sensor.tilt`, the noise of the run's own readings in it, and
 u(f_ref) from ``orientation_sd_deg`` and ``reference_u_x`` … where it states them. Verdicts are
-those of `multipos.verification.verdicts`.
+those of `multipos.verification.verdicts`; whether the run as a whole agrees with the calibration,
+`multipos.verification.agreement`. Where readings state their u, the scatter from rest to rest that
+the calibration found beyond what its own readings state is in the noise as well.
+
+Where a run is so far off that it may have been taken wrongly, it is fitted by itself, and what is
+implausible of it, such as rows interchanged or in another unit, is a doubt of the check.
 
 Linearity is the largest departure from the least-squares line against the reference, in percent of
 that line's span: from −1 to +1 g for force, over the angles of the run for tilt. The positions
@@ -18,13 +23,16 @@ A regression is checked by `multipos.verification.regression_checks`.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.tables import Source
+from multipos.fitting.readings import fit
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.placement import orient
@@ -34,6 +42,7 @@ from multipos.positions.scheme import Scheme
 from multipos.regression.result import Regression
 from multipos.regression.several import Regressions
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.doubt import Doubt, implausible
 from multipos.sensor.inverse import invert, sensed_axes
 from multipos.sensor.nominal import Nominal, nominal_force, read_nominal
 from multipos.sensor.tilt import (
@@ -47,8 +56,16 @@ from multipos.sensor.tilt import (
     true_tilt,
 )
 from multipos.uncertainty.unseen import unseen_covariance
+from multipos.verification.agreement import judge_run
 from multipos.verification.regression_checks import check_regression, check_regressions
-from multipos.verification.verdicts import Check, judge_errors, require_limit
+from multipos.verification.verdicts import (
+    Check,
+    family_confidence,
+    judge_errors,
+    require_limit,
+)
+
+_FAR_OFF = 0.25  # [g], which no sensor is off after its calibration
 
 
 def check(
@@ -141,9 +158,14 @@ def check(
     data = orient(data, scheme)
     if range is not None:
         require_range(data, range)
-    noise = _noise(calibration, data, reading_sd)
+    noise, estimated = _noise(calibration, data, reading_sd)
     limit = limit_deg if tilt else limit_g
-    return _check_run(calibration, data, noise, tilt, limit, within_deg, before)
+    found = _check_run(calibration, data, noise, tilt, limit, within_deg, before)
+    known = _known_force(calibration, data)
+    agreement, doubts = judge_run(calibration, data, known, noise, estimated)
+    doubts = (*_of_the_run(calibration, data, known), *doubts)
+    said = (*(doubt.text for doubt in doubts), *found.warnings)
+    return replace(found, consistency=agreement, doubts=doubts, warnings=said)
 
 
 def _check_run(
@@ -166,6 +188,12 @@ def _check_run(
     counted = np.abs(level) <= (90.0 if within_deg is None else within_deg) + 1e-6
     if not counted.any():
         raise MultiposError(f"no position of the run is within {within_deg:g} degrees of level.")
+    U_family = None
+    if limit is not None:
+        sharper = replace(
+            calibration, confidence=family_confidence(calibration.confidence, int(counted.sum()))
+        )
+        U_family = errors(sharper, data, data.up, nominal, noise)[4]
     return Check(
         quantity="tilt" if tilt else "force",
         unit="deg" if tilt else "g",
@@ -176,6 +204,7 @@ def _check_run(
         after=after,
         u=u,
         U=U,
+        U_family=U_family,
         limit=limit,
         verdicts=judge_errors(after, U, limit, counted),
         counted=counted,
@@ -220,14 +249,58 @@ def _check_options(
             require_limit(name, value)
 
 
-def _noise(calibration: Calibration, data: Readings, reading_sd: ArrayLike | None) -> Array:
-    """Return the standard uncertainty of the run's readings (n, M)."""
+def _noise(
+    calibration: Calibration, data: Readings, reading_sd: ArrayLike | None
+) -> tuple[Array, Array]:
+    """Return the standard uncertainty of the run's readings (n, M), and its estimated part."""
     shape = data.values.shape
+    nothing = np.zeros(shape)
     if reading_sd is not None:
-        return spread_reading_sd(reading_sd, shape)
-    if data.u is not None:
-        return data.u
-    return np.broadcast_to(reading_noise(calibration), shape)
+        return spread_reading_sd(reading_sd, shape), nothing
+    if data.u is None:
+        noise = np.broadcast_to(reading_noise(calibration), shape)
+        return noise, np.where(np.isinf(calibration.dof), 0.0, noise)
+    found = calibration.variance_components
+    if found is None or found.rest_to_rest is None:
+        return data.u, nothing
+    scatter = np.array([found.rest_to_rest[output].value for output in calibration.outputs])
+    return np.hypot(data.u, scatter), np.broadcast_to(scatter, shape)
+
+
+def _known_force(calibration: Calibration, data: Readings) -> Array:
+    """Return what the run is known to stand in (n, 3) [g], in the calibration's convention."""
+    assert data.up is not None
+    known = calibration.sign * magnitude_of(calibration) * data.up
+    if data.force is None:
+        return known
+    return np.where(data.forced[:, None], calibration.sign * data.force, known)
+
+
+def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> tuple[Doubt, ...]:
+    """Return what is implausible of a run that is far off, found by a fit of the run by itself."""
+    c = calibration
+    left = data.values - c.model.predict(c.parameters, known, data.environment)
+    response = np.linalg.norm(c.sensitivity, axis=1)
+    if c.model.gauge is not None or not np.abs(left / response).max() > _FAR_OFF:
+        return ()
+    run = replace(data, u=None, dof=None, covariance=None, orientation_sd=None, notes=())
+    gravity = None if c.gravity is None else c.gravity.value
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CalibrationWarning)
+        try:
+            found = fit(
+                run,
+                axes=c.facing or c.model.axes,
+                inputs=c.model.inputs,
+                convention=c.convention,
+                gravity=gravity,
+            )
+        except MultiposError:  # too few positions to fit
+            return ()
+    return tuple(
+        replace(doubt, text=f"the run: {doubt.text}")
+        for doubt in implausible(found.diagnostics.doubts)
+    )
 
 
 _Errors = tuple[Array, Array, Array, Array, Array]
@@ -237,12 +310,10 @@ def _force_errors(
     calibration: Calibration, data: Readings, up: Array, nominal: Nominal, noise: Array
 ) -> _Errors:
     axes = list(sensed_axes(calibration.model))
-    known = calibration.sign * magnitude_of(calibration) * up
+    known = _known_force(calibration, data)
     rest = at_rest(calibration, data.values, data.environment, up)
     if data.force is not None:
-        forced = data.forced[:, None]
-        known = np.where(forced, calibration.sign * data.force, known)
-        rest = np.where(forced, _explained(calibration, data, known), rest)
+        rest = np.where(data.forced[:, None], _explained(calibration, data, known), rest)
     reference = known[:, axes]
     unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
     covariance, dof = force_uncertainty(calibration, rest, data.environment, noise, unseen)

@@ -32,7 +32,7 @@ JCGM 100:2008, H.5 (analysis of variance); Song and Qin 2009, section 3.2 and fi
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,21 @@ from multipos.sensor.diagnostics import bartlett
 from multipos.uncertainty.propagation import evaluate_budget
 
 _UNEQUAL = 0.01  # level at which repeats of different scatter are warned of
+
+
+class Words(NamedTuple):
+    """What a test is called: of known noise, of one family, of several by Fisher's method."""
+
+    known: str
+    one: str
+    several: str
+
+
+_WORDS = Words(
+    "chi-square of the repeats against their covariances",
+    "F of the repeats against their pooled scatter",
+    "F of the repeats against the pooled scatter of each output, combined by Fisher's method",
+)
 
 
 @dataclass(frozen=True)
@@ -155,7 +170,7 @@ def judge_repeats(found: Sequence[Calibration], values: Array, level: float) -> 
                 f"the scatter of {family.name} differs between the repeats (Bartlett's test at "
                 "1 %), so judging all by its mean is not supported by the data"
             )
-    statistic, dof, p_total, test = _together(outcome)
+    statistic, dof, p_total, test = judge_together(outcome, _WORDS)
     # Holm: the smallest p against level/p, the next against level/(p − 1), …
     order = np.argsort(tails)
     passed = np.sort(tails) < level / (p - np.arange(p))
@@ -176,25 +191,30 @@ def judge_repeats(found: Sequence[Calibration], values: Array, level: float) -> 
     )
 
 
-def _together(outcome: list[tuple[float, float, float]]) -> tuple[float, Any, float, str]:
-    """Return statistic, degrees of freedom, p and name of the test of all families."""
+def judge_together(
+    outcome: Sequence[tuple[float, float, float]], words: Words
+) -> tuple[float, Any, float, str]:
+    """Return statistic, degrees of freedom, p and name of the test of all families.
+
+    Parameters
+    ----------
+    outcome : sequence of (Q, degrees of freedom, ν)
+        Of each family; ν is infinite where its noise is known.
+    words : Words
+        What the test is called.
+    """
     if all(math.isinf(nu) for _, _, nu in outcome):
         q, d = sum(o[0] for o in outcome), sum(o[1] for o in outcome)
-        return q, d, chi2_tail(q, d), "chi-square of the repeats against their covariances"
+        return q, d, chi2_tail(q, d), words.known
     tails = [f_tail(q / d, d, nu) for q, d, nu in outcome]
     if len(outcome) == 1:
         q, d, nu = outcome[0]
-        return q / d, [d, nu], tails[0], "F of the repeats against their pooled scatter"
+        return q / d, [d, nu], tails[0], words.one
     if any(math.isnan(p) for p in tails):
         return math.nan, math.nan, math.nan, "none: a calibration has no degrees of freedom"
     statistic = 0.0 - 2.0 * sum(math.log(max(p, np.finfo(float).tiny)) for p in tails)
     dof = 2.0 * len(tails)
-    return (
-        statistic,
-        dof,
-        chi2_tail(statistic, dof),
-        "F of the repeats against the pooled scatter of each output, combined by Fisher's method",
-    )
+    return statistic, dof, chi2_tail(statistic, dof), words.several
 
 
 def _quadratic(values: Array, covariances: Array) -> float:
@@ -217,8 +237,7 @@ def _families(found: Sequence[Calibration]) -> list[_Family]:
     covariances = np.array([evaluate_budget(c).independent for c in found])
     output_of, count = found[0].model.output_of, found[0].outputs
     apart = all(
-        _is_apart(c, covariance, output_of)
-        for c, covariance in zip(found, covariances, strict=True)
+        is_apart(c, covariance, output_of) for c, covariance in zip(found, covariances, strict=True)
     )
     groups = [np.flatnonzero(output_of == i) for i in range(len(count))]
     names = list(found[0].outputs)
@@ -240,8 +259,16 @@ def _families(found: Sequence[Calibration]) -> list[_Family]:
     return families
 
 
-def _is_apart(c: Calibration, covariance: Array, output_of: NDArray[np.intp]) -> bool:
-    """Whether each output has its own scatter: not pooled, not correlated with another."""
+def is_apart(c: Calibration, covariance: Array, output_of: NDArray[np.intp]) -> bool:
+    """Whether each output has its own scatter: not pooled, not correlated with another.
+
+    Parameters
+    ----------
+    c : Calibration
+    covariance : (p, p) array
+        That of the parameters, or the part of it that is judged.
+    output_of : (p,) array of int
+    """
     scale = np.sqrt(np.abs(np.diag(covariance)))
     across = output_of[:, None] != output_of
     correlated = bool((np.abs(covariance) > 1e-9 * np.outer(scale, scale))[across].any())

@@ -24,9 +24,16 @@ from multipos.compensation.correction import (
 )
 from multipos.errors import MultiposError
 from multipos.files.tables import Source, read_table
+from multipos.numerics.quantiles import coverage_factor
 from multipos.regression.result import Regression, format_span
 from multipos.regression.several import Regressions
-from multipos.verification.verdicts import Check, judge_errors, require_limit
+from multipos.verification.agreement import no_agreement
+from multipos.verification.verdicts import (
+    Check,
+    family_confidence,
+    judge_errors,
+    require_limit,
+)
 
 
 def check_regression(
@@ -88,6 +95,7 @@ def check_regression(
         after=after,
         u=u,
         U=U,
+        U_family=None if limit_g is None else U * _family_factor(r, int(counted.sum())),
         limit=limit_g,
         verdicts=judge_errors(after, U, limit_g, counted),
         counted=counted,
@@ -101,6 +109,7 @@ def check_regression(
         calibration=r.created,
         against=against,
         segments=_rows_by_segment(r, place),
+        consistency=no_agreement("rows of a regression follow each other and are not independent"),
     )
 
 
@@ -125,6 +134,11 @@ def check_regressions(
     first = found[0]
     same = all(one.segments == first.segments for one in found)
     nothing = np.full(len(found), np.nan)
+    family = None
+    if limit_g is not None:
+        errors = sum(int(one.counted.sum()) for one in found)
+        pairs = zip(regressions.values(), found, strict=True)
+        family = np.hstack([one.U * _family_factor(r, errors) for r, one in pairs])
     return replace(
         first,
         quantity=", ".join(regressions),
@@ -134,12 +148,20 @@ def check_regressions(
         after=np.hstack([one.after for one in found]),
         u=np.hstack([one.u for one in found]),
         U=np.hstack([one.U for one in found]),
+        U_family=family,
         verdicts=np.hstack([one.verdicts for one in found]),
         counted=np.hstack([one.counted for one in found]),
         linearity_percent={"before": nothing, "after": nothing},
         warnings=tuple(dict.fromkeys(said for one in found for said in one.warnings)),
         segments=first.segments if same else {},
     )
+
+
+def _family_factor(r: Regression, errors: int) -> float:
+    """Return by how much U is larger for so many rows together, by the fewest dof of a segment."""
+    nu = min(float(segment.dof[1]) for segment in r.segments)
+    sharper = coverage_factor(family_confidence(r.confidence, errors), nu)
+    return sharper / coverage_factor(r.confidence, nu)
 
 
 def _rows_by_segment(r: Regression, place: NDArray[np.intp]) -> dict[str, NDArray[np.bool_]]:

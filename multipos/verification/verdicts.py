@@ -4,6 +4,23 @@ Errors e of K quantities at n rows before and after compensation, with the expan
 the latter. Against a limit L, U is the guard band:
 
     pass where |e| + U <= L,    fail where |e| − U > L,    else undecided.                  (1)
+
+Each such verdict is about one error. Of m errors that are all within the limit, the larger ones
+come out beyond by more than U now and then, so that the worst verdict of a long run is no verdict
+of the run. For that,
+
+    pass where every error passes,    fail where |e| − U_m > L of any,    else undecided,   (2)
+
+with U_m at the confidence 1 − (1 − c)/m (Bonferroni). A run whose true errors are all within the
+limit fails with at most the chance 1 − c, however the errors hang together; and one that passes
+while any true error is beyond the limit has passed that error by itself (Berger's
+intersection-union test), which needs no correction.
+
+En = |e|/U, where U² = U²(run) + U²(calibration), compares an error with what both claim.
+
+References
+----------
+JCGM 106:2012, 8.3 (guarded acceptance); ISO 13528:2015, 9.7; R. L. Berger, Technometrics 24, 1982.
 """
 
 import os
@@ -19,6 +36,8 @@ from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.results import Result
+from multipos.sensor.doubt import Doubt
+from multipos.verification.agreement import Agreement
 
 VERDICTS = ("pass", "undecided", "fail")  # from best to worst
 
@@ -56,6 +75,11 @@ class Check(Result):
     against : str or None
     segments : mapping of str to (n,) array of bool
         The rows of every segment of a regression.
+    U_family : (n, K) array or None
+        U_m of eq. (2), where there is a limit.
+    consistency : Agreement or None
+        Of the run as a whole; None in a check that was written before there was one.
+    doubts : tuple of Doubt
 
     Examples
     --------
@@ -91,11 +115,28 @@ class Check(Result):
     calibration: str | None = field(default=None, compare=False)
     against: str | None = None
     segments: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    U_family: Array | None = None
+    consistency: Agreement | None = None
+    doubts: tuple[Doubt, ...] = ()
+
+    @property
+    def En(self) -> Array:  # noqa: N802 (the name that ISO 13528 gives it)
+        """Error over expanded uncertainty (n, K), |e|/U; NaN where there is no U."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.where(self.U > 0.0, np.abs(self.after) / self.U, np.nan))
 
     @property
     def verdict(self) -> str | None:
         """The worst verdict of all positions, or None without a limit."""
         return worst(self.verdicts)
+
+    @property
+    def run_verdict(self) -> str | None:
+        """The verdict of the run by eq. (2), or None without a limit."""
+        if self.limit is None or self.U_family is None or self.verdict == "pass":
+            return self.verdict
+        beyond = (np.abs(self.after) - self.U_family > self.limit) | np.isnan(self.after)
+        return "fail" if bool((beyond & self.counted).any()) else "undecided"
 
     def summary(self, axis: str | None = None, segment: str | None = None) -> dict[str, Any]:
         """Return maximum, rms and linearity before and after, of one axis or segment or of all."""
@@ -114,6 +155,9 @@ class Check(Result):
             }
         widest = np.where(counted, self.U, -np.inf)[:, columns]
         found["after"]["largest_U"] = float(widest.max())
+        ratio = self.En[:, columns][counted[:, columns]]
+        ratio = ratio[np.isfinite(ratio)]
+        found["after"]["largest_En"] = float(ratio.max()) if len(ratio) else np.nan
         found["verdict"] = worst(np.where(counted, self.verdicts, "")[:, columns])
         return found
 
@@ -142,6 +186,11 @@ def judge_errors(
     verdicts[(error - U > limit) | np.isnan(after)] = "fail"
     verdicts[~counted] = ""
     return verdicts
+
+
+def family_confidence(confidence: float, errors: int) -> float:
+    """Return the confidence of each of so many errors that gives all of them together one."""
+    return 1.0 - (1.0 - confidence) / max(errors, 1)
 
 
 def worst(verdicts: NDArray[np.str_]) -> str | None:

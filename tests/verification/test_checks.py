@@ -186,7 +186,18 @@ def test_json_and_text(tmp_path, capsys, calibration):
     assert set(found["before"]) == {"maximum", "rms", "linearity_percent"}
     assert set(found["by_axis"]) == {"x", "y", "z"}
     row = found["positions"][0]
-    assert set(row) == {"position", "reference", "before", "after", "u", "U", "verdict", "counted"}
+    assert set(row) == {
+        "position",
+        "reference",
+        "before",
+        "after",
+        "u",
+        "U",
+        "En",
+        "U_family",
+        "verdict",
+        "counted",
+    }
     assert row["verdict"] == "pass"
     assert cli.main([*arguments, "--limit-g", "0.002"]) == 0
     text = capsys.readouterr().out

@@ -141,7 +141,18 @@ def test_json_has_the_keys_of_a_check(files, capsys):
     cold = int((chamber(2, 60)["temperature"] < 20).sum())
     assert [entry["rows"] for entry in found["by_segment"].values()] == [cold, 60 - cold]
     row = found["positions"][0]
-    assert set(row) == {"position", "reference", "before", "after", "u", "U", "verdict", "counted"}
+    assert set(row) == {
+        "position",
+        "reference",
+        "before",
+        "after",
+        "u",
+        "U",
+        "En",
+        "U_family",
+        "verdict",
+        "counted",
+    }
     assert row["position"] == "1"
     assert row["reference"]["error"] == chamber(2, 60)["temperature"][0]
     assert run(capsys, "check", model, later, "-o", folder / "check.json")[0] == 0

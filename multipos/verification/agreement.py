@@ -1,0 +1,303 @@
+"""Does a run agree with the calibration? One test of all its errors, and what has moved.
+
+The run reads y at known references f; the calibration expects h(p, f). With X = dh/dp,
+J = dh/df and C the covariance of the parameters, r = y − h has the covariance
+
+    V = D + L L',    L = (X C^(1/2), unseen terms),    D = diag(s²) + J T J' row by row,      (1)
+
+where s is the noise of the run's readings and T what is not known of where they were taken: the
+placement σ² f² (I − uu') of ``orientation_sd_deg``, and ``reference_u_x`` … squared. As long as as
+many outputs as components are sensed, r and the errors e of `multipos.verification.checks` are one
+and the same to first order, e = J⁻¹ r, and so is the statistic
+
+    Q = r' V⁻¹ r    on N = n M degrees of freedom,                                           (2)
+
+which is χ² where the noise is known. Errors of one run share those of the parameters: a zero that
+has moved by much of its U hides in the U of every single error, and not in Q. Where an output's
+noise was estimated, with ν degrees of freedom, V holds it as a factor and Q/N follows F on N and
+ν, exactly where all of V does; where only a share w of V was estimated, ν/w² is taken. Outputs
+whose noise is their own are judged each by its own F, together by Fisher's method
+(`multipos.verification.consistency`, eq. (3)); where V ties them, by the fewest of their ν.
+
+Where the calibration left the rotation of the case free, the run has one of its own: three columns
+J (a × f) are taken out of r before, and N is less by three.
+
+What has moved is asked parameter by parameter: the step δ_j that takes most of Q,
+
+    δ_j = x_j'V⁻¹r / x_j'V⁻¹x_j,    Q − Q_j = δ_j² x_j'V⁻¹x_j,                               (3)
+
+is named while it is beyond chance among all of them (Bonferroni, 1 %), at most three. Against one
+such step (3) is sharper than (2), so either is a doubt.
+
+References
+----------
+JCGM 100:2008, F.1.2.4; ISO 13528:2015, 9.7 (E_n); `docs/reference/check-and-tumble`.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import f_tail
+from multipos.numerics.rotations import rotation_matrix
+from multipos.positions.readings import Readings
+from multipos.results import Keyed
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.doubt import Doubt, implausible
+from multipos.sensor.inverse import parameter_jacobian
+from multipos.uncertainty.unseen import unseen_moves
+from multipos.verification.consistency import Words, is_apart, judge_together
+
+_NAMED = 0.01  # chance at which what has moved is named
+_MOST_NAMED = 3
+_TOLD = 1e-9  # of its own information, which a parameter keeps beside others
+_TURNS, _SETTLED = 50, 1e-12  # steps of a rotation, and when it stands still [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement(Keyed):
+    """What is said of a run as a whole.
+
+    Attributes
+    ----------
+    statistic : float
+        Q of eq. (2), an F, or Fisher's sum; NaN where there is no test.
+    dof : float or list of two
+    p : float
+        Chance of as much, or more, in a run that agrees.
+    test : str
+        Which test, in words.
+    """
+
+    statistic: float
+    dof: float | list[float]
+    p: float
+    test: str
+
+
+class _Moved(NamedTuple):
+    """A parameter, by how much it moved [unit], and that over its U."""
+
+    name: str
+    by: float
+    over: float
+    unit: str
+
+
+class _Run(NamedTuple):
+    """A run whitened by D; all (n, M, …) but `share` (M,)."""
+
+    r: Array
+    L: Array
+    X: Array
+    free: Array  # the columns of a free rotation
+    share: Array  # of the variance of an output, what was estimated
+    apart: bool
+
+
+_WORDS = Words(
+    "chi-square of the run against its covariance",
+    "F of the run against the scatter of the calibration",
+    "F of the run against the scatter of each output, combined by Fisher's method",
+)
+
+
+def no_agreement(why: str) -> Agreement:
+    """Return that there is no test, and why."""
+    return Agreement(np.nan, np.nan, np.nan, f"none: {why}")
+
+
+def judge_run(
+    calibration: Calibration, data: Readings, known: Array, noise: Array, estimated: Array
+) -> tuple[Agreement, tuple[Doubt, ...]]:
+    """Return the test of a run, and the doubts about it; those about the calibration first.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    data : Readings
+    known : (n, 3) array [g]
+        The references, in the calibration's convention.
+    noise : (n, M) array
+        Standard uncertainty of the readings of the run.
+    estimated : (n, M) array
+        The part of it that was estimated with the calibration, and is not stated.
+    """
+    c = calibration
+    carried = implausible(c.diagnostics.doubts)
+    if not (np.isfinite(noise).all() and (noise > 0.0).all() and np.isfinite(c.covariance).all()):
+        return no_agreement("the noise of the readings is not known"), carried
+    if c.model.gauge is not None:
+        known = _turned(c, data, known)
+    run = _whiten(c, data, known, noise, estimated)
+    if run.r.size <= run.free.shape[2] or not np.isfinite(run.r).all():
+        return no_agreement("too few rows at which the model has a value"), carried
+    found, moved = _judge(c, run), _moved(c, run)
+    level = 1.0 - c.confidence
+    if not (found.p < level or moved):
+        return found, carried
+    text = _in_words(found, moved, whole=found.p < level)
+    return found, (*carried, Doubt("run-disagrees", "caution", text, outputs=c.outputs))
+
+
+def _turned(c: Calibration, data: Readings, known: Array) -> Array:
+    """Return the references in the frame that the calibration fixed for itself, by least squares.
+
+    Turned step by step, for a case may be mounted any way.
+    """
+    for _ in range(_TURNS):
+        left = data.values - c.model.predict(c.parameters, known, data.environment)
+        turns = _turns(c, data, known)
+        step = np.asarray(np.linalg.lstsq(turns.reshape(-1, 3), left.ravel())[0], dtype=np.float64)
+        known = np.asarray(known @ rotation_matrix(step).T)
+        if np.abs(step).max() < _SETTLED:
+            break
+    return known
+
+
+def _turns(c: Calibration, data: Readings, known: Array) -> Array:
+    """Return how turning the references about x, y and z moves the readings (n, M, 3)."""
+    J = c.model.force_jacobian(c.parameters, known, data.environment)
+    return np.asarray(np.einsum("nmi,nai->nma", J, np.cross(np.eye(3), known[:, None, :])))
+
+
+def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimated: Array) -> _Run:
+    environment = data.environment
+    r = data.values - c.model.predict(c.parameters, known, environment)
+    X = parameter_jacobian(c.model, c.parameters, known, environment)
+    J = c.model.force_jacobian(c.parameters, known, environment)
+    unseen = unseen_moves(c, known, environment)
+    L = np.concatenate([X @ _root(c.covariance), unseen], axis=2)
+    placed = _placement(data, known)
+    D = noise[:, :, None] ** 2 * np.eye(noise.shape[1]) + np.einsum(
+        "nmi,nij,nkj->nmk", J, placed, J
+    )
+    W = np.linalg.inv(np.linalg.cholesky(D))
+    told = np.einsum("nmp,pq,nmq->nm", X, c.covariance, X) + estimated**2
+    whole = np.einsum("nmm->nm", D) + np.sum(L**2, axis=2)
+    free = np.zeros((*r.shape, 0)) if c.model.gauge is None else _turns(c, data, known)
+    tied = placed.any() or unseen.size or free.size
+    return _Run(
+        r=(W @ r[:, :, None])[:, :, 0],
+        L=W @ L,
+        X=W @ X,
+        free=W @ free,
+        share=np.mean(told / whole, axis=0),
+        apart=not tied and is_apart(c, c.covariance, c.model.output_of),
+    )
+
+
+def _placement(data: Readings, known: Array) -> Array:
+    """Return T of eq. (1), (n, 3, 3) [g²]."""
+    sd = np.zeros(len(known)) if data.orientation_sd is None else data.orientation_sd
+    square = np.where(np.isfinite(sd), sd, 0.0) ** 2
+    across = np.einsum("ni,ni->n", known, known)[:, None, None] * np.eye(3)
+    placed = square[:, None, None] * (across - known[:, :, None] * known[:, None, :])
+    if data.reference_u is not None:
+        placed = placed + data.reference_u[:, :, None] ** 2 * np.eye(3)
+    return np.asarray(placed)
+
+
+def _root(covariance: Array) -> Array:
+    """Return C^(1/2) (p, p), of parameters of any units and of combinations that are exact."""
+    scale = np.sqrt(np.diag(covariance))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _judge(c: Calibration, run: _Run) -> Agreement:
+    with np.errstate(divide="ignore"):
+        nu = np.where(np.isinf(c.dof), np.inf, c.dof / run.share**2)
+    if np.isinf(nu).all():
+        nu_of = [np.inf]
+        parts: list[Any] = [slice(None)]
+    elif run.apart:
+        nu_of, parts = nu.tolist(), [slice(i, i + 1) for i in range(len(nu))]
+    else:
+        nu_of, parts = [float(nu.min())], [slice(None)]
+    outcome = []
+    for part, of_it in zip(parts, nu_of, strict=True):
+        r = run.r[:, part].reshape(-1, 1)
+        free, L = (a[:, part].reshape(len(r), -1) for a in (run.free, run.L))
+        weighed = _Weights(L, free)
+        outcome.append((float(weighed.product(r, r)[0, 0]), float(len(r) - free.shape[1]), of_it))
+    return Agreement(*judge_together(outcome, _WORDS))
+
+
+class _Weights:
+    """a'V⁻¹b of whitened columns, less what free columns explain.
+
+    With the singular values s and vectors U of L, (I + LL')⁻¹ = I − U diag(s²/(1 + s²)) U'.
+    """
+
+    def __init__(self, L: Array, free: Array) -> None:
+        self._free = np.linalg.qr(free)[0]
+        vectors, values, _ = np.linalg.svd(self._without(L), full_matrices=False)
+        self._vectors = vectors * (values / np.sqrt(1.0 + values**2))
+
+    def product(self, a: Array, b: Array) -> Array:
+        """Return a'V⁻¹b of columns (N, i) and (N, j)."""
+        a, b = self._without(a), self._without(b)
+        return np.asarray(a.T @ b - (a.T @ self._vectors) @ (self._vectors.T @ b))
+
+    def _without(self, columns: Array) -> Array:
+        return np.asarray(columns - self._free @ (self._free.T @ columns))
+
+
+def _moved(c: Calibration, run: _Run) -> list[_Moved]:
+    """Return the parameters that have moved beyond chance, eq. (3), those that tell most first."""
+    flat = [a.reshape(run.r.size, -1) for a in (run.L, run.free, run.X, run.r)]
+    weighed = _Weights(*flat[:2])
+    gram, right = weighed.product(flat[2], flat[2]), weighed.product(flat[2], flat[3])[:, 0]
+    nu = float(np.min(c.dof))
+    chosen: list[int] = []
+    steps: Array = np.zeros(0)
+    while len(chosen) < _MOST_NAMED:
+        taken = _taken(gram, right, chosen, steps)
+        best = int(np.argmax(taken))
+        if not f_tail(float(taken[best]), 1.0, nu) < _NAMED / len(right):
+            break
+        chosen.append(best)
+        steps = np.asarray(
+            np.linalg.solve(gram[np.ix_(chosen, chosen)], right[chosen]), dtype=np.float64
+        )
+    return [
+        _Moved(c.names[j], float(by), float(abs(by) / c.U[j]), c.model.units[j])
+        for j, by in zip(chosen, steps, strict=True)
+    ]
+
+
+def _taken(gram: Array, right: Array, chosen: list[int], steps: Array) -> Array:
+    """Return how much of Q each parameter takes (p,) beside those that are chosen."""
+    left, own = right.copy(), np.diag(gram).copy()
+    if chosen:
+        left -= gram[:, chosen] @ steps
+        mine = np.linalg.solve(gram[np.ix_(chosen, chosen)], gram[chosen])
+        own -= np.einsum("jp,jp->p", gram[chosen], mine)
+    told = own > _TOLD * np.diag(gram)
+    return np.where(told, left**2 / np.where(told, own, 1.0), 0.0)
+
+
+def _in_words(found: Agreement, moved: list[_Moved], *, whole: bool) -> str:
+    said = ["the run disagrees with the calibration beyond chance, whatever its single errors say"]
+    if whole:
+        said.append(agreement_in_words(found))
+    if moved:
+        steps = [f"{m.name} {m.by:+.3g} {m.unit} ({m.over:.2g} U)" for m in moved]
+        said.append(f"it is as if this had moved: {', '.join(steps)}")
+    return (
+        f"{'; '.join(said)}; calibrate again, or find what differs between the two: warm-up, "
+        "temperature, mounting or level of the table"
+    )
+
+
+def agreement_in_words(found: Agreement) -> str:
+    """Return the test with its numbers."""
+    if not np.isfinite(found.statistic):
+        return found.test
+    dof = found.dof if isinstance(found.dof, list) else [found.dof]
+    on = ", ".join(f"{value:.4g}" for value in dof)
+    return f"{found.test}: {found.statistic:.4g} on {on} degrees of freedom, p = {found.p:.2g}"
