@@ -1,3 +1,9 @@
+#!/usr/bin/env python3
+
+# /// script
+# dependencies = ["nox>=2024.10.9"]
+# ///
+
 """The project's chores, each in an environment of its own: `nox`, or one as in `nox -s tests`.
 
 What follows `--` goes to the program, as in `nox -s tests -- -m slow`. `OPENBLAS_CORETYPE=Nehalem
@@ -13,8 +19,8 @@ from pathlib import Path
 
 import nox
 
+nox.needs_version = ">=2024.10.9"
 nox.options.default_venv_backend = "venv"
-nox.options.sessions = ["lint", "types", "tests", "docs"]
 
 PROJECT = nox.project.load_toml("pyproject.toml")["project"]
 EXTRAS = PROJECT["optional-dependencies"]
@@ -54,7 +60,7 @@ def tests(session: nox.Session) -> None:
     session.run("pytest", "-n", "auto", *session.posargs)
 
 
-@nox.session(python=PYTHONS[OLDEST])
+@nox.session(python=PYTHONS[OLDEST], default=False)
 def lowest(session: nox.Session) -> None:
     """Test with the oldest versions that pyproject.toml promises to work with."""
     if OLDEST > (3, 12):
@@ -65,7 +71,7 @@ def lowest(session: nox.Session) -> None:
     session.run("pytest", "-n", "auto", *session.posargs)
 
 
-@nox.session(python=PYTHONS[NEWEST])
+@nox.session(python=PYTHONS[NEWEST], default=False)
 def newest(session: nox.Session) -> None:
     """Test with the newest Python to be found, and the newest versions of everything."""
     if sys.version_info[:2] == NEWEST:
@@ -82,6 +88,7 @@ def lint(session: nox.Session) -> None:
     session.install(*EXTRAS["lint"])
     session.run("ruff", "check")
     session.run("ruff", "format", "--check")
+    session.run("codespell")
 
 
 @nox.session
@@ -96,7 +103,19 @@ def docs(session: nox.Session) -> None:
     session.run("sphinx-build", "-W", "--keep-going", "-q", "docs", "docs/_build/html")
 
 
-@nox.session
+@nox.session(default=False)
 def benchmarks(session: nox.Session) -> None:
     session.install(".")
     session.run("python", "-m", "benchmarks", *session.posargs)
+
+
+@nox.session(default=False)
+def review(session: nox.Session) -> None:
+    """Hold the project's files to what scientific Python asks of them."""
+    session.install("repo-review[cli]", "sp-repo-review", "validate-pyproject", "zizmor")
+    session.run("repo-review", ".")
+    session.run("zizmor", "--offline", ".github")
+
+
+if __name__ == "__main__":
+    nox.main()

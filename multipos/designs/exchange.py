@@ -251,7 +251,7 @@ def _try_all(
 
 
 def _roughly(matrices: list[Array], criterion: Criterion) -> Array:
-    """Return the criterion of many informations at once; singular ones come last."""
+    """Return the criterion of many information matrices at once; singular ones come last."""
     value = np.zeros(len(matrices[0]))
     for b, M in enumerate(matrices):
         sign, size = np.linalg.slogdet(M)

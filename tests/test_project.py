@@ -1,0 +1,54 @@
+"""What the project's files say of it is the same in all of them."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import multipos
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+RECIPE = (ROOT / "conda/recipe.yaml").read_text("utf-8")
+CITATION = (ROOT / "CITATION.cff").read_text("utf-8")
+WORKFLOW = (ROOT / ".github/workflows/ci.yml").read_text("utf-8")
+IN_CONDA = {"matplotlib": "matplotlib-base"}  # the same without its windows
+
+
+def test_the_version_is_the_same_everywhere():
+    assert re.findall(r'^ *version: "?([\d.]+)"?$', RECIPE, re.MULTILINE) == [multipos.__version__]
+    assert re.findall(r"^version: (.+)$", CITATION, re.MULTILINE) == [multipos.__version__]
+    versions = re.findall(
+        r"^## .*?(\d+\.\d+\.\d+)", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE
+    )
+    assert versions[0] == multipos.__version__
+
+
+def test_the_licence_is_the_same_everywhere():
+    for text in (RECIPE, CITATION):
+        assert re.findall(r"license: (.+)", text) == [PROJECT["license"]]
+
+
+def test_the_recipe_asks_for_what_the_package_asks_for():
+    needed = re.search(r"  run:\n((?:    - .+\n)+)", RECIPE)[1]
+    found = dict(re.findall(r"- ([\w-]+) (\S+)", needed))
+    asked = dict(re.match(r"([\w-]+)(\S+)", one).groups() for one in PROJECT["dependencies"])
+    expected = {IN_CONDA.get(name, name): version for name, version in asked.items()}
+    assert found == {"python": PROJECT["requires-python"], **expected}
+    (command,) = PROJECT["scripts"].items()
+    assert f"- {command[0]} = {command[1]}\n" in RECIPE
+
+
+def test_classifiers_and_the_public_run_name_the_same_pythons():
+    prefix = "Programming Language :: Python :: 3."
+    named = [one.removeprefix(prefix) for one in PROJECT["classifiers"] if one.startswith(prefix)]
+    assert f">=3.{named[0]}" == PROJECT["requires-python"]
+    assert named == [str(minor) for minor in range(int(named[0]), int(named[-1]) + 1)]
+    (matrix,) = re.findall(r"^ +python: \[(.+)\]$", WORKFLOW, re.MULTILINE)
+    assert re.findall(r'"3\.(\d+)"', matrix) == named
+    assert "bash .ci/run" in WORKFLOW
+
+
+def test_the_readme_names_the_commands_that_set_a_machine_up():
+    readme = (ROOT / "README.md").read_text("utf-8")
+    for name in ("test", "demo"):
+        assert len(re.findall(rf"<!-- command: {name} -->\n```sh\n.+\n```\n", readme)) == 1
