@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multipos.estimation.circles import turn_about, turn_to_axes
 from multipos.estimation.ellipsoid import ellipsoid_start, symmetric_root
 from multipos.estimation.guesses import first_guesses
 from multipos.estimation.problem import Problem, State, start_state
@@ -122,6 +123,10 @@ def _on_ellipsoid(problem: Problem) -> _Seen:
     direction = force / np.linalg.norm(force, axis=1)[:, None]
     turn = _hand(problem, direction)
     matrix, direction = matrix @ turn.T, direction @ turn.T
+    free = problem.free_axis
+    if free is not None:
+        turn = turn_about(free, matrix)
+        matrix, direction = matrix @ turn.T, direction @ turn.T
     linear = np.empty((3, 4))
     linear[order] = np.column_stack([bias, matrix])
     return _Seen(linear, direction)
@@ -144,6 +149,8 @@ def _hand(problem: Problem, direction: Array) -> Array:
         )
         return float(sum(np.sum(left**2) for left in turned))
 
+    if problem.rolls is not None and not problem.groups:
+        return turn_to_axes(problem.rolls, direction, problem.listed, problem.reference)
     mirror = -1.0 if misfit(-1.0) < misfit(1.0) else 1.0
     if problem.adrift:
         return mirror * np.eye(3)

@@ -45,6 +45,7 @@ def rotations_to_hold(problem: Problem, state: State, gauge: Gauge) -> Fixed:
     by_force = model.force_jacobian(state.theta, force, problem.environment)
     n, m, p = slopes.shape
     turned = (by_force @ cross_matrix(force)).reshape(n * m, 3)  # J (f x w)
+    turned = turned[:, _turns_left(problem)]
     design = np.concatenate([slopes.reshape(n * m, p), turned], axis=1)
     scale = np.linalg.norm(design, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -71,6 +72,13 @@ def rotations_to_hold(problem: Problem, state: State, gauge: Gauge) -> Fixed:
         start = model.quantities[i].start
         held.append((output, str(name), 0.0 if start is None else start))
     return held
+
+
+def _turns_left(problem: Problem) -> list[int]:
+    """Return the axes that the positions may turn about: of rolls about one axis that axis."""
+    if problem.rolls is None:
+        return [0, 1, 2]
+    return [i for i, axis in enumerate(COMPONENTS) if axis == problem.free_axis]
 
 
 def _upper_first(model: ExpressionModel, slopes: Array, force: Array) -> list[int]:

@@ -23,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from multipos.estimation.likelihood import evaluate, linearise, respond
-from multipos.estimation.problem import Problem, State, start_state
+from multipos.estimation.problem import Problem, State, standing, start_state
 from multipos.estimation.restatement import restate
 from multipos.estimation.six_positions import closed_form_gain
 from multipos.numerics.arrays import Array
@@ -112,4 +112,6 @@ def about_solution(calibration: Calibration) -> tuple[Problem, State]:
     """
     reference = calibration.reference
     problem = replace(restate(calibration), reference=reference)
-    return problem, start_state(problem, calibration.parameters, directions(reference))
+    direction = directions(reference)
+    state = start_state(problem, calibration.parameters, direction)
+    return problem, standing(problem, state, direction)

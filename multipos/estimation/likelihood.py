@@ -42,8 +42,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.estimation.circles import eliminate_free, spread_inclinations
 from multipos.estimation.losses import loss, loss_weight
-from multipos.estimation.problem import Normal, Point, Problem, State
+from multipos.estimation.problem import Normal, Point, Problem, State, put_on_circles
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import (
     cross_matrix,
@@ -58,7 +59,7 @@ from multipos.sensor.model import Block
 
 def evaluate(problem: Problem, state: State) -> Point:
     """Return the force, residuals and objective at a state."""
-    direction = step_on_sphere(state.centre, state.basis, state.step)
+    direction = step_on_sphere(state.centre, state.basis, _steps(problem, state))
     turn = _shared_rotation(problem, state)
     if turn is not None:
         direction = np.einsum("nij,nj->ni", turn, direction)
@@ -80,9 +81,15 @@ def evaluate(problem: Problem, state: State) -> Point:
 def linearise(problem: Problem, state: State, point: Point) -> Normal:
     """Return the normal equations of eqs. (5), (6), weighted by the loss."""
     by_force = problem.model.force_jacobian(state.theta, point.force, problem.environment)
-    jacobian = np.einsum("nmi,nij->nmj", by_force, _force_by_step(problem, state))
+    moves = np.einsum("nmi,nij->nmj", by_force, _force_by_step(problem, state))
+    jacobian = moves
+    if problem.rolls is not None:  # towards the axis nothing moves that has no sd
+        held = problem.rolled & (problem.orientation_sd == 0.0)
+        jacobian = np.where(held[:, None, None], moves * [1.0, 0.0], moves)
     weighted = weigh(problem.precision, jacobian)
-    own = eliminate(_full(problem.precision), jacobian, weighted, problem.prior, problem.exact)
+    own = eliminate(
+        _full(problem.precision), jacobian, weighted, problem.prior, problem.exact, problem.rolled
+    )
     gain, inverse, marginal = own.gain, own.inverse, own.marginal
     weighted_residuals = weigh(problem.precision, point.residuals)
     pull = np.einsum("nmi,nm->ni", weighted, point.residuals)
@@ -97,7 +104,7 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
         weight = loss_weight(problem.robust, point.q, problem.degrees)
         marginal = weight[:, None, None] * marginal
         push = weight[:, None] * push
-    shared = _by_shared(problem, state, point, by_force)
+    shared = _by_shared(problem, state, point, by_force, moves)
     information, right = assemble(len(state.theta), point.blocks, marginal, push, shared)
     if problem.believed:
         excess, slope = problem.model.belief(state.theta)
@@ -153,7 +160,7 @@ def moved(
     p = len(state.theta)
     theta = state.theta + step[:p]
     outputs = np.array([slopes @ step[places] for places, slopes in point.blocks]).T
-    turns, tilt = state.turns, state.tilt
+    turns, tilt, inclination = state.turns, state.tilt, state.inclination
     if problem.shared:
         outputs = outputs + np.einsum("nms,s->nm", normal.shared, step[p:])
         turns = np.array(
@@ -164,27 +171,41 @@ def moved(
         ).reshape(-1, 3, 3)
         if problem.level_sd > 0.0:
             tilt = state.tilt + step[-2:]
+        after = p + 3 * problem.groups
+        inclination = inclination + step[after : after + problem.cones]
     back = normal.pull - np.einsum("nmi,nm->ni", normal.weighted, outputs)
     own = np.einsum("nij,nj->ni", normal.inverse, back)
     # Damped like the rest, so that a rejected step shrinks as a whole; a quarter turn at most.
     length = np.sqrt(np.einsum("ni,ni->n", own, own))
     own *= np.minimum(normal.ease / (1.0 + damping), 1.5 / (length + 1e-300))[:, None]
-    return replace(state, theta=theta, step=state.step + own, turns=turns, tilt=tilt)
+    step_of_each = state.step + own
+    return replace(
+        state, theta=theta, step=step_of_each, turns=turns, tilt=tilt, inclination=inclination
+    )
 
 
 def recentred(problem: Problem, state: State) -> State:
-    """Return the state with unknown directions as their own centres, which have no prior."""
-    if not problem.unknown.any():
+    """Return the state with free directions as their own centres, which have no prior."""
+    if not problem.unknown.any() and problem.rolls is None:
         return state
     keep = ~problem.unknown[:, None]
-    moved = step_on_sphere(state.centre, state.basis, state.step)
+    moved = step_on_sphere(state.centre, state.basis, _steps(problem, state))
     centre = np.where(keep, state.centre, moved) if keep.any() else moved
-    return replace(state, centre=centre, basis=tangent_basis(centre), step=keep * state.step)
+    found = replace(state, centre=centre, basis=tangent_basis(centre), step=keep * state.step)
+    return found if problem.rolls is None else put_on_circles(problem, problem.rolls, found, moved)
+
+
+def _steps(problem: Problem, state: State) -> Array:
+    """Return the steps (n, 2) [rad] that lead from the centres to where positions are."""
+    if not problem.cones or problem.rolls is None:
+        return state.step
+    leaning = spread_inclinations(problem.rolls, state.inclination)
+    return state.step + leaning[:, None] * [0.0, 1.0]
 
 
 def _shared_rotation(problem: Problem, state: State) -> Array | None:
     """Return R_k of eq. (3), (n, 3, 3), or None where all are the identity."""
-    if not problem.shared:
+    if not problem.groups and problem.attitude is None:
         return None
     turn = np.tile(np.eye(3), (len(problem.values), 1, 1))
     if problem.attitude is not None:
@@ -199,16 +220,22 @@ def _shared_rotation(problem: Problem, state: State) -> Array | None:
 def _force_by_step(problem: Problem, state: State) -> Array:
     """Return df/dt (n, 3, 2)."""
     moves = state.basis  # dE/dt where no step was made yet
-    if state.step.any():
-        moves = step_derivative(state.centre, state.basis, state.step)
+    steps = _steps(problem, state)
+    if steps.any():
+        moves = step_derivative(state.centre, state.basis, steps)
     turn = _shared_rotation(problem, state)
     if turn is not None:
         moves = np.einsum("nij,njk->nik", turn, moves)
     return np.asarray(problem.magnitude[:, None, None] * moves)
 
 
-def _by_shared(problem: Problem, state: State, point: Point, by_force: Array) -> Array:
-    """Return dh/d(rho, tau) (n, M, shared): a turn moves f by df = rho x f."""
+def _by_shared(
+    problem: Problem, state: State, point: Point, by_force: Array, moves: Array
+) -> Array:
+    """Return dh/d(rho, beta, tau) (n, M, shared): a turn moves f by df = rho x f.
+
+    What a lean of the axis moves is what the second step of a roll moves, of `moves` (n, M, 2).
+    """
     n, m = problem.values.shape
     result = np.zeros((n, m, problem.shared))
     if not problem.shared:
@@ -217,6 +244,10 @@ def _by_shared(problem: Problem, state: State, point: Point, by_force: Array) ->
     for g in range(problem.groups):
         member = problem.group == g
         result[member, :, 3 * g : 3 * g + 3] = by_turn[member]
+    for cone in range(problem.cones):
+        assert problem.rolls is not None
+        member = problem.rolls.cone == cone
+        result[member, :, 3 * problem.groups + cone] = moves[member, :, 1]
     if problem.attitude is not None:
         turned = problem.attitude.copy()
         member = problem.group >= 0
@@ -254,7 +285,12 @@ class Eliminated(NamedTuple):
 
 
 def eliminate(
-    precision: Array, jacobian: Array, weighted: Array, prior: Array, exact: NDArray[np.bool_]
+    precision: Array,
+    jacobian: Array,
+    weighted: Array,
+    prior: Array,
+    exact: NDArray[np.bool_],
+    rolled: NDArray[np.bool_],
 ) -> Eliminated:
     """Eliminate the turns t_k, in the axes that diagonalise J' Sigma^-1 J.
 
@@ -270,6 +306,8 @@ def eliminate(
     prior : (n,) array
         1/s².
     exact : (n,) array of bool
+    rolled : (n,) array of bool
+        Rolls of open angle, eliminated by `multipos.estimation.circles`.
     """
     first, second = jacobian[:, :, 0], jacobian[:, :, 1]
     one, two = weighted[:, :, 0], weighted[:, :, 1]
@@ -280,7 +318,7 @@ def eliminate(
     large = _dot(c * first + s * second, along) + prior
     small = np.maximum(_dot(c * second - s * first, across), 0.0) + prior
     determinant = large * small
-    sound = (determinant > 1e-28 * (a + prior) * (d + prior)) & ~exact
+    sound = (determinant > 1e-28 * (a + prior) * (d + prior)) & ~exact & ~rolled
     by_large = (sound / np.where(sound, large, 1.0))[:, None]
     by_small = (sound / np.where(sound, small, 1.0))[:, None]
     n, m = one.shape
@@ -297,7 +335,12 @@ def eliminate(
     inverse[:, 0, 0] = (by_large * c * c + by_small * s * s)[:, 0]
     inverse[:, 1, 1] = (by_large * s * s + by_small * c * c)[:, 0]
     inverse[:, 0, 1] = inverse[:, 1, 0] = ((by_large - by_small) * c * s)[:, 0]
-    return Eliminated(gain, inverse, marginal, np.where(sound, determinant, 0.0))
+    determinant = np.where(sound, determinant, 0.0)
+    if rolled.any():
+        tied = np.where(prior[rolled] > 0.0, prior[rolled], 1.0)
+        free = eliminate_free(precision[rolled], jacobian[rolled], weighted[rolled], tied)
+        gain[rolled], inverse[rolled], marginal[rolled], determinant[rolled] = free
+    return Eliminated(gain, inverse, marginal, determinant)
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -10,6 +10,7 @@ Sigma_k, s_k, J_k, A as in `multipos.estimation.likelihood`.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.estimation.likelihood import linearise
 from multipos.estimation.problem import Optimum, Problem
@@ -28,7 +29,19 @@ class Linearised:
     orientation_sd: Array  # (n,) [rad]
     prior: Array  # (p + q,) information of the unknowns themselves
     p: int
+    rolled: NDArray[np.bool_]  # (n,), rolls whose first angle is free
     pull: Array | float = 0.0  # (p + q,) of the priors of parameters towards their centres
+
+    @property
+    def tied(self) -> NDArray[np.bool_]:
+        """Positions (n,) that are off by their sd."""
+        return np.isfinite(self.orientation_sd) & (self.orientation_sd > 0.0)
+
+    @property
+    def spread(self) -> Array:
+        """What a turn by its sd does to each position, s_k J_k (n, M, 2); 0 for a free turn."""
+        size = np.where(self.tied, self.orientation_sd, 0.0)[:, None, None]
+        return np.asarray(self.jacobian * size * np.where(self.rolled[:, None, None], [0, 1], 1))
 
 
 def linearised(problem: Problem, optimum: Optimum) -> Linearised:
@@ -56,4 +69,5 @@ def linearised(problem: Problem, optimum: Optimum) -> Linearised:
         prior=prior,
         pull=pull,
         p=p,
+        rolled=problem.rolled,
     )

@@ -150,8 +150,8 @@ def choose_estimator(options: Options, placement: Placement) -> Estimator:
     if options.closed_form:
         if not placement.exact:
             raise MultiposError(
-                "--closed-form takes exact orientations, but the readings have groups or "
-                "orientation_sd_deg above 0; leave --closed-form out."
+                "--closed-form takes exact orientations, but the readings have groups, rolls of "
+                "open angle or orientation_sd_deg above 0; leave --closed-form out."
             )
         return Estimator.CLOSED_FORM
     if placement.unknown:

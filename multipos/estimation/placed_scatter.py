@@ -75,12 +75,10 @@ def least_floor(problem: Problem, optimum: Optimum) -> Problem:
     Where no contrast tells the noise, the least noise that could matter is what placement does to
     a reading, by a small share; elsewhere what is left over is.
     """
-    jacobian = linearised(problem, optimum).jacobian
-    tied = np.isfinite(problem.orientation_sd) & (problem.orientation_sd > 0.0)
-    moved = jacobian[tied] * problem.orientation_sd[tied, None, None]
+    linear = linearised(problem, optimum)
     share = _LEAST_TOLD if tells_apart(problem, optimum) else _LEAST
-    size = share**2 * float(np.sum(moved**2)) / problem.values.size
-    if not tied.any():
+    size = share**2 * float(np.sum(linear.spread**2)) / problem.values.size
+    if not linear.tied.any():
         size = _LEAST_TOLD**2 * float(np.mean(optimum.point.residuals**2))
     rounding = np.finfo(float).eps * float(np.abs(problem.values).max())
     floor = max(size, rounding**2)
@@ -171,7 +169,7 @@ def _contrasts(problem: Problem, optimum: Optimum) -> int:
     seen = np.zeros((n, m), bool)  # outputs' combinations that a turn does not move
     seen[:, : sizes.shape[1]] = sizes <= _TOUCHED * sizes.max()
     seen[:, sizes.shape[1] :] = True
-    seen[linear.orientation_sd == 0.0] = True
+    seen[problem.exact] = True
     across = axes.transpose(0, 2, 1) @ linear.design
     left = across[seen]
     return int(len(left) - np.linalg.matrix_rank(left / np.linalg.norm(linear.design, axis=(0, 1))))
@@ -191,9 +189,7 @@ def _over_both(
 ) -> Both:
     """Return the posterior over a grid of ln(τ² + size) and the logarithm of the factor on s²."""
     whole = float(np.sum(linear.error**2)) + size
-    sd = linear.orientation_sd
-    tied = np.isfinite(sd) & (sd > 0.0)
-    slope = float(np.sum(linear.jacobian[tied] ** 2 * sd[tied, None, None] ** 2))
+    slope = float(np.sum(linear.spread**2))
     tail = 28.0 / nu + 0.5
     x_ends = np.log(size), np.log(whole) + tail
     # below, what placement does is nothing beside the noise that is stated
@@ -266,15 +262,17 @@ def _evaluate_few(
     P = np.asarray(np.linalg.inv(covariance), dtype=np.float64).reshape(G * n, m, m)
     J = np.tile(linear.jacobian, (G, 1, 1))
     sd = np.tile(linear.orientation_sd, G)
-    tied = np.isfinite(sd) & (sd > 0.0)
+    tied, rolled = np.tile(linear.tied, G), np.tile(linear.rolled, G)
     times = np.ones(G) if factors is None else factors
     variance = np.where(tied, np.where(tied, sd, 1.0) ** 2 * np.repeat(times, n), 1.0)
-    own = eliminate(P, J, P @ J, np.where(tied, 1.0 / variance, 0.0), sd == 0.0)
+    exact = (sd == 0.0) & ~rolled
+    own = eliminate(P, J, P @ J, np.where(tied, 1.0 / variance, 0.0), exact, rolled)
     W = own.marginal.reshape(G, n, m, m)
     H = own.determinant
-    # ln det V = ln det (Σ + τ²) + ln det H + 2 ln s², less what does not depend on either
+    # ln det V = ln det (Σ + τ²) + ln det H + 2 ln s² (of a roll ln s²), less what is constant
     log_det = np.linalg.slogdet(covariance)[1].sum(axis=1)
-    log_det += (np.log(np.where(H > 0.0, H, 1.0)) + 2.0 * np.log(variance)).reshape(G, n).sum(1)
+    angles = np.where(rolled, 1.0, 2.0)  # that have a prior
+    log_det += (np.log(np.where(H > 0.0, H, 1.0)) + angles * np.log(variance)).reshape(G, n).sum(1)
     A = linear.design.reshape(n * m, -1)
     X = (W @ linear.design).reshape(G, n * m, -1)  # V⁻¹A
     plain = np.einsum("gnij,nj->gni", W, linear.error).reshape(G, -1)
@@ -308,9 +306,7 @@ def _log_prior(linear: Linearised, W: Array, factors: Array | None) -> Array:
     by_scatter = np.einsum("gnij,gnji->g", W, W)
     if factors is None:
         return np.asarray(0.5 * np.log(by_scatter))
-    sd = linear.orientation_sd
-    tied = np.where(np.isfinite(sd), sd, 0.0)
-    S = linear.jacobian * tied[:, None, None]  # s J
+    S = linear.spread  # s J
     WS = W @ S
     inner = S.transpose(0, 2, 1) @ WS
     by_both = np.einsum("gnia,gnia->g", WS, WS)

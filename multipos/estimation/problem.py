@@ -6,17 +6,24 @@ or three numbers and there may be many of them.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.estimation.circles import (
+    circle_basis,
+    mean_latitudes,
+    over_circle,
+    spread_inclinations,
+)
 from multipos.estimation.losses import Loss
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions, tangent_basis
-from multipos.positions.placement import Placement
+from multipos.positions.open_rolls import OpenRolls
+from multipos.positions.placement import Placement, listed_rows
 from multipos.positions.readings import Readings
 from multipos.sensor.model import Block, Model
 
@@ -51,6 +58,8 @@ class Problem:
         Name of the loss; the thresholds of q count in `degrees` of freedom a position.
     held : tuple of int
         Parameters that the search leaves where they start.
+    rolls : OpenRolls or None
+        Positions whose angle about an axis is open; `orientation_sd` is across their circle.
     """
 
     model: Model
@@ -66,6 +75,7 @@ class Problem:
     level_sd: float = 0.0
     robust: Loss | None = None
     held: tuple[int, ...] = ()
+    rolls: OpenRolls | None = None
 
     def __post_init__(self) -> None:
         """Let positions run fastest in memory: every operation is on all of them at once."""
@@ -86,7 +96,12 @@ class Problem:
     @cached_property
     def exact(self) -> NDArray[np.bool_]:
         """Positions known exactly, (n,)."""
-        return np.asarray(self.orientation_sd == 0.0)
+        return np.asarray((self.orientation_sd == 0.0) & ~self.rolled)
+
+    @cached_property
+    def rolled(self) -> NDArray[np.bool_]:
+        """Positions that are rolls of open angle, (n,)."""
+        return np.zeros(len(self.values), bool) if self.rolls is None else self.rolls.rows
 
     @cached_property
     def unknown(self) -> NDArray[np.bool_]:
@@ -95,13 +110,13 @@ class Problem:
 
     @cached_property
     def degrees(self) -> Array:
-        """Degrees of freedom that each position leaves, (n,): M, less two where s is infinite."""
-        return np.asarray(self.values.shape[1] - 2.0 * self.unknown)
+        """Degrees of freedom that each position leaves, (n,): M, less the angles that are free."""
+        return np.asarray(self.values.shape[1] - 2.0 * self.unknown - 1.0 * self.rolled)
 
     @property
     def listed(self) -> NDArray[np.bool_]:
         """Rows whose direction is listed in the world's axes."""
-        return np.isfinite(self.orientation_sd) & (self.group < 0)
+        return listed_rows(self.orientation_sd, self.group, self.rolls)
 
     @property
     def adrift(self) -> bool:
@@ -109,14 +124,26 @@ class Problem:
         return not self.listed.any()
 
     @property
+    def free_axis(self) -> str | None:
+        """The case axis about which all may turn: that of every roll, where nothing is listed."""
+        if self.rolls is None or not self.adrift or len(self.rolls.axes) > 1:
+            return None
+        return self.rolls.axes[0]
+
+    @property
     def shared(self) -> int:
         """Number of unknowns that positions share beside the parameters."""
-        return 3 * self.groups + (2 if self.level_sd > 0.0 else 0)
+        return 3 * self.groups + self.cones + (2 if self.level_sd > 0.0 else 0)
+
+    @cached_property
+    def cones(self) -> int:
+        """Number of unknown inclinations that rolls share."""
+        return 0 if self.rolls is None else self.rolls.cones
 
     @property
     def unknowns(self) -> int:
         """Number of parameters and shared unknowns; a tilt, tied to zero, costs none."""
-        return len(self.model.keys) + 3 * self.groups
+        return len(self.model.keys) + 3 * self.groups + self.cones
 
     @cached_property
     def believed(self) -> bool:
@@ -139,6 +166,7 @@ class State:
     step: Array  # (n, 2) [rad]
     turns: Array  # (G, 3, 3), Exp([rho_g]x)
     tilt: Array  # (2,) [rad]
+    inclination: Array  # (C,) [rad], beta of the axes that rolls share
 
 
 @dataclass(frozen=True)
@@ -216,6 +244,7 @@ def state_problem(
         attitude=placement.attitude,
         level_sd=placement.level_sd,
         robust=robust,
+        rolls=placement.rolls,
     )
 
 
@@ -246,13 +275,49 @@ def start_state(
 ) -> State:
     """Return a state: at the listed directions, or at others where nothing is known of them."""
     listed = directions(problem.reference)
-    centre = listed if direction is None else np.where(problem.unknown[:, None], direction, listed)
+    open_ = problem.unknown | problem.rolled
+    centre = listed if direction is None else np.where(open_[:, None], direction, listed)
     centre = np.asfortranarray(centre)
-    return State(
+    state = State(
         theta=theta,
         centre=centre,
         basis=tangent_basis(centre),
         step=np.zeros((len(centre), 2), order="F"),
         turns=np.tile(np.eye(3), (problem.groups, 1, 1)) if turns is None else turns,
         tilt=np.zeros(2),
+        inclination=np.zeros(problem.cones),
+    )
+    return state if problem.rolls is None else _on_circles(problem, problem.rolls, state)
+
+
+def _on_circles(problem: Problem, rolls: OpenRolls, state: State) -> State:
+    """Return the state with rolls of open angle over their circles, axes as they lean there."""
+    _, latitude = over_circle(state.centre, rolls.vectors)
+    inclined = replace(state, inclination=mean_latitudes(rolls, latitude))
+    return put_on_circles(problem, rolls, inclined, state.centre)
+
+
+def put_on_circles(problem: Problem, rolls: OpenRolls, state: State, direction: Array) -> State:
+    """Return the state whose rolls stand over their circles where directions (n, 3) are."""
+    rows = rolls.rows
+    axis = rolls.vectors[rows]
+    foot, latitude = over_circle(direction[rows], axis)
+    centre, basis, step = state.centre.copy(), state.basis.copy(), state.step.copy()
+    centre[rows], basis[rows] = foot, circle_basis(foot, axis)
+    off = latitude - spread_inclinations(rolls, state.inclination)[rows]
+    tied = problem.orientation_sd[rows] > 0.0
+    step[rows] = np.column_stack([np.zeros(len(off)), np.where(tied, off, 0.0)])
+    return replace(state, centre=centre, basis=basis, step=step)
+
+
+def standing(problem: Problem, state: State, direction: Array) -> State:
+    """Return the state at which positions (n, 3) stand, with no step to make."""
+    if problem.rolls is None:
+        return state
+    rows, axis = problem.rolls.rows, problem.rolls.vectors
+    centre, basis, step = state.centre.copy(), state.basis.copy(), state.step.copy()
+    centre[rows], step[rows] = direction[rows], 0.0
+    basis[rows] = circle_basis(direction[rows], axis[rows])
+    return replace(
+        state, centre=centre, basis=basis, step=step, inclination=np.zeros(problem.cones)
     )

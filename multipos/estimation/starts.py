@@ -234,6 +234,7 @@ def _candidate_gains(problem: Problem, theta: Array) -> Array:
         attitude=None,
         level_sd=0.0,
         robust=None,
+        rolls=None,
     )
     state = start_state(candidates, theta, CANDIDATES)
     jacobian = parameter_jacobian(problem.model, state.theta, size * CANDIDATES, environment)

@@ -24,6 +24,7 @@ JCGM 102; docs/theory/orientations.md.
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.estimation.believed import judge_tied, with_degrees
@@ -33,7 +34,7 @@ from multipos.estimation.identifiability import condition, formal_only
 from multipos.estimation.likelihood import linearise
 from multipos.estimation.losses import Loss
 from multipos.estimation.noise import Appraisal, judge_noise
-from multipos.estimation.problem import Optimum, Problem, state_problem
+from multipos.estimation.problem import Optimum, Problem, State, state_problem
 from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.solution import Solution
 from multipos.estimation.starts import reduced_information, search, too_few
@@ -46,7 +47,7 @@ from multipos.sensor.diagnostics import Claim, find_outlying_positions
 from multipos.sensor.expressions import ExpressionModel, at_bounds
 from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.sensor.model import Gauge, Model
+from multipos.sensor.model import ROLL_GAUGES, Gauge, Model
 from multipos.sensor.own_models import hold
 
 _STATED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is stated
@@ -92,8 +93,8 @@ def solve_uncertain(
         return _solve_separately(model, readings, placement, robust)
     if not placement.listed.any():
         _require_triad(model)
-        model = model if own else model.with_gauge(gauge)
-    elif np.isinf(placement.orientation_sd).any():
+        model = model if own else _with_gauge(model, placement, gauge)
+    elif np.isinf(placement.orientation_sd).any() or placement.rolls is not None:
         _require_triad(model)
     problem = state_problem(model, readings, placement, None if robust is None else "huber")
     nu = float(problem.degrees.sum()) - problem.unknowns
@@ -122,6 +123,16 @@ def solve_uncertain(
         )
     worth = replace(worth, warnings=(*held, *worth.warnings))
     return _solution(problem, optimum, readings, nu, worth)
+
+
+def _with_gauge(model: Model, placement: Placement, gauge: Gauge) -> Model:
+    """Return the model without what the rotations fix that positions leave free."""
+    if placement.rolls is None:
+        return model.with_gauge(gauge)
+    about = placement.rolls.axes
+    if len(about) > 1:  # no rotation leaves two axes where they are
+        return model
+    return model.with_gauge(next(name for name in ROLL_GAUGES if name.endswith(about[0])))
 
 
 def _without_free_rotations(problem: Problem, gauge: Gauge) -> tuple[Problem, tuple[str, ...]]:
@@ -280,12 +291,13 @@ def _scale_bias(
     """State the second-order bias of the scale factors, eq. (1), where it matters."""
     model = problem.model
     own = list(model.own_scales)
-    if not problem.orientation_sd.any() or len(own) != 3 or len(model.outputs) != 3:
+    if problem.exact.all() or len(own) != 3 or len(model.outputs) != 3:
         return ()
     relative = (sd / (np.abs(theta[own]) * magnitude)) ** 2  # (3,), variances in g² per g²
     across = (relative.sum() - relative) / 2.0
     # s²/(s² + sigma²), 1 where s is infinite
     share = 1.0 - relative.mean() / (problem.orientation_sd**2 + relative.mean())
+    share = np.where(problem.rolled, (1.0 + share) / 2.0, share)  # one angle of two is free
     bias = across * float(share.mean()) * np.abs(theta[own])
     return tuple(
         f"`{model.names[i]}` is larger by about {size:.2g} than it should be, because noise moves "
@@ -303,16 +315,32 @@ def _found_orientations(
         return None
     state = optimum.state
     off = np.degrees(np.hypot(state.step[:, 0], state.step[:, 1]))
-    names = dict.fromkeys(label for label in readings.group or () if label)
-    turns = zip(names, state.turns, strict=True) if problem.groups else ()
+    turns = zip(_labels(readings, problem.group), state.turns, strict=True)
     tilted = problem.level_sd > 0.0
     return FoundOrientations(
         orientation_error_deg=np.where(np.isfinite(problem.orientation_sd), off, np.nan),
         group_rotation_deg={name: np.degrees(rotation_vector(turn)) for name, turn in turns}
         or None,
+        inclination_deg=_inclinations(problem, state, readings) or None,
         level_sd_deg=float(np.degrees(problem.level_sd)) if tilted else None,
         level_tilt_deg=np.degrees(state.tilt) if tilted else None,
     )
+
+
+def _inclinations(problem: Problem, state: State, readings: Readings) -> dict[str, float]:
+    """Return how far up the axis of each group of rolls points [degrees]."""
+    if problem.rolls is None:
+        return {}
+    any_up = np.roll(problem.rolls.vectors, 1, axis=1)  # as `placement` lists rolls
+    sign = np.sign(np.sum(problem.reference * any_up))
+    leans = np.degrees(sign * state.inclination).tolist()
+    return dict(zip(_labels(readings, problem.rolls.cone), leans, strict=True))
+
+
+def _labels(readings: Readings, number: NDArray[np.intp]) -> list[str]:
+    """Return the labels of groups in the order of their numbers (n,), −1 for none."""
+    pairs = zip(readings.group or (), number.tolist(), strict=False)
+    return list(dict.fromkeys(label for label, own in pairs if own >= 0))
 
 
 def _status(optimum: Optimum) -> Status:

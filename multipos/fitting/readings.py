@@ -52,6 +52,7 @@ from multipos.uncertainty.propagation import state_budget
 from multipos.uncertainty.turntable import roll_warnings
 
 _TIED = "the listed directions leave no rotation of the case to choose"
+_ROLLED = "the rolls of open angle say which rotation of the case is free, if any"
 
 
 def fit(
@@ -222,8 +223,9 @@ def _calibrate(
     gravity: Gravity | None,
 ) -> Calibration:
     """Return the calibration of readings whose positions are resolved."""
-    if options.gauge != GAUGES[0] and placement.listed.any():
-        note = f"--gauge {options.gauge} has no effect: {_TIED}"
+    tied = _TIED if placement.listed.any() else placement.rolls and _ROLLED
+    if options.gauge != GAUGES[0] and tied:
+        note = f"--gauge {options.gauge} has no effect: {tied}"
         readings = replace(readings, notes=(*readings.notes, note))
     estimator = choose_estimator(options, placement)
     readings = steady_floors(readings)

@@ -256,13 +256,13 @@ def _read_quaternion(table: Table) -> Attitudes:
 
 def _read_roll_axis(table: Table) -> Attitudes:
     axes = table.text("roll_axis")
-    angles = table.number("angle_deg")
-    up, rotation = np.empty((len(axes), 3)), np.empty((len(axes), 3, 3))
     for row, axis in enumerate(axes):
         if axis not in ("x", "y", "z"):
             raise MultiposError(
                 f"{table.where(row, 'roll_axis')}: '{axis}' is not an axis; write x, y or z."
             )
+    angles = table.number("angle_deg")
+    up, rotation = np.empty((len(axes), 3)), np.empty((len(axes), 3, 3))
     for axis in sorted(set(axes)):
         rows = np.array([name == axis for name in axes])
         up[rows], rotation[rows] = roll(axis, angles[rows])

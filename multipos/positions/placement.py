@@ -7,6 +7,7 @@ which nothing is known, in every type.
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
+from multipos.positions.open_rolls import OpenRolls, gather_open_rolls
 from multipos.positions.readings import Readings, quoted
 from multipos.positions.scheme import Scheme, read_scheme
 
@@ -41,6 +43,8 @@ class Placement:
         Standard deviation of a tilt that all positions share.
     estimated : bool
         `orientation_sd` is relative; its size is to be estimated.
+    rolls : OpenRolls or None
+        Positions whose angle about an axis is open; `orientation_sd` is across their circle.
     """
 
     reference: Array
@@ -49,11 +53,13 @@ class Placement:
     attitude: Array | None = None
     level_sd: float = 0.0
     estimated: bool = False
+    rolls: OpenRolls | None = None
 
     @property
     def exact(self) -> bool:
         """Whether every position is known exactly, so that the fit is linear."""
-        return not self.orientation_sd.any() and not self.groups and not self.level_sd
+        fixed = not self.groups and not self.level_sd and self.rolls is None
+        return fixed and not self.orientation_sd.any()
 
     @property
     def unknown(self) -> bool:
@@ -68,7 +74,15 @@ class Placement:
     @property
     def listed(self) -> NDArray[np.bool_]:
         """Positions whose direction is listed in the world's axes, (n,)."""
-        return np.isfinite(self.orientation_sd) & (self.group < 0)
+        return listed_rows(self.orientation_sd, self.group, self.rolls)
+
+
+def listed_rows(
+    orientation_sd: Array, group: NDArray[np.intp], rolls: OpenRolls | None
+) -> NDArray[np.bool_]:
+    """Return the positions (n,) whose direction is listed in the world's axes."""
+    listed = np.isfinite(orientation_sd) & (group < 0)
+    return listed if rolls is None else listed & ~rolls.rows
 
 
 def resolve(
@@ -128,32 +142,40 @@ def place(
     MultiposError
         A position has no orientation and none is said to be unknown, or lacks a heading.
     """
-    group = _group_numbers(readings)
-    sd = _sd_of(readings, group, orientation_sd)
+    labels = readings.group or ("",) * len(readings)
+    grouped = np.array([label != "" for label in labels])
+    sd = _sd_of(readings, grouped, orientation_sd)
     level = 0.0 if level_sd < _EXACT else level_sd
     unknown = np.isinf(sd)
+    rolls = gather_open_rolls(readings.open_roll, labels, unknown, readings.labels)
+    group = _group_numbers(labels, rolls)
     if estimate and not sd[~unknown].any():
         sd = np.where(unknown, sd, _FIRST_SD)
     return Placement(
-        reference=_references(readings, unknown, size),
+        reference=_references(readings, unknown, rolls, size),
         orientation_sd=sd,
         group=group,
         attitude=_attitude(readings, unknown) if level else None,
         level_sd=level,
         estimated=estimate,
+        rolls=rolls,
     )
 
 
-def _group_numbers(readings: Readings) -> NDArray[np.intp]:
-    """Return the number of each position's group (n,), −1 for none."""
-    labels = readings.group or ("",) * len(readings)
+def _group_numbers(labels: Sequence[str], rolls: OpenRolls | None) -> NDArray[np.intp]:
+    """Return the number of the group whose rotation a position shares (n,), −1 for none."""
+    if rolls is not None:  # whose groups share an inclination
+        pairs = zip(labels, rolls.rows.tolist(), strict=True)
+        labels = ["" if rolled else label for label, rolled in pairs]
     number = {label: i for i, label in enumerate(dict.fromkeys(filter(None, labels)))}
     return np.array([number.get(label, -1) for label in labels])
 
 
-def _references(readings: Readings, unknown: NDArray[np.bool_], size: float) -> Array:
+def _references(
+    readings: Readings, unknown: NDArray[np.bool_], rolls: OpenRolls | None, size: float
+) -> Array:
     """Return the references (n, 3) [g]: known forces as they stand, the others of a size."""
-    reference = size * _directions(readings, unknown) + 0.0
+    reference = size * _directions(readings, unknown, rolls) + 0.0
     if readings.force is None:
         return reference
     # Of a force in a direction that is unknown the size is left.
@@ -162,9 +184,11 @@ def _references(readings: Readings, unknown: NDArray[np.bool_], size: float) -> 
     return np.where(readings.forced[:, None], np.sign(size) * known, reference) + 0.0
 
 
-def _directions(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
-    """Return up vectors (n, 3), any where a direction is unknown."""
+def _directions(readings: Readings, unknown: NDArray[np.bool_], rolls: OpenRolls | None) -> Array:
+    """Return up vectors (n, 3), any where a direction is unknown, any of its circle for a roll."""
     up = np.full((len(readings), 3), np.nan) if readings.up is None else readings.up
+    if rolls is not None:
+        up = np.where(rolls.rows[:, None], np.roll(rolls.vectors, 1, axis=1), up)
     missing = np.isnan(up).any(axis=1) & ~unknown & ~readings.forced
     if missing.any():
         raise MultiposError(
@@ -174,7 +198,7 @@ def _directions(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
     return np.where(unknown[:, None], [1.0, 0.0, 0.0], up)
 
 
-def _sd_of(readings: Readings, group: NDArray[np.intp], stated: float | None) -> Array:
+def _sd_of(readings: Readings, grouped: NDArray[np.bool_], stated: float | None) -> Array:
     """Return the standard deviation of every position [rad], what rounds to nothing as exact."""
     if stated is not None:
         sd = np.full(len(readings), stated)
@@ -182,7 +206,7 @@ def _sd_of(readings: Readings, group: NDArray[np.intp], stated: float | None) ->
         sd = np.zeros(len(readings))
     else:  # within a group only the group's rotation is unknown
         own = readings.orientation_sd
-        sd = np.where(np.isinf(own) & (group >= 0), 0.0, own)
+        sd = np.where(np.isinf(own) & grouped, 0.0, own)
     return np.where(sd < _EXACT, 0.0, sd)
 
 
@@ -215,9 +239,20 @@ def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
         up=given.up[rows],
         rotation=given.rotation[rows],
         force=None if given.force is None else given.force[rows],
+        open_roll=None,
         positions=positions,
         notes=notes,
     )
+
+
+def refuse_open_rolls(readings: Readings) -> None:
+    """Refuse rolls of open angle, where positions have to be known."""
+    if readings.rolled.any():
+        label = readings.labels[int(np.argmax(readings.rolled))]
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: position '{label}' is a roll of open angle, "
+            "which is no known position; write its angle_deg, or leave the position out."
+        )
 
 
 def as_used(readings: Readings, orientation_sd: Array) -> Readings:
@@ -243,6 +278,7 @@ def _without_orientation(readings: Readings, scheme: object) -> Readings:
         force=None,
         orientation_sd=np.full(len(readings), np.inf),
         group=None,
+        open_roll=None,
         notes=notes,
     )
 

@@ -25,6 +25,7 @@ from multipos.positions.forces import (
     said_of_lengths,
     states_forces,
 )
+from multipos.positions.open_rolls import read_open_rolls, with_angles
 from multipos.positions.readings import Readings, quoted, require_columns, select_outputs
 
 _RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group", *REFERENCE_U}
@@ -78,8 +79,11 @@ def read_readings(
     names = None if names is None else tuple(find_column(table, name) for name in names)
     names = _outputs(table, names, environment, notes)
     spread = _orientation_sd(table)
-    spread = _with_open_rolls(table, names, spread, notes)
-    oriented, force, reference_u = _where_it_stood(table, names, spread, notes)
+    # what is an output is no position, whatever its name
+    others = {name: column for name, column in table.columns.items() if name not in names}
+    free = with_angles(replace(table, columns=others))
+    rolls = read_open_rolls(free, notes)
+    oriented, force, reference_u = _where_it_stood(free, spread, rolls, notes)
     columns = _environment(table, names, environment, notes)
     return Readings(
         values=np.column_stack([table.number(name, largest=LARGEST) for name in names]),
@@ -100,18 +104,31 @@ def read_readings(
         source=None if table.sha256 is None else table.source,
         sha256=table.sha256,
         notes=tuple(notes),
+        open_roll=rolls,
     )
 
 
 def _where_it_stood(
-    table: Table, names: tuple[str, ...], spread: Array | None, notes: list[str]
+    free: Table, spread: Array | None, rolls: tuple[str, ...] | None, notes: list[str]
 ) -> tuple[attitudes.Attitudes | None, Array | None, Array | None]:
-    """Return attitudes, known forces and the uncertainty of the reference, as far as given."""
-    others = {name: column for name, column in table.columns.items() if name not in names}
-    free = replace(table, columns=others)  # what is an output is no position, whatever its name
+    """Return attitudes, known forces and the uncertainty of the reference, as far as given.
+
+    Parameters
+    ----------
+    free : Table
+        Without the columns that are outputs.
+    """
     rows = attitudes.rows_with_orientation(free)
     force = read_forces(free, rows) if states_forces(free, rows) else None
     unknown = None if spread is None else np.isnan(spread)
+    if rolls is not None:
+        open_ = np.array([axis != "" for axis in rolls])
+        unknown = open_ if unknown is None else np.asarray(unknown | open_)
+        if force is not None and (open_ & known_rows(force)).any():
+            row = int(np.argmax(open_ & known_rows(force)))
+            raise MultiposError(
+                f"{free.where(row, 'roll_axis')}: the row states a force and a roll; keep one."
+            )
     if force is not None:
         forced = known_rows(force)
         unknown = forced if unknown is None else np.asarray(unknown | forced)
@@ -123,22 +140,6 @@ def _where_it_stood(
     if oriented is not None and up[0] in free:
         notes += said_of_lengths(free, up)
     return oriented, force, read_reference_u(free, force)
-
-
-def _with_open_rolls(
-    table: Table, names: tuple[str, ...], spread: Array | None, notes: list[str]
-) -> Array | None:
-    """Return the orientation sds, with positions whose angle of a roll is open as unknown."""
-    free = replace(table, columns={k: v for k, v in table.columns.items() if k not in names})
-    open_ = attitudes.rows_without_angle(free)
-    if not open_.any():
-        return spread
-    rows = ", ".join(str(row + 1) for row in np.flatnonzero(open_)[:6].tolist())
-    notes.append(
-        f"row {rows}{' and more' if open_.sum() > 6 else ''}: the angle of the roll is open; the "
-        "position counts as unknown, that its axis lies level is not used"
-    )
-    return np.where(open_, np.nan, np.zeros(table.rows) if spread is None else spread)
 
 
 def _named_otherwise(

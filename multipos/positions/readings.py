@@ -63,6 +63,8 @@ class Readings(Result):
         What was left out on reading, in words.
     dof : (n, M) array or None
         Degrees of freedom of `u`; infinite where None.
+    open_roll : tuple of n str or None
+        The case axis of a roll whose angle is open, '' for any other position; `up` is NaN there.
 
     Examples
     --------
@@ -95,6 +97,7 @@ class Readings(Result):
     force: Array | None = None
     reference_u: Array | None = None
     dof: Array | None = None
+    open_roll: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values once, and keep read-only copies of the arrays."""
@@ -146,12 +149,15 @@ class Readings(Result):
         _set(self, "environment", Frozen(columns))
 
     def _freeze_labels(self, n: int) -> None:
-        for name in ("positions", "group"):
+        for name in ("positions", "group", "open_roll"):
             given = getattr(self, name)
             if given is not None:
                 _set(self, name, tuple(str(label) for label in given))
                 if len(given) != n:
                     raise MultiposError(f"`{name}` must have {n} labels, got {len(given)}.")
+        strange = set(self.open_roll or ()) - {"x", "y", "z", ""}
+        if strange:
+            raise MultiposError(f"`open_roll` is x, y, z or '', got '{min(strange)}'.")
 
     def __len__(self) -> int:
         return len(self.values)
@@ -169,6 +175,13 @@ class Readings(Result):
         if self.force is None:
             return np.zeros(len(self), dtype=bool)
         return known_rows(self.force)
+
+    @property
+    def rolled(self) -> NDArray[np.bool_]:
+        """Rows that are rolls of open angle, (n,)."""
+        if self.open_roll is None:
+            return np.zeros(len(self), dtype=bool)
+        return np.array([axis != "" for axis in self.open_roll])
 
     @property
     def noise(self) -> Array | None:
@@ -230,7 +243,7 @@ class Readings(Result):
         up = np.full(self.up.shape, np.nan)
         up[known] = attitudes.from_up(self.up[known]).up if known.any() else up[known]
         _set(self, "up", _readonly(up))
-        open_ = ~known & ~self.forced  # a force of no size points nowhere
+        open_ = ~known & ~self.forced & ~self.rolled  # a force of no size points nowhere
         if open_.any() and self.orientation_sd is None:
             raise MultiposError(f"`up` of row {int(np.argmax(open_)) + 1} is not finite.")
 

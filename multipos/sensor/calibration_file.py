@@ -60,7 +60,7 @@ from multipos.sensor.found import (
 )
 from multipos.sensor.functions import load_expression
 from multipos.sensor.gravity import Gravity
-from multipos.sensor.model import Model, build_model
+from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model, build_model
 from multipos.sensor.model_test import MODEL_TESTS, model_test_from_dict
 from multipos.sensor.nominal import read_nominal
 from multipos.sensor.own_models import expression_dict, load_sketch
@@ -110,7 +110,7 @@ CALIBRATION = Fields(
         "gravity": Maybe(Fields({"value": Number(1.0, 100.0), "u": NOT_NEGATIVE})),
         "estimator": Text(tuple(Estimator)),
         "criterion": ANY_TEXT,
-        "gauge": Maybe(Text(("lower", "symmetric"))),
+        "gauge": Maybe(Text((*GAUGES, *ROLL_GAUGES))),
         "model": ANY_TEXT,
         "outputs": Listed(ANY_TEXT, 1),
         "axes": Listed(AXIS, 1),
@@ -166,6 +166,7 @@ CALIBRATION = Fields(
         "samples": Numbers(1),
         "orientation_sd_deg": Numbers(1, gaps=True),
         "group": TEXTS,
+        "open_roll": TEXTS,
         "environment": Named(Numbers(1, gaps=True)),
         "attitude": Numbers(3, gaps=True),
         "up": Numbers(2, gaps=True),
@@ -174,6 +175,7 @@ CALIBRATION = Fields(
         "robust_weight": _BY_POSITION,
         "orientation_error_deg": _BY_POSITION,
         "group_rotation_deg": Named(Listed(ANY_NUMBER, 3, 3)),
+        "inclination_deg": Named(ANY_NUMBER),
         "level_sd_deg": NOT_NEGATIVE,
         "level_tilt_deg": Numbers(1),
         "variance_components": Fields(
@@ -285,6 +287,7 @@ def _known_of(readings: Readings) -> dict[str, Any]:
         if readings.orientation_sd is None
         else np.degrees(readings.orientation_sd),
         "group": readings.group,
+        "open_roll": readings.open_roll,
         "environment": dict(readings.environment) or None,
         "attitude": readings.rotation,
         "up": readings.up,
@@ -437,6 +440,7 @@ def _readings(content: Mapping[str, Any], model: Model) -> Readings:
         source=content["input"]["file"],
         sha256=content["input"]["sha256"],
         dof=_numbers(content.get("reading_dof")),
+        open_roll=content.get("open_roll"),
     )
 
 
@@ -537,6 +541,7 @@ def _check_shapes(c: Mapping[str, Any]) -> None:
         "samples": (n,),
         "orientation_sd_deg": (n,),
         "group": (n,),
+        "open_roll": (n,),
         "attitude": (n, 3, 3),
         "up": (n, 3),
         "force": (n, 3),

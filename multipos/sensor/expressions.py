@@ -34,7 +34,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import Term
 from multipos.sensor.compiled import Compiled, Values, compile_model
 from multipos.sensor.instructions import Instruction
-from multipos.sensor.model import Block, Gauge, Model
+from multipos.sensor.model import Block, Gauge, Model, RollGauge
 from multipos.sensor.sketches import SHARED, Quantity, Sketch
 from multipos.units import unit_per
 
@@ -290,7 +290,7 @@ class ExpressionModel(Model):
             quantities=self.quantities[self.slices[i]],
         )
 
-    def with_gauge(self, gauge: Gauge) -> "Model":
+    def with_gauge(self, gauge: Gauge | RollGauge) -> "Model":
         """Refuse: which parameters a rotation mixes is found where readings are at hand."""
         raise UsageError(
             "a model of one's own is not assessed for unknown orientations without readings; "

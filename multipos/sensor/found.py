@@ -109,6 +109,8 @@ class FoundOrientations(Keyed):
         How far each position was off; NaN where nothing was known of it.
     group_rotation_deg : mapping of group to (3,) array, or None
         Rotation vector of each group.
+    inclination_deg : mapping of group to float, or None
+        How far the axis points up, of rolls of open angle that share an inclination.
     level_sd_deg : float or None
         What was stated of the tilt that all positions share.
     level_tilt_deg : (2,) array or None
@@ -117,6 +119,7 @@ class FoundOrientations(Keyed):
 
     orientation_error_deg: Array | None = None
     group_rotation_deg: Mapping[str, Array] | None = None
+    inclination_deg: Mapping[str, float] | None = None
     level_sd_deg: float | None = None
     level_tilt_deg: Array | None = None
 

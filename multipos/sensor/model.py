@@ -44,6 +44,8 @@ Block = tuple[NDArray[np.intp], Array]  # places in the parameter vector, and dy
 
 Gauge = Literal["lower", "symmetric"]
 GAUGES: tuple[Gauge, ...] = get_args(Gauge)
+RollGauge = Literal["roll-x", "roll-y", "roll-z"]  # only the rotation about that axis is free
+ROLL_GAUGES: tuple[RollGauge, ...] = get_args(RollGauge)
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class Model(Result):
     inputs: tuple[str, ...]
     unit: str
     terms: tuple[tuple[Term, ...], ...]
-    gauge: Gauge | None = None
+    gauge: Gauge | RollGauge | None = None
 
     @cached_property
     def keys(self) -> tuple[tuple[str, Term], ...]:
@@ -316,14 +318,20 @@ class Model(Result):
         i = self.outputs.index(output)
         return replace(self, outputs=(output,), axes=(self.axes[i],), terms=(self.terms[i],))
 
-    def with_gauge(self, gauge: Gauge) -> "Model":
+    def with_gauge(self, gauge: Gauge | RollGauge) -> "Model":
         """Return the model without the linear terms that a gauge fixes: the upper triangle.
 
-        Terms such as ``temperature*y`` go with ``y``: a rotation may change with temperature.
+        Where only the rotation about one axis is free, that is the one term that joins the two
+        others. Terms such as ``temperature*y`` go with ``y``: a rotation may change with
+        temperature.
         """
+        fixed = {axis: self.axes[i + 1 :] for i, axis in enumerate(self.axes)}
+        if gauge in ROLL_GAUGES:
+            free = [axis for axis in self.axes if axis != gauge.removeprefix("roll-")]
+            fixed = {free[0]: tuple(free[1:])}
         terms = tuple(
-            tuple(term for term in own if term.along not in self.axes[i + 1 :])
-            for i, own in enumerate(self.terms)
+            tuple(term for term in own if term.along not in fixed.get(axis, ()))
+            for axis, own in zip(self.axes, self.terms, strict=True)
         )
         return replace(self, terms=terms, gauge=gauge)
 

@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from multipos.estimation.circles import circle_basis
 from multipos.estimation.gains import estimator_gain
 from multipos.estimation.restatement import noise_factor, restate, return_to_optimum
 from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import directions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator, VarianceComponents
 from multipos.uncertainty.budgets import OF_FORCE_ALONE, Quantity, read_budget
@@ -56,6 +58,7 @@ class Draws:
             np.isfinite(problem.orientation_sd), root * problem.orientation_sd, 0.0
         )
         self.level, self.attitude = root * problem.level_sd, problem.attitude
+        self.rolls = problem.rolls
         estimated = (c.variance_components or VarianceComponents()).orientation_sd_deg
         if estimated is not None:  # u of ln s² is 2 u(s)/s, and of ln chi²_nu it is sqrt(2/nu)
             self.spread_dof = 0.5 * (estimated.value / estimated.u) ** 2
@@ -111,6 +114,12 @@ class Draws:
         turns = np.zeros((trials, self.n, 3))
         if self.spread.any():
             turns += self.rng.standard_normal(turns.shape) * self.spread[:, None]
+            if self.rolls is not None:  # only across their circles
+                rows = self.rolls.rows
+                direction = directions(self.c.reference[rows])
+                along = circle_basis(direction, self.rolls.vectors[rows])[:, :, 0]
+                across = np.einsum("tni,ni->tn", turns[:, rows], along)
+                turns[:, rows] = across[:, :, None] * along
             if math.isfinite(self.spread_dof):
                 drawn = self.rng.chisquare(self.spread_dof, (trials, 1, 1))
                 turns *= np.sqrt(self.spread_dof / drawn)

@@ -35,7 +35,7 @@ from multipos.files.tables import Source
 from multipos.fitting.readings import fit
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.placement import orient
+from multipos.positions.placement import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, spread_reading_sd
 from multipos.positions.scheme import Scheme
@@ -156,6 +156,7 @@ def check(
             "calibration uses; add it to the run."
         )
     data = orient(data, scheme)
+    refuse_open_rolls(data)
     if range is not None:
         require_range(data, range)
     noise, estimated = _noise(calibration, data, reading_sd)

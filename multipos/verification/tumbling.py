@@ -22,7 +22,7 @@ from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
-from multipos.positions.placement import orient
+from multipos.positions.placement import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
@@ -165,6 +165,7 @@ def tumble(
     K0 4.806 mg, U 0.001 mg
     """
     data = orient(read_readings(readings, outputs=outputs, unit=unit), scheme)
+    refuse_open_rolls(data)
     own = _axes(data, axes)
     conditions: dict[str, Any] = {
         "gravity": gravity,
