@@ -291,13 +291,12 @@ def _scale_bias(
     """State the second-order bias of the scale factors, eq. (1), where it matters."""
     model = problem.model
     own = list(model.own_scales)
-    if problem.exact.all() or len(own) != 3 or len(model.outputs) != 3:
+    if not problem.orientation_sd.any() or len(own) != 3 or len(model.outputs) != 3:
         return ()
     relative = (sd / (np.abs(theta[own]) * magnitude)) ** 2  # (3,), variances in g² per g²
     across = (relative.sum() - relative) / 2.0
     # s²/(s² + sigma²), 1 where s is infinite
     share = 1.0 - relative.mean() / (problem.orientation_sd**2 + relative.mean())
-    share = np.where(problem.rolled, (1.0 + share) / 2.0, share)  # one angle of two is free
     bias = across * float(share.mean()) * np.abs(theta[own])
     return tuple(
         f"`{model.names[i]}` is larger by about {size:.2g} than it should be, because noise moves "

@@ -18,7 +18,9 @@ FACTORS = np.array([1.0, 0.1, 3.0, 20.0])
 
 def a_linear(kind="uncertain"):
     """Return a linearisation of every kind of position, with residuals of both causes."""
-    problem, state = a_problem(kind)
+    problem, state = a_problem(kind.removeprefix("rolls, "))
+    some = np.arange(len(problem.values)) % 3 == 0
+    rolled = some if kind.startswith("rolls") else problem.rolled
     normal = linearise(problem, state, evaluate(problem, state))
     rng = np.random.default_rng(8)
     n = len(problem.values)
@@ -40,6 +42,16 @@ def a_linear(kind="uncertain"):
         orientation_sd=problem.orientation_sd,
         prior=prior,
         p=p,
+        rolled=rolled,
+    )
+
+
+def widths(linear, factor):
+    """Return the variance of each angle of each position (n, 2); 1e4 for one that is free."""
+    variance = np.tile(factor * linear.orientation_sd[:, None] ** 2, 2)
+    variance[linear.rolled, 0] = np.inf
+    return np.where(np.isinf(variance), 1e4, variance), float(
+        np.isinf(variance).sum() * np.log(1e4)
     )
 
 
@@ -50,14 +62,10 @@ def by_definition(linear, tau2, factor):
     """
     n, m = linear.error.shape
     V = np.zeros((n * m, n * m))
-    constant = 0.0
+    variance, constant = widths(linear, factor)
     for k in range(n):
-        s2 = factor * linear.orientation_sd[k] ** 2
-        if np.isinf(s2):
-            s2 = 1e4
-            constant += 2.0 * np.log(s2)
         block = np.linalg.inv(linear.precision[k]) + tau2 * np.eye(m)
-        block = block + s2 * linear.jacobian[k] @ linear.jacobian[k].T
+        block = block + linear.jacobian[k] @ np.diag(variance[k]) @ linear.jacobian[k].T
         V[k * m : (k + 1) * m, k * m : (k + 1) * m] = block
     A, e = linear.design.reshape(n * m, -1), linear.error.ravel()
     random = np.flatnonzero(linear.prior)  # a tilt is an error of known variance
@@ -75,7 +83,7 @@ def by_definition(linear, tau2, factor):
 
 
 @pytest.mark.parametrize("factors", [None, FACTORS], ids=["placement stated", "both"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, "rolls, uncertain"])
 def test_posterior_is_its_definition(kind, factors):
     """Up to a constant; the prior is taken out again, as Jeffreys' by its own formula."""
     linear = a_linear(kind)
@@ -86,20 +94,22 @@ def test_posterior_is_its_definition(kind, factors):
     both = np.ones(len(NODES)) if factors is None else factors
     wanted = [by_definition(linear, *pair) for pair in zip(NODES, both, strict=True)]
     # s = 100 rad in the place of an unknown direction leaves 1e-4 of its curvature
-    tolerance = 1e-9 if np.isfinite(linear.orientation_sd).all() else 3e-4
+    free = linear.rolled.any() or np.isinf(linear.orientation_sd).any()
+    tolerance = 3e-4 if free else 1e-9
     assert_allclose(found.moves, [b for _, b, _ in wanted], rtol=10 * tolerance, atol=tolerance)
     assert_allclose(found.variances, [c for _, _, c in wanted], rtol=10 * tolerance)
     log = found.log - np.log(NODES + size)
-    tied = np.isfinite(linear.orientation_sd)
+    tied = np.where(np.isfinite(linear.orientation_sd), linear.orientation_sd, 0.0)
+    tied = tied[:, None] * np.where(linear.rolled[:, None], [0.0, 1.0], 1.0)
     for g, (tau2, factor) in enumerate(zip(NODES, both, strict=True)):
-        s2 = np.where(tied, linear.orientation_sd, 100.0) ** 2 * np.where(tied, factor, 1.0)
-        JJ = linear.jacobian @ linear.jacobian.transpose(0, 2, 1)
-        W = np.linalg.inv(floor + tau2 * np.eye(m) + s2[:, None, None] * JJ)
+        J, variance = linear.jacobian, widths(linear, factor)[0]
+        W = floor + tau2 * np.eye(m) + (J * variance[:, None, :]) @ J.transpose(0, 2, 1)
+        W = np.linalg.inv(W)
         by_scatter = np.sum(W**2)  # tr W W, symmetric
         if factors is None:
             log[g] -= 0.5 * np.log(by_scatter)
             continue
-        D = np.where(tied, linear.orientation_sd, 0.0)[:, None, None] ** 2 * JJ
+        D = (J * tied[:, None, :] ** 2) @ J.transpose(0, 2, 1)
         by_both = np.einsum("nij,nji->", W, W @ D)
         by_placement = np.einsum("nij,nji->", W @ D, W @ D)
         log[g] -= 0.5 * np.log(by_scatter * by_placement - by_both**2) + np.log(factor)
