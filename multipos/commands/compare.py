@@ -1,6 +1,7 @@
 """``multipos compare``."""
 
 import argparse
+from collections.abc import Callable
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
@@ -26,17 +27,30 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="called inconsistent beyond this probability (default 0.95)",
     )
+    add(
+        "--combine",
+        action="store_true",
+        help="make one calibration of all, whose U holds how sessions differ; -o CAL.json is it",
+    )
 
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    found = compare(*arguments.calibrations, confidence=arguments.confidence)
+    found = compare(
+        *arguments.calibrations, confidence=arguments.confidence, combine=arguments.combine
+    )
     return Answer(
         text=lambda: _text(found),
         json=lambda: to_json(found.to_dict()),
-        forms={"figure": lambda: _figure(found)},
+        forms={"figure": lambda: _figure(found), **_combined(found)},
         warnings=lambda: found.warnings,
     )
+
+
+def _combined(found: Comparison | RegressionComparison) -> dict[str, Callable[[], str]]:
+    """Return what `-o CAL.json` writes with --combine, in place of the comparison."""
+    combined = found.combined if isinstance(found, Comparison) else None
+    return {} if combined is None else {"json": lambda: to_json(combined.to_dict())}
 
 
 def _text(found: Comparison | RegressionComparison) -> str:

@@ -40,17 +40,17 @@ class Options:
     level_sd : float [rad]
     """
 
-    convention: Convention
-    gauge: Gauge
-    robust: Loss | None
-    confidence: float
-    closed_form: bool
-    unknown_orientation: bool
-    pool: bool
-    stepwise: bool
-    orientation_sd: float | None
-    estimate_orientation_sd: bool
-    level_sd: float
+    convention: Convention = "specific-force"
+    gauge: Gauge = GAUGES[0]
+    robust: Loss | None = None
+    confidence: float = 0.95
+    closed_form: bool = False
+    unknown_orientation: bool = False
+    pool: bool = False
+    stepwise: bool = False
+    orientation_sd: float | None = None
+    estimate_orientation_sd: bool = False
+    level_sd: float = 0.0
 
 
 def check_options(

@@ -202,7 +202,7 @@ def fit(
         level_sd=options.level_sd,
     )
     _require_one_unit(data, local)
-    calibration = _calibrate(built, data, placement, options, local)
+    calibration = calibrate_at(built, data, placement, options, local)
     if before is not None:
         calibration = replace(calibration, nominal=before)
     facing = stated_facing(axes)
@@ -215,14 +215,14 @@ def fit(
     return calibration
 
 
-def _calibrate(
+def calibrate_at(
     model: Model,
     readings: Readings,
     placement: Placement,
     options: Options,
     gravity: Gravity | None,
 ) -> Calibration:
-    """Return the calibration of readings whose positions are resolved."""
+    """Return the calibration of readings whose positions are resolved; no doubt is asked yet."""
     tied = _TIED if placement.listed.any() else placement.rolls and _ROLLED
     if options.gauge != GAUGES[0] and tied:
         note = f"--gauge {options.gauge} has no effect: {tied}"

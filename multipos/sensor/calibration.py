@@ -33,6 +33,7 @@ from multipos.sensor.found import (
     Chosen,
     Estimator,
     FoundOrientations,
+    Sessions,
     StatedBudget,
     VarianceComponents,
     add_scatter,
@@ -115,6 +116,8 @@ class Calibration(Result):
         The conversion before the calibration, where it was stated.
     facing : tuple of M str, or None
         What was said of the axis and sense of each output, as x or -y; None where nothing was.
+    sessions : Sessions or None
+        What it was combined of, where it is of several sessions.
 
     Examples
     --------
@@ -157,6 +160,7 @@ class Calibration(Result):
     budget: StatedBudget | None = None
     nominal: Nominal | None = None
     facing: tuple[str, ...] | None = None
+    sessions: Sessions | None = None
 
     def __getitem__(self, key: str | tuple[str, str]) -> Parameter:
         """Return a parameter by (output, term) or by name: ``cal["ax", "x"]``, ``cal["scale_ax"]``.

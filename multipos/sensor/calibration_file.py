@@ -55,6 +55,7 @@ from multipos.sensor.found import (
     FoundOrientations,
     Placed,
     RestToRest,
+    Sessions,
     StatedBudget,
     VarianceComponents,
 )
@@ -198,6 +199,7 @@ CALIBRATION = Fields(
             )
         ),
         "nominal": Fields({"bias": ANY_NUMBER, "scale": ANY_NUMBER}),
+        "sessions": Fields({"runs": Whole(2), "files": TEXTS, "sd": Named(NOT_NEGATIVE)}),
         "budget": Fields(
             {
                 "tables": Named(Named(_SETTING)),
@@ -306,7 +308,11 @@ def _found_dict(c: Calibration) -> dict[str, Any]:
         "facing": c.facing,
         **(c.orientations or {}),
     }
-    for name, parts in (("variance_components", c.variance_components), ("budget", c.budget)):
+    for name, parts in (
+        ("variance_components", c.variance_components),
+        ("budget", c.budget),
+        ("sessions", c.sessions),
+    ):
         if parts is not None:
             found[name] = _told(parts)
     return _told(found)
@@ -489,6 +495,9 @@ def _found(content: Mapping[str, Any]) -> dict[str, Any]:
         found["selection"] = {output: _chosen(said) for output, said in chosen.items()}
     if "nominal" in content:
         found["nominal"] = read_nominal([content["nominal"][key] for key in ("bias", "scale")])
+    if "sessions" in content:
+        said = content["sessions"]
+        found["sessions"] = Sessions(said["runs"], tuple(said["files"]), said["sd"])
     if "budget" in content:
         said = content["budget"]
         scatter = _numbers(said.get("scatter"))

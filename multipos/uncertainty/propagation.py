@@ -299,10 +299,13 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
     joint = bool((np.abs(rest) > 1e-9 * np.outer(scale, scale))[apart].any())
     blocks = [np.ones(len(dof), bool)] if joint else [output_of == i for i in range(len(c.outputs))]
     stated = bool(np.isinf(c.dof).all())
+    text = "noise of the readings, as stated" if stated else "scatter of the residuals"
+    if c.sessions is not None:
+        text = "scatter from session to session"
     return [
         Row(
-            quantity="readings",
-            text="noise of the readings, as stated" if stated else "scatter of the residuals",
+            quantity="readings" if c.sessions is None else "sessions",
+            text=text,
             evaluation="A",
             u=math.nan,
             unit=c.model.unit,

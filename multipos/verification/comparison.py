@@ -33,6 +33,7 @@ from multipos.regression.several import Regressions, all_of
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
+from multipos.verification.combining import combine_sessions
 from multipos.verification.consistency import Judgement, judge_repeats
 from multipos.verification.drift import ABSOLUTE, GIVEN, ORDERED, find_drift
 from multipos.verification.regression_comparison import (
@@ -78,6 +79,8 @@ class Comparison(Result):
     times : str
         Of the calibrations: 'absolute', 'ordered' or, per run, 'as given'.
     warnings : tuple of str
+    combined : Calibration or None
+        That of all sessions, where it was asked for.
     """
 
     calibrations: tuple[Calibration, ...]
@@ -103,6 +106,7 @@ class Comparison(Result):
     per: str
     times: str
     warnings: tuple[str, ...]
+    combined: Calibration | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""
@@ -161,11 +165,12 @@ class Comparison(Result):
             "drift_per": self.per,
             "drift_times": self.times,
             "warnings": self.warnings,
+            **({} if self.combined is None else {"combined": self.combined.to_dict()}),
         }
 
 
 def compare(
-    *calibrations: "Run | Sequence[Run]", confidence: float = 0.95
+    *calibrations: "Run | Sequence[Run]", confidence: float = 0.95, combine: bool = False
 ) -> Comparison | RegressionComparison:
     """Compare repeated calibrations of one unit, or several methods on the same readings.
 
@@ -175,6 +180,8 @@ def compare(
         Two or more, in the order of the runs; one by one, or one list or tuple of them.
     confidence : float
         They are called inconsistent where chance would do so with probability 1 − confidence.
+    combine : bool
+        Make one calibration of them, `combined`, whose U holds how sessions differ.
 
     Returns
     -------
@@ -185,7 +192,7 @@ def compare(
     UsageError
         Fewer than two calibrations, or regressions among them.
     MultiposError
-        They are not of the same model, outputs, unit and convention.
+        They are not of the same model, outputs, unit and convention; or cannot be combined.
 
     Examples
     --------
@@ -206,9 +213,12 @@ def compare(
     if regressions:
         if len(regressions) < len(loaded):
             raise UsageError("calibrations and regressions are no repeats; compare one kind.")
+        if combine:
+            raise UsageError("--combine is for calibrations; fit runs of a regression with --run.")
         return compare_regressions(regressions, files, confidence)
     found = tuple(one for one in loaded if isinstance(one, Calibration))
     _check_alike(found, files)
+    combined = combine_sessions(found, files) if combine else None
     values = np.array([c.parameters for c in found])
     sd = values.std(axis=0, ddof=1)
     drift = find_drift(found, values)
@@ -246,6 +256,7 @@ def compare(
         per=drift.per,
         times=drift.times,
         warnings=tuple(warnings),
+        combined=combined,
     )
 
 
@@ -320,6 +331,7 @@ def comparison_text(found: Comparison) -> str:
         *([] if math.isnan(found.p_total) else [f"drift: {_TIMES[found.times]}"]),
         "bias stability\n" + table(["output", f"sd [{model.unit}]"], stability),
         _verdict(found),
+        *([] if found.combined is None else [f"combined\n{found.combined}"]),
         *(f"warning: {warning}" for warning in found.warnings),
     ]
     return "\n\n".join(parts) + "\n"

@@ -1,0 +1,221 @@
+"""One calibration from several sessions: pooled parameters, and U for a session yet to come.
+
+Sessions differ by more than the noise of each: the sensor is switched on and mounted anew, the
+table is levelled. With p_r what R sessions gave, the parameters of the next one differ from their
+pooled value by as much again. The pooled fit takes the readings of all sessions as one set, so
+with W_r = G_r X_r, the part of session r in its gain G and design X,
+
+    p = Σ W_r p_r,   Σ W_r = 1,   S = Σ (p_r − p̄)(p_r − p̄)'/(R − 1),                       (1)
+    cov p = S + Σ W_r S W_r',                                                               (2)
+
+for sessions of one scheme (1 + 1/R) S. It is that of the next session beside this calibration, on
+R − 1 degrees of freedom, exactly so for any combination of parameters, such as a compensated force:
+S is the sample covariance of R normal vectors. Where sessions agree as well as each claims, S has
+the noise of a whole session in it, and U is longer than the pooled fit alone would need; only more
+sessions shorten it.
+
+What all sessions share (gravity, the level of the table) does not show in S and is added as in
+any fit. How the zero repeats, `[stability]` in a budget, is in S, and is not added again.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.estimation.gains import estimator_gain, gravity_effect
+from multipos.estimation.options import Options
+from multipos.fitting.readings import calibrate_at
+from multipos.numerics.arrays import Array
+from multipos.positions.placement import place
+from multipos.positions.readings import Readings
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.diagnostics import Diagnostics
+from multipos.sensor.found import Estimator, RestToRest, Sessions
+from multipos.sensor.gravity import add_gravity, signed_size
+from multipos.sensor.inverse import parameter_jacobian
+from multipos.uncertainty.propagation import state_budget
+
+_IN_S = "stability"  # the table of a budget that sessions show by themselves
+
+
+def combine_sessions(found: Sequence[Calibration], files: Sequence[str]) -> Calibration:
+    """Return one calibration of the readings of R sessions, with U by eq. (2).
+
+    Parameters
+    ----------
+    found : sequence of R Calibration
+        Of one unit, model, convention and gravity.
+    files : sequence of R str
+        What they are called in messages.
+
+    Raises
+    ------
+    MultiposError
+        The sessions are not alike, are robust fits, or some have the same readings.
+    """
+    _require_alike(found, files)
+    first = found[0]
+    readings = _joined([c.readings for c in found])
+    level = first.orientations.level_sd_deg if first.orientations else None
+    options = Options(
+        convention=first.convention,
+        gauge=first.model.gauge or "lower",
+        confidence=first.confidence,
+        unknown_orientation=first.estimator is Estimator.UNKNOWN,
+        level_sd=math.radians(level or 0.0),
+    )
+    placement = place(
+        readings, signed_size(first.gravity, first.convention), level_sd=options.level_sd
+    )
+    pooled = calibrate_at(first.model, readings, placement, options, None)
+    pooled = replace(
+        pooled,
+        gravity=first.gravity,
+        selection=first.selection,
+        nominal=first.nominal,
+        facing=first.facing,
+        diagnostics=_diagnosed(found, pooled.diagnostics),
+        residual_sd=_within(found, lambda c: c.residual_sd),
+    )
+    return _with_budget(_with_spread(_with_scatter(pooled, found), found, files), first)
+
+
+def _require_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
+    first = found[0]
+    for i, (c, file) in enumerate(zip(found, files, strict=True)):
+        if c.robust_weight is not None:
+            raise MultiposError(
+                f"{file}: a robust fit has weights of its own; leave out the positions that it set "
+                "aside, fit without --robust, and combine those."
+            )
+        for other, name in zip(found[:i], files, strict=False):
+            if np.array_equal(c.readings.values, other.readings.values):
+                raise MultiposError(
+                    f"{file}: has the readings of {name}, which is no further session; leave one "
+                    "out."
+                )
+        if c.estimator.exact != first.estimator.exact or c.gravity != first.gravity:
+            what = "gravity" if c.gravity != first.gravity else "estimator"
+            raise MultiposError(
+                f"{file}: its {what} is not that of {files[0]}; fit all sessions alike to combine "
+                "them."
+            )
+
+
+def _joined(sessions: Sequence[Readings]) -> Readings:
+    """Return the readings of all sessions as one set; a group is one of its session."""
+    first = sessions[0]
+
+    def stacked(name: str) -> Array | None:
+        parts = [getattr(r, name) for r in sessions]
+        return None if any(part is None for part in parts) else np.concatenate(parts)
+
+    groups = [
+        f"{i}:{label}" if label else ""
+        for i, r in enumerate(sessions, start=1)
+        for label in r.group or ("",) * len(r)
+    ]
+    states = [r.u is not None or r.covariance is not None for r in sessions]
+    if any(states) and (any(r.covariance is not None for r in sessions) or not all(states)):
+        raise MultiposError(
+            "sessions whose readings are not independent, or of which only some state their "
+            "uncertainty, cannot be combined; fit all with u_… columns, or none."
+        )
+    shared = [n for n in first.environment if all(n in r.environment for r in sessions)]
+    sources = dict.fromkeys(r.source for r in sessions if r.source is not None)
+    return Readings(
+        values=np.concatenate([r.values for r in sessions]),
+        outputs=first.outputs,
+        positions=tuple(label for r in sessions for label in r.labels),
+        up=stacked("up"),
+        rotation=stacked("rotation"),
+        u=stacked("u"),
+        dof=stacked("dof"),
+        samples=stacked("samples"),
+        sd=stacked("sd"),
+        orientation_sd=stacked("orientation_sd"),
+        group=tuple(groups) if any(groups) else None,
+        environment={n: np.concatenate([r.environment[n] for r in sessions]) for n in shared},
+        unit=first.unit,
+        source=", ".join(sources) or None,
+        force=stacked("force"),
+        reference_u=stacked("reference_u"),
+    )
+
+
+def _diagnosed(found: Sequence[Calibration], pooled: Diagnostics) -> Diagnostics:
+    """Return what is said of the sessions; the pooled residuals show how sessions differ."""
+    each = [c.diagnostics for c in found]
+    doubts = {doubt.code: doubt for d in reversed(each) for doubt in d.doubts}
+    return replace(
+        pooled,
+        lack_of_fit={},
+        outliers=(),
+        doubts=tuple(sorted(doubts.values(), key=lambda doubt: not doubt.implausible)),
+        warnings=tuple(dict.fromkeys(doubt.text for doubt in doubts.values())),
+        hidden=tuple(kind for kind in each[0].hidden if all(kind in d.hidden for d in each)),
+        claim=None,
+    )
+
+
+def _within(found: Sequence[Calibration], sd_of: Callable[[Calibration], Array]) -> Array:
+    """Return standard deviations within sessions (M,), pooled over those that tell them."""
+    squares = np.array([sd_of(c) ** 2 for c in found])
+    dof = np.array([np.where(np.isinf(c.dof), len(c.readings), c.dof) for c in found])
+    told = np.where(np.isfinite(squares), dof, 0.0)
+    with np.errstate(invalid="ignore"):
+        mean = np.sum(np.nan_to_num(squares) * told, axis=0) / told.sum(axis=0)
+        return np.asarray(np.sqrt(mean))
+
+
+def _with_scatter(pooled: Calibration, found: Sequence[Calibration]) -> Calibration:
+    """Return the pooled calibration with the scatter from rest to rest within the sessions."""
+    components = pooled.variance_components
+    if components is None or components.rest_to_rest is None:
+        return pooled
+    parts = [c.variance_components.rest_to_rest for c in found if c.variance_components is not None]
+    scatter = {}
+    for output, own in components.rest_to_rest.items():
+        sizes = [part[output].value for part in parts if part is not None]
+        value = math.sqrt(sum(size**2 for size in sizes) / len(sizes)) if sizes else 0.0
+        scatter[output] = RestToRest(min(value, own.value), own.u, own.dof)
+    return replace(pooled, variance_components=replace(components, rest_to_rest=scatter))
+
+
+def _with_spread(
+    pooled: Calibration, found: Sequence[Calibration], files: Sequence[str]
+) -> Calibration:
+    """Return the pooled calibration with the covariance of eq. (2), and gravity beside it."""
+    c, R = pooled, len(found)
+    values = np.array([one.parameters for one in found])
+    left = values - values.mean(axis=0)
+    S = left.T @ left / (R - 1)
+    n, m = c.readings.values.shape
+    design = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment)
+    by_row = estimator_gain(c).reshape(-1, n, m)
+    ends = np.cumsum([0, *(len(one.readings) for one in found)]).tolist()
+    covariance = S.copy()
+    for low, high in pairwise(ends):
+        W = np.einsum("pnm,nmq->pq", by_row[:, low:high], design[low:high])
+        covariance += W @ S @ W.T
+    dof = np.full(len(S), R - 1.0)
+    if c.gravity is not None and c.gravity.u > 0.0:
+        covariance, dof = add_gravity(covariance, dof, c.gravity, gravity_effect(c))
+    sd = dict(zip(c.names, np.sqrt(np.diag(S)).tolist(), strict=True))
+    return replace(
+        c,
+        covariance=(covariance + covariance.T) / 2.0,
+        parameter_dof=dof,
+        dof=np.full(m, R - 1.0),
+        sessions=Sessions(R, tuple(files), sd),
+    )
+
+
+def _with_budget(pooled: Calibration, first: Calibration) -> Calibration:
+    """Return the pooled calibration with what the sessions' budget states that all share."""
+    tables = {name: table for name, table in first.budget_tables.items() if name != _IN_S}
+    return state_budget(pooled, tables) if tables else pooled

@@ -1,0 +1,165 @@
+"""Sessions combined: the covariance by hand, coverage on sessions never seen, what is refused."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.cli import main
+from multipos.errors import MultiposError, UsageError
+from multipos.uncertainty.propagation import evaluate_budget
+
+FACES = mp.read_scheme("faces-6").up
+SD, ZERO, TURN = 3e-4, 2e-3, 1e-3  # noise [g], and how sessions differ: zero [g], mounting [rad]
+
+
+def session(rng, scheme="faces-6", **options):
+    """Return a session's fit and the true parameters on that day."""
+    up = mp.read_scheme(scheme).up
+    zero = [0.01, -0.02, 0.0] + ZERO * rng.standard_normal(3)
+    x, y, z = TURN * rng.standard_normal(3)
+    K = np.diag([1.01, 0.99, 1.0]) @ np.array([[1, -z, y], [z, 1, -x], [-y, x, 1]])
+    values = zero + up @ K.T + SD * rng.standard_normal(up.shape)
+    truth = np.column_stack([zero, K]).ravel()
+    return mp.fit(mp.Readings(values, unit="g"), scheme=scheme, **options), truth
+
+
+def sessions(seed, count, **options):
+    rng = np.random.default_rng(seed)
+    return [session(rng, **options)[0] for _ in range(count)]
+
+
+def combined(found):
+    return mp.compare(*found, combine=True).combined
+
+
+def test_sessions_of_one_scheme_by_hand():
+    """The mean, and (1 + 1/R) times the sample covariance, on R − 1 degrees of freedom."""
+    found = sessions(1, 4)
+    values = np.array([c.parameters for c in found])
+    one = combined(found)
+    assert_allclose(one.parameters, values.mean(axis=0), rtol=0, atol=1e-14)
+    assert_allclose(one.covariance, 1.25 * np.cov(values.T), rtol=1e-9, atol=1e-18)
+    assert (one.dof == 3.0).all()
+    assert (one.parameter_dof == 3.0).all()
+    assert_allclose(one.k, 3.182446, rtol=1e-6)  # t at 0.975 on 3, of any table
+    assert one.sessions.runs == 4
+    assert_allclose(one.sessions.sd["bias_ax"], values[:, 0].std(ddof=1))
+    within = np.mean([c.residual_sd**2 for c in found], axis=0)
+    assert_allclose(one.residual_sd, np.sqrt(within), rtol=1e-12)
+    assert mp.compare(*found).combined is None
+
+
+def test_a_longer_session_counts_for_more():
+    """Twelve faces beside six count two to one, in p and in its part of the covariance."""
+    short, again, long = (*sessions(2, 2), sessions(3, 1, scheme="faces-6+faces-6")[0])
+    one = combined([short, again, long])
+    share = np.array([0.25, 0.25, 0.5])
+    values = np.array([short.parameters, again.parameters, long.parameters])
+    assert_allclose(one.parameters, share @ values, rtol=0, atol=1e-14)
+    factor = 1.0 + float(share @ share)
+    assert_allclose(one.covariance, factor * np.cov(values.T), rtol=1e-9, atol=1e-18)
+
+
+def test_what_sessions_share_is_added():
+    """Gravity does not show in how sessions differ: its u is in every scale factor besides."""
+    gravity = {"gravity": 9.81, "gravity_u": 9.81e-3}
+    plain, known = combined(sessions(4, 3, gravity=9.81)), combined(sessions(4, 3, **gravity))
+    scale = known["scale_ax"].value
+    assert_allclose(
+        known["scale_ax"].u ** 2 - plain["scale_ax"].u ** 2, (1e-3 * scale) ** 2, rtol=1e-9
+    )
+    assert known["scale_ax"].dof > plain["scale_ax"].dof
+    assert_allclose(known["bias_ax"].u, plain["bias_ax"].u, rtol=1e-12)
+
+
+def test_the_zero_of_a_budget_is_not_added_again():
+    budget = {"stability": {"u_ax": 0.5}, "gain": {"u": 1e-2}}
+    found = sessions(5, 3, budget=budget)
+    one, plain = combined(found), combined(sessions(5, 3))
+    assert_allclose(one["bias_ax"].u, plain["bias_ax"].u, rtol=1e-2)
+    assert one["scale_ax"].u > 9e-3
+    rows = {row.quantity: row for row in evaluate_budget(one).rows}
+    assert set(rows) == {"sessions", "gain"}
+    assert rows["sessions"].text == "scatter from session to session"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [2, 4])
+def test_u_covers_a_session_never_seen(count):
+    """Student's t on R − 1 is exact where sessions differ by more than their noise."""
+    rng = np.random.default_rng(count)
+    runs, hits = 120, []
+    for _ in range(runs):
+        one = combined([session(rng)[0] for _ in range(count)])
+        _, truth = session(rng)
+        hits.append(np.abs(one.parameters - truth) <= one.U)
+    biases = np.mean(np.array(hits)[:, [0, 4, 8]])  # three independent outputs
+    assert abs(biases - 0.95) <= 4.0 * math.sqrt(0.95 * 0.05 / (3 * runs))
+    # a scale factor that no session changes is known better than claimed
+    assert np.mean(np.array(hits)[:, [1, 6, 11]]) >= 0.95
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"reading_sd": SD},
+        {"orientation_sd": 0.05},
+        {"unknown_orientation": True},
+        {"orientation_sd": "auto"},
+    ],
+    ids=str,
+)
+def test_every_estimator_is_combined(options):
+    found = sessions(6, 3, scheme="icosahedron-12", **options)
+    one = combined(found)
+    mean = np.mean([c.parameters for c in found], axis=0)
+    spread = np.std([c.parameters for c in found], axis=0, ddof=1)
+    # the pooled fit is not the mean where it is not linear, but near it for the spread
+    assert (np.abs(one.parameters - mean) < 0.2 * spread + SD / 3.0).all()
+    assert_allclose(one.u, math.sqrt(4 / 3) * spread, rtol=0.1)
+    if options != {"orientation_sd": "auto"}:  # where none is found, the fit is linear
+        assert one.estimator is found[0].estimator
+    assert len(one.readings) == 36
+
+
+def test_on_the_command_line(tmp_path, capsys):
+    names = []
+    for i, c in enumerate(sessions(7, 4)):
+        names.append(str(tmp_path / f"run{i}.json"))
+        c.save(names[-1])
+    out = tmp_path / "pooled.json"
+    assert main(["compare", *names, "--combine", "-o", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "combined" in printed
+    assert "bias stability" in printed
+    one = mp.load(out)
+    assert json.loads(out.read_text())["sessions"]["files"] == names
+    assert_allclose(one.U, combined([mp.load(name) for name in names]).U)
+    assert main(["compare", *names, "--combine", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["combined"]["schema"] == "multipos/calibration/1"
+    assert main(["report", str(out), "-o", str(tmp_path / "report.txt")]) == 0
+    assert "scatter from session to session" in (tmp_path / "report.txt").read_text()
+
+
+def test_what_cannot_be_combined():
+    a, b = sessions(8, 2)
+    with pytest.raises(MultiposError, match="has the readings of calibration 1"):
+        combined([a, b, a])
+    with pytest.raises(MultiposError, match="its gravity is not that of calibration 1"):
+        combined([a, sessions(9, 1, gravity=9.81)[0]])
+    with pytest.raises(MultiposError, match="its estimator is not that"):
+        combined([a, sessions(9, 1, orientation_sd=0.1)[0]])
+    with pytest.raises(MultiposError, match="robust"):
+        combined([a, replace(b, robust_weight=np.ones(6))])
+    with pytest.raises(MultiposError, match="only some state"):
+        combined([a, sessions(9, 1, reading_sd=SD)[0]])
+    x = np.arange(8.0)
+    regression = mp.regress({"x": x, "y": 2 * x + np.sin(9 * x)}, response="y", variables="x")
+    with pytest.raises(UsageError, match="--run"):
+        mp.compare(regression, regression, combine=True)
