@@ -146,10 +146,13 @@ def respond(normal: Normal, push: Array) -> Array:
     """Return how all unknowns follow a push (p + shared, k), the least where some are free.
 
     Many groups of few positions leave directions of the information that rounding alone fills.
+    NaN where the information has no value, as of a file that was damaged.
     """
     scale = np.sqrt(np.diag(normal.information))
     scale = np.where(scale > 0.0, scale, 1.0)[:, None]
     relative = normal.information / (scale * scale.T)
+    if not (np.isfinite(relative).all() and np.isfinite(push).all()):
+        return np.full(push.shape, np.nan)
     return np.asarray(np.linalg.lstsq(relative, push / scale, rcond=None)[0] / scale)
 
 

@@ -63,7 +63,7 @@ def combine_sessions(found: Sequence[Calibration], files: Sequence[str]) -> Cali
     level = first.orientations.level_sd_deg if first.orientations else None
     options = Options(
         convention=first.convention,
-        gauge=first.model.gauge or "lower",
+        gauge="symmetric" if first.model.gauge == "symmetric" else "lower",
         confidence=first.confidence,
         unknown_orientation=first.estimator is Estimator.UNKNOWN,
         level_sd=math.radians(level or 0.0),
@@ -91,6 +91,11 @@ def _require_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
             raise MultiposError(
                 f"{file}: a robust fit has weights of its own; leave out the positions that it set "
                 "aside, fit without --robust, and combine those."
+            )
+        if c.readings.rolled.any():
+            raise MultiposError(
+                f"{file}: has rolls whose angle nobody read, which is estimated in each session; "
+                "combine sessions at positions that are known."
             )
         for other, name in zip(found[:i], files, strict=False):
             if np.array_equal(c.readings.values, other.readings.values):
