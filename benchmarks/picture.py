@@ -12,12 +12,15 @@ import argparse
 import re
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import multipos as mp
 from multipos.plots import style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SESSIONS, PLACED = 20, 3
 PLACEMENT, NOISE = np.radians(0.5), 3e-4  # per axis [rad], of a reading [g]
@@ -29,7 +32,7 @@ FACES = ("x_p", "x_a", "y_p", "y_a", "z_p", "z_a")  # imucal's names, in the ord
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.picture", description=__doc__)
-    parser.add_argument("picture", type=Path, metavar="PICTURE.svg")
+    parser.add_argument("picture", type=Path, metavar="PICTURE", help=".svg, .pdf or .png")
     target = parser.parse_args().picture
     warnings.simplefilter("ignore", mp.CalibrationWarning)
     rng = np.random.default_rng(2026)
@@ -45,7 +48,8 @@ def main() -> None:
     print(
         f"U {ours[:, 1].min():.1f} to {ours[:, 1].max():.1f} mg/g holds the truth in {held} of 20"
     )
-    target.write_text(_draw(theirs, ours, truth), encoding="utf-8", newline="\n")
+    drawn = style.render(_draw(theirs, ours, truth), target.suffix)
+    target.write_bytes(_on_white(drawn).encode() if isinstance(drawn, str) else drawn)
 
 
 def _session(rng: np.random.Generator, up: np.ndarray) -> np.ndarray:
@@ -75,7 +79,7 @@ def _cross_of_imucal(values: np.ndarray) -> float:
     return float((found.K_a @ found.R_a)[0, 1])
 
 
-def _draw(theirs: np.ndarray, ours: np.ndarray, truth: float) -> str:
+def _draw(theirs: np.ndarray, ours: np.ndarray, truth: float) -> "Figure":
     figure, (upper, lower) = style.new_figure(2, width=6.6, height=1.7)
     session = np.arange(1, SESSIONS + 1)
     reach = 1.1 * np.abs(ours[:, 0] - truth).max() + ours[:, 1].max()
@@ -96,8 +100,13 @@ def _draw(theirs: np.ndarray, ours: np.ndarray, truth: float) -> str:
         style.write(lower, one, truth - 0.9 * reach, "missed", ha="center", fontsize=8)
     upper.set_xticklabels([])
     lower.set_xlabel("session: the same sensor, put on its six faces three times")
-    paper = '<rect width="100%" height="100%" fill="#ffffff"/>'  # for readers with a dark screen
-    return re.sub(r"<svg [^>]*>", lambda opening: opening[0] + paper, style.to_svg(figure), count=1)
+    return figure
+
+
+def _on_white(svg: str) -> str:
+    """Return the SVG with paper behind it, for readers with a dark screen."""
+    paper = '<rect width="100%" height="100%" fill="#ffffff"/>'
+    return re.sub(r"<svg [^>]*>", lambda opening: opening[0] + paper, svg, count=1)
 
 
 if __name__ == "__main__":

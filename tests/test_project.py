@@ -52,3 +52,13 @@ def test_the_readme_names_the_commands_that_set_a_machine_up():
     readme = (ROOT / "README.md").read_text("utf-8")
     for name in ("test", "demo"):
         assert len(re.findall(rf"<!-- command: {name} -->\n```sh\n.+\n```\n", readme)) == 1
+
+
+def test_the_paper_has_its_parts_and_cites_what_its_bibliography_holds():
+    paper = (ROOT / "paper/paper.md").read_text("utf-8")
+    parts = ["Summary", "Statement of need", "State of the field", "Mathematics", "Validation"]
+    assert re.findall(r"^# (.+)$", paper, re.MULTILINE)[:5] == parts
+    bibliography = (ROOT / "paper/paper.bib").read_text("utf-8")
+    held = re.findall(r"^@\w+\{(\w+),$", bibliography, re.MULTILINE)
+    assert set(re.findall(r"@(\w+)", paper)) == set(held)
+    assert len(held) == len(set(held))
