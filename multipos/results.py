@@ -10,16 +10,22 @@ Nothing that a `cached_property` has worked out goes along: it is worked out aga
 
 A result that is one thing with parts is `Keyed`: its fields are the keys of its JSON, and are read
 as attributes or by key. One that is a table is `Columns`.
+
+How a result shows itself, printed, in a notebook or drawn, is for `multipos.reports.showing`, which
+knows results and is found by its name when it is asked: nothing here knows a report.
 """
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, fields
+from importlib import import_module
 from typing import Any, ClassVar, NoReturn, TypeVar
 
 import numpy as np
 
 from multipos.errors import MultiposError
+
+_SHOWING = "multipos.reports.showing"
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -66,12 +72,37 @@ class Result:
 
     __hash__ = None  # type: ignore[assignment]  # arrays have no hash
 
+    def __str__(self) -> str:
+        return str(import_module(_SHOWING).show_text(self))
+
+    def _repr_html_(self) -> str:
+        return str(import_module(_SHOWING).show_html(self))
+
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         for name, value in state.items():
             object.__setattr__(self, name, freeze(value))
+
+
+class Drawn:
+    """A result that has a figure."""
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the result, and return its matplotlib axes: one, or a list of its panels.
+
+        Parameters
+        ----------
+        ax : Axes or sequence of Axes, optional
+            As many as the figure has panels; those of a new figure where not given.
+
+        Raises
+        ------
+        UsageError
+            The axes are too many or too few.
+        """
+        return import_module(_SHOWING).draw(self, ax)
 
 
 class Keyed(Result, Mapping[str, Any]):
@@ -101,6 +132,9 @@ class Columns(Frozen[str, Any]):
         if name not in self:
             raise AttributeError(f"no column '{name}'; the columns are {', '.join(self)}.")
         return self[name]
+
+    def _repr_html_(self) -> str:
+        return str(import_module(_SHOWING).show_html(self))
 
     def to_dict(self) -> dict[str, Any]:
         """Return ``{"columns": {name: […]}}`` as what JSON can carry."""

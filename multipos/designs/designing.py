@@ -45,7 +45,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import Scheme, read_scheme
-from multipos.results import Keyed, data_frame
+from multipos.results import Drawn, Keyed, data_frame
 
 _STARTS = 24  # of the exchange
 _POLISHED = 4  # of the best starts
@@ -54,7 +54,7 @@ _MANY = 1500  # candidates that the exchange takes; of more, those that matter
 
 
 @dataclass(frozen=True, eq=False)
-class Design(Keyed):
+class Design(Keyed, Drawn):
     """The best positions for a model on a bench, with the proof.
 
     Attributes

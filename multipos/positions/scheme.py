@@ -34,14 +34,14 @@ from multipos.positions.attitudes import (
     rows_with_orientation,
 )
 from multipos.positions.forces import along_forces, known_rows, read_forces, states_forces
-from multipos.results import Result
+from multipos.results import Drawn, Result
 
 LARGEST = 1_000_000  # positions; a typing slip in fibonacci-N should not fill the memory
 _LONGEST = 40  # digits of an N that are read and shown
 
 
 @dataclass(frozen=True, eq=False)
-class Scheme(Result):
+class Scheme(Result, Drawn):
     """The positions of a calibration, in order.
 
     Attributes

@@ -26,7 +26,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings, diagonal
-from multipos.results import Result
+from multipos.results import Drawn, Result, data_frame
 from multipos.sensor import derived, inverse
 from multipos.sensor.diagnostics import Diagnostics, linearity
 from multipos.sensor.found import (
@@ -70,7 +70,7 @@ class Status(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration(Result):
+class Calibration(Result, Drawn):
     """Fitted parameters of one accelerometer, with everything needed to derive them again.
 
     Attributes
@@ -370,6 +370,35 @@ class Calibration(Result):
 
     def __str__(self) -> str:
         return table(*parameter_rows(self), left=3)
+
+    def to_pandas(self) -> Any:
+        """Return the parameters as a data frame: output, term, name, value, u, dof, k, U, unit.
+
+        Raises
+        ------
+        MultiposError
+            pandas is not installed.
+        """
+        columns = ("output", "term", "name", "value", "u", "dof", "k", "U", "unit")
+        return data_frame({key: [getattr(p, key) for p in self.entries] for key in columns})
+
+    def to_ufloats(self) -> dict[str, Any]:
+        """Return the parameters by name as numbers of the package uncertainties, correlated.
+
+        Raises
+        ------
+        MultiposError
+            uncertainties is not installed.
+        """
+        try:
+            from uncertainties import correlated_values
+        except ImportError:
+            raise MultiposError(
+                "`to_ufloats` needs the package uncertainties, which is not installed; install it, "
+                "or use `parameters` and `covariance`."
+            ) from None
+        values = correlated_values(self.parameters.tolist(), self.covariance.tolist())
+        return dict(zip(self.names, values, strict=True))
 
     @cached_property
     def mean_environment(self) -> dict[str, float]:

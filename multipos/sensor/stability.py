@@ -18,7 +18,7 @@ from multipos.files.tables import Column
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.numerics.arrays import Array
-from multipos.results import Result, data_frame
+from multipos.results import Drawn, Result, data_frame
 from multipos.units import STANDARD_GRAVITY
 
 # What a unit of the readings is in µg, where it is one of acceleration.
@@ -137,7 +137,7 @@ class StaticRecord(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Stability(Result):
+class Stability(Result, Drawn):
     """How stable a sensor at rest is, from one static record or several.
 
     Attributes

@@ -23,7 +23,7 @@ from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
-from multipos.results import Result
+from multipos.results import Drawn, Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.names import parameter_name
 
@@ -31,7 +31,7 @@ _POINTS = 101
 
 
 @dataclass(frozen=True, eq=False)
-class Curve(Result):
+class Curve(Result, Drawn):
     """One parameter over temperature.
 
     Attributes

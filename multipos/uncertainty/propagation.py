@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions.readings import diagonal
-from multipos.results import Result
+from multipos.results import Drawn, Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
 from multipos.sensor.inverse import parameter_jacobian
@@ -101,7 +101,7 @@ class Row(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation(Result):
+class Evaluation(Result, Drawn):
     """A budget evaluated for one calibration: its rows, and their sum."""
 
     rows: tuple[Row, ...]

@@ -30,7 +30,7 @@ from multipos.numerics.terms import CONSTANT
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.regression.result import Regression
 from multipos.regression.several import Regressions, all_of
-from multipos.results import Result
+from multipos.results import Drawn, Result, data_frame
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.verification.combining import combine_sessions
@@ -53,7 +53,7 @@ _LEAST = 4  # repeats that the six-position paper asks for
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(Result):
+class Comparison(Result, Drawn):
     """Repeated calibrations, or several methods on the same readings.
 
     Attributes
@@ -107,6 +107,19 @@ class Comparison(Result):
     times: str
     warnings: tuple[str, ...]
     combined: Calibration | None = None
+
+    def to_pandas(self) -> Any:
+        """Return the parameters as a data frame: their values by run, mean, sd, drift and p.
+
+        Raises
+        ------
+        MultiposError
+            pandas is not installed.
+        """
+        runs = {f"run {i + 1}": row for i, row in enumerate(self.values)}
+        columns = ("mean", "sd", "range", "drift", "drift_p", "chi2", "p")
+        found = {name: getattr(self, name) for name in columns}
+        return data_frame({"name": self.calibrations[0].names, **runs, **found})
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""

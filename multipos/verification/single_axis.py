@@ -26,7 +26,7 @@ from multipos.positions.harmonics import (
     transform,
 )
 from multipos.positions.readings import Readings
-from multipos.results import Result
+from multipos.results import Drawn, Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model
 from multipos.sensor.tilt import reading_noise
@@ -47,7 +47,7 @@ _ROUNDING = 1e-12  # residuals below this part of the largest reading are roundi
 
 
 @dataclass(frozen=True, eq=False)
-class Tumble(Result):
+class Tumble(Result, Drawn):
     """A single-axis tumble: coefficients, harmonics, and the calibration that they come from.
 
     Attributes

@@ -26,7 +26,7 @@ from multipos.positions.placement import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
-from multipos.results import Result
+from multipos.results import Drawn, Result
 from multipos.sensor.model import default_axes
 from multipos.uncertainty.turntable import TableErrors, table_errors
 from multipos.verification.coefficients import TumbleCoefficient, coefficients_beside, roles
@@ -34,7 +34,7 @@ from multipos.verification.single_axis import SCHEMA, Tumble, tumble_output
 
 
 @dataclass(frozen=True, eq=False)
-class Tumbles(Result):
+class Tumbles(Result, Drawn):
     """The tumbles of several outputs on one table.
 
     Attributes

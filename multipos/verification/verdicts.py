@@ -35,7 +35,7 @@ from multipos.errors import UsageError
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.numerics.arrays import LARGEST, Array
-from multipos.results import Result
+from multipos.results import Drawn, Result, data_frame
 from multipos.sensor.doubt import Doubt
 from multipos.verification.agreement import Agreement
 
@@ -43,7 +43,7 @@ VERDICTS = ("pass", "undecided", "fail")  # from best to worst
 
 
 @dataclass(frozen=True, eq=False)
-class Check(Result):
+class Check(Result, Drawn):
     """Errors of K axes at n positions, before and after compensation.
 
     Of a regression the one axis is its response, and the positions are the rows of a table.
@@ -160,6 +160,26 @@ class Check(Result):
         found["after"]["largest_En"] = float(ratio.max()) if len(ratio) else np.nan
         found["verdict"] = worst(np.where(counted, self.verdicts, "")[:, columns])
         return found
+
+    def to_pandas(self) -> Any:
+        """Return the errors as a data frame with a row for each position and axis.
+
+        Raises
+        ------
+        MultiposError
+            pandas is not installed.
+        """
+        n, k = self.after.shape
+        columns = {
+            "position": np.repeat(self.positions, k),
+            "axis": np.tile(self.axes, n),
+            **{
+                name: getattr(self, name).ravel()
+                for name in ("reference", "before", "after", "u", "U", "En", "counted")
+            },
+            "verdict": self.verdicts.ravel(),
+        }
+        return data_frame(columns)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""

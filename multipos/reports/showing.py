@@ -1,0 +1,223 @@
+"""Results that show themselves: in a notebook as HTML, printed as a summary, drawn on axes.
+
+`show_html` is compact: doubts first, then a table or the summary, and one figure, as one piece of
+HTML without styles or scripts of a page around it. `Result` finds this module by its name, for
+results stand above all reports and know none of them.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from hashlib import sha256
+from html import escape
+from typing import Any
+
+from multipos.designs.assessment import Schemes, scheme_rows, schemes_text
+from multipos.designs.designing import Design, design_text
+from multipos.designs.prospects import Worth, worth_text
+from multipos.errors import UsageError
+from multipos.files.characters import visible
+from multipos.files.numbers import number
+from multipos.fleets.fleet import Fleet
+from multipos.fleets.text import fleet_text
+from multipos.logs.averages import Averages, averages_text
+from multipos.plots.calibration import draw_budget, draw_errors, draw_residuals
+from multipos.plots.check import draw_check
+from multipos.plots.runs import draw_runs
+from multipos.plots.schemes import draw_scheme
+from multipos.plots.stability import draw_allan
+from multipos.plots.style import new_figure, to_svg
+from multipos.plots.temperature import draw_curve
+from multipos.plots.tumble import draw_residual_harmonics, draw_signal
+from multipos.positions.scheme import Scheme
+from multipos.reports.sheets import check_sheets, check_text, run_conclusions
+from multipos.reports.tumble_text import tumble_text, tumbles_text
+from multipos.results import Columns, Result
+from multipos.sensor.calibration import Calibration, parameter_rows
+from multipos.sensor.doubt import NOT_FIT, Doubt, implausible
+from multipos.sensor.stability import Stability
+from multipos.sensor.temperature import Curve
+from multipos.uncertainty.propagation import Evaluation
+from multipos.verification.comparison import Comparison, comparison_text
+from multipos.verification.single_axis import Tumble
+from multipos.verification.stability_text import stability_text
+from multipos.verification.tumbling import Tumbles
+from multipos.verification.verdicts import Check
+
+_LINES = 60  # of a summary that a notebook shows
+_ROWS = 10  # of a table of columns, half of them from its end
+_WIDE = 12  # columns
+_PAPER = "background:#ffffff;color:#000000;max-width:46rem"  # also where the notebook is dark
+_TEXTS: dict[type, Callable[[Any], str]] = {
+    Averages: averages_text,
+    Check: check_text,
+    Comparison: comparison_text,
+    Design: design_text,
+    Schemes: schemes_text,
+    Stability: stability_text,
+    Tumble: tumble_text,
+    Tumbles: tumbles_text,
+    Worth: worth_text,
+}
+
+
+def show_text(found: Result) -> str:
+    """Return a result as its command prints it; one that no command prints as its fields."""
+    if isinstance(found, Fleet):
+        return fleet_text(found.summary)
+    write = _TEXTS.get(type(found))
+    return repr(found) if write is None else write(found).rstrip("\n")
+
+
+def show_html(found: Result | Columns) -> str:
+    """Return a result as a notebook shows it."""
+    if isinstance(found, Columns):
+        return _columns(found)
+    parts = [f"<p><strong>{type(found).__name__}</strong></p>", *_doubts(found), _body(found)]
+    panels = _panels(found)
+    if panels:
+        figure, axes = new_figure(len(panels))
+        for draw, one in zip(panels, axes, strict=True):
+            draw(one)
+        parts.append(f'<div style="{_PAPER}">{_own_ids(to_svg(figure))}</div>')
+    return f'<div class="multipos">{"".join(parts)}</div>'
+
+
+def draw(found: Result, axes: Any = None) -> Any:
+    """Draw a result, and return the axes: one, or as many as it has panels.
+
+    Parameters
+    ----------
+    found : Result
+    axes : Axes or sequence of them, optional
+        As many as there are panels; those of a new figure where not given.
+
+    Raises
+    ------
+    UsageError
+        There is no figure of it, or the axes are too many or too few.
+    """
+    panels = _panels(found)
+    if not panels:
+        raise UsageError(f"there is no figure of this {type(found).__name__}.")
+    if axes is None:
+        axes = new_figure(len(panels))[1]
+    given = list(axes) if isinstance(axes, Iterable) else [axes]
+    if len(given) != len(panels):
+        raise UsageError(
+            f"`ax` must be {len(panels)} axes, a panel each, got {len(given)}; leave it out for "
+            "a new figure."
+        )
+    for panel, one in zip(panels, given, strict=True):
+        panel(one)
+    return given[0] if len(given) == 1 else given
+
+
+def _panels(found: Result) -> list[Callable[[Any], None]]:
+    """Return what draws each panel of the figure of a result; none where there is none."""
+    if isinstance(found, Calibration):
+        if math.isfinite(found.rms):  # else an output does not respond
+            return [partial(draw_errors, found)]
+        return [partial(draw_residuals, found, output=output) for output in found.outputs]
+    if isinstance(found, Check):
+        return [partial(draw_check, found, axis=axis) for axis in found.axes]
+    if isinstance(found, Tumble):
+        return [partial(draw_signal, found), partial(draw_residual_harmonics, found)]
+    if isinstance(found, Tumbles):
+        return [partial(draw_signal, one) for one in found.outputs.values()]
+    if isinstance(found, Design):
+        return [partial(draw_scheme, found.columns())]
+    one = _ONE_PANEL.get(type(found))
+    return [] if one is None else [partial(one, found)]
+
+
+_ONE_PANEL: dict[type, Callable[[Any, Any], None]] = {
+    Comparison: draw_runs,
+    Curve: draw_curve,
+    Evaluation: lambda found, axes: draw_budget(found, axes),
+    Scheme: lambda found, axes: draw_scheme(found, axes),
+    Stability: draw_allan,
+}
+
+
+def _doubts(found: Result) -> list[str]:
+    """Return doubts and warnings as a list, that it is not fit for use before."""
+    told = found.diagnostics if isinstance(found, Calibration) else found
+    doubts: Sequence[Doubt] = getattr(told, "doubts", ())
+    texts = [doubt.text for doubt in doubts]
+    said: Sequence[str] = getattr(told, "said", ()) or getattr(found, "warnings", ())
+    lines = "".join(f"<li>{_text(line)}</li>" for line in dict.fromkeys((*texts, *said)))
+    head = [f"<p><strong>{NOT_FIT}</strong></p>"] if implausible(doubts) else []
+    return [*head, *([f"<ul>{lines}</ul>"] if lines else [])]
+
+
+def _body(found: Result) -> str:
+    """Return the table of a result, or its summary."""
+    if isinstance(found, Calibration):
+        return (
+            _table(*parameter_rows(found), left=3)
+            + f"<p>rms {number(found.rms, 3)} g after compensation</p>"
+        )
+    if isinstance(found, Check):
+        sheet = check_sheets(found)[0]
+        said = "".join(f"<p>{_text(line)}</p>" for line in run_conclusions(found))
+        return _table(sheet.header, sheet.rows) + said
+    if isinstance(found, Schemes):
+        return _table(*scheme_rows(found.schemes))
+    if (
+        type(found) in _TEXTS
+        or isinstance(found, Fleet)
+        or type(found).__str__ is not (Result.__str__)
+    ):
+        lines = str(found).splitlines()
+        more = ["…"] if len(lines) > _LINES else []
+        return f"<pre>{_text(chr(10).join([*lines[:_LINES], *more]))}</pre>"
+    fields = [(name, _short(getattr(found, name))) for name in found.__dataclass_fields__]
+    return _table(("", ""), fields, left=2)
+
+
+def _columns(found: Mapping[str, Any]) -> str:
+    """Return the first and last rows of a table of columns."""
+    names = list(found)
+    shown = names[:_WIDE]
+    rows = len(found[names[0]]) if names else 0
+    half = _ROWS // 2
+    places = range(rows) if rows <= _ROWS else [*range(half), *range(rows - half, rows)]
+    cells = [[str(place), *(_short(found[name][place]) for name in shown)] for place in places]
+    if rows > _ROWS:
+        cells.insert(half, ["…"] * (1 + len(shown)))
+    more = "" if len(shown) == len(names) else f", of which {len(shown)} are shown"
+    return (
+        f'<div class="multipos">{_table(("", *shown), cells)}'
+        f"<p>{rows} rows, {len(names)} columns{more}</p></div>"
+    )
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return number(value, 6)
+    text = value if isinstance(value, str) else repr(value)
+    return text if len(text) <= _LINES else f"{text[: _LINES - 1]}…"
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
+    head = "".join(f"<th>{_text(cell)}</th>" for cell in header)
+    lines = []
+    for row in rows:
+        cells = (
+            f'<td style="text-align:{"left" if i < left else "right"}">{_text(cell)}</td>'
+            for i, cell in enumerate(row)
+        )
+        lines.append(f"<tr>{''.join(cells)}</tr>")
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+
+
+def _text(text: str) -> str:
+    return escape("\n".join(map(visible, text.split("\n"))))
+
+
+def _own_ids(svg: str) -> str:
+    """Return a figure whose ids are its own, for a notebook is one page with many figures."""
+    prefix = "m" + sha256(svg.encode()).hexdigest()[:8]
+    return re.sub(r'(id="|url\(#|xlink:href="#)', rf"\1{prefix}-", svg)

@@ -1,0 +1,120 @@
+"""Results that show themselves: HTML of every type, figures, tables and correlated numbers."""
+
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose
+from test_results import RESULTS, calibrated, checked, sensor, tumbled, tumbled_all
+
+import multipos as mp
+from multipos.results import Columns, Drawn, Result
+
+VOID = {"meta", "link", "br", "img", "input", "use", "path", "rect"}
+
+
+class Balanced(HTMLParser):
+    """Asserts that every element that opens closes, and collects what a reader sees."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.words, self.ids = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        assert tag not in ("script", "style", "link") or "svg" in self.open
+        self.ids += [value for name, value in attrs if name == "id"]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def seen(found):
+    page = Balanced()
+    page.feed(found._repr_html_())
+    page.close()
+    assert page.open == []
+    assert len(set(page.ids)) == len(page.ids)
+    return " ".join(page.words)
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_every_result_shows_itself_in_a_notebook_and_in_print(name):
+    found = RESULTS[name]()
+    for one in found if isinstance(found, tuple) else [found]:
+        assert isinstance(one, Result | Columns)
+        assert seen(one)
+        assert len(one._repr_html_()) < 250_000
+        assert str(one)
+
+
+def test_doubts_come_first_and_nothing_is_markup():
+    up = np.tile(mp.read_scheme("faces-6").up, (2, 1))
+    names = ("<b>x", "<b>y", "<b>z")
+    cal = mp.fit(mp.Readings(up * [1.0, 0.0, 1.0] + 1e-3, outputs=names, up=up, unit="g"))
+    words = seen(cal)
+    doubt = cal.diagnostics.doubts[0].text[:20]
+    assert words.index("not fit for use") < words.index(doubt) < words.index("bias_")
+    assert "<b>" not in cal._repr_html_()
+    assert seen(checked()).startswith("Check")
+
+
+def test_a_calibration_shows_parameters_rms_and_one_figure():
+    words = seen(calibrated())
+    assert all(name in words for name in calibrated().names)
+    assert "rms" in words
+    assert calibrated()._repr_html_().count("<svg") == 1
+
+
+@pytest.mark.parametrize(
+    ("make", "panels"), [(calibrated, 1), (checked, 3), (tumbled, 2), (tumbled_all, 2)]
+)
+def test_plot_returns_the_axes_and_draws_on_given_ones(make, panels):
+    found = make()
+    axes = found.plot()
+    assert isinstance(found, Drawn)
+    assert len(axes if panels > 1 else [axes]) == panels
+    own = Figure().subplots(panels, 1)
+    again = found.plot(own)
+    assert (list(own) == again) if panels > 1 else (own is again)
+    assert all(one.lines or one.patches for one in np.atleast_1d(again))
+    with pytest.raises(mp.UsageError, match=rf"`ax` must be {panels} axes, a panel each, got 7"):
+        found.plot([None] * 7)
+
+
+def test_tables_are_data_frames():
+    frame = calibrated().to_pandas()
+    assert frame["name"].tolist() == list(calibrated().names)
+    assert_allclose(frame["U"], calibrated().U)
+    errors = checked().to_pandas()
+    assert len(errors) == 14 * 3
+    assert errors["axis"].tolist()[:3] == ["x", "y", "z"]
+    assert_allclose(errors["after"].to_numpy().reshape(-1, 3), checked().after)
+    runs = mp.compare(calibrated(1), calibrated(2)).to_pandas()
+    assert_allclose(runs["run 2"], calibrated(2).parameters)
+    assert_allclose(runs["mean"], (runs["run 1"] + runs["run 2"]) / 2)
+
+
+def test_ufloats_carry_the_covariance():
+    pytest.importorskip("uncertainties")
+    cal = calibrated()
+    numbers = cal.to_ufloats()
+    ratio = numbers["bias_ax"] / numbers["scale_ax"]
+    i, j = cal.names.index("bias_ax"), cal.names.index("scale_ax")
+    b, s = cal.parameters[i], cal.parameters[j]
+    slope = np.array([1.0 / s, -b / s**2])
+    variance = slope @ cal.covariance[np.ix_([i, j], [i, j])] @ slope
+    assert_allclose([ratio.nominal_value, ratio.std_dev], [b / s, np.sqrt(variance)], rtol=1e-9)
+
+
+def test_without_the_package_ufloats_name_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "uncertainties", None)
+    with pytest.raises(mp.MultiposError, match="needs the package uncertainties"):
+        sensor().to_ufloats()
