@@ -1,11 +1,9 @@
 """Sphinx settings: `sphinx-build -W docs docs/_build/html`."""
 
-import inspect
-import os
+import importlib.util
 from pathlib import Path
 
-import multipos.plots
-from multipos.cli import COMMANDS, command_parser
+import multipos
 
 project = "multipos"
 author = "the multipos developers"
@@ -14,53 +12,28 @@ version = release = multipos.__version__
 
 extensions = [
     "myst_parser",
-    "sphinx.ext.autodoc",
-    "sphinx.ext.autosummary",
     "sphinx.ext.mathjax",
-    "numpydoc",
+    "sphinx_copybutton",
 ]
-exclude_patterns = ["_build", "reference/generated"]
+exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = "multipos"
+
+# A laboratory may have no network: MathJax comes with a package, one file of it, and no fonts.
+found = importlib.util.find_spec("sphinx-mathjax-offline")
+mathjax = Path(found.submodule_search_locations[0], "static", "mathjax", "tex-svg.js")
+html_static_path = [str(mathjax)]
+mathjax_path = mathjax.name
+
+# Who searches for what a fit said wants the page of doubts first.
+html_search_scorer = str(Path(__file__).with_name("scorer.js"))
+
+# What is copied of a block is what one types, not what comes out.
+copybutton_prompt_text = r">>> |\.\.\. |\$ |> "
+copybutton_prompt_is_regexp = True
+copybutton_line_continuation_character = "\\"
 
 myst_enable_extensions = ["amsmath", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 # Equations are numbered page by page, in the order of the page: code cites them by that number.
 math_eqref_format = "({number})"
-
-autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # numpydoc sections say shape and unit, which annotations cannot
-autosummary_generate = True
-numpydoc_show_class_members = False
-
-
-def write_generated(app):
-    """Write what the reference includes: the help of every command and all public names."""
-    folder = Path(app.srcdir) / "reference" / "generated"
-    folder.mkdir(exist_ok=True)
-    os.environ["COLUMNS"] = "100"  # the width of argparse's help
-    commands = [
-        f"### multipos {name}\n\n```text\n{command_parser(name).format_help()}```\n"
-        for name in COMMANDS
-    ]
-    (folder / "commands.md").write_text("\n".join(commands), encoding="utf-8")
-    for module in (multipos, multipos.plots):
-        name = module.__name__.rpartition(".")[2]
-        (folder / f"{name}.rst").write_text(described(module), encoding="utf-8")
-
-
-def described(module):
-    """Return a table of the public names of a module, a line each, and then each in full."""
-    names = sorted(set(module.__all__) - {"__version__"}, key=str.swapcase)
-    table = [".. autosummary::", "   :nosignatures:", ""]
-    table += [f"   {module.__name__}.{name}" for name in names]
-    entries = []
-    for name in names:
-        kind = "class" if inspect.isclass(getattr(module, name)) else "function"
-        entries += [f".. auto{kind}:: {module.__name__}.{name}"]
-        entries += ["   :members:"] * (kind == "class") + [""]
-    return "\n".join([*table, "", *entries])
-
-
-def setup(app):
-    app.connect("builder-inited", write_generated)

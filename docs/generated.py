@@ -1,0 +1,168 @@
+"""The two pages that the program writes of itself: `python docs/generated.py`.
+
+`reference/commands.md` lists the options of every command, `reference/names.md` every public name
+with its docstring. They are kept in the repository, to be read where nothing is built, and a test
+holds them to the program.
+"""
+
+import argparse
+import inspect
+import re
+from pathlib import Path
+
+import multipos
+from multipos import plots
+from multipos.cli import COMMANDS, command_parser
+
+FOLDER = Path(__file__).resolve().parent / "reference"
+COMMANDS_HEAD = """# Commands
+
+Every command with its options, as `multipos COMMAND --help` prints them. What the files
+hold is on the page of [formats](formats.md).
+"""
+NAMES_HEAD = """# Names
+
+Every public name with its docstring, as `help(mp.fit)` prints it; `mp` is `multipos`. How they go
+together is on the page of [Python](api.md).
+"""
+SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
+
+
+def commands_page() -> str:
+    """Return the page of all commands."""
+    return "\n".join([COMMANDS_HEAD, *map(command_section, COMMANDS)])
+
+
+def command_section(name: str) -> str:
+    parser = command_parser(name)
+    options = [action for action in parser._actions if action.dest != "help"]
+    inputs = [called(action) for action in options if not action.option_strings]
+    usage = " ".join(["multipos", name, *inputs, "[options]"])
+    head = [f"## multipos {name}", "", f"`{usage}`: {COMMANDS[name]}", "", "| | |", "|---|---|"]
+    table = [f"| {cell(spelling(action))} | {told(action)} |" for action in options]
+    return "\n".join([*head, *table, ""])
+
+
+def spelling(action: argparse.Action) -> str:
+    names = ", ".join(action.option_strings)
+    return f"{names} {called(action)}".strip()
+
+
+def called(action: argparse.Action) -> str:
+    """Return what stands for the value of an option or an input, as its usage says it."""
+    if action.nargs == 0:
+        return ""
+    choices = "|".join(map(str, action.choices or ()))
+    value = action.metavar or choices or action.dest.upper()
+    value = value if isinstance(value, str) else " ".join(value)
+    forms = {"+": f"{value} …", "*": f"[{value} …]", "?": f"[{value}]"}
+    return forms.get(str(action.nargs), value)
+
+
+def told(action: argparse.Action) -> str:
+    text = (action.help or "").replace("%%", "%")
+    text = re.sub(r"%\((\w+)\)s", lambda found: str(getattr(action, found[1])), text)
+    return text.replace("|", r"\|").replace("<", r"\<").replace("*", r"\*")
+
+
+def cell(code: str) -> str:
+    return "`" + code.replace("|", r"\|") + "`"
+
+
+def names_page() -> str:
+    """Return the page of all public names."""
+    parts = [NAMES_HEAD]
+    for module, prefix in ((multipos, "mp"), (plots, "plots")):
+        names = sorted(set(module.__all__) - {"__version__"}, key=str.swapcase)
+        parts += [described(f"{prefix}.{name}", getattr(module, name)) for name in names]
+    return "\n".join(parts)
+
+
+def described(name: str, thing: object) -> str:
+    """Return the section of a name: its call, its docstring, and what a class can do."""
+    lines = [f"## {name}", ""]
+    if not inspect.isclass(thing):
+        lines += ["```text", call(name, thing), "```", ""]
+    lines += [as_markdown(inspect.getdoc(thing) or "")]
+    methods = [] if not inspect.isclass(thing) else list(members(thing))
+    if methods:
+        lines += ["", "**Methods and properties**", "", *methods]
+    return "\n".join(lines) + "\n"
+
+
+def call(name: str, function: object) -> str:
+    """Return the call without types, which the docstring says with shapes and units."""
+    signature = inspect.signature(function)  # type: ignore[arg-type]
+    bare = [
+        parameter.replace(annotation=inspect.Parameter.empty)
+        for parameter in signature.parameters.values()
+    ]
+    plain = str(signature.replace(parameters=bare, return_annotation=inspect.Signature.empty))
+    indent = " " * (len(name) + 1)
+    lines = [f"{name}("]
+    for part in re.split(r"(?<=,) (?![^(]*\))", plain[1:-1]):
+        if len(lines[-1]) + len(part) > 90:
+            lines.append(indent)
+        lines[-1] += part if lines[-1].endswith(("(", indent)) else f" {part}"
+    return "\n".join(lines) + ")"
+
+
+def members(thing: type) -> list[str]:
+    found = []
+    for owner in reversed(thing.__mro__):
+        if not owner.__module__.startswith("multipos"):
+            continue
+        for name, member in vars(owner).items():
+            plain = member.__func__ if isinstance(member, staticmethod | classmethod) else member
+            known = inspect.isfunction(plain) or isinstance(plain, property)
+            if name.startswith("_") or not known or not inspect.getdoc(plain):
+                continue
+            first = (inspect.getdoc(plain) or "").split("\n\n")[0].replace("\n", " ")
+            brackets = "" if isinstance(plain, property) else "()"
+            found.append(f"- `{name}{brackets}`: {first}")
+    return list(dict.fromkeys(found))
+
+
+def as_markdown(docstring: str) -> str:
+    """Return a numpydoc docstring with bold headings, lists of parameters and fenced examples."""
+    pieces = SECTION.split(docstring)
+    lines = [prose(pieces[0])]
+    for heading, body in zip(pieces[1::2], pieces[2::2], strict=True):
+        lines += ["", f"**{heading}**", ""]
+        if heading == "Examples":
+            lines += ["```python", body.strip("\n"), "", "```"]
+        elif heading in ("Notes", "References"):
+            lines += [prose(body)]
+        else:
+            lines += items(body.strip("\n"))
+    return "\n".join(lines)
+
+
+def items(body: str) -> list[str]:
+    """Return a list of what stands flush left, each with the lines below it."""
+    found: list[str] = []
+    for line in body.splitlines():
+        if line.startswith(" ") and found:
+            found[-1] += ("" if found[-1].endswith(": ") else " ") + escaped(line.strip())
+        elif line.strip():
+            name, colon, kind = line.partition(" : ")
+            found.append(f"- `{name}`" + (f" ({escaped(kind)}): " if colon else ": "))
+    return [item.rstrip(": ").rstrip() for item in found]
+
+
+def prose(text: str) -> str:
+    return escaped(text.strip("\n")).replace("``", "`")
+
+
+def escaped(text: str) -> str:
+    """Leave formulas and marks of other languages as they are printed."""
+    return re.sub(r"(?<!`)([*_$<|])(?!`)", r"\\\1", text) if "`" not in text else text
+
+
+def main() -> None:
+    (FOLDER / "commands.md").write_text(commands_page(), encoding="utf-8")
+    (FOLDER / "names.md").write_text(names_page(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,12 @@
+// How Sphinx ranks what a search finds: its own weights, and the page of doubts first.
+const Scorer = {
+  score: ([docname, title, anchor, description, score]) => score + (docname === "doubts" ? 100 : 0),
+  objNameMatch: 11,
+  objPartialMatch: 6,
+  objPrio: { 0: 15, 1: 5, 2: -5 },
+  objPrioDefault: 0,
+  title: 15,
+  partialTitle: 7,
+  term: 5,
+  partialTerm: 2,
+};
