@@ -54,6 +54,7 @@ COEFFICIENTS = {
 DEFAULT = tuple(COEFFICIENTS)[:9]  # the nine of eq. (1), in the order they are kept
 _MILLION = 1e6
 _WEAK = 5.0  # u of one grows so much by the other being fitted as well
+_FAINT = 10.0  # times by which others may enlarge the u of a coefficient on part of a turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,19 +100,33 @@ def formula_of(names: Sequence[str], axis: str) -> str:
 
 
 def kept_coefficients(
-    data: Readings, axis: str, sign: float
+    data: Readings, axis: str, sign: float, *, limited: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the coefficients that the points can tell, and in words what they cannot."""
+    """Return the coefficients that the points can tell, and in words what they cannot.
+
+    `limited` says that the points are on part of a turn: there a coefficient beyond K0 and K1 is
+    left out too whose u the others would make ten times as large, as the cosine of small angles is
+    nearly a constant.
+    """
     force = applied_forces(data, sign)
     every = tuple(COEFFICIENTS)
     formula = " + ".join(_term(name, axis) for name in every)
     model = build_model(formula, data.outputs, (axis,))
     design = model.basis(force, {})[:, model.columns[0]]
     kept: list[int] = []
-    for column, _ in enumerate(DEFAULT):
+    faint: list[str] = []
+    for column, name in enumerate(DEFAULT):
         trial = [*kept, column]
-        if separability(design[:, trial], floor=FLOOR).rank == len(trial):
+        if separability(design[:, trial], floor=FLOOR).rank < len(trial):
+            continue
+        loss = _loss(design[:, kept], design[:, column]) if limited and column > 1 else 1.0
+        if loss <= _FAINT:
             kept = trial
+        else:
+            faint.append(
+                f"`{name}` hides behind the others on this part of a turn, which would make its u "
+                f"{loss:.2g} times as large; it is taken as zero"
+            )
     found = separability(design, floor=FLOOR)
     if kept[:2] != [0, 1]:
         raise RankError(
@@ -123,7 +138,15 @@ def kept_coefficients(
             combinations=name_combinations(found.null, every, rows="points"),
         )
     said = name_combinations(found.null, every, rows="points")
-    return tuple(every[column] for column in kept), _with_squares(said, found.null, every)
+    said = (*_with_squares(said, found.null, every), *faint)
+    return tuple(every[column] for column in kept), said
+
+
+def _loss(others: Array, column: Array) -> float:
+    """Return how many times the u of a coefficient is larger because of others."""
+    Q, _ = np.linalg.qr(others)
+    left = float(np.linalg.norm(column - Q @ (Q.T @ column)))
+    return float(np.linalg.norm(column)) / left if left > 0.0 else math.inf
 
 
 def _with_squares(said: tuple[str, ...], null: Array, names: Sequence[str]) -> tuple[str, ...]:

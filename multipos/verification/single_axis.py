@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.errors import MultiposError, RankError
+from multipos.errors import RankError
 from multipos.fitting.readings import fit
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
@@ -146,8 +146,9 @@ def tumble_output(
     """
     sign = -1.0 if convention == "gravity" else 1.0
     rolls = find_rolls(data, axis, sign)
-    repeated = _check_rolls(data, rolls)
-    names, unidentifiable = kept_coefficients(data, axis, sign)
+    limited = _on_part_of_a_turn(data, rolls)
+    repeated = [*limited, *_said_of_repeats(rolls)]
+    names, unidentifiable = kept_coefficients(data, axis, sign, limited=bool(limited))
     calibration = fit(
         data,
         model=model or formula_of(names, axis),
@@ -183,16 +184,21 @@ def tumble_output(
     )
 
 
-def _check_rolls(data: Readings, rolls: tuple[Roll, ...]) -> list[str]:
-    """Refuse angles that do not span a turn; return what is to be said of repeated ones."""
-    where = data.source or "the readings"
-    if rolls and not data.forced.any() and not any(roll.spans_a_turn for roll in rolls):
-        widest = max(rolls, key=lambda roll: len(roll.rows))
-        raise MultiposError(
-            f"{where}: the {len(widest.distinct)} angles in plane {widest.plane} do not span a "
-            f"turn, {np.degrees(widest.gap):.4g} of 360 degrees are without a point; add points "
-            "so that no gap is wider than 180 degrees."
-        )
+def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[str]:
+    """Say that no roll spans a turn, and what can be told then; nothing where one does."""
+    if not rolls or data.forced.any() or any(roll.spans_a_turn for roll in rolls):
+        return []
+    return [
+        f"the {len(roll.distinct)} angles in plane {roll.plane} do not span a turn, "
+        f"{np.degrees(roll.gap):.4g} of 360 degrees are without a point: there are no harmonics, "
+        "and the coefficients hold for these angles only; no gap wider than 180 degrees would "
+        "tell all"
+        for roll in rolls
+    ]
+
+
+def _said_of_repeats(rolls: tuple[Roll, ...]) -> list[str]:
+    """Say which angles are there more than once."""
     said = []
     for roll in rolls:
         twice = roll.repeated

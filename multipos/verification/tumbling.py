@@ -145,7 +145,7 @@ def tumble(
     Raises
     ------
     MultiposError
-        The angles do not span a turn, or as in `multipos.fit`.
+        As in `multipos.fit`.
     RankError
         The points cannot separate K0 and K1 of an output, or the model given.
     UsageError

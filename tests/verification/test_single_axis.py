@@ -284,12 +284,24 @@ def fails(capsys, arguments, status, *words):
         assert word in last
 
 
-def test_angles_that_do_not_span_a_turn(tmp_path, capsys):
-    angles = np.arange(0.0, 151.0, 15.0)
-    path = roll_file(tmp_path / "r.csv", angles, np.cos(np.radians(angles)))
-    out = tmp_path / "out.json"
-    fails(capsys, ["tumble", path, "-o", str(out)], 1, "do not span a turn", "210 of 360", "xy")
-    assert not out.exists()
+def test_angles_that_do_not_span_a_turn_tell_what_they_can():
+    angle = np.arange(60.0, 121.0, 5.0)  # the input axis is within 30 degrees of level
+    i, p = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    rng = np.random.default_rng(2)
+    volt = 0.02 + 2.5 * (i + 0.003 * i**2) + 0.01 * p + 1e-5 * rng.standard_normal(13)
+    found = mp.tumble({"roll_axis": ["z"] * 13, "angle_deg": angle, "volt": volt}, unit="V")
+    # p is nearly a constant there, 1 - i²/2 - i⁴/8: it adds to K0, and takes half of itself from K2
+    assert list(found.coefficients) == ["K0", "K1", "K2", "K3"]
+    told = found.coefficients
+    assert abs(told["K1"].value - 2.5) < told["K1"].U
+    # what i⁴/8 adds to both, of 4 mg, over the range is some 4 % of it in K2
+    assert abs(told["K0"].value - 0.03 / 2.5) < 1e-5 + told["K0"].U
+    assert abs(told["K2"].value - (0.003 - 0.005 / 2.5)) < 1.5e-4 + told["K2"].U
+    assert not found.harmonics
+    assert any("`delta_o` hides behind the others" in text for text in found.unidentifiable)
+    said = [text for text in found.warnings if "do not span a turn, 300 of 360" in text]
+    assert said
+    assert "plane xy" in said[0]
 
 
 def test_repeated_angles_are_said(tmp_path, capsys):
