@@ -30,7 +30,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.inverse import sensed_axes, unseen_axes
 
 _BEYOND = 4.0 / 3.0  # times the largest calibrated force, up to which Newton's steps settle
 _SETTLED = {False: 1e-10, True: 1e-5}  # [g], the last step, by single precision
@@ -120,6 +120,48 @@ def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str
         "}",
     ]
     return "\n".join(body) + "\n", how, library
+
+
+def unseen_part(calibration: Calibration, *, single: bool) -> tuple[list[str], list[str]]:
+    """Return what the one component that no output senses adds to the outputs.
+
+    Returns
+    -------
+    (lines, parts)
+        Lines of C from the components and `env`, and for each output what they add to it, '' for
+        nothing.
+
+    Raises
+    ------
+    MultiposError
+        An operation has no counterpart in C.
+    """
+    import casadi
+
+    model = calibration.model
+    assert isinstance(model, ExpressionModel)
+    (third,) = unseen_axes(model)
+    force = casadi.SX.sym("f", 3)
+    env = casadi.SX.sym("e", max(len(model.environment), 1))
+    without = casadi.vertcat(*(0 if i == third else force[i] for i in range(3)))
+    with_it, less = (
+        casadi.substitute(
+            [casadi.vertcat(*model.compiled.outputs)],
+            list(model.compiled.symbols),
+            [at, env, casadi.SX(calibration.parameters)],
+        )[0]
+        for at in (force, without)
+    )
+    added = [i for i in range(with_it.numel()) if casadi.depends_on(with_it[i], force[third])]
+    parts = [f"part{i}" if i in added else "" for i in range(with_it.numel())]
+    if not added:
+        return [], parts
+    names = [list(COMPONENTS), [f"env[{j}]" for j in range(len(model.environment))]]
+    part = casadi.densify(with_it[added] - less[added])
+    function = casadi.Function("part", [force, env], [part], {"cse": True})
+    kind = "float" if single else "double"
+    lines, _ = _write(function, names, [f"const {kind} part{i}" for i in added], single)
+    return lines, parts
 
 
 def _newton_steps(calibration: Calibration, single: bool) -> int:

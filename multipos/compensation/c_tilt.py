@@ -13,6 +13,7 @@ as often as `multipos.sensor.inverse` does.
 import numpy as np
 
 from multipos.compensation.c_body import literal
+from multipos.compensation.c_expression import unseen_part
 from multipos.errors import MultiposError
 from multipos.numerics.factors import FUNCTIONS, Factor
 from multipos.numerics.terms import COMPONENTS
@@ -96,7 +97,10 @@ def _closed(calibration: Calibration, name: str, single: bool, lines: list[str])
 
 def _third(calibration: Calibration, name: str, single: bool, unit: float) -> list[str]:
     """Return eq. (1), where the model has the component that no output senses."""
-    parts = _of_third(calibration, single)
+    if isinstance(calibration.model, ExpressionModel):
+        lines, parts = unseen_part(calibration, single=single)
+    else:
+        lines, parts = [], _of_third(calibration, single)
     if not any(parts):
         return []
     kind, f = ("float", "f") if single else ("double", "")
@@ -118,6 +122,7 @@ def _third(calibration: Calibration, name: str, single: bool, unit: float) -> li
         f"        if (fabs{f}({COMPONENTS[third]} - before) <= {tolerance})",
         "            break;",
         f"        before = {COMPONENTS[third]};",
+        *(f"        {line}" for line in lines),
         f"        const {kind} less[{len(less)}] = {{{', '.join(less)}}};",
         f"        {name}_compensate(less{env}, f);",
         "    }",
@@ -128,11 +133,6 @@ def _of_third(calibration: Calibration, single: bool) -> list[str]:
     """Return what terms with the unseen component add to each output, in C; '' for nothing."""
     model = calibration.model
     third = COMPONENTS[unseen_axes(model)[0]]
-    if isinstance(model, ExpressionModel):
-        raise MultiposError(
-            "--tilt of two axes takes a formula, whose terms in the third component are known; "
-            f"leave {third} out of the model of your own, or use apply."
-        )
     theta = model.coefficients(calibration.parameters)
     index = {column: f"env[{j}]" for j, column in enumerate(model.environment)}
     result = []

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.cli import main
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import UsageError
 from multipos.sensor.tilt import beyond_vertical
 
 UP = mp.read_scheme("dual-axis-48").up
@@ -21,6 +21,9 @@ KINDS = [
     (2, "1 + x + y + z + own^2 + own*z", "gravity", {"output_unit": "m/s^2"}),
     (2, "1 + x + y", "specific-force", {"float": True}),
     (1, "1 + x + x^2", "specific-force", {}),
+    (2, "each = b + s*x + c*y + d*tanh(z) + k*own*z", "gravity", {"output_unit": "m/s^2"}),
+    (2, "each = b + s*x + c*y + d*z", "specific-force", {"float": True}),
+    (2, "each = b + s*x + c*y + k*own^2", "specific-force", {}),
 ]
 
 
@@ -110,12 +113,3 @@ def test_verify_and_command(tmp_path, capsys):
     assert "--tilt is for --to c" in capsys.readouterr().err
     with pytest.raises(UsageError, match="--tilt is for --to c"):
         mp.export(cal, "ros-imu-calib", tilt=True)
-
-
-def test_two_axes_of_a_model_of_ones_own_are_refused():
-    values = 2.5 + (UP @ MATRIX.T)[:, :2]
-    values += 1e-4 * np.random.default_rng(1).standard_normal(values.shape)
-    readings = mp.Readings(values, up=UP, outputs=("ax", "ay"), unit="V")
-    cal = mp.fit(readings, model="each = b + s*x + c*y + d*z")
-    with pytest.raises(MultiposError, match="--tilt of two axes"):
-        mp.export(cal, "c", tilt=True)
