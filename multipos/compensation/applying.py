@@ -16,6 +16,7 @@ A table in memory is done at once (`apply`), a file piece by piece (`apply_log`)
 be of any length.
 """
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncert
 from multipos.doubts.model_error import said_of_hidden
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Column, Source, Table, format_csv, read_table
-from multipos.logs.opening import read_log
+from multipos.logs.opening import open_log, read_log
 from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS, largest_value
@@ -100,7 +101,8 @@ def apply(
     ----------
     calibration : Calibration
     data : path, mapping of columns, or data frame
-        Must have the calibration's outputs, and the columns its model uses.
+        Of a table, or of a log of any kind that `average` reads. Must have the calibration's
+        outputs, and the columns its model uses.
     tilt : bool
         Add ``tilt_x_deg`` …, the angle of each axis above the horizon, for a sensor at rest.
     uncertainty : bool
@@ -143,6 +145,18 @@ def apply(
             "regression call `multipos.correct`."
         )
     check_outside(outside)
+    if isinstance(data, str | os.PathLike):  # a log of any kind that the command reads
+        whole = apply_log(
+            calibration,
+            open_log(data),
+            tilt=tilt,
+            uncertainty=uncertainty,
+            reading_sd=reading_sd,
+            parameters_only=parameters_only,
+            outside=outside,
+        )
+        columns = whole.columns()
+        return Applied(columns, whole.noise, (*whole.log.left_out, *whole.warnings))
     table = read_table(data, what="data")
     wanted = asked_uncertainty(
         calibration, table.source, table.columns, uncertainty, reading_sd, parameters_only

@@ -1,5 +1,6 @@
 """`apply` on logs: the same numbers piece by piece, columns kept, nothing written on errors."""
 
+import gzip
 import json
 import tracemalloc
 
@@ -218,3 +219,17 @@ def test_memory_does_not_grow_with_the_log(cal, log, tmp_path):
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.1 * peaks[0]
+
+
+def test_a_path_in_python_is_read_as_the_command_reads_it(tmp_path):
+    rows = "\n".join(f"{k / 100},{0.1 * k},{0.0},{1.0}" for k in range(5))
+    text = f"recorded by hand\nunits: g\n\n# t,ax,ay,az\n{rows}\n"
+    path = tmp_path / "log.txt.gz"
+    path.write_bytes(gzip.compress(text.encode()))
+    cal = mp.demo().calibration
+    found = mp.apply(cal, path, tilt=True)
+    assert list(found)[:5] == ["t", "ax", "ay", "az", "f_x"]
+    columns = {"ax": 0.1 * np.arange(5), "ay": np.zeros(5), "az": np.ones(5)}
+    np.testing.assert_allclose(found.f_x, mp.apply(cal, columns).f_x, rtol=1e-12)
+    with pytest.raises(MultiposError, match="outside"):
+        mp.apply(cal, path, outside="refuse")
