@@ -14,20 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.timing import Ratio, paired_ratio
+from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
 from multipos.designs.exchange import choose
-from multipos.designs.information import (
-    Blocks,
-    Criterion,
-    inform,
-    kernels,
-    make_setting,
-    objective,
-    sensitivity,
-)
+from multipos.designs.information import Blocks, inform, make_setting
 from multipos.designs.optimum import optimise_candidates
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.model import build_model
+from multipos.sensor.stating import build_model
 
 MODEL = build_model("own-quadratic", ("ax", "ay", "az"), ("x", "y", "z"))
 SETTING = make_setting(MODEL)

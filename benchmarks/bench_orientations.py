@@ -18,7 +18,7 @@ from multipos.estimation.ellipsoid import ellipsoid_start
 from multipos.estimation.problem import Problem, State, start_state
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.model import build_model
+from multipos.sensor.stating import build_model
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from multipos.designs.information import make_setting
 from multipos.designs.prospects import information_of
 from multipos.logs.arrays import log_of_columns
 from multipos.numerics.quantiles import coverage_factor
-from multipos.sensor.model import build_model
+from multipos.sensor.stating import build_model
 
 MODEL = build_model("linear", ("ax", "ay", "az"), ("x", "y", "z")).with_gauge("lower")
 SETTING = make_setting(

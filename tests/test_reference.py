@@ -14,7 +14,7 @@ from multipos.positions.reading_tables import _RESERVED
 from multipos.positions.scheme import SCHEMES
 from multipos.reports.certificate import LAB_FIELDS
 from multipos.sensor.found import FoundOrientations
-from multipos.sensor.model import build_model
+from multipos.sensor.stating import build_model
 from multipos.uncertainty.budgets import DIVISORS, KINDS
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs/reference/formats.md").read_text("utf-8")

@@ -31,7 +31,8 @@ from multipos.positions.column_names import named_axes
 from multipos.positions.scheme import Scheme
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.model import Model, build_model
+from multipos.sensor.model import Model
+from multipos.sensor.stating import build_model
 
 
 @dataclass(frozen=True)

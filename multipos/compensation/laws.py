@@ -24,7 +24,8 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
-from multipos.sensor.model import Model, build_model
+from multipos.sensor.model import Model
+from multipos.sensor.stating import build_model
 from multipos.units import STANDARD_GRAVITY
 
 LINEAR = "1 + x + y + z"

@@ -20,7 +20,8 @@ from multipos.designs.information import Setting
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, Term
-from multipos.sensor.model import Model, build_model
+from multipos.sensor.model import Model
+from multipos.sensor.stating import build_model
 
 UNSEEN = 1e-9  # share of a term in the residuals below which they hide it
 _HIGHER = "x^2 + y^2 + z^2 + x*y + x*z + y*z + own^3 + own*|own|"

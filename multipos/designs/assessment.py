@@ -26,28 +26,23 @@ from typing import Any
 import numpy as np
 
 from multipos.designs.aliases import UNSEEN, find_aliases, in_parameters, say_hidden
-from multipos.designs.information import (
-    Blocks,
-    Setting,
-    inform,
-    log_det,
-    make_criterion,
-    make_setting,
-    objective,
-)
+from multipos.designs.criteria import make_criterion, objective
+from multipos.designs.information import Blocks, Setting, inform, log_det, make_setting
 from multipos.designs.optimum import ContinuousOptimum, largest_sensitivity, optimise_sphere
 from multipos.estimation.known import FLOOR
 from multipos.files.lists import Names, split_names, spread
 from multipos.files.numbers import number, table
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import name_combinations, separability
+from multipos.numerics.combinations import name_combinations
+from multipos.numerics.least_squares import separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import Scheme, named_schemes, read_scheme
 from multipos.results import Keyed, data_frame
-from multipos.sensor.model import Model, build_model, default_axes
+from multipos.sensor.model import Model
 from multipos.sensor.own_models import build_sketch
 from multipos.sensor.sketches import Sketch, read_model
+from multipos.sensor.stating import build_model, default_axes
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,16 +20,9 @@ from multipos.designs.assessment import (
     read_setting,
     scheme_details,
 )
+from multipos.designs.criteria import Criterion, kernels, make_criterion, sensitivity
 from multipos.designs.exchange import choose, polish, polish_largest
-from multipos.designs.information import (
-    Criterion,
-    Setting,
-    inform,
-    kernels,
-    log_det,
-    make_criterion,
-    sensitivity,
-)
+from multipos.designs.information import Setting, inform, log_det
 from multipos.designs.optimum import (
     ContinuousOptimum,
     largest_sensitivity,

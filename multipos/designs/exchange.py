@@ -26,18 +26,8 @@ from itertools import combinations_with_replacement, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.designs.information import (
-    Blocks,
-    Criterion,
-    Setting,
-    inform,
-    kernels,
-    multiply,
-    objective,
-    sensitivity,
-    tangents,
-    unit,
-)
+from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
+from multipos.designs.information import Blocks, Setting, inform, multiply, tangents, unit
 from multipos.numerics.arrays import Array
 
 Choice = NDArray[np.intp]

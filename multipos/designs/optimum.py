@@ -1,6 +1,6 @@
 """The best that positions can do: weights of a continuous design, with their certificate.
 
-Weights w on candidate positions, Σ w_k = 1, make a criterion F of `multipos.designs.information` as
+Weights w on candidate positions, Σ w_k = 1, make a criterion F of `multipos.designs.criteria` as
 large as it can be. F is concave, so a solution is known when it is seen: with s its gradient,
 
     F* − F(w) ≤ max s − 1,                                                                 (1)
@@ -32,19 +32,8 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.designs.information import (
-    Blocks,
-    Criterion,
-    Setting,
-    inform,
-    kernels,
-    log_det,
-    multiply,
-    objective,
-    sensitivity,
-    tangents,
-    unit,
-)
+from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
+from multipos.designs.information import Blocks, Setting, inform, log_det, multiply, tangents, unit
 from multipos.errors import ConvergenceError
 from multipos.numerics.arrays import Array
 from multipos.positions.scheme import read_scheme

@@ -42,7 +42,8 @@ from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.model import Model, build_model
+from multipos.sensor.model import Model
+from multipos.sensor.stating import build_model
 
 _GROUPS = ("own^2", "own^3", "own*|own|", "own*other")  # K2, K3, Koq, Kip with Kio
 

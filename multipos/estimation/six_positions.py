@@ -19,7 +19,8 @@ from multipos.numerics.least_squares import solve
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.sensor.found import add_scatter
-from multipos.sensor.model import Model, build_model
+from multipos.sensor.model import Model
+from multipos.sensor.stating import build_model
 
 
 def solve_closed_form(

@@ -43,10 +43,11 @@ from multipos.sensor.expressions import Expression, ExpressionModel
 from multipos.sensor.found import Chosen, Estimator
 from multipos.sensor.functions import build_expression
 from multipos.sensor.gravity import Gravity, resolve_gravity, signed_size
-from multipos.sensor.model import GAUGES, Gauge, Model, build_model, default_axes, stated_facing
+from multipos.sensor.model import GAUGES, Gauge, Model
 from multipos.sensor.nominal import read_nominal
 from multipos.sensor.own_models import build_sketch
 from multipos.sensor.sketches import Sketch, read_model
+from multipos.sensor.stating import build_model, default_axes, stated_facing
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.uncertainty.propagation import state_budget
 from multipos.uncertainty.turntable import roll_warnings

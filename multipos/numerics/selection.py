@@ -39,7 +39,8 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import name_combinations, separability
+from multipos.numerics.combinations import name_combinations
+from multipos.numerics.least_squares import separability
 from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.results import Result
 

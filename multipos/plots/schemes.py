@@ -6,16 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multipos.designs.assessment import Schemes, read_setting
+from multipos.designs.criteria import Criterion, kernels, sensitivity
 from multipos.designs.designing import Design
-from multipos.designs.information import (
-    Blocks,
-    Criterion,
-    Setting,
-    inform,
-    kernels,
-    log_det,
-    sensitivity,
-)
+from multipos.designs.information import Blocks, Setting, inform, log_det
 from multipos.files.lists import Names
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array

@@ -61,10 +61,11 @@ from multipos.sensor.found import (
 )
 from multipos.sensor.functions import load_expression
 from multipos.sensor.gravity import Gravity
-from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model, build_model
+from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model
 from multipos.sensor.model_test import MODEL_TESTS, model_test_from_dict
 from multipos.sensor.nominal import read_nominal
 from multipos.sensor.own_models import expression_dict, load_sketch
+from multipos.sensor.stating import build_model
 
 SCHEMA = "multipos/calibration/1"
 _DIAGNOSTICS = (

@@ -12,8 +12,8 @@ from multipos.errors import UsageError
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.expressions import Expression, ExpressionModel, Symbol, load_casadi
 from multipos.sensor.instructions import Instruction, require_instructions, write_instructions
-from multipos.sensor.model import check_axes
 from multipos.sensor.sketches import Quantity
+from multipos.sensor.stating import check_axes
 
 
 def build_expression(

@@ -14,7 +14,7 @@ from multipos.files.lists import near
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.expressions import ExpressionModel, Symbol
 from multipos.sensor.formulas import Formula, instruct
-from multipos.sensor.model import Model, check_axes
+from multipos.sensor.model import Model
 from multipos.sensor.sketches import (
     EACH,
     SHARED,
@@ -23,6 +23,7 @@ from multipos.sensor.sketches import (
     sketch_dict,
     sketch_from_dict,
 )
+from multipos.sensor.stating import check_axes
 
 Fixed = Sequence[tuple[str, str, float]]  # output, name, value
 

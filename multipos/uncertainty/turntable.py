@@ -38,7 +38,8 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.sensor.model import Model, build_model
+from multipos.sensor.model import Model
+from multipos.sensor.stating import build_model
 from multipos.uncertainty.table_motion import QUANTITIES, SHAFT, shaft_effects, table_effects
 
 _SHIFTED = 1e-3  # chance of a zero shift where there is none

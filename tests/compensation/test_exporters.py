@@ -14,7 +14,7 @@ from multipos.cli import main
 from multipos.compensation.c_source import SIGNATURE, signature
 from multipos.compensation.reading_back import verify_export
 from multipos.compensation.targets import export
-from multipos.sensor.model import build_model
+from multipos.sensor.stating import build_model
 
 READINGS = 100_000
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror"]

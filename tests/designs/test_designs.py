@@ -13,23 +13,14 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.cli import main
+from multipos.designs.criteria import Criterion, kernels, make_criterion, objective, sensitivity
 from multipos.designs.exchange import choose
-from multipos.designs.information import (
-    Criterion,
-    Setting,
-    inform,
-    kernels,
-    log_det,
-    make_criterion,
-    make_setting,
-    objective,
-    sensitivity,
-)
+from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import optimise_candidates, optimise_sphere
 from multipos.designs.travel import order_positions, travel_deg
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.model import build_model
+from multipos.sensor.stating import build_model
 
 AXES = ("x", "y", "z")
 OUTPUTS = ("ax", "ay", "az")
@@ -488,7 +479,7 @@ def test_candidates_hold_the_design_and_the_certificate():
 
 def test_a_criterion_that_asks_nothing_of_a_parameter_is_refused():
     """At the optimum for forces across x nothing tells x: what is singular hangs on rounding."""
-    from multipos.designs.information import Criterion, kernels
+    from multipos.designs.criteria import Criterion, kernels
 
     with pytest.raises(mp.MultiposError, match="give a wider --region, or criterion D"):
         kernels((np.diag([1.0, 1.0, 0.0]),), Criterion("I", (np.diag([1.0, 1.0, 0.0]),)))

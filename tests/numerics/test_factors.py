@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.designs.information import _mean_product
+from multipos.designs.criteria import _mean_product
 from multipos.numerics.factors import (
     FUNCTIONS,
     Code,

@@ -13,7 +13,8 @@ from numpy.testing import assert_allclose
 
 from multipos.errors import MultiposError, RankError
 from multipos.numerics import least_squares
-from multipos.numerics.least_squares import name_combinations, separability, solve
+from multipos.numerics.combinations import name_combinations
+from multipos.numerics.least_squares import separability, solve
 
 EPS = 2.0**-53  # relative error of one rounding
 

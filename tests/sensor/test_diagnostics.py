@@ -13,7 +13,7 @@ from multipos.sensor.diagnostics import (
     lack_of_fit,
     linearity,
 )
-from multipos.sensor.model import build_model
+from multipos.sensor.stating import build_model
 
 
 def test_bartlett_by_hand():
