@@ -7,6 +7,7 @@ damages one thing, now and then with an option beside it.
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 from . import (
     arrays,
@@ -128,7 +129,8 @@ def _captures(rng: random.Random, valid: Files) -> Case:
     words = _with_options(rng, words, odds=0.4)
     if rng.random() < 0.3:
         words[1] = "-"
-        return Case(tuple(words), recipes.files_of(words, valid), stdin=data)
+        read = [word for before, word in pairwise(words) if before != "-o"]
+        return Case(tuple(words), recipes.files_of(read, valid), stdin=data)
     return _case(words, valid, {name: data})
 
 
