@@ -21,11 +21,19 @@ def run() -> list[Ratio]:
         _paired("linear", 20_000, 1 / 200, known),
         _paired("own-quadratic", 20_000, 1 / 100, known | {"model": "own-quadratic"}),
         _paired("unknown orientation", 4000, 1 / 20, {"unknown_orientation": True}),
+        _paired("--reading-sd", 4000, 1 / 20, known | {"reading_sd": 3e-4}),
+        _paired("u of every reading", 4000, 1 / 10, known, stated=True),
     ]
 
 
-def _paired(name: str, count: int, goal: float, options: dict[str, Any]) -> Ratio:
+def _paired(
+    name: str, count: int, goal: float, options: dict[str, Any], *, stated: bool = False
+) -> Ratio:
     table = _line(count)
+    if stated:
+        rng = np.random.default_rng(1)
+        u = {f"u_a{axis}": rng.uniform(2e-4, 4e-4, 24 * count) for axis in "xyz"}
+        table |= u
     units = [_rows(table, i) for i in range(_LOOPED)]
 
     def loop() -> list[mp.Calibration]:

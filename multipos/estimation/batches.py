@@ -80,9 +80,12 @@ class Estimates(NamedTuple):
     dof : (p,) or (B, p) array
     rms : (B,) array [g]
     residuals : M arrays (B, n), in reading units
+        Of known orientations those of the plain fit, whatever the weights.
     inverse : (B, K, M) array
         Of the sensitivities to the K components that the sensor has.
     sound : (B,) array of bool
+    chi2 : (B,) array or None
+        Of the residuals under the stated noise alone, where there is one.
     """
 
     parameters: Array
@@ -92,6 +95,7 @@ class Estimates(NamedTuple):
     residuals: tuple[Array, ...]
     inverse: Array
     sound: NDArray[np.bool_]
+    chi2: Array | None = None
 
 
 def share_design(
@@ -156,7 +160,7 @@ def estimate_batch(
     residuals = []
     sound = np.ones(count, dtype=np.bool_)
     for i, y in enumerate(values):
-        b, r = _fit_output(shared.designs[i], shared.inverses[i], y)
+        b, r = fit_output(shared.designs[i], shared.inverses[i], y)
         parameters[:, model.slices[i]] = b
         residuals.append(r)
         squares[i] = np.einsum("bn,bn->b", r, r)
@@ -174,6 +178,27 @@ def estimate_batch(
     return Estimates(
         parameters, u, per_parameter(model, dof), rms, tuple(residuals), inverse, sound
     )
+
+
+def fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
+    """Return coefficients (B, p) and exact residuals (B, n) of one output, eq. (2).
+
+    Parameters
+    ----------
+    design, inverse : (n, p), (p, n) arrays
+    y : (B, n) array
+    """
+    shift = np.frexp(np.abs(design).max(axis=0))[1]  # columns below 1 by powers of two: exact
+    scaled = np.ldexp(design, -shift)
+    high = np.ldexp(np.rint(np.ldexp(scaled, _SPLIT)), -_SPLIT)
+    b = np.ldexp(y @ inverse.T, shift)
+    grid = np.frexp(np.abs(b).max(axis=1, keepdims=True))[1] - _COARSE
+    coarse = np.ldexp(np.rint(np.ldexp(b, -grid)), grid)
+    r = y - coarse @ high.T
+    r -= np.hstack((coarse, b - coarse)) @ np.hstack((scaled - high, scaled)).T
+    step = r @ inverse.T
+    r -= step @ design.T
+    return np.ldexp(b, -shift) + step, r
 
 
 def rms_of(
@@ -203,6 +228,7 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
         tuple(np.concatenate(each) for each in residuals),
         np.concatenate([part.inverse for part in parts]),
         np.concatenate([part.sound for part in parts]),
+        None if parts[0].chi2 is None else np.concatenate([each.chi2 for each in parts]),
     )
 
 
@@ -214,21 +240,6 @@ def model_coefficients(model: Model, parameters: Array) -> Array:
     for parameter, output, column in copies:
         theta[:, output, column] = parameters[:, parameter]
     return theta
-
-
-def _fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
-    """Return coefficients (B, p) and residuals (B, n) of one output, eq. (2)."""
-    shift = np.frexp(np.abs(design).max(axis=0))[1]  # columns below 1 by powers of two: exact
-    scaled = np.ldexp(design, -shift)
-    high = np.ldexp(np.rint(np.ldexp(scaled, _SPLIT)), -_SPLIT)
-    b = np.ldexp(y @ inverse.T, shift)
-    grid = np.frexp(np.abs(b).max(axis=1, keepdims=True))[1] - _COARSE
-    coarse = np.ldexp(np.rint(np.ldexp(b, -grid)), grid)
-    r = y - coarse @ high.T
-    r -= np.hstack((coarse, b - coarse)) @ np.hstack((scaled - high, scaled)).T
-    step = r @ inverse.T
-    r -= step @ design.T
-    return np.ldexp(b, -shift) + step, r
 
 
 def _invert(

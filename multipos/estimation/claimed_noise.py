@@ -40,11 +40,7 @@ def steady_floors(readings: Readings) -> Readings:
     """Return readings whose uncertainties are those of eq. (1), where they have few dof."""
     if readings.dof is None or readings.u is None:
         return readings
-    u = readings.u.copy()
-    for i, dof in enumerate(readings.dof.T):
-        rows = np.flatnonzero(dof < _KNOWN)
-        if len(rows) >= _FEWEST:
-            u[rows, i] = np.sqrt(_drawn_together(u[rows, i] ** 2, dof[rows]))
+    u = drawn_together(readings.u[None], readings.dof[None])[0]
     least = float(readings.dof.min())
     if least >= _FEW:
         return replace(readings, u=u)
@@ -55,7 +51,21 @@ def steady_floors(readings: Readings) -> Readings:
     return replace(readings, u=u, notes=(*readings.notes, said))
 
 
-def _drawn_together(square: Array, dof: Array) -> Array:
+def drawn_together(u: Array, dof: Array) -> Array:
+    """Return ũ of eq. (1), of B units, from u and their degrees of freedom, (B, n, M) each.
+
+    Where fewer than three readings of an output tell what they have in common, u stays.
+    """
+    drawn = u.copy()
+    for unit, output in np.ndindex(u.shape[0], u.shape[2]):
+        rows = np.flatnonzero(dof[unit, :, output] < _KNOWN)
+        if len(rows) >= _FEWEST:
+            square = u[unit, rows, output] ** 2
+            drawn[unit, rows, output] = np.sqrt(_together(square, dof[unit, rows, output]))
+    return drawn
+
+
+def _together(square: Array, dof: Array) -> Array:
     """Return ũ² (n,) of eq. (1) from u² and their degrees of freedom."""
     half = dof / 2.0
     e = np.log(square) - digamma(half) + np.log(half)
@@ -81,14 +91,11 @@ def carry_dof(solution: Solution, readings: Readings, *, joint: bool) -> Solutio
     """
     if readings.dof is None or readings.u is None:
         return solution
-    floor = readings.u**2
-    claimed = np.sum(floor, axis=0) ** 2 / np.sum(floor**2 / readings.dof, axis=0)
-    scatter = np.zeros(len(claimed))
+    scatter = np.zeros(readings.dof.shape[1])
     found = solution.variance_components
     if found is not None and found.rest_to_rest is not None:
         scatter = np.array([found.rest_to_rest[o].value ** 2 for o in solution.model.outputs])
-    share = floor.mean(axis=0) / (floor.mean(axis=0) + scatter)
-    spread = share**2 / claimed  # of each output
+    spread = _spread(readings.u[None] ** 2, readings.dof[None], scatter)[0]
     if joint:
         spread = np.full(len(spread), spread.max())
     each = np.repeat(spread, [len(terms) for terms in solution.model.terms])
@@ -97,3 +104,23 @@ def carry_dof(solution: Solution, readings: Readings, *, joint: bool) -> Solutio
         dof = np.where(np.isinf(solution.dof), np.inf, 1.0 / (1.0 / solution.dof + spread))
         own = 1.0 / (1.0 / solution.parameter_dof + each)
     return replace(solution, dof=dof, parameter_dof=own)
+
+
+def carried_dof(dof: Array, floor: Array, claimed: Array, scatter: Array) -> Array:
+    """Return degrees of freedom (B, M) with those of the floors, eq. (3), of B units.
+
+    Parameters
+    ----------
+    dof, scatter : (B, M) arrays
+        Of the variance of a reading, and τ².
+    floor, claimed : (B, n, M) arrays
+        Stated variances and their degrees of freedom.
+    """
+    return np.asarray(1.0 / (1.0 / dof + _spread(floor, claimed, scatter)))
+
+
+def _spread(floor: Array, dof: Array, scatter: Array) -> Array:
+    """Return w²/ν_c of eq. (3), (B, M)."""
+    claimed = np.sum(floor, axis=1) ** 2 / np.sum(floor**2 / dof, axis=1)
+    share = floor.mean(axis=1) / (floor.mean(axis=1) + scatter)
+    return np.asarray(share**2 / claimed)

@@ -29,6 +29,8 @@ _XTOL = 1e-13  # relative step that is only rounding
 _DAMPING = 1e-4
 _STUCK = 1e12  # damping beyond which nothing moves
 _FLAT = 1e-15  # of F, below which a step is lost in the rounding of F
+_SMALL = 1e-6  # of theta: no step into what the positions cannot tell is as short
+_LAST_STEPS = 2
 _ROUNDING = 1e-8  # of F, or of theta: what the last digits of the readings can do
 
 
@@ -81,7 +83,7 @@ def _descend(
     damping, decrement, last_step = _DAMPING, np.inf, np.inf
     enough = _DECREMENT if problem.robust is None else _DECREMENT_ROBUST
     held = list(problem.held)
-    converged, iterations = False, 0
+    converged, iterations, refused = False, 0, False
     while iterations < _ITERATIONS and not converged:
         iterations += 1
         before = decrement
@@ -91,6 +93,7 @@ def _descend(
             trial = steps.move(place, equations, step, damping)
             if trial.objective <= place.objective or damping > _STUCK:
                 break
+            refused = True
             flat = decrement <= _FLAT * place.objective  # a shorter step has less to take off
             damping = 10.0 * _STUCK if flat else max(damping * 10.0, 1e-10)
         if damping > _STUCK:  # no descent is left: rounding, or a point that is no minimum
@@ -101,7 +104,17 @@ def _descend(
         damping *= 0.1
         following = decrement if np.isinf(before) else decrement * min(decrement / before, 1.0)
         converged = following <= enough * place.objective or last_step <= _XTOL
+    if converged and refused and last_step <= _SMALL:
+        place = _settled(steps, place, held)
     return place, (converged, iterations, last_step, float(np.sqrt(max(decrement, 0.0))))
+
+
+def _settled(steps: _Steps, place: Any, held: list[int]) -> Any:
+    """Return the place where the slope of F vanishes, of which F itself tells half the digits."""
+    for _ in range(_LAST_STEPS):
+        equations = steps.linearise(place)
+        place = steps.move(place, equations, _step(place.theta, equations, 0.0, held)[0], 0.0)
+    return place
 
 
 def _step(

@@ -185,23 +185,23 @@ def _beside_stated(
     if left == 0:
         return _Weighed(fits, np.ones(len(model.keys)), np.full(m, np.inf), stated_sd(readings))
     designs = [phi[:, columns] for columns in model.columns]
-    found = find_scatter(designs, fits.residuals, noise, pool=pool)
-    weighed = _weigh_again(model, phi, readings, fits, found.variance)
+    stated = noise if noise.ndim == 2 else noise.reshape(1, n, m)
+    found = find_scatter(designs, fits.residuals[None], stated, pool=pool)  # of one unit
+    (variance,), (u_tau,), (known,) = found.variance, found.u, found.dof
+    weighed = _weigh_again(model, phi, readings, fits, variance)
     moves = weighed.parameters - fits.parameters
-    u = found.standard_uncertainty(moves, per_parameter(model, found.dof))
+    (u,) = found.standard_uncertainty(moves[None], per_parameter(model, known)[None])
     components = VarianceComponents(
         rest_to_rest={
-            output: RestToRest(
-                float(np.sqrt(found.variance[i])), float(found.u[i]), float(found.dof[i])
-            )
+            output: RestToRest(float(np.sqrt(variance[i])), float(u_tau[i]), float(known[i]))
             for i, output in enumerate(model.outputs)
         }
     )
-    sd = np.sqrt(diagonal(noise).reshape(n, m) + found.variance)
+    sd = np.sqrt(diagonal(noise).reshape(n, m) + variance)
     claim = Claim(float(fits.chi2.sum()), float(left))
     inflation = u / np.sqrt(np.diag(weighed.cofactor))
     said = overstated(claim)
-    return _Weighed(weighed, inflation, found.dof, sd, said, components, claim)
+    return _Weighed(weighed, inflation, known, sd, said, components, claim)
 
 
 def _weigh_again(
@@ -316,8 +316,8 @@ def overstated(claim: Claim) -> tuple[str, ...]:
 
 
 def per_parameter(model: Model, values: Array) -> Array:
-    """Return one value an output (M,) as one a parameter (p,)."""
-    return np.repeat(values, [len(terms) for terms in model.terms])
+    """Return one value an output (…, M) as one a parameter (…, p)."""
+    return np.repeat(values, [len(terms) for terms in model.terms], axis=-1)
 
 
 def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> RankError:

@@ -23,8 +23,8 @@ from multipos.estimation.placed_scatter import (
     least_floor,
     tells_apart,
 )
+from multipos.estimation.posteriors import Posterior, standard_uncertainty
 from multipos.estimation.problem import Optimum, Problem
-from multipos.estimation.scatter import Posterior, standard_uncertainty
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.sensor.diagnostics import Claim
@@ -156,15 +156,15 @@ def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
 
 def _worth(problem: Problem, posterior: Posterior, *, stated: bool) -> Appraisal:
     """Return what a posterior makes of the covariance, with the noise that it found."""
-    tau2, u_tau, _ = posterior.summary
-    p, dof = len(problem.model.keys), posterior.shape
+    tau2, u_tau, _ = (float(each[0]) for each in posterior.summary)
+    p, dof = len(problem.model.keys), float(posterior.shape[0])
     if stated:
         scatter = RestToRest(float(np.sqrt(tau2)), u_tau, dof)
         components = VarianceComponents(dict.fromkeys(problem.model.outputs, scatter))
     else:
         sd = float(problem.precision.mean() ** -0.5)
         components = VarianceComponents(reading_sd=Component(sd, max(u_tau, _ROUNDING * sd)))
-    u = standard_uncertainty(posterior.expanded(np.zeros(p)), np.full(p, dof))
+    u = standard_uncertainty(posterior.expanded(np.zeros((1, p)))[0], np.full(p, dof))
     return Appraisal(1.0, dof, components=components, u=u)
 
 

@@ -6,7 +6,7 @@ About a solution the readings of a position have the marginal covariance
 
 Σ, J and s of `multipos.estimation.likelihood`; unknown orientations have s infinite, and of their
 readings only what lies along the normal of the sphere counts. The posterior of τ² and of the
-parameters is that of `multipos.estimation.scatter`, with Jeffreys' prior of (1),
+parameters is that of `multipos.estimation.posteriors`, with Jeffreys' prior of (1),
 dτ² (Σ tr V_k⁻²)^½.
 """
 
@@ -18,8 +18,8 @@ import numpy as np
 from multipos.estimation.descent import maximise, resume
 from multipos.estimation.likelihood import eliminate
 from multipos.estimation.linearisation import Linearised, linearised
+from multipos.estimation.posteriors import NEGLIGIBLE, Found, Posterior, belief, integrate
 from multipos.estimation.problem import Optimum, Problem, start_state
-from multipos.estimation.scatter import NEGLIGIBLE, Found, Posterior, belief, integrate
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import step_on_sphere
 
@@ -58,9 +58,10 @@ def integrate_placed(
         squares = optimum.point.objective * size, float(np.sum(residuals**2))
         if before > 0.0:  # the objective is under the noise that was found
             squares = squares[0] * (size + before) / size, squares[1]
-        alone = partial(_evaluate, linear, floor, size, None)
-        posterior = integrate(alone, nu, size, squares, believed=believed)
-        tau2 = posterior.summary[0]
+        brackets = np.array(squares[:1]), np.array(squares[1:])
+        alone = partial(_of_one, linear, floor, size)
+        posterior = integrate(alone, nu, np.array([size]), brackets, believed=believed)
+        tau2 = float(posterior.summary[0][0])
         problem = replace(first, precision=_precision(first, floor, tau2))
         optimum = resume(problem, optimum)
         if abs(tau2 - before) <= _SETTLED * (size + before):
@@ -112,7 +113,7 @@ class Both:
 
     def _quantile(self, share: float) -> float:
         order = np.argsort(self.factors)
-        total = np.cumsum(self.posterior.weights[order])
+        total = np.cumsum(self.posterior.weights[0, order])
         place = min(int(np.searchsorted(total, share)), len(order) - 1)
         return float(self.factors[order][place])
 
@@ -139,7 +140,7 @@ def integrate_both(
     problem, before = first, np.zeros(2)
     for _ in range(_ROUNDS):
         both = grid(linearised(first, optimum))
-        tau2, factor = both.posterior.summary[0], both.factor
+        tau2, factor = float(both.posterior.summary[0][0]), both.factor
         problem = replace(
             first,
             precision=_precision(first, least, tau2),
@@ -210,7 +211,9 @@ def _over_both(
     if placed and y[0] == 0.0:
         weights[:, 0] += belief(nu) / (y[1] - y[0]) * weights[:, 0] * 2.0
     weights = weights.ravel() / weights.sum()
-    return Both(Posterior(grid, weights, found.moves, found.variances, size), factors)
+    found = Found(*(each[None] for each in found))
+    posterior = Posterior(grid[None], weights[None], found.moves, found.variances, np.array([size]))
+    return Both(posterior, factors)
 
 
 def _told(x: Array, log: Array) -> tuple[float, float]:
@@ -236,6 +239,12 @@ def _precision(problem: Problem, floor: Array, tau2: float) -> Array:
     if problem.precision.ndim == 2:
         return np.asarray(1.0 / (np.diagonal(floor, axis1=1, axis2=2) + tau2))
     return np.asarray(np.linalg.inv(floor + tau2 * np.eye(m)))
+
+
+def _of_one(linear: Linearised, floor: Array, size: float, nodes: Array) -> Found:
+    """Return what `_evaluate` finds at nodes (1, G), as of a batch of one."""
+    found = _evaluate(linear, floor, size, None, nodes[0])
+    return Found(*(each[None] for each in found))
 
 
 def _evaluate(

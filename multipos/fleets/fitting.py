@@ -28,6 +28,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import formula_columns
 from multipos.positions.attitudes import Convention
 from multipos.positions.reading_tables import read_readings
+from multipos.positions.readings import spread_reading_sd
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
@@ -363,8 +364,28 @@ class _Fleet:
         size = max(1, _READINGS // n)
         for start in range(0, len(units), size):
             mine = units[start : start + size]
-            values = tuple(self._conditions.of(mine, n))
-            yield Task(mine, self._stations[mine], pattern, values, {}, self._options)
+            read = self._conditions
+            values = read.of(read.values, mine, n)
+            yield Task(
+                mine,
+                self._stations[mine],
+                pattern,
+                values,
+                {},
+                self._options,
+                *self._stated(mine, values),
+            )
+
+    def _stated(
+        self, units: Places, values: tuple[Array, ...]
+    ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Return what is stated of the noise of readings, u and its degrees of freedom."""
+        read, (count, n) = self._conditions, values[0].shape
+        sd = self._options.get("reading_sd")
+        if sd is not None:
+            u = spread_reading_sd(sd, (n, len(values)))
+            return tuple(np.broadcast_to(each, (count, n)) for each in u.T), ()
+        return read.of(read.stated, units, n), read.of(read.claimed, units, n)
 
     def _alone(self, units: Places) -> Iterator[Task]:
         for start in range(0, len(units), _ALONE):

@@ -95,17 +95,30 @@ def group_rows(rows: Rows) -> Grouped:
 
 
 class Conditions:
-    """The outputs of every row, and under which conditions its unit was read."""
+    """The outputs of every row, and under which conditions its unit was read.
+
+    Attributes
+    ----------
+    values, stated, claimed : lists of M (N,) arrays
+        Outputs, and where they are stated of all of them their u and its degrees of freedom,
+        which units need not share; in the order of the units.
+    """
 
     def __init__(
         self, rows: Rows, grouped: Grouped, outputs: Sequence[str], used: Sequence[str]
     ) -> None:
         """Read the columns that are used; `used` are those of the model's formula."""
         self._grouped = grouped
-        self.values = [self._grouped.arranged(rows.numbers(name)) for name in outputs]
+        self.values = self._columns(rows, outputs)
+        self.stated = self._of_all(rows, outputs, "u")
+        self.claimed = self._of_all(rows, outputs, "dof") if self.stated else []
         self._sound = self._sound_units(rows)
+        kinds = ("u",) * bool(self.stated) + ("dof",) * bool(self.claimed)
+        apart = {f"{kind}_{output}" for kind in kinds for output in outputs}
         self._cells = [
-            self._cells_of(rows, name) for name in rows.columns if _is_used(name, outputs, used)
+            self._cells_of(rows, name)
+            for name in rows.columns
+            if _is_used(name, outputs, used) and name not in apart
         ]
 
     def groups(self) -> Iterator[Places]:
@@ -116,14 +129,22 @@ class Conditions:
             yield from units[~sound][:, None]
             yield from self._alike(units[sound], n)
 
-    def of(self, units: Places, n: int) -> list[Array]:
-        """Return the readings of units of n rows, (B, n) each output."""
+    def of(self, columns: Sequence[Array], units: Places, n: int) -> tuple[Array, ...]:
+        """Return columns of units of n rows, (B, n) each."""
         starts = self._grouped.starts[units]
         if len(units) and starts[-1] - starts[0] == n * (len(units) - 1):
             piece = slice(starts[0], starts[0] + n * len(units))
-            return [column[piece].reshape(len(units), n) for column in self.values]
+            return tuple(column[piece].reshape(len(units), n) for column in columns)
         places = starts[:, None] + np.arange(n)
-        return [column[places] for column in self.values]
+        return tuple(column[places] for column in columns)
+
+    def _columns(self, rows: Rows, names: Sequence[str]) -> list[Array]:
+        return [self._grouped.arranged(rows.numbers(name)) for name in names]
+
+    def _of_all(self, rows: Rows, outputs: Sequence[str], kind: str) -> list[Array]:
+        """Return what is stated of every output; none where it is not of all, or no condition."""
+        names = [f"{kind}_{output}" for output in outputs]
+        return self._columns(rows, names) if set(names) <= set(rows.columns) else []
 
     def _sound_units(self, rows: Rows) -> NDArray[np.bool_]:
         """Tell of which units all cells can be what a fit takes."""

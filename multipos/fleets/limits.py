@@ -25,7 +25,7 @@ from multipos.files.tables import read_table
 from multipos.files.trees import read_toml
 from multipos.fleets.fitting import Units
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.quantiles import coverage_factors
 
 PASS, FAIL, DOUBT, FAILED = "pass", "fail", "doubt", "failed"
 VERDICTS = (PASS, FAIL, DOUBT, FAILED)
@@ -160,7 +160,9 @@ def column(units: Units, name: str) -> Array:
             return np.asarray(table[:, units.names.index(name.removeprefix(prefix))])
     if name.startswith("U:") and name[2:] in units.names:
         place = units.names.index(name[2:])
-        return np.asarray(_factors(units.dof[:, place], units.confidence) * units.u[:, place])
+        return np.asarray(
+            coverage_factors(units.confidence, units.dof[:, place]) * units.u[:, place]
+        )
     if not units.names:  # no unit could be fitted, so nothing is known of any name
         return np.full(len(units), np.nan)
     known = [*units.names, *(f"U:{each}" for each in units.names), "rms"]
@@ -168,11 +170,3 @@ def column(units: Units, name: str) -> Array:
         f"the limits name '{name}', which no unit has{near(name, known)} There are "
         f"{', '.join(units.names)}, U:NAME of each, u_NAME and rms."
     )
-
-
-def _factors(dof: Array, confidence: float) -> Array:
-    different, place = np.unique(dof, return_inverse=True)
-    factors = [
-        math.nan if math.isnan(nu) else coverage_factor(confidence, nu) for nu in different.tolist()
-    ]
-    return np.array(factors)[place]

@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 from multipos.doubts.redundancy import are_poorly_known
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates, SharedDesign, estimate_batch, share_design
+from multipos.estimation.known import DENIED
 from multipos.estimation.sphere_batches import SharedSphere, estimate_spheres, share_sphere
+from multipos.estimation.stated_batches import estimate_stated
 from multipos.files.tables import Table
 from multipos.fitting.readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests
 from multipos.fleets.screening import find_suspects
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.quantiles import chi2_quantile, coverage_factor
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import implausible
 from multipos.sensor.expressions import ExpressionModel
@@ -99,6 +101,8 @@ class Task:
         Of those that are taken one by one.
     options : mapping
         Of `fit`.
+    stated, claimed : tuples of M (B, n) arrays
+        What is stated of the readings' uncertainties, and their degrees of freedom, if anything.
     """
 
     units: Places
@@ -107,6 +111,8 @@ class Task:
     values: tuple[Array, ...]
     tables: Mapping[int, Table]
     options: Mapping[str, Any]
+    stated: tuple[Array, ...] = ()
+    claimed: tuple[Array, ...] = ()
 
 
 def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Pattern | None:
@@ -114,7 +120,7 @@ def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Patter
     c = calibration
     plain = (
         not isinstance(c.model, ExpressionModel)
-        and c.readings.noise is None
+        and c.readings.covariance is None
         and c.robust_weight is None
         and c.budget is None
         and not c.readings.forced.any()
@@ -138,37 +144,44 @@ def _share(c: Calibration) -> Shared | None:
     if c.estimator is Estimator.LINEAR:
         return share_design(c.model, c.reference, columns)
     sd = c.readings.orientation_sd
-    if c.estimator is Estimator.UNKNOWN and sd is not None and np.isinf(sd).all():
+    if c.estimator is not Estimator.UNKNOWN or c.readings.u is not None or sd is None:
+        return None
+    if np.isinf(sd).all():
         return share_sphere(c.model, float(np.linalg.norm(c.reference[0])), columns)
     return None
 
 
-# What every unit at these positions is doubted for.
-_POOR = "no-redundancy"
-_COMMON = ("gravity", "turned", _POOR, "temperature-kelvin", "hidden-terms")
+_POOR, _DENIED = "no-redundancy", "denied-noise"
+# What units are doubted for without being looked at in full, in the order of `fit`.
+_TOLD = ("gravity", "turned", _POOR, "temperature-kelvin", "hidden-terms", _DENIED)
 
 
 def _common(calibration: Calibration) -> str:
+    """Return what every unit at these positions is doubted for."""
     c = calibration
-    codes = {doubt.code for doubt in c.diagnostics.doubts}
+    codes = {doubt.code for doubt in c.diagnostics.doubts} - {_DENIED}
     if c.estimator is Estimator.UNKNOWN and len(c.readings) > len(c.parameters):
         codes -= {_POOR}  # which then depends on the unit
     return _in_order(codes)
 
 
 def _in_order(codes: Iterable[str]) -> str:
-    return " ".join(code for code in _COMMON if code in codes)
+    return " ".join(code for code in _TOLD if code in codes)
 
 
 def _doubts(task: Task, pattern: Pattern, found: Estimates) -> list[str]:
     """Return what every unit is doubted for."""
-    common = pattern.doubts
-    if not isinstance(pattern.shared, SharedSphere):
-        return [common] * len(task.units)
-    k = coverage_factor(float(task.options.get("confidence", 0.95)), float(np.min(found.dof)))
-    more = _in_order((*common.split(), _POOR))
-    poor = are_poorly_known(pattern.shared.model, found.parameters, k * found.u)
-    return [more if each else common for each in poor.tolist()]
+    common, count = pattern.doubts, len(task.units)
+    shared = pattern.shared
+    code, told = "", np.zeros(count, dtype=np.bool_)
+    if isinstance(shared, SharedSphere):
+        k = coverage_factor(float(task.options.get("confidence", 0.95)), float(np.min(found.dof)))
+        code, told = _POOR, are_poorly_known(shared.model, found.parameters, k * found.u)
+    elif found.chi2 is not None:
+        dof = sum(each.size for each in task.values) // count - len(shared.model.keys)
+        code, told = _DENIED, found.chi2 > chi2_quantile(DENIED, float(dof))
+    more = _in_order((*common.split(), code))
+    return [more if each else common for each in told.tolist()]
 
 
 def solve_task(task: Task) -> Solved:
@@ -200,6 +213,9 @@ def solve_task(task: Task) -> Solved:
 def _estimate(shared: Shared, task: Task) -> Estimates:
     if isinstance(shared, SharedSphere):
         return estimate_spheres(shared, task.values)
+    if task.stated:
+        pool = bool(task.options.get("pool"))
+        return estimate_stated(shared, task.values, task.stated, task.claimed, pool=pool)
     return estimate_batch(shared, task.values, pool=bool(task.options.get("pool")))
 
 

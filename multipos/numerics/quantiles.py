@@ -9,14 +9,15 @@ of squares are judged by χ²_ν against a known variance, and by F_{k,ν} = (χ
 one estimated on ν degrees of freedom; at ν = ∞ the second is χ²_k/k.
 
 =====================  ============================================================
-`coverage_factor`      k of a two-sided interval
+`coverage_factor`      k of a two-sided interval, `coverage_factors` of many
 `t_tail`               p value of an estimate over its u, both sides
 `f_tail`, `f_quantile` variances compared: terms entering a model, lack of fit
 `chi2_tail`            residuals against claimed noise
 =====================  ============================================================
 
 Degrees of freedom may be fractional (Welch–Satterthwaite) and infinite; where they are not positive
-the question has no answer, and nan is returned. Scalars in, float out: a fit asks for a handful.
+the question has no answer, and nan is returned. Scalars in, float out: a fit asks for a handful;
+only `coverage_factors` is for those of many units.
 
 The short tail is used throughout: 1 − p keeps no digits below 1e-16, so a two-sided factor is
 computed from (1 − confidence)/2 and not from 1 − (1 − confidence)/2. Up to a thousand degrees of
@@ -26,9 +27,14 @@ freedom the functions are those of `multipos.numerics.incomplete`, beyond SciPy'
 import math
 from functools import lru_cache
 
+import numpy as np
+
+from multipos.numerics.arrays import Array
 from multipos.numerics.incomplete import LARGEST, beta_tails, gamma_tails, solve
 
 _KEPT = 256  # quantiles: a fit asks for the same one of each of its parameters
+_MANY = 100  # degrees of freedom from which on SciPy is worth its import
+_KNOWN = 1e6  # beyond which the difference of two tails is rounding
 
 
 def coverage_factor(confidence: float, dof: float) -> float:
@@ -37,6 +43,28 @@ def coverage_factor(confidence: float, dof: float) -> float:
     Returns nan where `dof` is nan or not positive: no variance was estimated.
     """
     return -t_quantile((1.0 - confidence) / 2.0, dof)
+
+
+def coverage_factors(confidence: float, dof: Array) -> Array:
+    """Return `coverage_factor` of degrees of freedom, an array of any shape.
+
+    Many different ones come from SciPy's quantiles, after a step of Newton's on its tails.
+    """
+    different, place = np.unique(dof, return_inverse=True)
+    if len(different) < _MANY:
+        factors = np.array([coverage_factor(confidence, nu) for nu in different.tolist()])
+        return np.asarray(factors[place].reshape(dof.shape))
+    from scipy.special import betainc, gammaln, ndtri, stdtrit
+
+    nu = np.where(different > 0.0, different, np.nan)
+    p = (1.0 - confidence) / 2.0
+    with np.errstate(invalid="ignore"):  # nan and infinite degrees of freedom
+        k = -stdtrit(nu, p)
+        constant = gammaln((nu + 1.0) / 2.0) - gammaln(nu / 2.0) - 0.5 * np.log(nu * np.pi)
+        density = 2.0 * np.exp(constant - (nu + 1.0) / 2.0 * np.log1p(k**2 / nu))
+        better = k + (betainc(nu / 2.0, 0.5, nu / (nu + k**2)) - 2.0 * p) / density
+    k = np.where(nu < _KNOWN, better, k)
+    return np.asarray(np.where(np.isinf(nu), -ndtri(p), k)[place].reshape(dof.shape))
 
 
 @lru_cache(_KEPT)

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import scipy
 from hypothesis import given
@@ -11,6 +12,7 @@ from multipos.numerics.quantiles import (
     chi2_quantile,
     chi2_tail,
     coverage_factor,
+    coverage_factors,
     f_quantile,
     f_tail,
     normal_quantile,
@@ -179,3 +181,13 @@ def test_without_degrees_of_freedom_there_is_no_answer(dof):
 def test_floats_are_returned():
     assert type(coverage_factor(0.95, 5)) is float
     assert type(f_tail(2.0, 3, 4)) is float
+
+
+@pytest.mark.parametrize("confidence", [0.68, 0.95, 0.999])
+def test_factors_of_many_are_those_of_each(confidence):
+    dof = np.append(np.geomspace(0.5, 2e3, 150), [np.inf, np.nan, 0.0, 1e5, 1e12])
+    each = [coverage_factor(confidence, nu) for nu in dof.tolist()]
+    found = coverage_factors(confidence, dof.reshape(5, -1)).ravel()
+    np.testing.assert_allclose(found[:-2], each[:-2], rtol=1e-11)  # what a difference of tails has
+    np.testing.assert_allclose(found[-2:], each[-2:], rtol=max(T_SEARCH, 1e-11))
+    np.testing.assert_array_equal(coverage_factors(confidence, dof[:3]), each[:3])

@@ -1,0 +1,232 @@
+"""The posterior of a variance that nobody stated, at nodes, and what it leaves of parameters.
+
+With τ² a variance beside floors of a typical size, the posterior density of ln(τ² + size) is known
+at any nodes. It is integrated by the trapezoidal rule, after the range was narrowed to where
+something is probable; what a claim that τ² = 0 weighs stands at the first node. Parameters then
+are a mixture of normal laws with moves m_g and variances c_g at the nodes, and
+
+    sum_g w_g [Φ((U − m_g)/√c_g) + Φ((U + m_g)/√c_g) − 1] = 95 %                            (1)
+
+gives U about an estimate. All of it is done for B units at once, which share nothing but the
+number of nodes; a single fit is a batch of one.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import coverage_factor, coverage_factors
+
+_BELIEF = 1.4  # what "the claim is right" weighs, in units of ln V, from six degrees of freedom on
+_FEW = 6.0  # degrees of freedom below which the claim must weigh more, or U is too long
+_RISE = 2.0  # power of 1/ν by which it does
+_COVERAGE = 0.95  # at which U and Student's t are made to agree
+_INNER = 0.68  # beside it, what tells how heavy the tails are
+# Below so many degrees of freedom, so many nodes: a posterior of many is nearly normal, of which
+# the trapezoidal rule asks for one node a standard deviation.
+_NODES = ((100.0, 48), (1000.0, 32), (math.inf, 24))
+_NARROWED = 3  # times that the range is cut to where something is probable
+NEGLIGIBLE = 30.0  # of -2 ln: one part in three million of the posterior
+_MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
+_SHAPES = 64  # steps of degrees of freedom, between which tails are nearly straight
+_SAME = 1e-9  # relative difference of mixtures that are one
+_ROOT = np.sqrt(2.0)
+# Element by element: SciPy's takes longer to import than a fit that needs a few hundred values.
+_one_by_one = np.vectorize(math.erf, otypes=[np.float64])
+_MANY = 20_000  # values from which on it is worth it
+
+
+class Found(NamedTuple):
+    """The posterior density of ln(τ² + size) at nodes (B, G), moves and variances (B, G, p)."""
+
+    log: Array
+    moves: Array
+    variances: Array
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What is known of τ² of B units, and with it of their parameters.
+
+    Attributes
+    ----------
+    nodes, weights : (B, G) arrays
+        Values of τ² and their probability.
+    moves, variances : (B, G, p) arrays
+        By how much the parameters of all parts move with τ², and their variances c; those of one
+        output after those of another.
+    size : (B,) array
+        Of the floors, their harmonic mean: the most precise readings are the first to feel τ.
+    """
+
+    nodes: Array
+    weights: Array
+    moves: Array
+    variances: Array
+    size: Array
+
+    @property
+    def summary(self) -> tuple[Array, Array, Array]:
+        """τ² whose V is the posterior mean of 1/V, u of τ, and the dof of V, (B,) each."""
+        precision = 1.0 / (self.size[:, None] + self.nodes)
+        mean = self._mean(precision)
+        spread = self._mean((precision - mean[:, None]) ** 2)
+        with np.errstate(divide="ignore"):
+            dof = 2.0 * mean**2 / spread
+        sd = np.sqrt(self.nodes)
+        u = np.sqrt(self._mean((sd - self._mean(sd)[:, None]) ** 2))
+        return np.maximum(1.0 / mean - self.size, 0.0), u, np.minimum(dof, _MOST_DOF)
+
+    def _mean(self, values: Array) -> Array:
+        return np.asarray(np.einsum("bg,bg->b", self.weights, values))
+
+    def expanded(self, moves: Array) -> Array:
+        """Return U (B, p) about estimates that moved by `moves` (B, p), at 95 %."""
+        return self._half(moves, _COVERAGE)
+
+    def _half(self, moves: Array, share: float) -> Array:
+        means = self.moves - moves[:, None]
+        return _half_interval(means, np.sqrt(self.variances), self.weights, share)
+
+    @property
+    def shape(self) -> Array:
+        """Degrees of freedom (B,) of the Student's t whose tails are those of the parameters."""
+        moves = np.zeros((len(self.size), self.moves.shape[2]))
+        ratio = np.median(self.expanded(moves) / self._half(moves, _INNER), axis=1)
+        return np.array([_dof_of_tails(each) for each in ratio.tolist()])
+
+
+def belief(dof: float) -> float:
+    """Return what "the claim is right" weighs at so many degrees of freedom, in units of ln V."""
+    return float(_BELIEF * max(_FEW / dof, 1.0) ** _RISE)
+
+
+def integrate(
+    evaluate: Callable[[Array], Found],
+    dof: float,
+    size: Array,
+    squares: tuple[Array, Array],
+    *,
+    believed: bool = True,
+) -> Posterior:
+    """Return the posterior of a scatter, and of parameters.
+
+    Parameters
+    ----------
+    evaluate : callable
+        Takes values of τ² (B, G).
+    dof : float
+        Degrees of freedom, above 0.
+    size : (B,) array
+        Of the floors.
+    squares : tuple of two (B,) arrays
+        Sums of squared residuals that bracket how noisy readings can be.
+    believed : bool
+        The floor is a claim that may be right, and not only where the search ends.
+    """
+    least = np.minimum(*squares) / (dof + 10.0 * np.sqrt(dof) + 30.0)
+    # Large V are unlikely as V^(−ν/2); a tail of 1e-6 is cut off.
+    low = np.log(np.maximum(size, least))
+    high = np.log(np.maximum(np.maximum(*squares), size))
+    high = high + 28.0 / dof + min(0.5, 10.0 / np.sqrt(dof))
+    count = next(nodes for most, nodes in _NODES if dof < most)
+    searched = np.ones(len(size), dtype=np.bool_)
+    for _ in range(_NARROWED):
+        x = np.linspace(low, high, count // 2, axis=1)
+        log = evaluate(_nodes(x, size)).log
+        told = log > log.max(axis=1, keepdims=True) - NEGLIGIBLE / 2.0
+        first, last = _ends(x, told)
+        low, high = np.where(searched, first, low), np.where(searched, last, high)
+        searched &= 4 * told.sum(axis=1) <= count // 2
+        if not searched.any():
+            break
+    x = np.linspace(low, high, count, axis=1)
+    nodes = np.concatenate([np.zeros((len(size), 1)), _nodes(x, size)], axis=1)
+    found = evaluate(nodes)
+    log = found.log[:, 1:]
+    top = log.max(axis=1, keepdims=True)
+    weights = np.exp(log - top) * (x[:, 1:2] - x[:, :1])
+    weights[:, [0, -1]] /= 2.0
+    claimed = believed * belief(dof) * np.exp(found.log[:, :1] - top)
+    weights = np.concatenate([claimed, weights], axis=1)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return Posterior(nodes, weights, found.moves, found.variances, size)
+
+
+def _nodes(x: Array, size: Array) -> Array:
+    return np.asarray(np.maximum(np.exp(x) - size[:, None], 0.0))
+
+
+def _ends(x: Array, told: Array) -> tuple[Array, Array]:
+    """Return the nodes (B,) outside of which nothing is told."""
+    rows, count = np.arange(len(x)), x.shape[1]
+    first = np.argmax(told, axis=1)
+    last = count - 1 - np.argmax(told[:, ::-1], axis=1)
+    return x[rows, np.maximum(first - 1, 0)], x[rows, np.minimum(last + 1, count - 1)]
+
+
+def _half_interval(means: Array, sds: Array, weights: Array, share: float) -> Array:
+    """Return half the intervals (B, p) about zero that hold a share of mixtures (B, G, p)."""
+    shape = sds / sds[:, :1]
+    if np.ptp(shape, axis=2).max() > _SAME or (np.abs(means) > _SAME * sds).any():
+        return _search_half(means, sds, weights, share)
+    # where all floors are alike, all mixtures are one but for their size
+    one = _search_half(means[:, :, :1], sds[:, :, :1], weights, share)
+    return np.asarray(one * sds[:, 0] / sds[:, 0, :1])
+
+
+def _search_half(means: Array, sds: Array, weights: Array, share: float) -> Array:
+    low = np.zeros((len(means), means.shape[2]))
+    high = 2.0 * np.max(np.abs(means) + 2.0 * sds, axis=1)
+    guess = 2.0 * np.sqrt(np.einsum("bg,bgp->bp", weights, sds**2 + means**2))
+    for _ in range(60):
+        above, below = (guess[:, None] - means) / sds, (guess[:, None] + means) / sds
+        covered = _erf(above / _ROOT) + _erf(below / _ROOT)
+        inside = np.einsum("bg,bgp->bp", weights, covered) / 2.0
+        low = np.where(inside < share, guess, low)
+        high = np.where(inside < share, high, guess)
+        density = np.einsum("bg,bgp->bp", weights, (_normal(above) + _normal(below)) / sds)
+        following = guess + (share - inside) / np.maximum(density, 1e-300)
+        bad = ~((following > low) & (following < high))
+        following = np.where(bad, 0.5 * (low + high), following)
+        if np.all(np.abs(following - guess) <= 1e-10 * guess):
+            break
+        guess = following
+    return np.asarray(following)
+
+
+def _erf(z: Array) -> Array:
+    if z.size < _MANY:
+        return np.asarray(_one_by_one(z), dtype=np.float64)
+    from scipy.special import erf
+
+    return np.asarray(erf(z))
+
+
+def _normal(z: Array) -> Array:
+    return np.asarray(np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi))
+
+
+def _dof_of_tails(ratio: float) -> float:
+    """Return the degrees of freedom of the t whose outer interval is so much the wider."""
+    low, high = 0, _SHAPES
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if _tail(middle) > ratio else (low, middle)
+    share = (_tail(low) - ratio) / (_tail(low) - _tail(high))
+    return float(_MOST_DOF ** ((low + min(max(share, 0.0), 1.0)) / _SHAPES))
+
+
+def _tail(step: int) -> float:
+    """Return how much wider the outer interval is than the inner one, at a step of dof."""
+    dof = _MOST_DOF ** (step / _SHAPES)
+    return coverage_factor(_COVERAGE, dof) / coverage_factor(_INNER, dof)
+
+
+def standard_uncertainty(expanded: Array, dof: Array) -> Array:
+    """Return u = U/k of U at 95 % with degrees of freedom, arrays of one shape."""
+    return np.asarray(expanded / coverage_factors(_COVERAGE, dof))
