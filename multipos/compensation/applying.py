@@ -33,6 +33,8 @@ from multipos.logs.opening import open_log, read_log
 from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS, largest_value
+from multipos.positions.headers import require_units
+from multipos.positions.reading_tables import plain_names
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
@@ -157,16 +159,17 @@ def apply(
         )
         columns = whole.columns()
         return Applied(columns, whole.noise, (*whole.log.left_out, *whole.warnings))
-    table = read_table(data, what="data")
+    given = read_table(data, what="data")
+    table, units = plain_names(given)
     wanted = asked_uncertainty(
         calibration, table.source, table.columns, uncertainty, reading_sd, parameters_only
     )
-    _check_columns(calibration, table.source, table.columns, tilt, wanted)
+    _check_columns(calibration, table.source, table.columns, tilt, wanted, units)
     added = add_columns(calibration, table, tilt=tilt, uncertainty=wanted, outside=outside)
     if outside == "refuse" and added["outside"].any():
         where = table.where(int(np.argmax(added["outside"])), calibration.outputs[0])
         raise _refusal(where, int(added["outside"].sum()), table.rows)
-    kept = {name: copy(column) for name, column in table.columns.items()}  # the caller's own stay
+    kept = {name: copy(column) for name, column in given.columns.items()}  # the caller's own stay
     said = said_of_hidden(calibration)
     if wanted is None:
         return Applied({**kept, **added}, warnings=said)
@@ -308,7 +311,7 @@ def apply_log(
     wanted = asked_uncertainty(
         calibration, log.source, log.columns, uncertainty, reading_sd, parameters_only
     )
-    _check_columns(calibration, log.source, log.columns, tilt, wanted)
+    _check_columns(calibration, log.source, log.columns, tilt, wanted, log.units)
     return AppliedLog(calibration, log, tilt, wanted, outside, progress)
 
 
@@ -384,6 +387,7 @@ def _check_columns(
     columns: Mapping[str, Column] | tuple[str, ...],
     tilt: bool,
     uncertainty: ReadingUncertainty | None,
+    units: Mapping[str, str],
 ) -> None:
     for name in (*calibration.outputs, *calibration.model.environment):
         if name not in columns:
@@ -391,6 +395,8 @@ def _check_columns(
                 f"{source}: no column '{name}', which this calibration needs; "
                 f"the columns are {', '.join(columns)}."
             )
+    model = calibration.model
+    require_units(source, units, model.outputs, model.environment, model.unit)
     # What one reading gets, every reading gets.
     one = {name: calibration.readings.values[:1, i] for i, name in enumerate(calibration.outputs)}
     one |= {n: calibration.readings.environment[n][:1] for n in calibration.model.environment}

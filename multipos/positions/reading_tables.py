@@ -25,6 +25,7 @@ from multipos.positions.forces import (
     said_of_lengths,
     states_forces,
 )
+from multipos.positions.headers import OF_SURROUNDINGS, in_celsius
 from multipos.positions.open_rolls import read_open_rolls, with_angles
 from multipos.positions.readings import Readings, quoted, require_columns, select_outputs
 
@@ -77,7 +78,9 @@ def read_readings(
     table, units = plain_names(read_table(source, what="readings"))
     notes: list[str] = []
     names = None if names is None else tuple(find_column(table, name) for name in names)
-    names = _outputs(table, names, environment, notes)
+    beside = [*environment, *_of_surroundings(units, names or (), environment, notes)]
+    names = _outputs(table, names, beside, notes)
+    table = in_celsius(table, _used(units, names, environment), notes)
     spread = _orientation_sd(table)
     # what is an output is no position, whatever its name
     others = {name: column for name, column in table.columns.items() if name not in names}
@@ -177,6 +180,25 @@ def _outputs(
     others = (name for name in candidates if name not in names and name not in beside)
     notes += [f"column '{name}' is not among the outputs and is not used" for name in others]
     return names
+
+
+def _of_surroundings(
+    units: Mapping[str, str], outputs: Sequence[str], used: Sequence[str], notes: list[str]
+) -> list[str]:
+    """Return columns that are no outputs by the unit in their header, said where it is news."""
+    found = [n for n, unit in units.items() if unit in OF_SURROUNDINGS and n not in outputs]
+    notes += [
+        f"column '{name}' is in {units[name]} by its header, and no output"
+        for name in found
+        if name not in _RESERVED and name not in used and not is_environment(name)
+    ]
+    return found
+
+
+def _used(units: Mapping[str, str], outputs: Sequence[str], used: Sequence[str]) -> dict[str, str]:
+    """Return the units of columns that are surroundings of the readings."""
+    kept = ((name, unit) for name, unit in units.items() if name not in outputs)
+    return {name: unit for name, unit in kept if name in used or is_environment(name)}
 
 
 def _numeric(table: Table, candidates: list[str], notes: list[str]) -> tuple[str, ...]:

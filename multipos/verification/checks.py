@@ -35,6 +35,8 @@ from multipos.files.tables import Source
 from multipos.fitting.readings import fit
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
+from multipos.positions.column_names import unit_of
+from multipos.positions.headers import require_units
 from multipos.positions.placement import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, spread_reading_sd
@@ -148,6 +150,13 @@ def check(
         before = read_nominal(nominal)
     data = read_readings(
         readings, outputs=calibration.outputs, environment=calibration.model.environment
+    )
+    require_units(
+        data.source or "the run",
+        dict.fromkeys(data.outputs, data.unit) if unit_of(data.unit) else {},
+        data.outputs,
+        (),
+        calibration.model.unit,
     )
     missing = [name for name in calibration.model.environment if name not in data.environment]
     if missing:
