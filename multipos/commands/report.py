@@ -80,11 +80,15 @@ def _no_certificate() -> str:
 
 def _of_regression(arguments: argparse.Namespace) -> Answer:
     """Return the report of a regression."""
-    if arguments.check or arguments.monte_carlo or arguments.language != "en":
-        raise UsageError("--check, --language and --monte-carlo are of one calibration.")
+    if arguments.check or arguments.monte_carlo:
+        raise UsageError("--check and --monte-carlo are of one calibration.")
     regression = load_regression(arguments.calibration)
     content = regression_content(
-        regression, lab=arguments.lab, data=arguments.data, beside=arguments.calibration
+        regression,
+        lab=arguments.lab,
+        data=arguments.data,
+        beside=arguments.calibration,
+        language=arguments.language,
     )
     listing = {"report": arguments.output, "created": all_of(regression)[0].created}
     return _answer(arguments, content, listing, _no_certificate)

@@ -6,7 +6,7 @@ because an error that is corrected a hundredfold is a flat line on the other's s
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,9 @@ from multipos.regression.segment import Segment
 from multipos.regression.several import Regressions, all_of
 from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.page import Figure, PageTable, Section, draw_svg
-from multipos.reports.translations import Translator
+from multipos.reports.translations import Language, Translator
+
+Titled = Callable[[str], str]  # the title of a section in a language, of a response
 
 
 def regression_content(
@@ -35,6 +37,7 @@ def regression_content(
     lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
     data: "str | os.PathLike[str] | None" = None,
     beside: "str | os.PathLike[str] | None" = None,
+    language: Language = "en",
 ) -> Content:
     """Return what the report of a regression says.
 
@@ -47,36 +50,56 @@ def regression_content(
         The rows of the fit, for the figures.
     beside : path, optional
         A file in whose folder they are looked for otherwise.
+    language : str
+        'en' or 'zh'.
 
     Raises
     ------
     MultiposError
         The lab file is at fault, or `data` are not those of the fit.
     """
-    tr = Translator("en")
+    tr = Translator(language)
     said = read_lab(lab)
     several = all_of(regression)
     table = _rows_of_fit(several[0], data, beside)
     sections: list[Section] = []
     for r in several:
-        name = f" of {r.response}" if len(several) > 1 else ""
+        of = partial(_titled, tr, r.response if len(several) > 1 else None)
         sections += [
-            _knowledge(r, name),
-            *_figures(r, table, name, tr),
-            _tests(r, name),
-            *_terms(r, name),
-            *_paths(r, name, tr),
+            _knowledge(r, of, tr),
+            *_figures(r, table, of, tr),
+            _tests(r, of, tr),
+            _terms(r, of, tr),
+            *_paths(r, of, tr),
         ]
     return Content(
-        language="en",
-        title="Regression report",
-        subtitle=f"{', '.join(r.response for r in several)} by {', '.join(several[0].variables)}",
+        language=language,
+        title=tr("Regression report"),
+        subtitle=tr(
+            "{responses} by {variables}",
+            responses=tr.listed([r.response for r in several]),
+            variables=tr.listed(several[0].variables),
+        ),
         verdict=None,
-        warnings=regression.warnings,
+        warnings=_warnings(several, tr),
         fields=lab_fields(said, tr),
-        sections=(*sections, _method(several)),
+        sections=(*sections, _method(several, tr)),
         lab=said,
     )
+
+
+def _warnings(several: Sequence[Regression], tr: Translator) -> tuple[str, ...]:
+    """Return the warnings, with the response before each where there are several."""
+    if len(several) == 1:
+        return tuple(map(tr.message, several[0].warnings))
+    return tuple(f"{r.response}: {tr.message(said)}" for r in several for said in r.warnings)
+
+
+def _titled(tr: Translator, response: str | None, title: str) -> str:
+    """Return the title of a section, of one response where there are several."""
+    if response is None:
+        return tr(title)
+    return tr("{title} of {response}", title=tr(title), response=response)
 
 
 def _rows_of_fit(
@@ -102,54 +125,69 @@ def _rows_of_fit(
     return found
 
 
-def _knowledge(r: Regression, name: str) -> Section:
+def _knowledge(r: Regression, of: Titled, tr: Translator) -> Section:
     """Say what a user must know before relying on it."""
-    first = (
-        f"The response {r.response} was described over {r.n} rows in {len(r.segments)} segments; "
-        "beyond the limits in the tables a polynomial says nothing."
+    first = tr(
+        "The response {response} was described over {n} rows in {count} segments; beyond the "
+        "limits in the tables a polynomial says nothing.",
+        response=r.response,
+        n=str(r.n),
+        count=str(len(r.segments)),
     )
     told = [first]
     between = next((s.between for s in r.segments if s.between is not None), None)
     if between is None:
         told.append(
-            "One switch-on, or runs that were not told apart: the zero of the next switch-on is "
-            "not in U. Fit several with --run."
+            tr(
+                "One switch-on, or runs that were not told apart: the zero of the next switch-on "
+                "is not in U. Fit several with --run."
+            )
         )
     else:
         told.append(
-            f"{between.runs} switch-ons were told apart by '{r.run}': U holds the zero of the next."
+            tr(
+                "{runs} switch-ons were told apart by '{column}': U holds the zero of the next.",
+                runs=str(between.runs),
+                column=str(r.run),
+            )
         )
-    if any(s.robust is not None for s in r.segments):
-        worth = ", ".join(
-            f"{s.robust.n_effective:.3g} of {s.n}" for s in r.segments if s.robust is not None
-        )
-        told.append(f"Rows are correlated in time and worth fewer: {worth}, by segment.")
+    worth = [
+        tr("{worth} of {n}", worth=f"{s.robust.n_effective:.3g}", n=str(s.n))
+        for s in r.segments
+        if s.robust is not None
+    ]
+    if worth:
+        said = "Rows are correlated in time and worth fewer: {worth}, by segment."
+        told.append(tr(said, worth=tr.listed(worth)))
     clear = [j for j in r.junctions if j.clear]
     if clear:
         most = max(abs(j.jump) for j in clear)
         told.append(
-            f"The segments were fitted apart, and the correction jumps at an edge by up to "
-            f"{most:.2g}; --continuous fits without."
+            tr(
+                "The segments were fitted apart, and the correction jumps at an edge by up to "
+                "{most}; --continuous fits without.",
+                most=f"{most:.2g}",
+            )
         )
     if r.rates and not r.causal:
-        told.append("Rates need rows that come later: for a device fit it with --causal.")
+        told.append(tr("Rates need rows that come later: for a device fit it with --causal."))
     if r.cross_validation is not None:
-        told.append(
-            f"On blocks of time left out in turn the error is {r.cross_validation['rms']:.3g} rms."
-        )
-    return Section(f"What to know{name}", paragraphs=tuple(told))
+        said = "On blocks of time left out in turn the error is {rms} rms."
+        told.append(tr(said, rms=f"{r.cross_validation['rms']:.3g}"))
+    return Section(of("What to know"), paragraphs=tuple(told))
 
 
-def _tests(r: Regression, name: str) -> Section:
+def _tests(r: Regression, of: Titled, tr: Translator) -> Section:
     """Return the paper's table: F of every segment against its critical value."""
-    header = ("segment", "n", "k", "n − k − 1", "F", f"F_{r.confidence:g}", "F_robust", "R²", "rms")
+    ends = (f"F_{r.confidence:g}", "F_robust", "R²", tr("rms"))
+    header = (tr("segment"), "n", "k", "n − k − 1", "F", *ends)
     rows = []
     for s in r.segments:
         robust = "-" if s.robust is None else number(s.robust.F)
-        mark = "" if s.significant else " (not significant)"
+        mark = "" if s.significant else f" ({tr('not significant')})"
         rows.append(
             (
-                f"{_span(r, s)}{mark}",
+                f"{_span(r, s, tr)}{mark}",
                 str(s.n),
                 str(s.dof[0]),
                 str(s.dof[1]),
@@ -160,22 +198,24 @@ def _tests(r: Regression, name: str) -> Section:
                 number(s.rms, 3),
             )
         )
-    tables = [PageTable("F of every segment, against what chance exceeds", header, tuple(rows))]
+    caption = tr("F of every segment, against what chance exceeds")
+    tables = [PageTable(caption, header, tuple(rows))]
     if r.junctions:
         jumps = tuple(
-            (f"{j.edge:.6g}{_branch(j)}", uncertain(j.jump, j.u), number(j.U, 2))
+            (f"{j.edge:.6g}{_branch(j, tr)}", uncertain(j.jump, j.u), number(j.U, 2))
             for j in r.junctions
         )
-        caption = f"Largest jump at every edge of {r.segment_variable}"
-        tables.append(PageTable(caption, ("edge", "jump(u)", "U"), jumps))
-    return Section(f"Tests{name}", tables=tuple(tables))
+        said = "Largest jump at every edge of {variable}"
+        caption = tr(said, variable=str(r.segment_variable))
+        tables.append(PageTable(caption, (tr("edge"), tr("jump(u)"), "U"), jumps))
+    return Section(of("Tests"), tables=tuple(tables))
 
 
-def _branch(j: Junction) -> str:
-    return f", {j.branch}" if j.branch else ""
+def _branch(j: Junction, tr: Translator) -> str:
+    return f", {tr(j.branch)}" if j.branch else ""
 
 
-def _terms(r: Regression, name: str) -> list[Section]:
+def _terms(r: Regression, of: Titled, tr: Translator) -> Section:
     tables = []
     for s in r.segments:
         rows = tuple(
@@ -187,25 +227,27 @@ def _terms(r: Regression, name: str) -> list[Section]:
             )
             for c in s.coefficients
         )
-        tables.append(PageTable(f"Segment {_span(r, s)}", ("term", "value(u)", "t", "p"), rows))
+        caption = tr("Segment {span}", span=_span(r, s, tr))
+        tables.append(PageTable(caption, (tr("term"), tr("value(u)"), "t", "p"), rows))
         limits = tuple((v, number(low, 6), number(high, 6)) for v, (low, high) in s.limits.items())
-        tables.append(PageTable("fitted over", ("variable", "from", "to"), limits))
-    return [Section(f"Terms{name}", tables=tuple(tables))]
+        header = (tr("variable"), tr("from"), tr("to"))
+        tables.append(PageTable(tr("fitted over"), header, limits))
+    return Section(of("Terms"), tables=tuple(tables))
 
 
-def _paths(r: Regression, name: str, tr: Translator) -> list[Section]:
+def _paths(r: Regression, of: Titled, tr: Translator) -> list[Section]:
     """Return how the terms were chosen, drawn and in numbers."""
     chosen = [s for s in r.segments if s.path][: 1 if r.continuous else None]
     if not chosen:
         return []
     figures, tables = [], []
     for s in chosen:
-        span = "all segments" if r.continuous else _span(r, s)
+        span = tr("all segments") if r.continuous else _span(r, s, tr)
         height = 0.8 + 0.22 * len(s.path)
         figures.append(
             Figure(
-                f"Path of terms, {span}",
-                "F of every step; a diamond is the runner-up.",
+                tr("Path of terms, {span}", span=span),
+                tr("F of every step; a diamond is the runner-up."),
                 partial(draw_svg, tr, 1, height, partial(_draw_path, s)),
             )
         )
@@ -219,20 +261,21 @@ def _paths(r: Regression, name: str, tr: Translator) -> list[Section]:
             )
             for step in s.path
         )
-        header = ("step", "term", "F", "p", "runner-up")
-        tables.append(PageTable(f"Steps, {span}", header, rows, left=2))
-    return [Section(f"Path{name}", figures=tuple(figures), tables=tuple(tables))]
+        header = (tr("step"), tr("term"), "F", "p", tr("runner-up"))
+        tables.append(PageTable(tr("Steps, {span}", span=span), header, rows, left=2))
+    return [Section(of("Path"), figures=tuple(figures), tables=tuple(tables))]
 
 
 def _draw_path(segment: Segment, axes: Any) -> None:
     draw_path(segment, axes[0])
 
 
-def _figures(r: Regression, table: Table | None, name: str, tr: Translator) -> list[Section]:
+def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> list[Section]:
     """Return before and after against the variable of the segments and against time."""
     if table is None:
-        told = f"The rows of the fit ({r.source}) are not here; --data draws before and after."
-        return [Section(f"Before and after{name}", paragraphs=(told,))]
+        said = "The rows of the fit ({source}) are not here; --data draws before and after."
+        told = tr(said, source=str(r.source))
+        return [Section(of("Before and after"), paragraphs=(told,))]
     complete = _complete(r, table)
     columns = read_predictors(r, complete, read_runs(r, complete))
     variable, x = range_column(r, complete, columns)
@@ -243,21 +286,30 @@ def _figures(r: Regression, table: Table | None, name: str, tr: Translator) -> l
         against.append((r.time, complete.number(r.time), ()))
     figures = tuple(
         Figure(
-            f"Before and after against {label}",
-            "Above before, below after, each on its own scale.",
+            tr("Before and after against {label}", label=label),
+            tr("Above before, below after, each on its own scale."),
             partial(
-                draw_svg, tr, 2, 1.9, partial(_draw_both, label, values, edges, before, after, r)
+                draw_svg,
+                tr,
+                2,
+                1.9,
+                partial(_draw_both, label, values, edges, before, after, r.response),
             ),
         )
         for label, values, edges in against
     )
     most, left = (float(np.abs(values).max()) for values in (before, after))
     rms, rms_left = (float(np.sqrt(np.mean(values**2))) for values in (before, after))
-    told = (
-        f"Largest |{r.response}| {most:.4g} before and {left:.4g} after, rms {rms:.4g} and "
-        f"{rms_left:.4g}, on the rows of the fit; an independent run is what proves it (check)."
+    told = tr(
+        "Largest |{response}| {most} before and {left} after, rms {rms} and {rms_left}, on the "
+        "rows of the fit; an independent run is what proves it (check).",
+        response=r.response,
+        most=f"{most:.4g}",
+        left=f"{left:.4g}",
+        rms=f"{rms:.4g}",
+        rms_left=f"{rms_left:.4g}",
     )
-    return [Section(f"Before and after{name}", paragraphs=(told,), figures=figures)]
+    return [Section(of("Before and after"), paragraphs=(told,), figures=figures)]
 
 
 def _draw_both(
@@ -266,7 +318,7 @@ def _draw_both(
     edges: Sequence[float],
     before: Array,
     after: Array,
-    r: Regression,
+    response: str,
     axes: Any,
 ) -> None:
     for one, values, word, colour in zip(
@@ -276,7 +328,7 @@ def _draw_both(
         one.axhline(0.0, color="#000000", linewidth=0.5)
         for edge in edges:
             one.axvline(edge, color="#000000", linewidth=0.8, linestyle="--")
-        one.set_ylabel(f"{r.response}, {word}")
+        one.set_ylabel(f"{response}, {word}")  # in English, as `Translator.svg` expects words
         one.ticklabel_format(axis="y", scilimits=(-3, 4))
     axes[-1].set_xlabel(label)
 
@@ -289,24 +341,29 @@ def _complete(r: Regression, table: Table) -> Table:
     return table.select(np.flatnonzero(np.isfinite(columns).all(axis=0)).tolist())
 
 
-def _method(several: Sequence[Regression]) -> Section:
+def _method(several: Sequence[Regression], tr: Translator) -> Section:
     r = several[0]
     rows = [
-        ("Data", r.source or "from memory"),
-        ("SHA-256 of the data", r.sha256 or "-"),
-        ("Rows, left out", f"{r.n}, {r.dropped}"),
-        ("Method", r.method + "".join(f", {k} {v:g}" for k, v in r.thresholds.items())),
-        ("Candidates", ", ".join(r.candidates)),
-        *((f"Rate {name}", f"window {w:.6g}") for name, w in r.rates.items()),
-        ("Rates", "of past rows" if r.causal else "of rows before and after"),
-        ("Confidence", f"{r.confidence:g}"),
-        ("Computed", f"{r.created}, multipos {r.version}"),
+        (tr("Data"), r.source or tr("from memory")),
+        (tr("SHA-256 of the data"), r.sha256 or "-"),
+        (tr("Rows, left out"), f"{r.n}, {r.dropped}"),
+        (tr("Method"), r.method + "".join(f", {k} {v:g}" for k, v in r.thresholds.items())),
+        (tr("Candidates"), ", ".join(r.candidates)),
+        *(
+            (tr("Rate {name}", name=name), tr("window {width}", width=f"{w:.6g}"))
+            for name, w in r.rates.items()
+        ),
+        (tr("Rates"), tr("of past rows") if r.causal else tr("of rows before and after")),
+        (tr("Confidence"), f"{r.confidence:g}"),
+        (tr("Computed"), f"{r.created}, multipos {r.version}"),
     ]
+    header = (tr("Item"), tr("Value"))
     return Section(
-        "Method and data",
-        tables=(PageTable("How it was done", ("Item", "Value"), tuple(rows), left=2),),
+        tr("Method and data"),
+        tables=(PageTable(tr("How it was done"), header, tuple(rows), left=2),),
     )
 
 
-def _span(r: Regression, s: Segment) -> str:
-    return format_span(r.range_variable, s.range, s.branch)
+def _span(r: Regression, s: Segment, tr: Translator) -> str:
+    span = format_span(r.range_variable, s.range, None if s.branch is None else tr(s.branch))
+    return span.replace(" to ", tr(" to "))
