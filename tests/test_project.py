@@ -62,3 +62,14 @@ def test_the_paper_has_its_parts_and_cites_what_its_bibliography_holds():
     held = re.findall(r"^@\w+\{(\w+),$", bibliography, re.MULTILINE)
     assert set(re.findall(r"@(\w+)", paper)) == set(held)
     assert len(held) == len(set(held))
+
+
+def test_a_page_for_a_reader_has_three_commands_and_the_same_parts():
+    pages = sorted((ROOT / "docs/for").glob("*.md"))
+    assert len(pages) == 5
+    for page in pages:
+        text = page.read_text("utf-8")
+        parts = re.findall(r"^## (.+)$", text, re.MULTILINE)
+        assert parts == ["Three commands", "Which number to read", "What can go wrong"]
+        assert len(re.findall(r"^\$ multipos ", text, re.MULTILINE)) == 3
+        assert f"for/{page.stem}.md)" in (ROOT / "README.md").read_text("utf-8")
