@@ -19,11 +19,13 @@ import os
 import pkgutil
 import re
 import subprocess
+import sys
 import sysconfig
 import textwrap
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -44,7 +46,7 @@ MODULES = sorted(
 RUN = [
     pytest.param(page, marks=[pytest.mark.slow] if page.parent.name == "studies" else [])
     for page in PAGES
-    if page.name != "names.md"  # its examples are those of the docstrings, which are run as such
+    if page.name not in ("names.md", "gallery.md")  # what they show is run where it is from
 ]
 # What users import, as docs/reference/api.md says: all else moves without a word.
 PUBLIC_MODULES = {"multipos", "multipos.plots"}
@@ -201,6 +203,9 @@ def environment() -> dict[str, str]:
 def test_page_prints_what_it_says(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     problems = run_page(page, tmp_path)
+    for picture in load("pictures").pictures(page):
+        if not (tmp_path / picture.drawn).is_file():
+            problems.append(f"{page.name} shows {picture.drawn}, which nothing on it draws")
     if problems:
         pytest.fail("\n\n".join(problems), pytrace=False)
 
@@ -232,14 +237,24 @@ def test_docstring_examples_print_what_they_say(name, tmp_path, monkeypatch):
         pytest.fail(report.getvalue(), pytrace=False)
 
 
-@pytest.mark.parametrize("name", ["commands", "names"])
-def test_the_pages_that_the_program_writes_are_of_this_program(name):
-    """`python docs/generated.py` writes them again."""
-    spec = importlib.util.spec_from_file_location("generated", ROOT / "docs/generated.py")
-    generated = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(generated)
-    page = (ROOT / f"docs/reference/{name}.md").read_text("utf-8")
-    assert page == getattr(generated, f"{name}_page")()
+def load(name: str) -> ModuleType:
+    """Return one of the programs that write pages."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / f"docs/{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where its dataclasses look for themselves
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_gallery_is_of_these_pages():
+    """`python docs/pictures.py` writes it again."""
+    assert (ROOT / "docs/gallery.md").read_text("utf-8") == load("pictures").gallery_page()
+
+
+def test_pictures_are_small_and_each_is_shown():
+    kept = {picture.kept for picture in load("pictures").every_picture()}
+    assert kept == set((ROOT / "docs/figures").iterdir())
+    assert max(path.stat().st_size for path in kept) < 100_000
 
 
 @pytest.mark.parametrize("name", sorted(multipos._PUBLIC))

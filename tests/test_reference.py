@@ -1,5 +1,6 @@
 """The page of formats and options says what the code does."""
 
+import importlib.util
 import re
 from dataclasses import fields
 from pathlib import Path
@@ -17,7 +18,8 @@ from multipos.sensor.found import FoundOrientations
 from multipos.sensor.stating import build_model
 from multipos.uncertainty.budgets import DIVISORS, KINDS
 
-PAGE = (Path(__file__).resolve().parents[1] / "docs/reference/formats.md").read_text("utf-8")
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+PAGE = (DOCS / "reference/formats.md").read_text("utf-8")
 NAMES = {name.replace(r"\|", "|") for name in re.findall(r"`([^`\n]+)`", PAGE)}
 
 
@@ -136,3 +138,13 @@ def test_every_key_of_a_stability_result_is_described():
         found["records"][0],
     ):
         assert set(part) - {"schema"} <= names
+
+
+@pytest.mark.parametrize("name", ["commands", "names"])
+def test_the_pages_that_the_program_writes_are_of_this_program(name):
+    spec = importlib.util.spec_from_file_location("generated", DOCS / "generated.py")
+    generated = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(generated)
+    page = (DOCS / f"reference/{name}.md").read_text("utf-8")
+    if page != getattr(generated, f"{name}_page")():
+        pytest.fail(f"reference/{name}.md is of another version; run `python docs/generated.py`")
