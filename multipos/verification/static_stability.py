@@ -32,6 +32,7 @@ from multipos.sensor.calibration_file import load
 from multipos.sensor.stability import OutputStability, Spread, Stability, StaticRecord
 from multipos.verification import static_records
 from multipos.verification.stability_values import Values
+from multipos.verification.static_moves import find_movement
 from multipos.verification.static_records import RawRecord, read_record
 from multipos.verification.trends import WARM_UP, Blocks, Description, describe
 
@@ -279,6 +280,7 @@ def _cautions(
     notes = [note for each in raw for note in each.notes]
     if steady:
         notes.append(f"{steady[0]}: the temperature never changes, so it is not used")
+    notes += [said for each in raw for said in _movements(each)]
     shortest = min(each.samples / each.rate for each in raw)
     for name, found in outputs.items():
         if found.warm_up is not None and found.warm_up.settled_after > shortest:
@@ -291,3 +293,20 @@ def _cautions(
             f"{len(raw)} records say little about how the zero repeats; take at least {_LEAST}"
         )
     return tuple(notes)
+
+
+def _movements(record: RawRecord) -> list[str]:
+    """Say what moved in a record that should have lain still."""
+    said = []
+    for name, means in zip(record.names, record.blocks, strict=True):
+        found = find_movement(means)
+        if found is None:
+            continue
+        when = (found.block + 0.5) * record.length / record.rate
+        more = f", the largest of {found.count} movements" if found.count > 1 else ""
+        said.append(
+            f"{record.source}: {name} jumps by {found.jump:.2g} near {when:.0f} s{more}, which "
+            "neither noise nor warm-up makes: it was moved or knocked, and noise, drift and zero "
+            "hold that; leave this part out"
+        )
+    return said
