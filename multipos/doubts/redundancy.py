@@ -2,7 +2,9 @@
 
 A fit with no degrees of freedom passes through every reading, right or wrong, and its residuals,
 zero to rounding, say nothing. With orientations unknown a position is one equation, however
-many outputs it has.
+many outputs it has. Positions that are much alike separate the parameters badly: at a condition of
+10⁴ four of sixteen digits are gone, and every error of the model is as much larger. And a scale
+factor that U leaves open by a fifth is no result, however it came about.
 """
 
 import numpy as np
@@ -15,6 +17,8 @@ from multipos.sensor.found import Estimator
 from multipos.sensor.model import Model
 
 _POOR = 0.02  # U of a linear term, as a share of the scale factor of its output
+_OPEN = 0.2  # likewise of an own scale factor, where the positions are known
+_ILL_CONDITIONED = 1e4
 
 
 def no_redundancy(c: Calibration) -> Doubt | None:
@@ -25,7 +29,7 @@ def no_redundancy(c: Calibration) -> Doubt | None:
     elif c.estimator.exact:
         spare = n - max(len(terms) for terms in c.model.terms)
     else:
-        return None
+        spare = n
     if spare <= 0:
         return Doubt(
             "no-redundancy",
@@ -33,7 +37,14 @@ def no_redundancy(c: Calibration) -> Doubt | None:
             f"{n} positions for as many parameters: the fit passes through every reading and "
             "nothing shows whether it is right; add positions",
         )
-    return _poorly_known(c) if c.estimator == Estimator.UNKNOWN else None
+    if c.diagnostics.condition > _ILL_CONDITIONED:
+        return Doubt(
+            "no-redundancy",
+            "caution",
+            "the positions separate the parameters badly (condition "
+            f"{c.diagnostics.condition:.1e}); add positions that differ more",
+        )
+    return _poorly_known(c) if c.estimator == Estimator.UNKNOWN else _open_scales(c)
 
 
 def _poorly_known(c: Calibration) -> Doubt | None:
@@ -49,6 +60,20 @@ def _poorly_known(c: Calibration) -> Doubt | None:
         "no-redundancy",
         "caution",
         f"the positions hardly tell some parameters: {said} (U); add positions that differ more",
+    )
+
+
+def _open_scales(c: Calibration) -> Doubt | None:
+    """Find own scale factors of which U says that they are hardly known, if not zero."""
+    share = _shares(c.model, c.parameters[None], c.U[None])[0]
+    found = [(c.names[i], share[i]) for i in c.model.own_scales if _OPEN < share[i] < 1.0]
+    if not found:
+        return None
+    said = ", ".join(f"{name} to {100.0 * each:.2g} %" for name, each in found)
+    return Doubt(
+        "no-redundancy",
+        "caution",
+        f"U leaves scale factors open: {said}; average longer, or add positions",
     )
 
 

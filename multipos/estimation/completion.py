@@ -22,8 +22,6 @@ from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Gravity, add_gravity
 from multipos.sensor.model import Model
 
-_ILL_CONDITIONED = 1e4  # scaled condition at which four of the sixteen digits are gone
-
 
 def complete(
     solution: Solution,
@@ -111,11 +109,6 @@ def _diagnose(
         *solution.warnings,
     ]
     warnings += _warn_convention(_own_scales(model, solution, readings), convention)
-    if solution.condition > _ILL_CONDITIONED:
-        warnings.append(
-            f"the positions separate the parameters badly (condition {solution.condition:.1e}); "
-            "add positions that differ more"
-        )
     return Diagnostics(
         rank=len(solution.parameters),
         parameters=len(solution.parameters),

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.doubts.examination import examine
+from multipos.doubts.odd_rows import explain_failure
 from multipos.errors import MultiposError, UsageError, warn_of
 from multipos.estimation.claimed_noise import carry_dof, steady_floors
 from multipos.estimation.completion import complete
@@ -203,7 +204,12 @@ def fit(
         level_sd=options.level_sd,
     )
     _require_one_unit(data, local)
-    calibration = calibrate_at(built, data, placement, options, local)
+    try:
+        calibration = calibrate_at(built, data, placement, options, local)
+    except MultiposError as error:
+        if not options.unknown_orientation:
+            raise
+        raise explain_failure(error, data) from None
     if before is not None:
         calibration = replace(calibration, nominal=before)
     facing = stated_facing(axes)
