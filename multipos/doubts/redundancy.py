@@ -95,5 +95,6 @@ def _shares(model: Model, parameters: Array, U: Array) -> Array:
     share = np.zeros_like(U)
     for i, (output, term) in enumerate(model.keys):
         if term.along is not None and output in places:
-            share[:, i] = U[:, i] / np.abs(parameters[:, places[output]])
+            size = np.abs(parameters[:, places[output]])
+            share[:, i] = np.divide(U[:, i], size, out=np.full_like(size, np.inf), where=size > 0.0)
     return share
