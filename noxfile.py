@@ -55,6 +55,20 @@ OLDEST, NEWEST = min(PYTHONS), max(PYTHONS)
 
 
 @nox.session
+def lint(session: nox.Session) -> None:
+    session.install(*EXTRAS["lint"])
+    session.run("ruff", "check")
+    session.run("ruff", "format", "--check")
+    session.run("codespell")
+
+
+@nox.session
+def types(session: nox.Session) -> None:
+    session.install("-e", ".[types]")
+    session.run("mypy")
+
+
+@nox.session
 def tests(session: nox.Session) -> None:
     session.install("-e", ".[logs,test,oracles]")
     session.run("pytest", "-n", "auto", *session.posargs)
@@ -81,20 +95,6 @@ def newest(session: nox.Session) -> None:
     except nox.command.CommandFailed:
         session.skip(f"not everything is made for {PYTHONS[NEWEST]} yet, see above")
     session.run("pytest", "-n", "auto", *session.posargs)
-
-
-@nox.session
-def lint(session: nox.Session) -> None:
-    session.install(*EXTRAS["lint"])
-    session.run("ruff", "check")
-    session.run("ruff", "format", "--check")
-    session.run("codespell")
-
-
-@nox.session
-def types(session: nox.Session) -> None:
-    session.install("-e", ".[types]")
-    session.run("mypy")
 
 
 @nox.session

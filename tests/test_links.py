@@ -14,7 +14,7 @@ PAGES = sorted(
         *ROOT.glob(".github/**/*.md"),
         *ROOT.glob("paper/*.md"),
     ]
-    if not {"_build", "generated"} & set(path.parts)
+    if "_build" not in path.parts
 )
 FENCED = re.compile(r"^( *)(`{3,}).*?^\1\2 *$", re.MULTILINE | re.DOTALL)
 IN_LINE = re.compile(r"`[^`\n]*`")
