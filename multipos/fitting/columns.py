@@ -38,6 +38,7 @@ from multipos.regression.robust import ROBUST, RowDependence
 from multipos.regression.segment import Segment
 from multipos.regression.several import Regressions
 from multipos.regression.validation import check_by_blocks
+from multipos.regression.whitening import said_of_few_rows
 
 
 def regress(
@@ -201,6 +202,15 @@ def _regress_each(responses: Sequence[str], given: Mapping[str, Any]) -> Regress
     return Regressions(found)
 
 
+def _few_rows_said(plan: Plan, read: Observations) -> tuple[str, ...]:
+    """Say where rows, which have a time, are too few to know their noise."""
+    data = read.data
+    if read.time is None or data.order is None or data.cluster is not None:
+        return ()
+    columns = (data.columns[name] for name in plan.variables if name in data.columns)
+    return said_of_few_rows(columns, data.order)
+
+
 def _order_said(read: Observations, result: Regression) -> tuple[str, ...]:
     """Say by what rows are neighbours, where that was of any consequence."""
     return read.order if any(s.robust is not None for s in result.segments) else ()
@@ -242,6 +252,7 @@ def _describe(
         warnings=(
             *_warnings(plan, segments, hysteresis, validation),
             *_jumps_said(cut.variable, junctions),
+            *_few_rows_said(plan, read),
         ),
     )
 

@@ -26,6 +26,7 @@ Commission 383, 1954 (the first row); D. M. Cooper, R. Thompson, Biometrika 64, 
 G. Schwarz, Ann. Stat. 6, 1978.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from math import log
@@ -35,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
-from multipos.regression.correlation import TimeOrder
+from multipos.regression.correlation import TimeOrder, lag_one
 
 _GRID = np.concatenate([np.arange(0.0, 0.8, 0.15), 1.0 - np.geomspace(0.15, 0.003, 7)])
 _SHARES = (0.0, 0.3, 0.6, 0.8, 0.93)  # of θ in ρ
@@ -43,6 +44,8 @@ _BEYOND_CHANCE = 7.4  # of twice the likelihood's logarithm
 _ROWS = 3000  # of which the correlation is estimated: the first in time
 _ORDERS = 6
 _RANK = 1e-10
+_SHORT = 200  # rows: with fewer, 19 % of false models at 5 % (docs/theory/regression.md)
+_SLOW = 0.9  # correlation of neighbours, from which a variable can pass for slow noise
 _FEWEST = 6  # rows beyond the columns, for a correlation to be told
 _NOTHING = 1e-12  # of the response, below which what is left is rounding
 
@@ -108,6 +111,26 @@ def find_law(design: Array, response: Array, order: TimeOrder | None) -> Law | N
     fit = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=_RANK)[0]
     rest = white[:, -1] - white[:, :-1] @ fit
     return Law(rho, theta, _autoregression(rest, age))
+
+
+def said_of_few_rows(columns: Iterable[Array], order: TimeOrder) -> tuple[str, ...]:
+    """Say where rows in time are too few for the law of their noise to be told.
+
+    Parameters
+    ----------
+    columns : (n,) arrays
+        Of the variables: where these are fast, slow noise passes for none of them.
+    order : TimeOrder
+    """
+    n = len(order.order)
+    if n >= _SHORT or not any(lag_one(each - each.mean(), order)[0] > _SLOW for each in columns):
+        return ()
+    said = (
+        f"{n} rows in time are too few to tell slow noise beside white noise from white noise "
+        "alone: of variables that change as slowly as these, up to one in five false models "
+        f"passes F and F_robust at 5 %; record {_SHORT} rows or more, or several runs"
+    )
+    return (said,)
 
 
 def _basis(design: Array) -> Array:
