@@ -47,7 +47,7 @@ def pictures(page: Path) -> list[Picture]:
 
 
 def every_picture() -> Iterator[Picture]:
-    for page in sorted(DOCS.glob("*/**/*.md")):
+    for page in sorted(DOCS.rglob("*.md")):
         if "_build" not in page.parts:
             yield from pictures(page)
 
