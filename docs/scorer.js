@@ -1,5 +1,6 @@
 // How Sphinx ranks what a search finds: its own weights, and the page of doubts first.
-const Scorer = {
+// `var`, as the script that uses it declares it again.
+var Scorer = {
   score: ([docname, title, anchor, description, score]) => score + (docname === "doubts" ? 100 : 0),
   objNameMatch: 11,
   objPartialMatch: 6,
