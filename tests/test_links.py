@@ -64,8 +64,8 @@ def test_a_broken_link_is_found(tmp_path):
     ]
 
 
-# Of the standards and the papers; no report has them.
-OF_THE_FIELD = {"漂移", "六位置测试法", "信息矩阵", "效率", "包含因子"}
+# Of the standards and the papers; no report need have them.
+OF_THE_FIELD = {"六位置测试法", "信息矩阵", "效率", "包含因子"}
 
 
 def test_chinese_terms_are_those_of_reports_and_capture():
@@ -76,4 +76,4 @@ def test_chinese_terms_are_those_of_reports_and_capture():
     rows = re.findall(r"^\| .+? \| (.+?) \|", prose(ROOT / "docs/reference/terms.md"), re.MULTILINE)
     terms = {term for row in rows for term in re.split(r"[,: ]+", re.sub(r" \(.*\)", "", row))}
     assert len(terms) > 50
-    assert {term for term in terms if term not in used} == OF_THE_FIELD
+    assert {term for term in terms if term not in used} <= OF_THE_FIELD
