@@ -34,6 +34,9 @@ def intrinsic(
         return None
     if not model.has_all_linear:
         return None
+    response = np.linalg.norm(model.linear_part(parameters, environment)[:, 1:], axis=1)
+    if not np.all(response > _STEP * np.max(response)):
+        return None  # an output that does not respond has no axis
     values, u = _propagate(_intrinsic_vector, model, parameters, covariance, environment)
     items = iter(zip(values.tolist(), u.tolist(), strict=True))
 

@@ -115,6 +115,11 @@ def test_a_left_handed_sensor_has_no_mounting():
     assert_allclose(found["angle_deg"], 90)
 
 
+def test_an_output_that_does_not_respond_has_no_axis():
+    built, parameters = linear([0.1] * 3, np.diag([1.0, 0.0, 1.0]))
+    assert intrinsic(built, parameters, np.zeros((12, 12)), {}) is None
+
+
 @pytest.mark.parametrize(
     ("outputs", "axes", "model", "inputs"),
     [
