@@ -32,6 +32,7 @@ FORMS: dict[str, tuple[tuple[str, ...], str]] = {
     "table": ((".csv",), "the table"),
     "figure": ((".svg", ".png", ".pdf"), "the figure"),
     "html": ((".html",), "a page"),
+    "paper": ((".pdf",), "the page on paper"),
     "markdown": ((".md",), "Markdown"),
     "text": ((".txt",), "plain text"),
     "certificate": ((".xml",), "a digital calibration certificate"),

@@ -15,7 +15,13 @@ from multipos.regression.regression_file import SCHEMA as REGRESSION
 from multipos.regression.regression_file import load_regression
 from multipos.regression.several import all_of
 from multipos.reports.certificate import Content, build_content
-from multipos.reports.documents import html_report, markdown_report, plain_report, xml_report
+from multipos.reports.documents import (
+    html_report,
+    markdown_report,
+    pdf_report,
+    plain_report,
+    xml_report,
+)
 from multipos.reports.fleets import fleet_content
 from multipos.reports.regressions import regression_content
 from multipos.sensor.calibration_file import load
@@ -25,7 +31,11 @@ from multipos.verification.check_file import load_check
 
 INPUTS = ("calibration", "lab", "check", "data")
 OUTPUT = Output(
-    "REPORT.html", "file to write", "html", ("markdown", "text", "certificate"), required=True
+    "REPORT.html",
+    "file to write",
+    "html",
+    ("paper", "markdown", "text", "certificate"),
+    required=True,
 )
 
 
@@ -133,6 +143,7 @@ def _answer(
         json=lambda: to_json(listing),
         forms={
             "html": lambda: html_report(content),
+            "paper": lambda: pdf_report(content),
             "markdown": lambda: markdown_report(content),
             "text": lambda: plain_report(content),
             "certificate": certificate,

@@ -36,6 +36,31 @@ def uncertain(value: float, u: float) -> str:
     return text if not exponent else f"{text}e{exponent:+03d}"
 
 
+def beside(value: float, u: float, U: float) -> tuple[str, str]:
+    """Return a value and its U to the digits that u supports, both without exponent.
+
+    Two digits of u decide; without a usable one ten digits are shown, and no U.
+    """
+    if not (math.isfinite(value) and math.isfinite(u) and u > 0.0):
+        return f"{value:.10g}", "-"
+    decimals = max(0, 1 - math.floor(math.log10(u)))
+    shown = f"{U:.{decimals}f}" if math.isfinite(U) else "-"
+    return f"{value + 0.0:.{decimals}f}", shown
+
+
+def readable_g(size: float) -> tuple[float, str]:
+    """Return the unit that people read an acceleration of so many g in, and its factor."""
+    if not size > 0.0 or size >= 1.0:
+        return 1.0, "g"
+    return (1e3, "mg") if size >= 1e-3 else (1e6, "µg")
+
+
+def in_g(size: float) -> str:
+    """Return a size [g] to three digits in a unit that people read."""
+    factor, unit = readable_g(size)
+    return f"{float(f'{size * factor:.3g}'):g} {unit}"
+
+
 def number(value: float | None, digits: int = 4) -> str:
     """Return a number with so many significant digits; nothing where there is none."""
     if value is None or math.isnan(value):

@@ -131,11 +131,29 @@ def nominal_error(calibration: Calibration) -> Array:
     Where it has none, by one nominal scale factor without bias: 1 for readings in g, else the mean
     own-axis one.
     """
-    c = calibration
+    return np.asarray(np.linalg.norm(_nominal_off(calibration), axis=1))
+
+
+def nominal_errors(calibration: Calibration) -> Array:
+    """Return that error (n, 3) [g] by case axis; the mean of the outputs that sense an axis."""
+    off, axes = _nominal_off(calibration), calibration.model.axes
+    if calibration.nominal is not None:
+        axes = tuple(axis for axis in COMPONENTS if axis in axes)
+    error = np.zeros(calibration.reference.shape)
+    for i, axis in enumerate(COMPONENTS):
+        columns = [place for place, one in enumerate(axes) if one == axis]
+        if columns:
+            error[:, i] = off[:, columns].mean(axis=1)
+    return error
+
+
+def _nominal_off(c: Calibration) -> Array:
+    """Return the nominal error of every output, or of every axis that a nominal conversion has."""
     if c.nominal is not None:
         sensed = [i for i, axis in enumerate(COMPONENTS) if axis in c.model.axes]
-        off = nominal_force(c.model, c.readings.values, c.nominal) - c.reference[:, sensed]
-        return np.asarray(np.linalg.norm(off, axis=1))
+        return np.asarray(
+            nominal_force(c.model, c.readings.values, c.nominal) - c.reference[:, sensed]
+        )
     own = [
         c.parameters[c.model.keys.index((output, linear_term(axis)))]
         for output, axis in zip(c.outputs, c.model.axes, strict=True)
@@ -143,8 +161,7 @@ def nominal_error(calibration: Calibration) -> Array:
     ]
     scale = 1.0 if c.model.unit == "g" or not own else float(np.mean(own))
     axes = [COMPONENTS.index(axis) for axis in c.model.axes]
-    error = c.readings.values / scale - c.reference[:, axes]
-    return np.asarray(np.linalg.norm(error, axis=1))
+    return np.asarray(c.readings.values / scale - c.reference[:, axes])
 
 
 def compensated_error(calibration: Calibration) -> Array:

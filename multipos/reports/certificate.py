@@ -33,6 +33,12 @@ from multipos.reports.findings import (
 )
 from multipos.reports.fit_checks import checks_section
 from multipos.reports.page import PageTable, Section
+from multipos.reports.result import (
+    EQUIPMENT,
+    equipment_section,
+    result_section,
+    signature_section,
+)
 from multipos.reports.temperature_evidence import temperature_sections
 from multipos.reports.translations import Language, Translator
 from multipos.sensor.calibration import Calibration
@@ -70,6 +76,7 @@ LAB_FIELDS = {
         "conditions": "Environmental conditions",
         "traceability": "Metrological traceability",
         "deviations": "Deviations from the method",
+        "decision_rule": "Decision rule",
         "remarks": "Remarks",
     },
 }
@@ -79,6 +86,8 @@ _WORDS = (
     "Warnings",
     "Administrative data",
     "to be filled in by the laboratory",
+    "Not stated",
+    "page",
     "There is nothing to warn of.",
     "Contents",
     "end of the report",
@@ -100,7 +109,9 @@ class Content:
         What only the laboratory knows; None where it has not said.
     sections : tuple of Section
     lab : mapping of str to str
-        What the laboratory has said, by ``section.key``.
+        What the laboratory has said, by ``section.key``; equipment as ``equipment.1.name``.
+    result : Section or None
+        The first screen, before what the laboratory says.
     """
 
     language: Language
@@ -111,6 +122,7 @@ class Content:
     fields: tuple[tuple[str, str | None], ...]
     sections: tuple[Section, ...]
     lab: Mapping[str, str] = field(default_factory=dict)
+    result: Section | None = None
 
     @cached_property
     def words(self) -> dict[str, str]:
@@ -131,11 +143,15 @@ def read_lab(source: "str | os.PathLike[str] | Mapping[str, Any] | None") -> dic
         return {}
     where = "the lab file" if isinstance(source, Mapping) else str(source)
     tables = source if isinstance(source, Mapping) else read_toml(source, "lab file")
-    said = {}
+    said: dict[str, str] = {}
     for section, table in tables.items():
+        if section == "equipment":
+            said |= _read_equipment(table, where)
+            continue
         if section not in LAB_FIELDS or not isinstance(table, Mapping):
             raise MultiposError(
-                f"{where}: unknown section [{section}]; a report knows {', '.join(LAB_FIELDS)}."
+                f"{where}: unknown section [{section}]; a report knows {', '.join(LAB_FIELDS)} "
+                "and [[equipment]]."
             )
         for key, value in table.items():
             if key not in LAB_FIELDS[section]:
@@ -144,6 +160,22 @@ def read_lab(source: "str | os.PathLike[str] | Mapping[str, Any] | None") -> dic
                     f"{', '.join(LAB_FIELDS[section])}."
                 )
             said[f"{section}.{key}"] = str(value)
+    return said
+
+
+def _read_equipment(entries: Any, where: str) -> dict[str, str]:
+    """Return what is said of each piece of equipment, by ``equipment.1.name``."""
+    said: dict[str, str] = {}
+    for place, entry in enumerate(entries if isinstance(entries, list) else [entries], start=1):
+        unknown = (
+            [key for key in entry if key not in EQUIPMENT] if isinstance(entry, Mapping) else [""]
+        )
+        if unknown or not isinstance(entry, Mapping):
+            raise MultiposError(
+                f"{where}, [[equipment]]: unknown key '{unknown[0]}'; each piece takes "
+                f"{', '.join(EQUIPMENT)}."
+            )
+        said |= {f"equipment.{place}.{key}": str(value) for key, value in entry.items()}
     return said
 
 
@@ -187,6 +219,7 @@ def build_content(
     said = read_lab(lab)
     c = calibration
     budget = evaluate_budget(c)
+    equipment = equipment_section(said, tr)
     doubts = (*c.diagnostics.doubts, *(() if check is None else check.doubts))
     said_first = (*(doubt.text for doubt in doubts), *c.diagnostics.said)
     forces = math.isfinite(c.rms)  # else an output does not respond, as a doubt says
@@ -201,6 +234,7 @@ def build_content(
         verdict=tr(NOT_FIT) if implausible(doubts) else None,
         warnings=tuple(tr.message(text) for text in dict.fromkeys(said_first)),
         fields=lab_fields(said, tr),
+        result=result_section(c, budget, check, tr, forces=forces),
         sections=(
             parameters_section(c, tr),
             sensor_section(c, budget, tr),
@@ -215,7 +249,9 @@ def build_content(
             correlation_section(c, tr),
             checks_section(c, tr, simulated),
             _method(c, tr),
-            _statements(c, tr),
+            *((equipment,) if equipment is not None else ()),
+            _statements(c, check, tr),
+            signature_section(said, tr),
         ),
         lab=said,
     )
@@ -249,10 +285,19 @@ def _method(c: Calibration, tr: Translator) -> Section:
     )
 
 
-def _statements(c: Calibration, tr: Translator) -> Section:
+def _statements(c: Calibration, check: Check | None, tr: Translator) -> Section:
     said: Sequence[str] = (
         "The results relate only to the item calibrated, as it was and where it was.",
         "Uncertainties are evaluated by JCGM 100 (GUM).",
         "This report should not be reproduced except in full without approval of the laboratory.",
     )
-    return Section(tr("Statements"), tuple(map(tr, said)))
+    paragraphs = list(map(tr, said))
+    if check is not None and check.limit is not None:
+        paragraphs.append(
+            tr(
+                "Decision rule: a position conforms where error and U together stay within the "
+                "limit, and does not where the error less U is beyond it (JCGM 106, guard band U); "
+                "the run does not where that is so with the U of all its errors together."
+            )
+        )
+    return Section(tr("Statements"), tuple(paragraphs))

@@ -1,4 +1,4 @@
-"""The report as one HTML page, as Markdown, as plain text, or as a digital certificate.
+"""The report as one HTML page, on paper, as Markdown or plain text, or as a digital certificate.
 
 `report` writes everything that `multipos.reports.certificate` has to say. The HTML is one
 file: figures are inline SVG, nothing is fetched and no script runs, and the same calibration gives
@@ -20,9 +20,11 @@ from multipos.files.characters import visible
 from multipos.files.numbers import markdown_line, markdown_table, markdown_text
 from multipos.files.whole import write_text
 from multipos.plots.style import COLOURS
+from multipos.reports.cells import aligned_rows, readable
 from multipos.reports.certificate import Content, build_content
 from multipos.reports.dcc import dcc_report
-from multipos.reports.page import Figure, PageTable
+from multipos.reports.page import Figure, PageTable, Section
+from multipos.reports.paper import paper_report
 from multipos.reports.translations import Language
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
@@ -47,8 +49,16 @@ def html_report(content: Content) -> str:
     def svg(figure: Figure, section: int, place: int) -> Any:
         return Markup(_inline(figure, f"f{section}-{place}"))
 
+    number = content.lab.get("report.number", "")
     return environment.from_string(template).render(
-        content=content, number=content.fields[0][1] or "", svg=svg
+        content=content,
+        number=number,
+        running=_css_text(f"{content.title} {number}".strip()),
+        leaf=_css_text(f"{content.words['page']} "),
+        svg=svg,
+        aligned=aligned_rows,
+        readable=readable,
+        widest=_LONG_TABLE,
     )
 
 
@@ -56,14 +66,14 @@ def markdown_report(content: Content) -> str:
     """Return a report as Markdown."""
     parts = [f"# {content.title}", markdown_line(content.subtitle)]
     parts += [f"**{content.verdict}**"] if content.verdict else []
-    for title, entries in _front(content):
-        parts.append(f"## {title}\n\n{_bullets(entries, markdown_line, _MARKDOWN_BREAK)}")
+    warnings, administrative = (
+        f"## {title}\n\n{_bullets(entries, markdown_line, _MARKDOWN_BREAK)}"
+        for title, entries in _front(content)
+    )
+    first = [] if content.result is None else _markdown_section(content.result)
+    parts += [warnings, *first, administrative]
     for section in content.sections:
-        parts.append(f"## {section.title}")
-        parts += map(markdown_line, section.paragraphs)
-        for grid in section.tables:
-            caption = markdown_text(grid.caption)
-            parts.append(f"**{caption}**\n\n{markdown_table(grid.header, grid.rows)}")
+        parts += _markdown_section(section)
     return "\n\n".join(parts) + "\n"
 
 
@@ -71,13 +81,23 @@ def plain_report(content: Content) -> str:
     """Return a report as plain text."""
     parts = [_underlined(content.title, "="), visible(content.subtitle)]
     parts += [content.verdict] if content.verdict else []
-    for title, entries in _front(content):
-        parts.append(f"{_underlined(title, '-')}\n{_bullets(entries, visible, _BREAK)}")
+    warnings, administrative = (
+        f"{_underlined(title, '-')}\n{_bullets(entries, visible, _BREAK)}"
+        for title, entries in _front(content)
+    )
+    first = [] if content.result is None else _plain_section(content.result)
+    parts += [warnings, *first, administrative]
     for section in content.sections:
-        parts.append(_underlined(section.title, "-"))
-        parts += [textwrap.fill(visible(paragraph), 96) for paragraph in section.paragraphs]
-        parts += [f"{visible(grid.caption)}\n{_aligned(grid)}" for grid in section.tables]
+        parts += _plain_section(section)
     return "\n\n".join(parts) + "\n"
+
+
+def pdf_report(content: Content) -> bytes:
+    """Return a report as PDF, by the extra `pdf`."""
+    page = html_report(content)
+    for i, colour in enumerate(COLOURS[:7], start=1):  # WeasyPrint has no variables in figures
+        page = page.replace(f"var(--c{i})", colour)
+    return paper_report(page.replace("currentColor", "#000000"))
 
 
 def report(
@@ -91,8 +111,9 @@ def report(
 ) -> None:
     """Write the report in the form that the file's ending asks for.
 
-    `.html` is one page, `.md` Markdown, `.txt` plain text, and `.xml` a digital calibration
-    certificate (`multipos.reports.dcc`), which holds the page.
+    `.html` is one page, `.pdf` the same on paper (by the extra `pdf`), `.md` Markdown, `.txt` plain
+    text, and `.xml` a digital calibration certificate (`multipos.reports.dcc`), which holds the
+    page.
 
     Parameters
     ----------
@@ -145,26 +166,55 @@ def xml_report(calibration: Calibration, content: Content) -> str:
 
 # Between the lines of an entry of a list.
 _BREAK, _MARKDOWN_BREAK = "\n  ", "\\\n  "
+_LONG_TABLE = 40  # rows: beyond, a table may break over pages
 _CERTIFICATE = ".xml"
-_FORMS: dict[str, Callable[[Content], str]] = {
+_FORMS: dict[str, Callable[[Content], str | bytes]] = {
     ".html": html_report,
+    ".pdf": pdf_report,
     ".md": markdown_report,
     ".txt": plain_report,
 }
 
 
+def _markdown_section(section: Section) -> list[str]:
+    parts = [f"## {section.title}", *map(markdown_line, section.paragraphs)]
+    for grid in section.tables:
+        caption = markdown_text(grid.caption)
+        parts.append(f"**{caption}**\n\n{markdown_table(grid.header, grid.rows)}")
+    return parts
+
+
+def _plain_section(section: Section) -> list[str]:
+    parts = [_underlined(section.title, "-")]
+    parts += [textwrap.fill(visible(paragraph), 96) for paragraph in section.paragraphs]
+    return parts + [f"{visible(grid.caption)}\n{_aligned(grid)}" for grid in section.tables]
+
+
 def _front(content: Content) -> list[tuple[str, list[str]]]:
-    """Return warnings and administrative data as lines."""
+    """Return warnings and administrative data as lines; what is not stated in one."""
     words = content.words
-    open_field = f"[{words['to be filled in by the laboratory']}]"
     said = list(content.warnings) or [words["There is nothing to warn of."]]
-    fields = [f"{label}: {text or open_field}" for label, text in content.fields]
+    fields = [f"{label}: {text}" for label, text in content.fields if text]
+    open_fields = [label for label, text in content.fields if not text]
+    if open_fields:
+        by_the_laboratory = words["to be filled in by the laboratory"]
+        fields.append(f"[{by_the_laboratory}] {', '.join(open_fields)}")
     return [(words["Warnings"], said), (words["Administrative data"], fields)]
 
 
 def _bullets(entries: Sequence[str], show: Callable[[str], str], line_end: str) -> str:
     """Return entries as a list; one of several lines, such as an address, keeps them."""
     return "\n".join(f"- {line_end.join(map(show, entry.splitlines()))}" for entry in entries)
+
+
+def _css_text(text: str) -> Any:
+    """Return text as a string of a style sheet, every character that could end it as its code."""
+    from markupsafe import Markup
+
+    kept = "".join(
+        mark if mark.isalnum() or mark in " -_." else f"\\{ord(mark):06x}" for mark in visible(text)
+    )
+    return Markup(f'"{kept}"')
 
 
 def _without_controls(value: Any) -> Any:

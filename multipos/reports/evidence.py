@@ -11,7 +11,6 @@ from multipos.numerics.rotations import directions
 from multipos.plots.calibration import (
     compensated_error,
     draw_correlation,
-    draw_coverage,
     draw_errors,
     draw_leverage,
     draw_residuals,
@@ -20,6 +19,7 @@ from multipos.plots.calibration import (
 from multipos.plots.check import draw_check
 from multipos.plots.tumble import draw_harmonics, draw_rolls
 from multipos.reports.page import Figure, PageTable, Section, draw_svg, largest_positions
+from multipos.reports.result import readings_table
 from multipos.reports.sheets import (
     Sheet,
     check_sheets,
@@ -151,7 +151,7 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
         for row in shown
     ]
     return Section(
-        tr("Positions"),
+        tr("Positions and readings"),
         (
             tr(
                 "The up vector of every position in case axes, and how far each position fixes its "
@@ -161,14 +161,10 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
         ),
         (
             Figure(
-                tr("Coverage of the sphere, equal-area"),
-                tr("The left disc is the half of the sphere around +z, the right one around −z."),
-                lambda: draw_svg(tr, 1, 3.2, lambda axes: draw_coverage(c, axes[0])),
-            ),
-            Figure(
                 tr("Leverage of every position"),
                 tr("Bars, one for each output; the numbers are in the table below."),
                 lambda: draw_svg(tr, 1, 2.4, lambda axes: draw_leverage(c, axes[0])),
+                on_paper=False,
             ),
         ),
         (
@@ -177,6 +173,7 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
                 (tr("Position"), "x", "y", "z", *(f"h {output}" for output in c.outputs)),
                 tuple(rows),
             ),
+            readings_table(c, tr),
         ),
     )
 
@@ -204,7 +201,9 @@ def correlation_section(c: Calibration, tr: Translator) -> Section:
                 lambda: draw_svg(tr, 1, 5.4, lambda axes: draw_correlation(c, axes[0])),
             ),
         ),
-        (PageTable(tr("Correlation coefficients"), ("", *names), rows),) if small else (),
+        (PageTable(tr("Correlation coefficients"), ("", *names), rows, on_paper=False),)
+        if small
+        else (),
     )
 
 

@@ -90,6 +90,7 @@ def sensor_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
         tr("The sensor"),
         (tr("Quantities derived from the parameters, with their full covariance."),),
         tables=(PageTable(tr("Sensitivity, offset and axes"), header, tuple(rows), left=2),),
+        on_paper=False,
     )
 
 
@@ -107,8 +108,10 @@ def _intrinsic_rows(c: Calibration, budget: Evaluation, tr: Translator) -> list[
         *((tr("Mounting, rotation about {axis}", axis=a), "deg") for a in COMPONENTS),
     ]
     rows: list[tuple[str, ...]] = []
+    if c.model.gauge is not None:  # which has fixed the mounting
+        names = names[:-3]
     for (name, unit), value, sd, nu in zip(
-        names, values.tolist(), u.tolist(), dof.tolist(), strict=True
+        names, values.tolist(), u.tolist(), dof.tolist(), strict=False
     ):
         k = coverage_factor(c.confidence, nu)
         shown = "1" if unit == "g/g" else unit
@@ -121,6 +124,8 @@ def _installation_rows(c: Calibration, tr: Translator) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for pair, found in c.installation_deg.items():
         in_mrad = {key: np.pi / 0.18 * size for key, size in found.items()}
+        if not found["u"]:  # the gauge has fixed it
+            continue
         for unit, entry in (("deg", found), ("mrad", in_mrad)):
             rows.append(
                 (
@@ -161,6 +166,7 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
                     0.9 + 0.2 * len(budget.names),
                     lambda axes: draw_budget(budget, axes[0]),
                 ),
+                on_paper=len({row.quantity for row in budget.rows}) > 1,
             ),
         ),
         (_quantity_table(budget, tr), _contribution_table(c, budget, tr)),

@@ -20,21 +20,29 @@ _SHOWN = " (the {shown} largest of {count}; the calibration file has all)"
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table: its caption, header and rows of text; the first `left` columns hold words."""
+    """A table: its caption, header and rows of text; the first `left` columns hold words.
+
+    What says again what stands elsewhere is not `on_paper`.
+    """
 
     caption: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     left: int = 1
+    on_paper: bool = True
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure: caption, what it shows in words, and the function that draws it as SVG."""
+    """A figure: caption, what it shows in words, and the function that draws it as SVG.
+
+    What shows again what a table holds is not `on_paper`.
+    """
 
     caption: str
     description: str
     draw: Callable[[], str]
+    on_paper: bool = True
 
 
 @dataclass(frozen=True)
@@ -45,6 +53,7 @@ class Section:
     paragraphs: tuple[str, ...] = ()
     figures: tuple[Figure, ...] = ()
     tables: tuple[PageTable, ...] = ()
+    on_paper: bool = True
 
 
 def draw_svg(tr: Translator, rows: int, height: float, draw: Callable[[Any], None]) -> str:

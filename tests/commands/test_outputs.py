@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -159,7 +160,7 @@ WRITTEN = {
     "stability": {".json", ".csv", ".txt", ".svg", ".png", ".pdf"},
     "tumble": {".json", ".txt", ".svg", ".png", ".pdf"},
     "simulate": {".csv", ".json", ".txt"},
-    "report": {".html", ".md", ".txt", ".xml"},
+    "report": {".html", ".pdf", ".md", ".txt", ".xml"},
     "export": {".json"},
     "verify-export": {".json", ".txt"},
     "schemes": {".json", ".txt", ".svg", ".png", ".pdf"},
@@ -195,6 +196,11 @@ def test_known_endings_are_written_as_what_they_are_or_refused(command, here, ca
     for ending in sorted(known | {".txt"}):
         before = snapshot(here)
         status, out, err = run(capsys, *RUNS[command], "-o", f"out{ending.upper()}")
+        if (command, ending) == ("report", ".pdf") and find_spec("weasyprint") is None:
+            assert (status, out) == (1, "")
+            assert "pip install 'multipos[pdf]'" in err
+            assert snapshot(here) == before
+            continue
         if ending in WRITTEN[command]:
             assert status == 0, err
             assert ending in said

@@ -222,7 +222,7 @@ def test_the_laboratory_fills_the_fields(six, tmp_path):
 @pytest.mark.parametrize(
     ("options", "status", "message"),
     [
-        (["-o", "r.pdf"], 2, "-o r.pdf: this command does not write .pdf files"),
+        (["-o", "r.svg"], 2, "-o r.svg: this command does not write .svg files"),
         ([], 2, "report needs -o REPORT.html"),
         (["-o", "r.html", "--language", "de"], 2, "--language takes en or zh, got 'de'"),
         (["-o", "r.html", "--lab", "none.toml"], 1, "no such file"),
@@ -260,7 +260,8 @@ def test_chinese_has_every_sentence(calibration, six):
         english, chinese = (build_content(c, language=language) for language in ("en", "zh"))
         pairs = list(zip(english.warnings, chinese.warnings, strict=True))
         pairs += [(a[0], b[0]) for a, b in zip(english.fields, chinese.fields, strict=True)]
-        for one, two in zip(english.sections, chinese.sections, strict=True):
+        parts = [(content.result, *content.sections) for content in (english, chinese)]
+        for one, two in zip(*parts, strict=True):
             pairs.append((one.title, two.title))
             pairs += zip(one.paragraphs, two.paragraphs, strict=True)
             for a, b in zip((*one.figures, *one.tables), (*two.figures, *two.tables), strict=True):
@@ -317,6 +318,7 @@ def test_long_tables_show_their_largest_twenty(tmp_path, capsys):
         "Residuals at every position ",
         "Size of the error [g] ",
         "Up vector and leverage of every position ",
+        "Readings as measured ",
         "Influence of each position: studentised residual r, Cook's D, leave-one-out error e ",
     ]
     for name, table in tables.items():

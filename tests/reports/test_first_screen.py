@@ -1,0 +1,195 @@
+"""The first screen of a report, what a laboratory adds, how numbers stand, and the paper."""
+
+import importlib.util
+import re
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import multipos as mp
+from multipos.cli import main
+from multipos.files.numbers import beside, in_g
+from multipos.plots.errors import draw_error_sphere
+from multipos.reports.cells import aligned_rows, readable
+from multipos.reports.certificate import build_content
+from multipos.reports.documents import html_report, markdown_report, plain_report
+from multipos.reports.page import PageTable
+
+UP = mp.read_scheme("all-26").up
+MATRIX = np.array([[1.01, 0.002, 0.0], [0.0, 0.99, 0.001], [0.003, 0.0, 1.0]])
+
+
+def values(seed=1, sd=2e-4):
+    noise = np.random.default_rng(seed).standard_normal(UP.shape)
+    return [0.01, -0.02, 0.005] + UP @ MATRIX.T + sd * noise
+
+
+@pytest.fixture(scope="module")
+def cal():
+    return mp.fit(mp.Readings(values(), outputs=("ax", "ay", "az"), up=UP, unit="g"))
+
+
+@pytest.fixture(scope="module")
+def unknown():
+    return mp.fit(mp.Readings(values(), outputs=("ax", "ay", "az")), unknown_orientation=True)
+
+
+def test_the_result_comes_before_what_the_laboratory_says(cal):
+    found = mp.check(cal, mp.Readings(values(2), outputs=cal.outputs, up=UP), limit_g=0.002)
+    content = build_content(cal, check=found)
+    for text in (html_report(content), markdown_report(content), plain_report(content)):
+        order = ["the run as a whole: pass", "rms: ", "Offset of ax", "Administrative data"]
+        places = [text.index(said) for said in order]
+        assert places == sorted(places)
+        assert places[0] > text.index("Warnings")
+    rows = {row[0]: row[1:] for row in content.result.tables[0].rows}
+    assert rows["Offset of ay"][2] == "mg"
+    offset = cal.intrinsic["offset"]["ay"]["value"]
+    assert float(rows["Offset of ay"][0]) == pytest.approx(1e3 * offset, abs=0.005)
+    assert float(rows["Offset of ay"][1]) == pytest.approx(
+        1e3 * cal["bias_ay"].U / cal["scale_ay"].value, rel=0.1
+    )
+    assert rows["Angle between input axes xy"][2] == "°"
+    assert "Decision rule: " in plain_report(content)
+    assert "Decision rule: " not in plain_report(build_content(cal))
+
+
+def test_a_check_that_denies_u_is_a_doubt_of_the_report(cal):
+    off = values(2) + np.array([0.002, 0.0, 0.0])
+    found = mp.check(cal, mp.Readings(off, outputs=cal.outputs, up=UP))
+    content = build_content(cal, check=found)
+    assert any("bias_ax" in text for text in content.warnings)
+    assert any(
+        "参数发生了变化" in text for text in build_content(cal, check=found, language="zh").warnings
+    )
+
+
+def test_what_is_not_stated_takes_one_line(cal):
+    page = html_report(build_content(cal))
+    assert page.count("<dt>") == 0
+    assert len(re.findall(r'class="unsaid"', page)) == 1
+    lines = [
+        line for line in plain_report(build_content(cal)).splitlines() if "Report number" in line
+    ]
+    assert len(lines) == 1
+
+
+LAB = """\
+[report]
+number = "17 \\";} </style><b>"
+authorised_by = "N. N."
+[[equipment]]
+name = "rotary table"
+serial = "7"
+due = 2027-01-01
+[[equipment]]
+name = "voltmeter"
+"""
+
+
+def test_equipment_signature_and_the_number_on_every_page(cal, tmp_path):
+    (tmp_path / "lab.toml").write_text(LAB, encoding="utf-8")
+    content = build_content(cal, lab=tmp_path / "lab.toml")
+    tables = {t.caption: t.rows for part in content.sections for t in part.tables}
+    assert [row[0] for row in tables["Equipment used"]] == ["rotary table", "voltmeter"]
+    assert tables["Equipment used"][0][4] == "2027-01-01"
+    assert tables["Signed by"][0] == ("Authorised by", "N. N.")
+    page = html_report(content)
+    assert 'counter(page) " / " counter(pages)' in page
+    (running,) = re.findall(r"@bottom-left { content: (.*); }", page)
+    assert running.startswith('"Calibration report 17 ')
+    assert not re.search(r'["<>{}]', running[1:-1])
+    (tmp_path / "bad.toml").write_text('[[equipment]]\ncolour = "red"\n', encoding="utf-8")
+    with pytest.raises(mp.MultiposError, match=r"\[\[equipment\]\]: unknown key 'colour'"):
+        build_content(cal, lab=tmp_path / "bad.toml")
+
+
+def test_readings_stand_as_they_were_measured(cal):
+    (table,) = (
+        t for part in build_content(cal).sections for t in part.tables if "Readings as" in t.caption
+    )
+    assert table.header == ("Position", "ax [g]", "ay [g]", "az [g]")
+    shown = np.array([[float(cell) for cell in row[1:]] for row in table.rows])
+    assert np.abs(shown - values()).max() < 1e-5  # two digits below a noise of 2e-4
+
+
+def test_what_the_gauge_fixed_is_left_out(unknown):
+    content = build_content(unknown)
+    names = [row[0] for row in content.result.tables[0].rows]
+    assert "Offset of az" in names
+    assert not any("Mounting" in name for name in names)
+    text = plain_report(content)
+    assert "Mounting, rotation" not in text
+    assert "Output on x leans to y" not in text
+    assert "Output on y leans to x" in text
+
+
+def test_numbers_in_a_page():
+    assert beside(-0.0202347, 0.00017, 0.00035) == ("-0.02023", "0.00035")
+    assert beside(1.0, 0.0, 0.0) == ("1", "-")
+    assert [in_g(size) for size in (0.0336, 2.5e-4, 1.25, 0.0)] == [
+        "33.6 mg",
+        "250 µg",
+        "1.25 g",
+        "0 g",
+    ]
+    assert readable("-1e-05") == "−1×10⁻⁵"
+    assert readable("0.41(12)e-07") == "0.41(12)×10⁻⁷"
+    assert readable("V/g^2") == "V/g²"
+    assert readable("inf") == "∞"
+    assert readable("1 + own^2 of 1e5a") == "1 + own^2 of 1e5a"
+    table = PageTable("", ("a", "b"), (("x", "1.25"), ("y", "-3"), ("z", "10.5"), ("w", "-")))
+    cells = [row[1] for row in aligned_rows(table)]
+    assert cells == ["1.25", "−3\u2008\u2007\u2007", "10.5\u2007", "-"]
+
+
+def test_a_page_has_no_number_in_letters(cal):
+    page = re.sub(
+        r"<svg.*?</svg>|<style>.*?</style>", "", html_report(build_content(cal)), flags=re.DOTALL
+    )
+    cells = re.findall(r"<t[dh][^>]*>([^<]*)</t[dh]>", page)
+    assert len(cells) > 300
+    assert [c for c in cells if re.search(r"\de[-+]\d|^-\d|^inf$|[a-z]\^\d$", c)] == []
+
+
+def test_arrows_are_errors_across_and_rings_errors_along(cal):
+    """By hand: the largest error is .32 of a radius, shared by its ring and its arrow."""
+    axes = Figure().subplots()
+    draw_error_sphere(cal, axes)
+    texts = [text.get_text() for text in axes.texts]
+    largest = np.linalg.norm(cal.compensate(values()) - UP, axis=1).max()
+    assert f"after: largest {in_g(largest)}" in texts
+    error = cal.compensate(values()) - UP
+    worst = int(np.argmax(np.linalg.norm(error, axis=1)))
+    along = float(error[worst] @ UP[worst])
+    across = np.sqrt(largest**2 - along**2)
+    arrows = np.concatenate([np.hypot(q.U, q.V) for q in axes.collections[2:]])
+    assert np.isclose(arrows, 0.32 * across / largest, rtol=1e-3).any()
+    assert arrows.max() < 0.3201
+
+
+def test_unknown_orientations_have_errors_along_alone(unknown):
+    axes = Figure().subplots()
+    draw_error_sphere(unknown, axes)
+    assert all(np.abs([q.U, q.V]).max() < 1e-12 for q in axes.collections)
+
+
+def test_paper_needs_its_extra(cal, tmp_path, capsys, monkeypatch):
+    cal.save(tmp_path / "c.json")
+    real = importlib.util.find_spec
+    monkeypatch.setattr(
+        "multipos.reports.paper.find_spec",
+        lambda name: None if name == "weasyprint" else real(name),
+    )
+    assert main(["report", str(tmp_path / "c.json"), "-o", str(tmp_path / "r.pdf")]) == 1
+    assert "pip install 'multipos[pdf]'" in capsys.readouterr().err
+    assert not (tmp_path / "r.pdf").exists()
+
+
+def test_paper(cal, tmp_path):
+    pytest.importorskip("weasyprint")
+    mp.report(cal, tmp_path / "r.pdf")
+    made = (tmp_path / "r.pdf").read_bytes()
+    assert made.startswith(b"%PDF")
+    assert len(made) < 1_000_000
