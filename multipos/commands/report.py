@@ -1,9 +1,10 @@
 """``multipos report``."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import numbers, progress_bar
@@ -15,6 +16,7 @@ from multipos.regression.regression_file import SCHEMA as REGRESSION
 from multipos.regression.regression_file import load_regression
 from multipos.regression.several import all_of
 from multipos.reports.certificate import Content, build_content
+from multipos.reports.comparisons import comparison_content, read_comparison
 from multipos.reports.documents import (
     html_report,
     markdown_report,
@@ -44,8 +46,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add(
         "calibration",
-        metavar="CAL.json|REG.json|FLEET",
-        help="calibration or regression to report, or what multipos fleet wrote",
+        metavar="CAL.json|REG.json|COMPARE.json|FLEET",
+        help="calibration or regression to report, or what compare or fleet wrote",
     )
     add("--data", metavar="DATA.csv", help="the rows of a regression, where not beside it")
     add("--lab", metavar="FILE", help="TOML file of what only the laboratory knows")
@@ -104,12 +106,24 @@ def _of_regression(arguments: argparse.Namespace) -> Answer:
     return _answer(arguments, content, listing, _no_certificate)
 
 
+def _of_comparison(arguments: argparse.Namespace, found: Mapping[str, Any]) -> Answer:
+    """Return the report of repeated calibrations, from what compare wrote."""
+    if arguments.check or arguments.monte_carlo or arguments.nominal or arguments.data:
+        raise UsageError("--check, --nominal, --monte-carlo and --data are of one calibration.")
+    content = comparison_content(found, lab=arguments.lab, language=arguments.language)
+    listing = {"report": arguments.output, "created": None}
+    return _answer(arguments, content, listing, _no_certificate)
+
+
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     if Path(arguments.calibration).is_dir() or read_schema(arguments.calibration) == FLEET:
         return _of_fleet(arguments)
     if read_schema(arguments.calibration) == REGRESSION:
         return _of_regression(arguments)
+    comparison = read_comparison(arguments.calibration)
+    if comparison is not None:
+        return _of_comparison(arguments, comparison)
     if arguments.data is not None:
         raise UsageError("--data are the rows of a regression; a calibration holds its readings.")
     calibration = load(arguments.calibration)

@@ -1,5 +1,6 @@
 """Figures of repeated calibrations."""
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,6 +46,27 @@ def draw_runs(comparison: Comparison, axes: "Axes", *, term: str = "1") -> None:
     axes.set_xticks(runs)
     axes.set_xlabel("run")
     axes.set_ylabel(f"less its mean [{model.units[wanted[0]] if wanted else model.unit}]")
+    axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+    name_series(axes, 3)
+
+
+def draw_values(values: Mapping[str, Sequence[float]], axes: "Axes", *, unit: str) -> None:
+    """Draw values by run, each name a line, as a file of a comparison holds them."""
+    count = 0
+    for series, (name, found) in enumerate(values.items()):
+        count = max(count, len(found))
+        axes.plot(
+            range(1, len(found) + 1),
+            found,
+            color=COLOURS[series % 6],
+            marker=MARKERS[series % 8],
+            linewidth=0.9,
+            label=name,
+        )
+    axes.axhline(0.0, color="#000000", linewidth=0.6)
+    axes.set_xticks(range(1, count + 1))
+    axes.set_xlabel("run")
+    axes.set_ylabel(f"less its mean [{unit}]")
     axes.ticklabel_format(axis="y", scilimits=(-3, 4))
     name_series(axes, 3)
 

@@ -22,12 +22,16 @@ from multipos.files.whole import write_text
 from multipos.plots.style import COLOURS
 from multipos.reports.cells import aligned_rows, readable
 from multipos.reports.certificate import Content, build_content
+from multipos.reports.comparisons import comparison_content
 from multipos.reports.dcc import dcc_report
 from multipos.reports.page import Figure, PageTable, Section
 from multipos.reports.paper import paper_report
 from multipos.reports.translations import Language
+from multipos.results import plain
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
+from multipos.verification.comparison import Comparison
+from multipos.verification.regression_comparison import RegressionComparison
 from multipos.verification.verdicts import Check
 
 
@@ -101,7 +105,7 @@ def pdf_report(content: Content) -> bytes:
 
 
 def report(
-    calibration: Calibration,
+    calibration: Calibration | Comparison | RegressionComparison,
     path: str | os.PathLike[str],
     *,
     lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
@@ -117,7 +121,8 @@ def report(
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : Calibration, or what `compare` returns
+        Repeats have no digital certificate, and neither `simulated` nor `check`.
     path : path
     lab : path or mapping, optional
         TOML file of what only the laboratory knows (`multipos.reports.certificate.LAB_FIELDS`).
@@ -150,13 +155,20 @@ def report(
             f"the report's ending '{suffix}' is unknown; write it to a "
             f"{', '.join((*_FORMS, _CERTIFICATE))} file."
         )
+    if isinstance(calibration, Comparison | RegressionComparison):
+        if suffix == _CERTIFICATE or simulated is not None or check is not None:
+            raise UsageError(
+                "a digital certificate, `simulated` and `check` are of one calibration; write "
+                f"repeats to a {', '.join(_FORMS)} file."
+            )
+        content = comparison_content(plain(calibration.to_dict()), lab=lab, language=language)
+        return write_text(path, _FORMS[suffix](content))
     content = build_content(
         calibration, lab=lab, language=language, simulated=simulated, check=check
     )
     if suffix == _CERTIFICATE:
-        write_text(path, xml_report(calibration, content))
-    else:
-        write_text(path, _FORMS[suffix](content))
+        return write_text(path, xml_report(calibration, content))
+    return write_text(path, _FORMS[suffix](content))
 
 
 def xml_report(calibration: Calibration, content: Content) -> str:

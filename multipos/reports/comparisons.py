@@ -1,0 +1,249 @@
+"""What a report of repeated calibrations says, from the file that `compare -o FILE.json` wrote.
+
+The verdict and what has moved stand first, then the parameters run by run, and how stable the
+biases are. Repeated regressions have a table of their terms.
+"""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from multipos.errors import MultiposError
+from multipos.files.numbers import number, uncertain
+from multipos.files.records import (
+    ANY_NUMBER,
+    ANY_TEXT,
+    FIGURE,
+    P_VALUE,
+    TEXTS,
+    Fields,
+    Flag,
+    Listed,
+    Maybe,
+    Named,
+    require,
+)
+from multipos.files.trees import read_json_value
+from multipos.plots.runs import draw_values
+from multipos.reports.certificate import Content, lab_fields, read_lab
+from multipos.reports.page import Figure, PageTable, Section, draw_svg
+from multipos.reports.translations import Language, Translator
+
+_RUNS = Listed(Fields({"file": Maybe(ANY_TEXT), "created": Maybe(ANY_TEXT)}), 2)
+_VALUES = Listed(Maybe(ANY_NUMBER), 2)
+_CALIBRATIONS = Fields(
+    {
+        "calibrations": _RUNS,
+        "parameters": Listed(
+            Fields(
+                {
+                    "name": ANY_TEXT,
+                    "term": ANY_TEXT,
+                    "unit": ANY_TEXT,
+                    "values": _VALUES,
+                    "mean": FIGURE,
+                    "sd": FIGURE,
+                    "drift": FIGURE,
+                    "drift_unit": ANY_TEXT,
+                    "drift_p": P_VALUE,
+                    "p": P_VALUE,
+                    "moved": Flag(),
+                }
+            ),
+            1,
+        ),
+        "bias_stability": Named(FIGURE),
+        "statistic": FIGURE,
+        "p": P_VALUE,
+        "test": ANY_TEXT,
+        "consistent": Flag(),
+        "warnings": TEXTS,
+    }
+)
+_REGRESSIONS = Fields(
+    {
+        "regressions": _RUNS,
+        "terms": Listed(
+            Fields(
+                {
+                    "segment": ANY_TEXT,
+                    "term": ANY_TEXT,
+                    "values": _VALUES,
+                    "sd": FIGURE,
+                    "p": P_VALUE,
+                }
+            ),
+            1,
+        ),
+        "consistent": Flag(),
+        "warnings": TEXTS,
+    }
+)
+_KEYS = ("calibrations", "regressions")
+
+
+def read_comparison(path: str | os.PathLike[str]) -> dict[str, Any] | None:
+    """Return what a file says that `compare` wrote; None where it is another file.
+
+    Raises
+    ------
+    MultiposError
+        It is such a file, and damaged.
+    """
+    try:
+        content = read_json_value(path, "file")
+    except MultiposError:  # whoever reads it next says so
+        return None
+    if not isinstance(content, dict) or "consistent" not in content:
+        return None
+    kind = next((key for key in _KEYS if key in content), None)
+    if kind is None:
+        return None
+    described = _CALIBRATIONS if kind == "calibrations" else _REGRESSIONS
+    require(content, described, str(path), "compare again")
+    runs = len(content[kind])
+    entries = content["parameters" if kind == "calibrations" else "terms"]
+    if any(len(entry["values"]) != runs for entry in entries):
+        raise MultiposError(f"{path}: it has not a value for each of {runs} runs; compare again.")
+    return content
+
+
+def comparison_content(
+    found: Mapping[str, Any],
+    *,
+    lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
+    language: Language = "en",
+) -> Content:
+    """Return what the report of repeated calibrations or regressions says.
+
+    Parameters
+    ----------
+    found : mapping
+        As the JSON of `compare` holds it.
+    lab, language
+        As of `multipos.report`.
+    """
+    tr = Translator(language)
+    said = read_lab(lab)
+    of_regressions = "regressions" in found
+    runs = found["regressions" if of_regressions else "calibrations"]
+    sections = (
+        [_terms(found, tr)] if of_regressions else [_parameters(found, tr), _stability(found, tr)]
+    )
+    return Content(
+        language=language,
+        title=tr("Report of repeated calibrations"),
+        subtitle=tr("{count} runs of one unit", count=str(len(runs))),
+        verdict=None,
+        warnings=tuple(map(tr.message, found["warnings"])),
+        fields=lab_fields(said, tr),
+        sections=(*sections, _origin(runs, tr)),
+        lab=said,
+        result=_result(found, tr),
+    )
+
+
+def _result(found: Mapping[str, Any], tr: Translator) -> Section:
+    """Return whether the runs agree, what has moved, and the biases by run."""
+    paragraphs = [
+        tr("The runs are consistent with what each claims.")
+        if found["consistent"]
+        else tr("The runs are NOT consistent with what each claims.")
+    ]
+    if "parameters" not in found:
+        return Section(tr("Result"), tuple(paragraphs))
+    if found["p"] is not None:
+        paragraphs.append(
+            f"{tr(found['test'])}: {number(found['statistic'])}, p = {number(found['p'], 3)}"
+        )
+    moved = [entry["name"] for entry in found["parameters"] if entry["moved"]]
+    if moved:
+        paragraphs.append(tr("Moved beyond chance: {names}.", names=tr.listed(moved)))
+    biases = [entry for entry in found["parameters"] if entry["term"] == "1"]
+    picture = Figure(
+        tr("Biases by run, each less its mean"),
+        tr("One line for each output; the numbers are in the table below."),
+        lambda: draw_svg(
+            tr,
+            1,
+            2.4,
+            lambda axes: draw_values(
+                {entry["name"]: _less_mean(entry["values"]) for entry in biases},
+                axes[0],
+                unit=biases[0]["unit"],
+            ),
+        ),
+    )
+    return Section(tr("Result"), tuple(paragraphs), (picture,) if biases else ())
+
+
+def _less_mean(values: Sequence[float | None]) -> list[float]:
+    told = [value for value in values if value is not None]
+    mean = sum(told) / len(told) if told else math.nan
+    return [math.nan if value is None else value - mean for value in values]
+
+
+def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
+    runs = [str(i + 1) for i in range(len(found["calibrations"]))]
+    per = found["parameters"][0]["drift_unit"].rpartition("/")[2]
+    header = (
+        *(tr(word) for word in ("Parameter", "Unit")),
+        *runs,
+        *(tr("mean(sd)"), tr("drift per {unit}", unit=tr(per)), tr("its p"), "p", ""),
+    )
+    rows = tuple(
+        (
+            entry["name"],
+            entry["unit"],
+            *(number(value, 7) for value in entry["values"]),
+            uncertain(_or_nan(entry["mean"]), _or_nan(entry["sd"])),
+            number(entry["drift"], 2),
+            number(entry["drift_p"], 2),
+            number(entry["p"], 2),
+            tr("moved") if entry["moved"] else "",
+        )
+        for entry in found["parameters"]
+    )
+    told = tr(
+        "Each parameter in every run. p is the chance of as much scatter, by what the runs claim; "
+        "drift is the slope over the runs, judged alone by its own p."
+    )
+    table = PageTable(tr("Parameters by run"), header, rows, left=2)
+    return Section(tr("Parameters"), (told,), tables=(table,))
+
+
+def _stability(found: Mapping[str, Any], tr: Translator) -> Section:
+    unit = next((e["unit"] for e in found["parameters"] if e["term"] == "1"), "")
+    rows = tuple((output, number(sd, 3)) for output, sd in found["bias_stability"].items())
+    told = tr("Standard deviation of the repeated biases, from switch-on to switch-on.")
+    table = PageTable(tr("Bias stability"), (tr("Output"), f"sd [{unit}]"), rows)
+    return Section(tr("Bias stability"), (told,), tables=(table,))
+
+
+def _terms(found: Mapping[str, Any], tr: Translator) -> Section:
+    runs = [str(i + 1) for i in range(len(found["regressions"]))]
+    rows = tuple(
+        (
+            entry["segment"],
+            entry["term"],
+            *(number(value, 5) for value in entry["values"]),
+            number(entry["sd"], 2),
+            number(entry["p"], 2),
+        )
+        for entry in found["terms"]
+    )
+    header = (tr("Segment"), tr("Term"), *runs, "sd", "p")
+    return Section(tr("Parameters"), tables=(PageTable(tr("Terms by run"), header, rows, left=2),))
+
+
+def _origin(runs: Sequence[Mapping[str, Any]], tr: Translator) -> Section:
+    rows = tuple(
+        (str(i), run["file"] or "-", run["created"] or "-") for i, run in enumerate(runs, start=1)
+    )
+    header = (tr("Run"), tr("File"), tr("Computed"))
+    return Section(tr("Data"), tables=(PageTable(tr("Runs"), header, rows, left=3),))
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
