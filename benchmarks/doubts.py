@@ -272,8 +272,8 @@ def clip(values: Array, _: np.random.Generator) -> Array | None:
 
 
 def wrap(values: Array, _: np.random.Generator) -> Array | None:
-    wrapped = np.where(values > 0.9, values - 2.0, values)
-    return wrapped if (wrapped != values).any() else None
+    wrapped = (values + 1.1) % 2.0 - 1.1  # a range of 2 g, from -1.1 to .9
+    return wrapped if np.abs(wrapped - values).max() > 1.0 else None
 
 
 def noise_alone(values: Array, rng: np.random.Generator) -> Array:
@@ -326,7 +326,7 @@ ABSURD: dict[str, tuple[tuple[str, ...], Plant]] = {
     "one output noise": (("no-signal",), changed(only_noise)),
     "a counter for an output": (("counter-column",), changed(counted)),
     "saturated at .75 g": (("saturated",), changed(clip)),
-    "wrapped around at .9 g": (("wrapped",), changed(wrap)),
+    "wrapped around at .9 g": (("wrapped", "flipped-row", "sign"), changed(wrap)),
     "all noise": (("no-signal",), changed(noise_alone)),
     "rows in random order": (("no-signal",), changed(shuffled)),
     "radians for degrees": (("angles-in-radians",), radians),

@@ -49,7 +49,7 @@ def main() -> None:
         f"U {ours[:, 1].min():.1f} to {ours[:, 1].max():.1f} mg/g holds the truth in {held} of 20"
     )
     drawn = style.render(_draw(theirs, ours, truth), target.suffix)
-    target.write_bytes(_on_white(drawn).encode() if isinstance(drawn, str) else drawn)
+    target.write_bytes(on_white(drawn).encode() if isinstance(drawn, str) else drawn)
 
 
 def _session(rng: np.random.Generator, up: np.ndarray) -> np.ndarray:
@@ -103,7 +103,7 @@ def _draw(theirs: np.ndarray, ours: np.ndarray, truth: float) -> "Figure":
     return figure
 
 
-def _on_white(svg: str) -> str:
+def on_white(svg: str) -> str:
     """Return the SVG with paper behind it, for readers with a dark screen."""
     paper = '<rect width="100%" height="100%" fill="#ffffff"/>'
     return re.sub(r"<svg [^>]*>", lambda opening: opening[0] + paper, svg, count=1)

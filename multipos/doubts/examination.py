@@ -20,7 +20,7 @@ from multipos.doubts.columns import (
 )
 from multipos.doubts.model_error import hidden_terms, missing_term
 from multipos.doubts.over_temperature import zero_per_soak
-from multipos.doubts.redundancy import no_redundancy
+from multipos.doubts.redundancy import hardly_told, no_redundancy
 from multipos.doubts.residuals import lack_of_fit, outlier, time_correlated
 from multipos.doubts.scales import gravity
 from multipos.doubts.score_tests import judge_model
@@ -36,6 +36,7 @@ OF_OPTIONS: tuple[Question, ...] = (gravity,)
 CAUTIONS: tuple[Question, ...] = (no_redundancy, repeated_rows, temperature_kelvin)
 # Cautions about what the residuals show, and cannot show.
 OF_RESIDUALS: tuple[Question, ...] = (
+    hardly_told,
     hidden_terms,
     zero_per_soak,
     missing_term,

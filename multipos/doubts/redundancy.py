@@ -29,7 +29,7 @@ def no_redundancy(c: Calibration) -> Doubt | None:
     elif c.estimator.exact:
         spare = n - max(len(terms) for terms in c.model.terms)
     else:
-        spare = n
+        return None
     if spare <= 0:
         return Doubt(
             "no-redundancy",
@@ -37,6 +37,11 @@ def no_redundancy(c: Calibration) -> Doubt | None:
             f"{n} positions for as many parameters: the fit passes through every reading and "
             "nothing shows whether it is right; add positions",
         )
+    return _poorly_known(c) if c.estimator == Estimator.UNKNOWN else None
+
+
+def hardly_told(c: Calibration) -> Doubt | None:
+    """Find positions that are much alike, and own scale factors that U leaves open, if not zero."""
     if c.diagnostics.condition > _ILL_CONDITIONED:
         return Doubt(
             "no-redundancy",
@@ -44,7 +49,16 @@ def no_redundancy(c: Calibration) -> Doubt | None:
             "the positions separate the parameters badly (condition "
             f"{c.diagnostics.condition:.1e}); add positions that differ more",
         )
-    return _poorly_known(c) if c.estimator == Estimator.UNKNOWN else _open_scales(c)
+    share = _shares(c.model, c.parameters[None], c.U[None])[0]
+    found = [(c.names[i], share[i]) for i in c.model.own_scales if _OPEN < share[i] < 1.0]
+    if not found:
+        return None
+    said = ", ".join(f"{name} to {100.0 * each:.2g} %" for name, each in found)
+    return Doubt(
+        "no-redundancy",
+        "caution",
+        f"U leaves scale factors open: {said}; average longer, or add positions",
+    )
 
 
 def _poorly_known(c: Calibration) -> Doubt | None:
@@ -60,20 +74,6 @@ def _poorly_known(c: Calibration) -> Doubt | None:
         "no-redundancy",
         "caution",
         f"the positions hardly tell some parameters: {said} (U); add positions that differ more",
-    )
-
-
-def _open_scales(c: Calibration) -> Doubt | None:
-    """Find own scale factors of which U says that they are hardly known, if not zero."""
-    share = _shares(c.model, c.parameters[None], c.U[None])[0]
-    found = [(c.names[i], share[i]) for i in c.model.own_scales if _OPEN < share[i] < 1.0]
-    if not found:
-        return None
-    said = ", ".join(f"{name} to {100.0 * each:.2g} %" for name, each in found)
-    return Doubt(
-        "no-redundancy",
-        "caution",
-        f"U leaves scale factors open: {said}; average longer, or add positions",
     )
 
 

@@ -49,6 +49,7 @@ _BETTER = 1.0 / 3.0  # rho'/rho at most
 _LEFT = 0.15  # rho' at most
 _STICKS_OUT = 1e-4  # chance
 _MORE_THAN_AN_OUTLIER = 0.8  # [g], by which one row must be off to be absurd and not an outlier
+_LESS_BY_A_UNIT = 0.6  # [g], likewise where a factor takes it: 9.8 leaves .9 g less a bias
 _ROWS = 60  # of those that fit worst, among which one or two are looked for
 _TURNS = 12  # of an alternation between rows and fit
 
@@ -109,7 +110,8 @@ def explains(repair: Repair, view: View, tried: int, *, absurd: bool) -> bool:
     before, after = view.misfit, repair.view.misfit
     if repair.code == "angles-in-radians":  # in reading units: |K| was as wrong as the angles
         before *= float(view.response.mean() / repair.view.response.mean())
-    if len(repair.rows) == 1 and _change(repair, view) < _MORE_THAN_AN_OUTLIER:
+    least = _LESS_BY_A_UNIT if repair.code == "row-unit" else _MORE_THAN_AN_OUTLIER
+    if len(repair.rows) == 1 and _change(repair, view) < least:
         return False
     if not after <= min(_BETTER * before, _LEFT):
         return False
