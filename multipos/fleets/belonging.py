@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.fleets.fitting import Units
 from multipos.fleets.stations import NORMAL
+from multipos.fleets.units import Units
 from multipos.numerics.arrays import Array
 
 RATE = 0.01  # of false discoveries

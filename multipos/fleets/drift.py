@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.fleets.belonging import discoveries
-from multipos.fleets.fitting import Units
 from multipos.fleets.pictures import line_order
 from multipos.fleets.stations import near_median
+from multipos.fleets.units import Units
 from multipos.numerics.arrays import Array
 
 _EDGE = 0.05  # of the units at either end, in which no step is looked for

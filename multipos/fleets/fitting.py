@@ -8,22 +8,21 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.estimation.losses import Loss
 from multipos.files.lists import Names
 from multipos.files.tables import Source
 from multipos.fleets.grouping import Conditions, Grouped, Places, group_rows
-from multipos.fleets.nests import NestSums
 from multipos.fleets.running import open_engine, solve_all
-from multipos.fleets.solving import LEFT, Pattern, Solved, Task, find_pattern, fit_one
+from multipos.fleets.solving import LEFT, Pattern, Task, find_pattern, fit_one
 from multipos.fleets.sources import Rows, read_rows
+from multipos.fleets.units import Units, UnitsFound
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import formula_columns
 from multipos.positions.attitudes import Convention
@@ -68,84 +67,6 @@ class FitOptions(TypedDict, total=False):
     unit: str | None
     range: Sequence[float] | None
     confidence: float
-
-
-@dataclass(frozen=True)
-class Units:
-    """Every unit's numbers, (B,) or (B, p); NaN and a reason where a unit failed.
-
-    Attributes
-    ----------
-    unit, station : tuples of B str
-        A station '' where no column names them.
-    model : Model or None
-        None where every unit failed.
-    names : tuple of p str
-    parameters, u, dof : (B, p) arrays
-    rms : (B,) array [g]
-    doubts : tuple of B str
-        Codes, with spaces between them.
-    implausible : (B,) array of bool
-        Whose calibration is not fit for use.
-    reasons : tuple of B str
-        Why a unit failed; '' where it did not.
-    first, time : (B,) arrays
-        The first row of each unit in the tables, and the mean of its column `time`, NaN without.
-    nests : tuple of NestSums
-    confidence : float
-    gravity_u : float
-        Relative uncertainty of gravity, which all units have in common.
-    sources : tuple of (name, SHA-256)
-    counted : bool
-        Units are whole numbers in the tables.
-    """
-
-    unit: tuple[str, ...]
-    station: tuple[str, ...]
-    model: Model | None
-    names: tuple[str, ...]
-    parameters: Array
-    u: Array
-    dof: Array
-    rms: Array
-    doubts: tuple[str, ...]
-    implausible: NDArray[np.bool_]
-    reasons: tuple[str, ...]
-    first: NDArray[np.intp]
-    time: Array
-    nests: tuple[NestSums, ...]
-    confidence: float
-    gravity_u: float
-    sources: tuple[tuple[str, str | None], ...]
-    counted: bool
-
-    def __len__(self) -> int:
-        return len(self.unit)
-
-    @property
-    def failed(self) -> NDArray[np.bool_]:
-        """Which units have no numbers."""
-        return np.array([bool(reason) for reason in self.reasons])
-
-    @property
-    def unit_column(self) -> NDArray[Any]:
-        """The units as the tables name them, texts or whole numbers (B,)."""
-        texts = np.array(self.unit, dtype=np.str_)
-        return texts.astype(np.int64) if self.counted else texts
-
-    def columns(self) -> Columns:
-        """Return the table of calibrations, one row a unit."""
-        columns: dict[str, Any] = {
-            "unit": self.unit_column,
-            "station": np.array(self.station, dtype=np.str_),
-        }
-        columns |= {name: self.parameters[:, i] for i, name in enumerate(self.names)}
-        columns |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.names)}
-        columns |= {f"dof_{name}": self.dof[:, i] for i, name in enumerate(self.names)}
-        columns["rms"] = self.rms
-        columns["doubts"] = np.array(self.doubts, dtype=np.str_)
-        columns["reason"] = np.array(self.reasons, dtype=np.str_)
-        return Columns(columns)
 
 
 def fit_many(
@@ -276,7 +197,7 @@ class _Fleet:
     ) -> Units:
         """Solve all units, those that batches leave over last."""
         count = len(self._grouped)
-        found = _Found(count)
+        found = UnitsFound(count)
         left: list[Places] = []
         for solved in solve_all(self._tasks(), executor, folder=folder, told=told):
             found.take(solved)
@@ -405,38 +326,3 @@ class _Fleet:
         except MultiposError:
             return np.full(count, np.nan)
         return np.asarray(np.add.reduceat(time, self._grouped.starts[:-1]) / self._grouped.counts)
-
-
-class _Found:
-    """What tasks have found so far, by unit."""
-
-    def __init__(self, count: int) -> None:
-        self.names: tuple[str, ...] = ()
-        self.parameters = self.u = self.dof = np.empty((count, 0))
-        self.rms = np.full(count, np.nan)
-        self.doubts, self.reasons = [""] * count, [""] * count
-        self.implausible = np.zeros(count, dtype=np.bool_)
-        self.nests: list[NestSums] = []
-
-    def take(self, solved: Solved) -> None:
-        """Take up what a task found."""
-        if solved.names and not self.names:
-            self.names = solved.names
-            shape = (len(self.rms), len(solved.names))
-            self.parameters, self.u, self.dof = (np.full(shape, np.nan) for _ in range(3))
-        same = solved.names == self.names
-        for row, unit in enumerate(solved.units.tolist()):
-            reason = solved.reasons[row]
-            if not reason and not same:
-                reason = "its columns give other parameters than those of the other units."
-            self.reasons[unit] = reason
-            self.doubts[unit] = "" if reason else solved.doubts[row]
-        good = np.array([not self.reasons[unit] for unit in solved.units.tolist()], dtype=np.bool_)
-        units = solved.units[good]
-        if len(units):
-            self.parameters[units] = solved.parameters[good]
-            self.u[units] = solved.u[good]
-            self.dof[units] = solved.dof[good]
-            self.rms[units] = solved.rms[good]
-            self.implausible[units] = solved.implausible[good]
-        self.nests += solved.nests

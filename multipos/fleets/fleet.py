@@ -19,7 +19,7 @@ from multipos.files.moments import now
 from multipos.files.tables import Source
 from multipos.fleets.belonging import find_outliers
 from multipos.fleets.drift import find_drift
-from multipos.fleets.fitting import FitOptions, Units, fit_units
+from multipos.fleets.fitting import FitOptions, fit_units
 from multipos.fleets.limits import (
     PASS,
     Limit,
@@ -33,6 +33,7 @@ from multipos.fleets.pictures import charts, histogram
 from multipos.fleets.quality import describe, proportion
 from multipos.fleets.running import Engine, open_engine
 from multipos.fleets.stations import describe_stations
+from multipos.fleets.units import Units
 from multipos.results import Columns, Result, plain
 
 SCHEMA = "multipos/fleet/1"

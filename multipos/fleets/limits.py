@@ -23,7 +23,7 @@ from multipos.errors import MultiposError
 from multipos.files.lists import near
 from multipos.files.tables import read_table
 from multipos.files.trees import read_toml
-from multipos.fleets.fitting import Units
+from multipos.fleets.units import Units
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factors
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.fleets.control import judge_control
-from multipos.fleets.fitting import Units
 from multipos.fleets.stations import NORMAL
+from multipos.fleets.units import Units
 from multipos.numerics.arrays import Array
 
 _BINS = 40

@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.fleets.fitting import Units
 from multipos.fleets.nests import NestSums
+from multipos.fleets.units import Units
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
 from multipos.sensor.model import Model
