@@ -12,6 +12,7 @@ from multipos.errors import UsageError
 from multipos.files.trees import read_schema, to_json
 from multipos.fleets.fleet import SCHEMA as FLEET
 from multipos.fleets.folder import read_summary
+from multipos.fleets.single import fit_unit
 from multipos.regression.regression_file import SCHEMA as REGRESSION
 from multipos.regression.regression_file import load_regression
 from multipos.regression.several import all_of
@@ -26,6 +27,7 @@ from multipos.reports.documents import (
 )
 from multipos.reports.fleets import fleet_content
 from multipos.reports.regressions import regression_content
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.sensor.nominal import read_nominal
 from multipos.uncertainty.monte_carlo import simulate_budget
@@ -49,7 +51,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="CAL.json|REG.json|COMPARE.json|FLEET",
         help="calibration or regression to report, or what compare or fleet wrote",
     )
-    add("--data", metavar="DATA.csv", help="the rows of a regression, where not beside it")
+    add("--data", metavar="DATA.csv", help="the rows of a regression or fleet, where not beside it")
+    add("--unit", metavar="ID", help="of a fleet: the report of this unit's own calibration")
+    add("--station", metavar="S", help="where that unit was at several")
     add("--lab", metavar="FILE", help="TOML file of what only the laboratory knows")
     add(
         "--check", metavar="CHECK.json", help="what check -o CHECK.json wrote of an independent run"
@@ -66,6 +70,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def _of_fleet(arguments: argparse.Namespace) -> Answer:
     """Return the report of a fleet, from its folder or its fleet.json."""
+    if arguments.station is not None:
+        raise UsageError("--station needs --unit.")
     if (
         arguments.lab
         or arguments.nominal
@@ -118,7 +124,9 @@ def _of_comparison(arguments: argparse.Namespace, found: Mapping[str, Any]) -> A
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     if Path(arguments.calibration).is_dir() or read_schema(arguments.calibration) == FLEET:
-        return _of_fleet(arguments)
+        return _of_fleet(arguments) if arguments.unit is None else _of_unit(arguments)
+    if arguments.unit is not None or arguments.station is not None:
+        raise UsageError("--unit and --station are of a fleet.")
     if read_schema(arguments.calibration) == REGRESSION:
         return _of_regression(arguments)
     comparison = read_comparison(arguments.calibration)
@@ -126,7 +134,24 @@ def run(arguments: argparse.Namespace) -> Answer:
         return _of_comparison(arguments, comparison)
     if arguments.data is not None:
         raise UsageError("--data are the rows of a regression; a calibration holds its readings.")
-    calibration = load(arguments.calibration)
+    return _of_calibration(load(arguments.calibration), arguments)
+
+
+def _of_unit(arguments: argparse.Namespace) -> Answer:
+    """Return the report of one unit of a fleet."""
+    place = Path(arguments.calibration)
+    calibration = fit_unit(
+        read_summary(place),
+        arguments.unit,
+        station=arguments.station,
+        data=() if arguments.data is None else (arguments.data,),
+        beside=(place if place.is_dir() else place.parent).resolve().parent,
+    )
+    return _of_calibration(calibration, arguments)
+
+
+def _of_calibration(calibration: Calibration, arguments: argparse.Namespace) -> Answer:
+    """Return the report of a calibration."""
     if arguments.nominal is not None:
         calibration = replace(calibration, nominal=read_nominal(arguments.nominal))
     simulated = None

@@ -32,6 +32,7 @@ from multipos.fleets.limits import (
 from multipos.fleets.pictures import charts, histogram
 from multipos.fleets.quality import describe, proportion
 from multipos.fleets.running import Engine, open_engine
+from multipos.fleets.single import asked
 from multipos.fleets.stations import describe_stations
 from multipos.fleets.units import Units
 from multipos.results import Columns, Result, plain
@@ -46,8 +47,8 @@ class Fleet(Result):
     Attributes
     ----------
     summary : mapping
-        What `fleet.json` holds: units, fitted, failed, yield, parameters, outliers, stations,
-        drift, and beside them causes, verdicts, limits.
+        What `fleet.json` holds: input, asked, units, fitted, failed, yield, parameters, outliers,
+        stations, drift, and beside them causes, verdicts, limits.
     calibrations : Columns
         One row a unit: every parameter, ``u_…``, ``dof_…``, rms [g], doubts.
     verdicts : Columns
@@ -162,11 +163,11 @@ def fleet(
             folder=progress_folder,
             told=progress or (lambda done: None),
         )
-    return assemble(units, given)
+    return assemble(units, given, asked(unit_column, station_column, options))
 
 
-def assemble(units: Units, limits: tuple[Limit, ...]) -> Fleet:
-    """Return the fleet of solved units."""
+def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) -> Fleet:
+    """Return the fleet of solved units; `how` is what `asked` tells of the options."""
     implausible = units.implausible
     judged = judge_units(units, limits, implausible)
     counted = ~units.failed & ~implausible
@@ -177,6 +178,7 @@ def assemble(units: Units, limits: tuple[Limit, ...]) -> Fleet:
         "input": [
             {"file": PurePath(name).name, "sha256": sha256} for name, sha256 in units.sources
         ],
+        "asked": dict(how),
         "units": total,
         "fitted": total - failed,
         "failed": failed,

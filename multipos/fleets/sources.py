@@ -93,7 +93,10 @@ def _at(rows: Sequence[int], places: Any, place: int) -> list[int]:
 
 
 def read_rows(
-    sources: Sequence[Source], unit_column: str, station_column: str | None = None
+    sources: Sequence[Source],
+    unit_column: str,
+    station_column: str | None = None,
+    only: str | None = None,
 ) -> Rows:
     """Return the rows of tables.
 
@@ -102,6 +105,8 @@ def read_rows(
     sources : paths, folders, patterns, mappings of columns, or data frames
     unit_column, station_column : str
         Which columns name the unit and the station.
+    only : str, optional
+        A unit, of which at least all rows are returned; of Parquet no others.
 
     Raises
     ------
@@ -109,7 +114,12 @@ def read_rows(
         No such file or column, a table that cannot be read, or one whose columns differ from
         those of the first; a row without a unit.
     """
-    tables = [_read(source) for source in _expanded(sources)]
+    kept = None if only is None else (unit_column, only)
+    tables = [_read(source, kept) for source in _expanded(sources)]
+    if only is not None:
+        tables = [table for table in tables if table.rows]
+        if not tables:
+            raise MultiposError(f"no unit '{only}' in column '{unit_column}'; look at units.csv.")
     first = tables[0]
     for table in tables:
         for name in (unit_column, station_column):
@@ -187,9 +197,9 @@ def _expanded(sources: Sequence[Source]) -> list[Source]:
     return found
 
 
-def _read(source: Source) -> Table:
+def _read(source: Source, kept: tuple[str, str] | None) -> Table:
     if isinstance(source, str | os.PathLike) and _is_parquet(source):
-        return _read_parquet(source)
+        return _read_parquet(source, kept)
     return read_table(source, what="table")
 
 
@@ -201,7 +211,7 @@ def _is_parquet(path: str | os.PathLike[str]) -> bool:
         return False  # what cannot be read is refused where it is read
 
 
-def _read_parquet(path: str | os.PathLike[str]) -> Table:
+def _read_parquet(path: str | os.PathLike[str], kept: tuple[str, str] | None) -> Table:
     require_extra(Path(path), "a Parquet file", "pyarrow", "parquet")
     import pyarrow as pa
     from pyarrow import parquet
@@ -215,7 +225,9 @@ def _read_parquet(path: str | os.PathLike[str]) -> Table:
             if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)
         ]
         for name in schema.names:  # one by one, so that only one is there twice
-            table = parquet.read_table(path, columns=[name], read_dictionary=texts)
+            table = parquet.read_table(
+                path, columns=[name], read_dictionary=texts, filters=_filter(schema, kept)
+            )
             columns[name] = _column(table.column(0), str(path), name)
             del table
             pa.default_memory_pool().release_unused()
@@ -225,15 +237,28 @@ def _read_parquet(path: str | os.PathLike[str]) -> Table:
             f"{path}: cannot be read as Parquet ({said}); write it again."
         ) from None
     rows = max(map(len, columns.values()), default=0)
-    if not rows:
+    if not rows and kept is None:
         raise MultiposError(f"{path}: no rows; give one row per unit and position.")
     return Table(str(path), columns, rows, sha256=_sha256(path))
+
+
+def _filter(schema: Any, kept: tuple[str, str] | None) -> Any:
+    """Return what keeps the rows of one unit, whose name may be a number in the file."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    if kept is None or kept[0] not in schema.names:
+        return None  # a column that is not there is refused with the others named
+    name, unit = kept
+    return compute.field(name).cast(pa.string()) == unit
 
 
 def _column(chunked: Any, source: str, name: str) -> Column:
     import pyarrow as pa
 
     kind = chunked.type
+    if not len(chunked):
+        return np.zeros(0)
     if pa.types.is_dictionary(kind) and not pa.types.is_floating(kind.value_type):
         return joined_labels([_labels(part) for part in chunked.chunks])
     try:

@@ -8,7 +8,8 @@ at station s is
 and θ is its weighted least squares with σ_b², what units differ by, in its covariance: two
 stations of a thousand units differ by chance however well each unit was measured. A unit that was
 at several stations is in it with all its rows and so compares them within itself; σ_w² then comes
-from what is left within units, and is not needed where there are none. Where every unit was at one
+from what is left within units, and is not needed where there are none; where too few of them tell
+it, each row counts as a unit. Where every unit was at one
 station, θ_s is the mean of its units and its variance (σ_b² + σ_w²)/n_s.
 
 The level of station s is the rotation ω_s that turns its listed references into the true ones,
@@ -34,6 +35,7 @@ from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
 from multipos.sensor.model import Model
 
 _FAR = 6.0  # robust standard deviations beyond which a unit tells nothing of its station
+_LEAST = 1e-12  # of the whole variance: what is left within units, where rounding is all there is
 NORMAL = 1.482602218505602  # standard deviation over median absolute deviation, of a normal law
 
 Codes = NDArray[np.intp]
@@ -174,7 +176,10 @@ def station_effects(values: Array, stations: Codes, who: Codes) -> tuple[Array, 
         return means, np.diag(total / seen)
     several = times[who] > 1
     rows, units = _centred(values[several], stations[several], who[several], count)
-    within = _within(rows, units, int(several.sum()) - len(np.unique(who[several])))
+    told = _within(rows, units, int(several.sum()) - len(np.unique(who[several])))
+    if told is None:
+        return means, np.diag(total / seen)
+    within = max(told, _LEAST * total, 1e-300)
     between = max(total - within, 0.0)
     information = np.zeros((count, count))
     right = np.zeros(count)
@@ -203,11 +208,12 @@ def _centred(values: Array, stations: Codes, who: Codes, count: int) -> tuple[Ar
     return values - (np.bincount(place, values) / times)[place], centred
 
 
-def _within(values: Array, columns: Array, dof: int) -> float:
-    """Return σ_w² from what stations leave of values, both centred within units."""
+def _within(values: Array, columns: Array, dof: int) -> float | None:
+    """Return σ_w² from what stations leave of values, both centred within units; None of nothing."""
     effect, _, rank, _ = np.linalg.lstsq(columns, values, rcond=1e-10)
     left = values - columns @ effect
-    return max(float(left @ left) / max(dof - int(rank), 1), 1e-300)
+    rest = dof - int(rank)
+    return float(left @ left) / rest if rest > 0 else None
 
 
 def _angles(nests: Sequence[NestSums]) -> dict[int, list[dict[str, Any]]]:

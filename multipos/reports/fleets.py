@@ -74,7 +74,7 @@ _STATIONS = (
 )
 _OUTLIERS = (
     "Far from the others in all parameters together, as at most one in a hundred of those named "
-    "is by chance. To see one by itself, give its rows to multipos fit and multipos report."
+    "is by chance. The page of one: multipos report DIR --unit ID -o ID.html."
 )
 
 

@@ -148,6 +148,53 @@ def test_the_report_is_written_again_from_the_folder(tmp_path, table, capsys):
     assert main(["report", str(out), "-o", str(tmp_path / "again.md")]) == 0
 
 
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_unit_has_a_report_of_its_own(tmp_path, monkeypatch, capsys, kind):
+    table = line(12, scheme="faces-corners-14", stations=2, seed=3)
+    table["unit"] = np.repeat(np.arange(12) // 2, 14)  # some at both stations
+    path, out = tmp_path / f"line.{kind}", tmp_path / "out"
+    if kind == "csv":
+        mp.write_table(path, table)
+    else:
+        pa = pytest.importorskip("pyarrow")
+        from pyarrow import parquet
+
+        parquet.write_table(pa.table(table), path, row_group_size=50)
+    assert main(["fleet", str(path), *APART, "--confidence", "0.9", "-o", str(out)]) == 0
+    capsys.readouterr()
+    monkeypatch.setattr("multipos.commands.report.build_content", lambda c, **_: made.append(c))
+    for form in ("html", "markdown", "plain"):
+        monkeypatch.setattr(f"multipos.commands.report.{form}_report", lambda content: "")
+    made = []
+    stations = {u: set(table["station"][table["unit"] == u].tolist()) for u in range(6)}
+    one = next(u for u, names in stations.items() if len(names) == 1)
+    two = next(u for u, names in stations.items() if len(names) == 2)
+    page = str(tmp_path / "page.html")
+    assert main(["report", str(out), "--unit", str(one), "-o", page]) == 0
+    assert main(["report", str(out), "--unit", str(two), "--station", "S1", "-o", page]) == 0
+    there = (table["unit"] == two) & (table["station"] == "S1")
+    for cal, mine in zip(made, (table["unit"] == one, there), strict=True):
+        rows = {name: column[mine] for name, column in table.items() if name not in APART}
+        rows = {name: column for name, column in rows.items() if name not in ("unit", "station")}
+        assert_allclose(cal.parameters, mp.fit(rows).parameters, rtol=1e-12, atol=1e-15)
+        assert cal.confidence == 0.9
+
+    def refused(*options):
+        assert main(["report", str(out), *options, "-o", page]) == 1
+        return capsys.readouterr().err
+
+    assert "was at stations 'S" in refused("--unit", str(two))
+    assert "no unit '99'" in refused("--unit", "99")
+    assert main(["report", str(out), "--station", "S1", "-o", page]) == 2
+    assert "--station needs --unit" in capsys.readouterr().err
+    path.rename(tmp_path / "elsewhere")
+    assert "give it with --data" in refused("--unit", str(one))
+    data = ["--data", str(tmp_path / "elsewhere")]
+    assert main(["report", str(out), "--unit", str(one), *data, "-o", page]) == 0
+    mp.write_table(path, rows | {"unit": np.full(len(rows["ax"]), one), "station": ["S0"] * 14})
+    assert "has changed since" in refused("--unit", str(one))
+
+
 @pytest.mark.parametrize(
     ("options", "status", "said"),
     [

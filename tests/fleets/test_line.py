@@ -153,3 +153,13 @@ def test_verdicts_of_units_that_fail_or_are_doubted():
     assert [verdicts[f"U000{i}"] for i in (0, 1, 3, 5)] == ["pass"] * 4
     assert (found["units"], found["fitted"], found["failed"], found["counted"]) == (6, 5, 1, 4)
     assert found["yield"]["value"] == pytest.approx(4 / 6)
+
+
+def test_one_unit_at_two_stations_does_not_tell_what_is_left_within_units():
+    values = np.array([1.0, 2.0, 4.0, 3.0, 7.0])
+    stations, who = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 3])
+    effect, covariance = station_effects(values, stations, who)
+    assert effect == pytest.approx([7.0 / 3.0, 5.0])
+    # (4/3² + 1/3² + 5²/3² + 2² + 2²)/(5 − 2), over three units and two
+    variance = (16.0 / 9.0 + 1.0 / 9.0 + 25.0 / 9.0 + 8.0) / 3.0
+    assert np.diag(covariance) == pytest.approx([variance / 3.0, variance / 2.0])
