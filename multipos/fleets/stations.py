@@ -209,7 +209,7 @@ def _centred(values: Array, stations: Codes, who: Codes, count: int) -> tuple[Ar
 
 
 def _within(values: Array, columns: Array, dof: int) -> float | None:
-    """Return σ_w² from what stations leave of values, both centred within units; None of nothing."""
+    """Return σ_w² from what stations leave of centred values; None where they leave nothing."""
     effect, _, rank, _ = np.linalg.lstsq(columns, values, rcond=1e-10)
     left = values - columns @ effect
     rest = dof - int(rank)
