@@ -48,7 +48,7 @@ _STUCK = 1e12  # damping beyond which nothing moves
 _SPREAD = 1e-3  # ratio of squared extents of the readings, below which they may be flat
 _SHOWN = 1e-5  # eigenvalue of the scaled quadric's information below which it may not be shown
 _ROUND = 0.01  # squared ratio of semi-axes below which the ellipsoid may not be one
-_WORST = 1e-10  # eigenvalue of the scaled information below which it is badly conditioned
+_WORST = 1e-8  # eigenvalue of the scaled information below which a fit is doubted for it
 _TOLD = 200.0  # of the readings: information beyond which no noise hides a parameter
 _ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
 

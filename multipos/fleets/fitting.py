@@ -273,11 +273,13 @@ class _Fleet:
             yield from self._alone(np.sort(np.concatenate(alone)))
 
     def _pattern(self, units: Places) -> Pattern | None:
-        """Return what the units of a group share, from the first of them that can be fitted."""
+        """Return what the units of a group share, from the first of them that can tell it."""
         for unit in units[:_TRIED].tolist():
             fitted = self._fit(unit)
             if isinstance(fitted, Calibration):
-                return find_pattern(fitted, self._options)
+                pattern = find_pattern(fitted, self._options)
+                if pattern is not None:
+                    return pattern
         return None
 
     def _batches(self, units: Places, pattern: Pattern) -> Iterator[Task]:

@@ -142,6 +142,8 @@ def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Patter
 def _share(c: Calibration) -> Shared | None:
     columns = c.readings.environment
     if c.estimator is Estimator.LINEAR:
+        if _POOR in _codes(c):  # of bad positions all are doubted, of a bad unit this one
+            return None
         return share_design(c.model, c.reference, columns)
     sd = c.readings.orientation_sd
     if c.estimator is not Estimator.UNKNOWN or c.readings.u is not None or sd is None:
@@ -158,11 +160,12 @@ _TOLD = ("gravity", "turned", _POOR, "temperature-kelvin", "hidden-terms", _DENI
 
 def _common(calibration: Calibration) -> str:
     """Return what every unit at these positions is doubted for."""
-    c = calibration
-    codes = {doubt.code for doubt in c.diagnostics.doubts} - {_DENIED}
-    if c.estimator is Estimator.UNKNOWN and len(c.readings) > len(c.parameters):
-        codes -= {_POOR}  # which then depends on the unit
-    return _in_order(codes)
+    # what depends on the unit is told of each by itself
+    return _in_order(_codes(calibration) - {_DENIED, _POOR})
+
+
+def _codes(calibration: Calibration) -> set[str]:
+    return {doubt.code for doubt in calibration.diagnostics.doubts}
 
 
 def _in_order(codes: Iterable[str]) -> str:
