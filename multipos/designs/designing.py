@@ -36,6 +36,7 @@ from multipos.files.numbers import table
 from multipos.files.tables import Source, format_csv
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
+from multipos.positions.bench_settings import bench_settings
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Drawn, Keyed, data_frame
@@ -70,6 +71,9 @@ class Design(Keyed, Drawn):
     time_s : float or None
     scheme : Assessment
         What the positions tell.
+    settings : tuple of mappings
+        How the bench that was given is set at each position, in its own words; empty where it has
+        none (`multipos.positions.bench_settings`).
     """
 
     model: str
@@ -86,12 +90,28 @@ class Design(Keyed, Drawn):
     travel_deg: float
     time_s: float | None
     scheme: Assessment
+    settings: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The label that the bench gives each position, told apart where one comes again."""
+        labels: list[str] = []
+        for place in range(len(self.positions)):
+            setting = self.settings[place] if self.settings else {}
+            label = str(setting.get("position", place + 1))
+            again = 2
+            while label in labels:
+                label = f"{setting.get('position', place + 1)} ({again})"
+                again += 1
+            labels.append(label)
+        return tuple(labels)
 
     def columns(self) -> dict[str, Any]:
-        """Return the positions as the columns of a scheme file."""
-        labels = [str(i + 1) for i in range(len(self.positions))]
+        """Return the positions as the columns of a scheme file, those of the bench behind them."""
         up = {f"up_{axis}": self.positions[:, i] for i, axis in enumerate(COMPONENTS)}
-        return {"position": labels, **up}
+        names = dict.fromkeys(name for s in self.settings for name in s if name != "position")
+        bench = {f"bench_{n}": [str(s.get(n, "")) for s in self.settings] for n in names}
+        return {"position": list(self.labels), **up, **bench}
 
     def to_pandas(self) -> Any:
         """Return the positions as a data frame: position, up_x, up_y, up_z.
@@ -205,7 +225,23 @@ def design(
         travel_deg=turned,
         time_s=_time_s(move_time, len(up), turned),
         scheme=described,
+        settings=_settings(up, len(given), candidates, include),
     )
+
+
+def _settings(
+    up: Array,
+    included: int,
+    candidates: "Source | Scheme | None",
+    include: "Source | Scheme | None",
+) -> tuple[dict[str, Any], ...]:
+    """Return how included positions and those of the candidates are set; nothing without both."""
+    own: tuple[dict[str, Any], ...] = tuple({} for _ in up)
+    if include is not None:
+        own = (*bench_settings(include, up[:included]), *own[included:])
+    if candidates is not None:
+        own = (*own[:included], *bench_settings(candidates, up[included:]))
+    return own if any(own) else ()
 
 
 def _efficiency(
@@ -245,7 +281,27 @@ def design_text(found: Design) -> str:
         f"criterion {found.criterion}, {len(rows)} positions"
     )
     parts = [heading, table(header, rows), _summary(found), *scheme_details(found.scheme)]
+    if found.settings:
+        parts.append(_operators_sheet(found))
     return "\n\n".join(parts) + "\n"
+
+
+def _operators_sheet(found: Design) -> str:
+    """Return what to set at each position, with the axes' angles above the horizon to check it."""
+    names = list(dict.fromkeys(n for setting in found.settings for n in setting if n != "position"))
+    rows = []
+    for label, setting, up in zip(found.labels, found.settings, found.positions, strict=True):
+        above = np.degrees(np.arcsin(np.clip(up, -1.0, 1.0)))
+        angles = [f"{angle + 0.0:.1f}" for angle in above.tolist()]
+        rows.append([label, *(_as_set(setting.get(name)) for name in names), *angles, "[ ]"])
+    header = ["position", *names, *(f"{axis} above level" for axis in COMPONENTS), "done"]
+    return f"operator's sheet, angles in degrees\n{table(header, rows)}"
+
+
+def _as_set(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _summary(found: Design) -> str:
