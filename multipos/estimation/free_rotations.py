@@ -27,6 +27,7 @@ from multipos.sensor.own_models import Fixed
 
 _NULL = 1e-3  # of the largest singular value, scaled: what moves no reading, or as good as none
 _TOLD = 1e-6  # share of a null direction below which it has no turn, or no such parameter
+_FIXING = 0.1  # share of the most that a rotation moves, from which a parameter fixes it
 _ALONG = 0.99  # cosine from which a slope is along a component
 
 
@@ -65,7 +66,9 @@ def rotations_to_hold(problem: Problem, state: State, gauge: Gauge) -> Fixed:
             "parameters that are held, --gauge lower."
         )
     moved = (null @ inner[:free].T)[:p] * scale[:p, None]
-    chosen = _chosen(moved, _upper_first(model, slopes, force))
+    # of one axis alone, what the rotation about it hardly moves would fix it badly
+    least = _TOLD if problem.rolls is None else _FIXING
+    chosen = _chosen(moved, _upper_first(model, slopes, force), least)
     held = []
     for i in chosen:
         output, name = model.keys[i]
@@ -97,12 +100,12 @@ def _upper_first(model: ExpressionModel, slopes: Array, force: Array) -> list[in
     return [*upper, *rest]
 
 
-def _chosen(moved: Array, order: list[int]) -> list[int]:
+def _chosen(moved: Array, order: list[int], share: float) -> list[int]:
     """Return as many parameters as there are directions (p, r), which fix all of them."""
     chosen: list[int] = []
     for i in order:
         trial = moved[[*chosen, i]]
         least = np.linalg.svd(trial, compute_uv=False)[-1]
-        if len(chosen) < moved.shape[1] and least > _TOLD * np.abs(moved).max():
+        if len(chosen) < moved.shape[1] and least > share * np.abs(moved).max():
             chosen.append(i)
     return chosen

@@ -187,6 +187,23 @@ def test_rolls_carry_the_alignment_and_are_kept_in_a_file(tmp_path):
     assert np.all((ratio > 0.8) & (ratio < 1.3))
 
 
+def test_a_model_of_ones_own_holds_what_the_rolls_leave_free():
+    """Rolls about x beside free positions: the formula's fit, with one slope held."""
+    rng = np.random.default_rng(3)
+    up = np.concatenate([on_cone("x", angles(rng, 12)), anywhere(rng, 14)])
+    said = {"roll_axis": ["x"] * 12 + [""] * 14, "orientation_sd_deg": ["0"] * 12 + [""] * 14}
+    columns = {**said, **read(up, SD * rng.standard_normal(up.shape))}
+    plain = mp.fit(columns)
+    own = mp.fit(columns, model="each = b + p*x + q*y + r*z")
+    assert plain.model.gauge == "roll-x"
+    assert len(own.parameters) == len(plain.parameters) == 11
+    assert any("a rotation of the case is free" in text for text in own.diagnostics.warnings)
+    names = {"1": "b", "x": "p", "y": "q", "z": "r"}
+    for output, term in plain.model.keys:
+        same = own[output, names[str(term)]]
+        assert abs(same.value - plain[output, str(term)].value) < 1e-3 * same.u
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("session", [pointer, level, beside_known])
 def test_the_truth_is_covered(session):
