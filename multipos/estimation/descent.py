@@ -31,6 +31,7 @@ _STUCK = 1e12  # damping beyond which nothing moves
 _FLAT = 1e-15  # of F, below which a step is lost in the rounding of F
 _SMALL = 1e-6  # of theta: no step into what the positions cannot tell is as short
 _LAST_STEPS = 2
+_NO_RISE = 1e-12  # of F: what its rounding may do
 _ROUNDING = 1e-8  # of F, or of theta: what the last digits of the readings can do
 
 
@@ -113,7 +114,10 @@ def _settled(steps: _Steps, place: Any, held: list[int]) -> Any:
     """Return the place where the slope of F vanishes, of which F itself tells half the digits."""
     for _ in range(_LAST_STEPS):
         equations = steps.linearise(place)
-        place = steps.move(place, equations, _step(place.theta, equations, 0.0, held)[0], 0.0)
+        trial = steps.move(place, equations, _step(place.theta, equations, 0.0, held)[0], 0.0)
+        if not trial.objective <= place.objective * (1.0 + _NO_RISE):
+            break  # into what nothing tells, as a parameter that is at its bound
+        place = trial
     return place
 
 
