@@ -19,13 +19,18 @@ from multipos.errors import UsageError
 from multipos.files.characters import visible
 from multipos.files.numbers import markdown_line, markdown_table, markdown_text
 from multipos.files.whole import write_text
+from multipos.fleets.fleet import Fleet
 from multipos.plots.style import COLOURS
+from multipos.regression.result import Regression
+from multipos.regression.several import Regressions
 from multipos.reports.cells import aligned_rows, readable
 from multipos.reports.certificate import Content, build_content
 from multipos.reports.comparisons import comparison_content
 from multipos.reports.dcc import dcc_report
+from multipos.reports.fleets import fleet_content
 from multipos.reports.page import Figure, PageTable, Section
 from multipos.reports.paper import paper_report
+from multipos.reports.regressions import regression_content
 from multipos.reports.translations import Language
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration
@@ -104,8 +109,11 @@ def pdf_report(content: Content) -> bytes:
     return paper_report(page.replace("currentColor", "#000000"))
 
 
+Reported = Calibration | Comparison | RegressionComparison | Regression | Regressions | Fleet
+
+
 def report(
-    calibration: Calibration | Comparison | RegressionComparison,
+    calibration: Reported,
     path: str | os.PathLike[str],
     *,
     lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
@@ -121,9 +129,11 @@ def report(
 
     Parameters
     ----------
-    calibration : Calibration, or what `compare` returns
-        Repeats have no digital certificate, and neither `simulated` nor `check`.
+    calibration : Calibration, or what `compare`, `regress` or `fleet` returns
+        Only a calibration has a digital certificate, `simulated` and `check`; the report of a fleet
+        is in English, without a laboratory.
     path : path
+        The rows of a regression, for its figures, are looked for beside it.
     lab : path or mapping, optional
         TOML file of what only the laboratory knows (`multipos.reports.certificate.LAB_FIELDS`).
     language : str
@@ -136,7 +146,7 @@ def report(
     Raises
     ------
     UsageError
-        Another ending or language.
+        Another ending or language, or nothing that has a report.
     MultiposError
         The lab file is at fault or lacks what a digital certificate needs, the check is of another
         calibration, or the report cannot be written.
@@ -155,20 +165,40 @@ def report(
             f"the report's ending '{suffix}' is unknown; write it to a "
             f"{', '.join((*_FORMS, _CERTIFICATE))} file."
         )
-    if isinstance(calibration, Comparison | RegressionComparison):
-        if suffix == _CERTIFICATE or simulated is not None or check is not None:
-            raise UsageError(
-                "a digital certificate, `simulated` and `check` are of one calibration; write "
-                f"repeats to a {', '.join(_FORMS)} file."
-            )
-        content = comparison_content(plain(calibration.to_dict()), lab=lab, language=language)
+    if isinstance(calibration, Calibration):
+        content = build_content(
+            calibration, lab=lab, language=language, simulated=simulated, check=check
+        )
+        if suffix == _CERTIFICATE:
+            return write_text(path, xml_report(calibration, content))
         return write_text(path, _FORMS[suffix](content))
-    content = build_content(
-        calibration, lab=lab, language=language, simulated=simulated, check=check
-    )
-    if suffix == _CERTIFICATE:
-        return write_text(path, xml_report(calibration, content))
-    return write_text(path, _FORMS[suffix](content))
+    if suffix == _CERTIFICATE or simulated is not None or check is not None:
+        raise UsageError(
+            "a digital certificate, `simulated` and `check` are of one calibration; write "
+            f"anything else to a {', '.join(_FORMS)} file."
+        )
+    return write_text(path, _FORMS[suffix](_content(calibration, path, lab, language)))
+
+
+def _content(
+    found: Reported,
+    path: str | os.PathLike[str],
+    lab: "str | os.PathLike[str] | Mapping[str, Any] | None",
+    language: Language,
+) -> Content:
+    """Return what the report of anything but a calibration says."""
+    if isinstance(found, Comparison | RegressionComparison):
+        return comparison_content(plain(found.to_dict()), lab=lab, language=language)
+    if isinstance(found, Regression | Regressions):
+        return regression_content(found, lab=lab, beside=path, language=language)
+    if not isinstance(found, Fleet):
+        raise UsageError(
+            f"{type(found).__name__} has no report; give what fit, compare, regress or fleet "
+            "returned."
+        )
+    if lab is not None or language != "en":
+        raise UsageError("the report of a fleet is in English, and has no `lab`.")
+    return fleet_content(found.to_dict())
 
 
 def xml_report(calibration: Calibration, content: Content) -> str:
