@@ -252,6 +252,11 @@ def _status(path: str | os.PathLike[str], standard: TextIO | None) -> os.stat_re
     return None
 
 
+def same_file(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> bool:
+    """Tell whether two paths are one file or folder, which is there."""
+    return _same(_status(a, None), _status(b, None))
+
+
 def _same(a: os.stat_result | None, b: os.stat_result | None) -> bool:
     return a is not None and b is not None and os.path.samestat(a, b)
 

@@ -13,7 +13,7 @@ from multipos.capturing.running import Captured, captured, make_plan, make_readi
 from multipos.capturing.session import Session
 from multipos.capturing.sources import Source, open_source
 from multipos.capturing.state import line_of
-from multipos.commands.answers import STDOUT, Answer, Output, print_out
+from multipos.commands.answers import STDOUT, Answer, Output, print_out, same_file
 from multipos.commands.calibrate import check_targets, make_exports
 from multipos.commands.export import add_export_options, export_options
 from multipos.commands.fit import add_fit_options
@@ -135,9 +135,9 @@ def _readings_path(arguments: argparse.Namespace) -> Path | None:
 
 def _refuse_input(source: Source, output: str | None) -> None:
     """Refuse an output that is the log which is read."""
-    if output in (None, STDOUT) or source.path is None or not source.path.exists():
+    if output in (None, STDOUT) or source.path is None:
         return
-    if Path(output).exists() and source.path.samefile(output):
+    if same_file(source.path, output):
         raise UsageError(
             f"-o would write over {output}, which this command reads; give another name."
         )

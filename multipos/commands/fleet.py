@@ -1,12 +1,13 @@
 """``multipos fleet``."""
 
 import argparse
+import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from shutil import rmtree
 
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, same_file
 from multipos.commands.fit import add_fit_options
 from multipos.commands.options import progress_bar
 from multipos.errors import MultiposError, UsageError
@@ -58,13 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     folder = Path(arguments.output)
-    if any(
-        Path(table).is_dir() and folder.exists() and folder.samefile(table)
-        for table in map(str, arguments.tables)
-    ):
-        raise UsageError(f"-o {folder} is the folder that is read; give another.")
-    if folder.exists() and not folder.is_dir():
-        raise MultiposError(f"{folder}: a file of this name is there; give a folder with -o.")
+    _check_place(folder, arguments.tables)
     options = {name: value for name, value in vars(arguments).items() if name not in _OWN}
     with progress_bar("units", 0) as told, _kept_if_stopped(folder) as kept:
         found = fleet(*arguments.tables, progress_folder=kept, progress=told, **options)
@@ -76,6 +71,22 @@ def run(arguments: argparse.Namespace) -> Answer:
         json=lambda: to_json(found.to_dict()),
         warnings=lambda: _warnings(found),
     )
+
+
+def _check_place(folder: Path, tables: Sequence[str]) -> None:
+    """Refuse a folder that is read, or that cannot be one, before any work is done."""
+    if any(same_file(folder, table) for table in map(str, tables)):
+        raise UsageError(f"-o {folder} is the folder that is read; give another.")
+    try:
+        taken = not stat.S_ISDIR(folder.stat().st_mode)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise MultiposError(
+            f"{folder}: cannot make the folder: {error.strerror}; give another with -o."
+        ) from None
+    if taken:
+        raise MultiposError(f"{folder}: a file of this name is there; give a folder with -o.")
 
 
 @contextmanager

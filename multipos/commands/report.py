@@ -9,6 +9,7 @@ from typing import Any
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import numbers, progress_bar
 from multipos.errors import UsageError
+from multipos.files.pipes import is_folder
 from multipos.files.trees import read_schema, to_json
 from multipos.fleets.fleet import SCHEMA as FLEET
 from multipos.fleets.folder import read_summary
@@ -123,7 +124,7 @@ def _of_comparison(arguments: argparse.Namespace, found: Mapping[str, Any]) -> A
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    if Path(arguments.calibration).is_dir() or read_schema(arguments.calibration) == FLEET:
+    if is_folder(arguments.calibration) or read_schema(arguments.calibration) == FLEET:
         return _of_fleet(arguments) if arguments.unit is None else _of_unit(arguments)
     if arguments.unit is not None or arguments.station is not None:
         raise UsageError("--unit and --station are of a fleet.")
@@ -145,7 +146,7 @@ def _of_unit(arguments: argparse.Namespace) -> Answer:
         arguments.unit,
         station=arguments.station,
         data=() if arguments.data is None else (arguments.data,),
-        beside=(place if place.is_dir() else place.parent).resolve().parent,
+        beside=(place if is_folder(place) else place.parent).resolve().parent,
     )
     return _of_calibration(calibration, arguments)
 

@@ -1,4 +1,4 @@
-"""What comes through a pipe, kept so that it can be read as often as a file.
+"""What a path is, and what comes through a pipe, kept so that it can be read as often as a file.
 
 A pipe gives its bytes once, but a log is read in two passes, a calibration after a look at its
 kind, and the data of a regression again for its figure. A `Pipe` takes in all that comes when it
@@ -53,11 +53,26 @@ class Pipe(os.PathLike[str]):
 
 def is_pipe(path: str | os.PathLike[str]) -> bool:
     """Tell whether a path is there, and neither a file nor a folder: a pipe, a terminal, …."""
+    mode = _mode(path)
+    return mode is not None and not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+def is_folder(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a path is a folder."""
+    mode = _mode(path)
+    return mode is not None and stat.S_ISDIR(mode)
+
+
+def is_there(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a path is anything that can be looked at."""
+    return _mode(path) is not None
+
+
+def _mode(path: str | os.PathLike[str]) -> int | None:
     try:
-        mode = Path(path).stat().st_mode
+        return Path(path).stat().st_mode
     except (OSError, ValueError):  # what cannot be looked at is refused where it is read
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+        return None
 
 
 def rereadable(path: str | os.PathLike[str]) -> os.PathLike[str]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.pipes import is_folder
 from multipos.files.tables import format_csv
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import Content, written
@@ -97,4 +98,4 @@ def read_summary(source: str | os.PathLike[str]) -> dict[str, Any]:
         There is no such file, or it is of another kind.
     """
     path = Path(source)
-    return read_json(path / SUMMARY if path.is_dir() else path, SCHEMA)
+    return read_json(path / SUMMARY if is_folder(path) else path, SCHEMA)

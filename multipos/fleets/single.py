@@ -10,6 +10,7 @@ from typing import Any
 
 from multipos.errors import MultiposError
 from multipos.files.lists import near
+from multipos.files.pipes import is_there
 from multipos.files.tables import Source
 from multipos.fitting.readings import fit
 from multipos.fleets.grouping import group_rows
@@ -97,7 +98,7 @@ def _named(found: Mapping[str, Any], beside: Path) -> list[Source]:
     tables: list[Source] = []
     for each in found["input"]:
         places = [folder / each["file"] for folder in (beside, Path())]
-        there = next((path for path in places if path.is_file()), None)
+        there = next((path for path in places if is_there(path)), None)
         if there is None:
             raise MultiposError(
                 f"the table {each['file']} of this fleet is not beside it; give it with --data."

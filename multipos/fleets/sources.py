@@ -18,7 +18,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.lists import near
-from multipos.files.pipes import rereadable
+from multipos.files.pipes import is_folder, is_there, rereadable
 from multipos.files.tables import Column, Source, Table, read_table
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
 from multipos.logs.extras import require_extra
@@ -180,12 +180,12 @@ def _expanded(sources: Sequence[Source]) -> list[Source]:
             found.append(source)
             continue
         name = os.fspath(source)
-        if Path(name).is_dir():
+        if is_folder(name):
             files = [path for path in sorted(Path(name).iterdir()) if path.suffix in _ENDINGS]
             if not files:
                 raise MultiposError(f"{name}: the folder has no {' or '.join(_ENDINGS)} files.")
             found += files
-        elif has_magic(name) and not Path(name).exists():
+        elif has_magic(name) and not is_there(name):
             fitting = sorted(glob(name, recursive=True))  # noqa: PTH207 – any path, not one below
             if not fitting:
                 raise MultiposError(f"{name}: no file fits the pattern; check the path.")

@@ -16,6 +16,7 @@ import numpy as np
 from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
 from multipos.errors import MultiposError
 from multipos.files.numbers import number, uncertain
+from multipos.files.pipes import is_folder, is_there
 from multipos.files.tables import Table, read_table
 from multipos.numerics.arrays import Array
 from multipos.plots.style import COLOURS
@@ -112,7 +113,7 @@ def _rows_of_fit(
         if r.source is None or beside is None:
             return None
         there = Path(beside).parent / r.source
-        if not there.is_file():
+        if not is_there(there) or is_folder(there):
             return None
         found = read_table(there, what="data")
         return found if found.sha256 == r.sha256 else None

@@ -170,7 +170,7 @@ def simulated(mode, scheme, runs):
         (listed, "faces-corners-14", 2000),
         (listed, "fibonacci-24", 2000),
         (uncertain, "faces-corners-14", 1200),
-        (automatic, "fibonacci-24", 800),
+        (automatic, "fibonacci-24", 400),
         (unknown, "faces-corners-14", 1500),
         (unknown, "fibonacci-24", 1500),
     ],
@@ -180,10 +180,11 @@ def test_intervals_cover(mode, scheme, runs):
     hit = np.abs(errors) <= U
     # of all parameters together: they share their noise, so runs are counted, not intervals
     se = hit.mean(axis=1).std() / np.sqrt(runs)
-    assert se < 0.0035
+    assert se < 0.005
     # a claim that is right is not taken on trust, which makes U a little too long
     longer = 0.02 if mode is uncertain else 0.0
-    assert 0.94 < hit.mean() < 0.96 + longer
+    near = max(0.01, 3.0 * se)
+    assert 0.95 - near < hit.mean() < 0.95 + near + longer
     # each on its own by the binomial law, 4 standard deviations for the worst of twelve
     each = 4.0 * np.sqrt(0.95 * 0.05 / runs) + 0.002
     assert hit.mean(axis=0).min() > 0.95 - each
@@ -199,7 +200,7 @@ def variances_are_unbiased_and_known_as_said(found, runs):
         variance = (value / truth) ** 2
         # REML is unbiased for the variance, up to its boundary at zero
         assert abs(variance.mean() - 1.0) < 4.0 * variance.std() / np.sqrt(runs) + 0.01
-        # and its u is the scatter: 10 % is 4 sd of a standard deviation from 800 runs
+        # and its u is the scatter: 14 % is 4 sd of a standard deviation from 400 runs
         assert np.median(u / value) == pytest.approx(np.std(np.log(value)), rel=0.15)
 
 

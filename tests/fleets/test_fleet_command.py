@@ -256,3 +256,10 @@ def test_limits_of_toml_are_those_of_csv(tmp_path):
     other.write_text('bias_ax = [-0.02, 0.02]\nscale_ax = [0.9, inf]\n"U:bias_ay" = [-inf, 0.01]\n')
     assert read_limits(one) == read_limits(other)
     assert read_limits({"bias_ax": (None, 1.0)})[0].lsl == -np.inf
+
+
+def test_a_place_that_cannot_be_is_refused_before_the_work(tmp_path, table, capsys):
+    assert main(["fleet", table, *APART, "-o", str(tmp_path / ("n" * 256))]) == 1
+    assert "cannot make the folder" in capsys.readouterr().err
+    assert main(["fleet", str(tmp_path), *APART, "-o", str(tmp_path)]) == 2
+    assert "is the folder that is read" in capsys.readouterr().err
