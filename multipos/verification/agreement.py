@@ -150,7 +150,8 @@ def _turned(c: Calibration, data: Readings, known: Array) -> Array:
     for _ in range(_TURNS):
         left = data.values - c.model.predict(c.parameters, known, data.environment)
         turns = _turns(c, data, known)
-        step = np.linalg.lstsq(turns.reshape(-1, 3), left.ravel(), rcond=None)[0]
+        solved = np.linalg.lstsq(turns.reshape(-1, 3), left.ravel(), rcond=None)[0]
+        step = np.asarray(solved, dtype=np.float64)
         known = np.asarray(known @ rotation_matrix(step).T)
         if np.abs(step).max() < _SETTLED:
             break
