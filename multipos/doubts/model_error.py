@@ -90,7 +90,7 @@ def _way_out(c: Calibration, named: tuple[str, ...]) -> str:
     columns = {kind.name: sum(map(len, kind.terms)) for kind in lacking(c)}
     shown = {t.term: sum(q for q, _ in t.dofs) for t in c.diagnostics.model_tests}
     formula = f"fit --model '{formula_with(c.model, named)}'"
-    if all(shown[name] == columns[name] for name in named):
+    if all(shown.get(name) == columns[name] for name in named):
         return formula
     return f"{formula} at positions that show all of it"
 

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.doubts.joint_tests import judge_terms_jointly
+from multipos.doubts.model_error import _way_out
 from multipos.doubts.score_tests import judge_model, significant
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.calibration_file import from_dict
@@ -168,3 +169,9 @@ def test_false_alarms_of_the_whole_set():
         c = replace(first, residuals=left @ rng.standard_normal((12, 3)) * 1e-4)
         alarms += bool(significant(judge_model(c).tests))
     assert alarms <= 12
+
+
+def test_a_term_that_shows_only_beside_another_is_asked_for_where_all_of_it_shows():
+    c = mp.fit(readings("faces-6", "nothing", 8))
+    assert "own*|own|" not in {test.term for test in c.diagnostics.model_tests}
+    assert _way_out(c, ("own*|own|",)).endswith("at positions that show all of it")

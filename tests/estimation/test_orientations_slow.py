@@ -200,8 +200,8 @@ def variances_are_unbiased_and_known_as_said(found, runs):
         variance = (value / truth) ** 2
         # REML is unbiased for the variance, up to its boundary at zero
         assert abs(variance.mean() - 1.0) < 4.0 * variance.std() / np.sqrt(runs) + 0.01
-        # and its u is the scatter: 14 % is 4 sd of a standard deviation from 400 runs
-        assert np.median(u / value) == pytest.approx(np.std(np.log(value)), rel=0.15)
+        # its u is the scatter: 14 % is 4 sd of a standard deviation from 400 runs, 5 % the skewness
+        assert np.median(u / value) == pytest.approx(np.std(np.log(value)), rel=0.19)
 
 
 @pytest.mark.parametrize("loss", ["huber", "soft-l1", "cauchy"])
