@@ -53,7 +53,7 @@ _PUBLIC = {
     "fit_many": "fleets.fitting",
     "fleet": "fleets.fleet",
     "judge_terms_jointly": "doubts.joint_tests",
-    "load": "sensor.calibration_file",
+    "load": "sensor.loading",
     "load_check": "verification.check_file",
     "load_regression": "regression.regression_file",
     "load_stability": "sensor.stability_file",
@@ -116,8 +116,8 @@ if TYPE_CHECKING:
     from multipos.regression.several import Regressions as Regressions
     from multipos.reports.documents import report as report
     from multipos.sensor.calibration import Calibration as Calibration
-    from multipos.sensor.calibration_file import load as load
     from multipos.sensor.doubt import Doubt as Doubt
+    from multipos.sensor.loading import load as load
     from multipos.sensor.model import Model as Model
     from multipos.sensor.simulation import simulate as simulate
     from multipos.sensor.simulation import simulate_log as simulate_log

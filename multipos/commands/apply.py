@@ -14,7 +14,7 @@ from multipos.files.trees import json_table, read_schema
 from multipos.files.whole import Content
 from multipos.logs.opening import open_log
 from multipos.regression.regression_file import SCHEMA, load_regression
-from multipos.sensor.calibration_file import load
+from multipos.sensor.loading import load
 
 INPUTS = ("calibration", "data")
 OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("json", "text"))

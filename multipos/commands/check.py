@@ -12,7 +12,7 @@ from multipos.regression.result import Regression
 from multipos.regression.several import Regressions
 from multipos.reports.sheets import check_text
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.calibration_file import load
+from multipos.sensor.loading import load
 from multipos.verification.checks import check
 from multipos.verification.errors_table import errors_table
 from multipos.verification.verdicts import Check

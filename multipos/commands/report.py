@@ -29,7 +29,7 @@ from multipos.reports.documents import (
 from multipos.reports.fleets import fleet_content
 from multipos.reports.regressions import regression_content
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.calibration_file import load
+from multipos.sensor.loading import load
 from multipos.sensor.nominal import read_nominal
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.verification.check_file import load_check

@@ -9,7 +9,7 @@ from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.regression.result import Regression
 from multipos.regression.several import Regressions, all_of
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.calibration_file import load
+from multipos.sensor.loading import load
 
 Part = Calibration | Regression | Regressions
 Parts = Part | Sequence[Part]

@@ -32,7 +32,7 @@ from multipos.regression.result import Regression
 from multipos.regression.several import Regressions, all_of
 from multipos.results import Drawn, Result, data_frame
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.calibration_file import load
+from multipos.sensor.loading import load
 from multipos.verification.combining import combine_sessions
 from multipos.verification.consistency import Judgement, judge_repeats
 from multipos.verification.drift import ABSOLUTE, GIVEN, ORDERED, find_drift

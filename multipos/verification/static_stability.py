@@ -28,7 +28,7 @@ from multipos.logs.table import Log
 from multipos.numerics.allan import octaves
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.calibration_file import load
+from multipos.sensor.loading import load
 from multipos.sensor.stability import OutputStability, Spread, Stability, StaticRecord
 from multipos.verification import static_records
 from multipos.verification.stability_values import Values

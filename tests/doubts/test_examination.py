@@ -10,7 +10,7 @@ import multipos as mp
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report
 from multipos.reports.summary import text_report
-from multipos.sensor.calibration_file import from_dict
+from multipos.sensor.loading import from_dict
 from tests.cli_bench import SIX, run
 
 DEAD = {

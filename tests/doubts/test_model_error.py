@@ -12,7 +12,7 @@ from multipos.doubts.joint_tests import judge_terms_jointly
 from multipos.doubts.model_error import _way_out
 from multipos.doubts.score_tests import judge_model, significant
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.calibration_file import from_dict
+from multipos.sensor.loading import from_dict
 
 BIAS = np.array([0.012, -0.021, 0.034])
 MATRIX = np.array([[1.012, 0.007, -0.003], [0.005, 0.99, 0.007], [-0.007, 0.004, 1.003]])

@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 
 from multipos.errors import MultiposError
 from multipos.regression import regression_file
-from multipos.sensor import calibration_file
+from multipos.sensor import calibration_file, loading
 from multipos.verification import check_file
 
 from .kinds import Case
@@ -24,7 +24,7 @@ _LAST_HANDLER = re.compile(r"error: unexpected|unexpected \w*([Ee]rror|Exception
 _NO_NUMBER = re.compile(r"^(?! ?[#*/]).*[\s,={(\[-](inf|nan)f?(?![\w.])", re.MULTILINE)
 # What is written is read again by other commands.
 _READERS = {
-    calibration_file.SCHEMA: calibration_file.load,
+    calibration_file.SCHEMA: loading.load,
     regression_file.SCHEMA: regression_file.load_regression,
     check_file.SCHEMA: check_file.load_check,
 }
