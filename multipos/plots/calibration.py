@@ -7,10 +7,12 @@ import numpy as np
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS, linear_term
+from multipos.plots.hemispheres import draw_directions, draw_frame, draw_map, everywhere
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, scale_by_powers, write
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.nominal import nominal_force
 from multipos.uncertainty.propagation import Evaluation
+from multipos.uncertainty.validity import force_uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,46 +45,22 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
 
 
 def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
-    """Draw which way was up at every position, on the two halves of the sphere.
+    """Draw which way was up at every position on both hemispheres, and what they determine behind.
 
-    Equal-area: the left disc is seen from +z, the right one from −z; the rim is the xy plane.
-    Known forces, of whatever size, have a marker of their own.
+    The colour is the standard uncertainty of compensated force as a vector, from the parameters,
+    for a sensor at rest; there is none where an output does not respond. A number counts repeats,
+    squares are known forces of whatever size.
     """
     c = calibration
-    up = directions(c.reference)
-    if c.convention == "gravity":
-        up = -up
+    up = c.sign * directions(c.reference)
+    if np.isfinite(c.rms):
+        u = force_uncertainty(c, c.sign * everywhere())
+        power, unit = (6.0, "µg") if u.max() < 1e-3 else (3.0, "mg")
+        draw_map(10.0**power * u, f"u of force [{unit}]", axes)
+    draw_frame(axes)
     forced = c.readings.forced
-    circle = np.linspace(0.0, 2.0 * np.pi, 181)
-    for side, centre in ((1.0, -1.2), (-1.0, 1.2)):
-        axes.plot(centre + np.cos(circle), np.sin(circle), color="#000000", linewidth=0.8)
-        for elevation in (30.0, 60.0):
-            r = np.sqrt(1.0 - np.sin(np.radians(elevation)))
-            axes.plot(
-                centre + r * np.cos(circle), r * np.sin(circle), color=COLOURS[6], linewidth=0.4
-            )
-        on = side * up[:, 2] >= -1e-12  # positions on the rim belong to both discs
-        height = np.clip(side * up[on, 2], 0.0, 1.0)
-        radius = np.sqrt(1.0 - height) / np.maximum(np.hypot(up[on, 0], up[on, 1]), 1e-300)
-        x, y = up[on, 0] * radius, up[on, 1] * radius
-        kind = 0 if side > 0 else 1
-        axes.plot(
-            centre + x[~forced[on]],
-            y[~forced[on]],
-            MARKERS[kind],
-            linestyle="none",
-            color=COLOURS[kind],
-        )
-        if forced[on].any():
-            rows = forced[on]
-            axes.plot(centre + x[rows], y[rows], MARKERS[2], linestyle="none", color=COLOURS[2])
-        write(axes, centre, -1.24, "+z" if side > 0 else "-z", ha="center", va="center")
-        for name, px, py in (("+x", 1.13, 0.0), ("+y", 0.0, 1.1)):
-            write(axes, centre + px, py, name, ha="center", va="center", fontsize=7)
-    axes.set_aspect("equal")
-    axes.set_xlim(-2.4, 2.5)
-    axes.set_ylim(-1.4, 1.25)
-    axes.set_axis_off()
+    for rows, marker in ((~forced, "o"), (forced, "s")):
+        draw_directions(up[rows], axes, marker)
 
 
 def draw_leverage(calibration: Calibration, axes: "Axes") -> None:

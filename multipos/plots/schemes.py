@@ -8,28 +8,18 @@ import numpy as np
 from multipos.designs.assessment import Schemes, read_setting
 from multipos.designs.criteria import Criterion, kernels, sensitivity
 from multipos.designs.designing import Design
-from multipos.designs.information import Blocks, Setting, inform, log_det
+from multipos.designs.information import inform, log_det
 from multipos.files.lists import Names
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.plots.style import (
-    COLOURS,
-    MARKERS,
-    dress_axis,
-    name_series,
-    new_figure,
-    write,
-    write_title,
-)
+from multipos.plots.hemispheres import draw_directions, draw_frame, draw_map, everywhere
+from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, write_title
 from multipos.positions.scheme import Scheme, read_scheme
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-_APART = 2.3  # of the middles of the two hemispheres, whose radius is 1
 
 
 def draw_scheme(
@@ -53,64 +43,12 @@ def draw_scheme(
     up = read_scheme(scheme).up
     setting = read_setting(model, sensed, inputs, unknown_orientation, orientation_sd, reading_sd)
     information = inform(setting.rows(up))
-    r, t = np.meshgrid(np.linspace(0.0, 1.0, 60), np.linspace(0.0, 2.0 * np.pi, 181))
     if log_det(information) > -np.inf:
-        _draw_variance(setting, kernels(information, Criterion("D")), r, t, axes)
-    for side in (0, 1):
-        axes.plot(np.cos(t[:, 0]) + side * _APART, np.sin(t[:, 0]), color="#999999", linewidth=0.6)
-        write(axes, side * _APART, -1.2, f"z {'down' if side else 'up'}", ha="center")
-        for angle, name in ((0.0, "x"), (0.5 * np.pi, "y")):
-            place = 1.17 * np.cos(angle) + side * _APART, 1.17 * np.sin(angle)
-            write(axes, *place, name, ha="center", va="center")
-    _draw_positions(up, axes)
-    axes.set_xlim(-1.15, 1.25 + _APART)
-    axes.set_ylim(-1.3, 1.25)
-    axes.set_aspect("equal")
-    axes.set_axis_off()
-
-
-def _draw_variance(setting: Setting, kernel: Blocks, r: Array, t: Array, axes: "Axes") -> None:
-    height, level = 1.0 - r**2, r * np.sqrt(2.0 - r**2)
-    maps = []
-    for sign in (1.0, -1.0):
-        grid = np.stack([level * np.cos(t), level * np.sin(t), sign * height], axis=-1)
-        maps.append(sensitivity(setting.rows(grid.reshape(-1, 3)), kernel).reshape(r.shape))
-    low, top = min(values.min() for values in maps), max(values.max() for values in maps)
-    for side, values in enumerate(maps):
-        mesh = axes.pcolormesh(
-            r * np.cos(t) + side * _APART,
-            r * np.sin(t),
-            values,
-            vmin=low,
-            vmax=top,
-            cmap="cividis",
-            shading="gouraud",
-            rasterized=True,
-        )
-    bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.8)
-    bar.outline.set(edgecolor="#000000", linewidth=0.8)
-    bar.ax.set_axisbelow("line")
-    dress_axis(bar.ax.yaxis)
-    bar.ax.set_ylabel("variance, best scheme ≤ 1")
-
-
-def _draw_positions(up: Array, axes: "Axes") -> None:
-    places, counts = np.unique(np.round(up, 6), axis=0, return_counts=True)
-    for (x, y, z), count in zip(places.tolist(), counts.tolist(), strict=True):
-        # what lies on the rim lies on both
-        for side in [0] * (z > -1e-6) + [1] * (z < 1e-6):
-            shrink = 1.0 / np.sqrt(1.0 + abs(z))
-            place = x * shrink + side * _APART, y * shrink
-            axes.plot(
-                *place,
-                "o",
-                color="white",
-                markeredgecolor="black",
-                clip_on=False,
-                markersize=6.0 if count == 1 else 11.0,
-            )
-            if count > 1:
-                write(axes, *place, str(count), ha="center", va="center_baseline", fontsize=7.0)
+        kernel = kernels(information, Criterion("D"))
+        variance = sensitivity(setting.rows(everywhere()), kernel)
+        draw_map(variance, "variance, best scheme ≤ 1", axes)
+    draw_frame(axes)
+    draw_directions(up, axes)
 
 
 def draw_efficiency(designs: Mapping[str, Sequence[Design]], axes: "Axes") -> None:

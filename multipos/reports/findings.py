@@ -8,7 +8,7 @@ from multipos.doubts.model_error import not_stated
 from multipos.files.numbers import number, uncertain
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
-from multipos.plots.calibration import draw_budget
+from multipos.plots.calibration import draw_budget, draw_coverage
 from multipos.reports.page import Figure, PageTable, Section, draw_svg
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration, Parameter
@@ -275,7 +275,19 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     return Section(
         tr("Compensated force and tilt"),
         tuple(paragraphs),
-        tables=(
+        (
+            Figure(
+                tr("Positions, and how well they determine force over the sphere"),
+                tr(
+                    "Both hemispheres in equal areas, seen from above; circles are positions, a "
+                    "number counts repeats, squares are known forces. The colour is the standard "
+                    "uncertainty of compensated force as a vector, from the parameters."
+                ),
+                lambda: draw_svg(tr, 1, 2.6, lambda axes: draw_coverage(c, axes[0])),
+                on_paper=False,
+            ),
+        ),
+        (
             PageTable(
                 tr("Worst case and rms over the sphere"),
                 tuple(map(tr, header)),

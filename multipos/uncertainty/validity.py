@@ -118,17 +118,8 @@ def evaluate_sphere(
     """
     c = calibration
     sensed = list(sensed_axes(c.model))
-    everywhere = size * read_scheme(directions).up
-    force = everywhere[:, sensed]
-    environment = {
-        name: np.full(len(force), float(np.mean(c.readings.environment[name])))
-        for name in c.model.environment
-    }
-    full = np.zeros_like(everywhere)
-    full[:, sensed] = force
-    inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)
-    gradient = -inverse @ by_parameter  # (n, K, p)
-    extra = unseen_covariance(c, force, environment)
+    force = size * read_scheme(directions).up[:, sensed]
+    gradient, extra = _sensitivity(c, force)
     turns = {"force": np.broadcast_to(np.eye(len(sensed)), extra.shape)}
     if len(sensed) == len(COMPONENTS):
         turns["tilt_deg"] = np.degrees(_tilt_gradient(force))
@@ -153,6 +144,32 @@ def evaluate_sphere(
                 "rms": float(np.sqrt(np.mean(total**2))),
             }
     return result
+
+
+def force_uncertainty(calibration: Calibration, force: Array) -> Array:
+    """Return the standard uncertainty (n,) [g] of compensated force as a vector, at forces (n, 3).
+
+    The root of the sum of the variances along all sensed axes.
+    """
+    gradient, extra = _sensitivity(calibration, force[:, list(sensed_axes(calibration.model))])
+    budget = evaluate_budget(calibration)
+    variances = [budget.combine(gradient[:, row])[0] ** 2 for row in range(gradient.shape[1])]
+    return np.asarray(np.sqrt(np.sum(variances, axis=0) + np.trace(extra, axis1=1, axis2=2)))
+
+
+def _sensitivity(c: Calibration, force: Array) -> tuple[Array, Array]:
+    """Return d f/d p (n, K, p) of compensated force, and the covariance (n, K, K) of unseen terms.
+
+    At forces (n, K) along the sensed axes, in the mean environment of the readings.
+    """
+    environment = {
+        name: np.full(len(force), float(np.mean(c.readings.environment[name])))
+        for name in c.model.environment
+    }
+    full = np.zeros((len(force), len(COMPONENTS)))
+    full[:, list(sensed_axes(c.model))] = force
+    inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)
+    return -inverse @ by_parameter, unseen_covariance(c, force, environment)
 
 
 def _tilt_gradient(force: Array) -> Array:

@@ -83,10 +83,11 @@ def test_the_page_stands_alone(pages, language):
     assert outline.headings[0] == 1
     assert all(b - a <= 1 for a, b in zip(outline.headings, outline.headings[1:], strict=False))
     assert len(outline.ids) == len(set(outline.ids))
-    assert all(link.startswith(("#", "data:,")) for link in outline.links)
-    assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"', "", page)
+    inside = ("#", "data:,", "data:image/png;base64,")  # the colours of a map are an image
+    assert all(link.startswith(inside) for link in outline.links)
+    assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"|base64,[^"]*', "", page)
     assert page.index('id="warnings"') < page.index('id="administrative"')
-    assert page.count("<figure>") == page.count("<figcaption>") == page.count("<svg ") == 8
+    assert page.count("<figure>") == page.count("<figcaption>") == page.count("<svg ") == 9
     assert f'lang="{"zh-Hans" if language == "zh" else "en"}"' in page
 
 
@@ -357,12 +358,11 @@ def test_labels_of_positions_are_escaped(six):
 
 
 def test_figures_take_an_axes_and_draw_on_nothing_else(calibration):
-    figure, axes = plots.new_figure(8)
+    figure, axes = plots.new_figure(7)
     for one, draw in zip(
         axes,
         (
             lambda a: plots.draw_residuals(calibration, a, output="ay"),
-            lambda a: plots.draw_coverage(calibration, a),
             lambda a: plots.draw_leverage(calibration, a),
             lambda a: plots.draw_errors(calibration, a),
             lambda a: plots.draw_budget(evaluate_budget(calibration), a),
@@ -374,7 +374,32 @@ def test_figures_take_an_axes_and_draw_on_nothing_else(calibration):
     ):
         assert draw(one) is None
         assert one.has_data()
-    assert len(figure.axes) == 8
+    assert len(figure.axes) == 7
+
+
+@pytest.mark.parametrize("convention", ["specific-force", "gravity"])
+def test_the_map_of_positions_shows_the_worst_of_the_sphere(calibration, convention):
+    """At the poles, which the grid passes through, u of the vector by hand from the covariance."""
+    scheme = read_scheme("roll-y-12+roll-x-12")
+    readings = mp.Readings(calibration.readings.values, unit="g")
+    c = mp.fit(readings, scheme=scheme, convention=convention)
+    figure, (axes,) = plots.new_figure()
+    plots.draw_coverage(c, axes)
+    assert len(figure.axes) == 2  # and the bar of its colours
+    places = [line for line in axes.lines if len(line.get_xdata()) == 1]
+    assert len(places) == 12 + 12 - 2 + 4  # the rolls share z up and z down; ±x, ±y lie on both
+    up, down = (mesh.get_array()[0, 0] for mesh in axes.collections)
+    gain = np.array([[c[output, axis].value for axis in "xyz"] for output in c.outputs])
+    for sign, found in ((c.sign, up), (-c.sign, down)):
+        # outputs are fitted apart: the variance of output i at f is φ'C_iφ, φ = (1, f)
+        variance = []
+        for i in range(3):
+            part = slice(4 * i, 4 * i + 4)
+            phi = np.array([1.0, 0.0, 0.0, sign])
+            variance.append(phi @ evaluate_budget(c).covariance[part, part] @ phi)
+        inverse = np.linalg.inv(gain)
+        u = np.sqrt(np.trace(inverse @ np.diag(variance) @ inverse.T))
+        assert found == pytest.approx((1e6 if u < 1e-3 else 1e3) * u, rel=1e-9)
 
 
 def test_residuals_are_drawn_where_they_are(calibration):
@@ -550,10 +575,11 @@ def test_the_page_in_a_browser(pages, language, tmp_path):
         for view in ({}, {"dark": True}, {"width": 380}, {"media": "print"}):
             page.open(target, **view)
             assert page.complaints() == []
-            assert page.requests() == [target.as_uri()]
+            fetched = [one for one in page.requests() if not one.startswith("data:image/png")]
+            assert fetched == [target.as_uri()]
             width = page.evaluate("document.documentElement.scrollWidth")
             assert width <= page.evaluate("innerWidth")
-            assert page.evaluate("document.querySelectorAll('figure svg[aria-label]').length") == 8
+            assert page.evaluate("document.querySelectorAll('figure svg[aria-label]').length") == 9
         levels = page.evaluate(
             "[...document.querySelectorAll('h1,h2,h3,h4')].map(h => +h.tagName[1]).join('')"
         )

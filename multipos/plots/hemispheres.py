@@ -1,0 +1,100 @@
+"""The sphere of directions drawn flat: its two hemispheres as discs of equal areas.
+
+Lambert's map: z up in the middle on the left, z down on the right, both seen from above, so that x
+is to the right and y upward on both. A direction at the angle t from the pole lies √(1 − cos t)
+from the middle, and the rim is the xy plane.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multipos.numerics.arrays import Array
+from multipos.plots.style import dress_axis, write
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_APART = 2.3  # of the middles of the two hemispheres, whose radius is 1
+_INK, _PAPER = "#111111", "#fefefe"  # of markers: on the map's colours, dark as the page may be
+_RINGS, _SPOKES = 60, 181  # of the grid that carries the colours
+
+
+def everywhere() -> Array:
+    """Return the unit vectors (n, 3) at which `draw_map` takes values."""
+    r, t = _polar()
+    height, level = 1.0 - r**2, r * np.sqrt(2.0 - r**2)
+    sides = [
+        np.stack([level * np.cos(t), level * np.sin(t), sign * height], axis=-1)
+        for sign in (1.0, -1.0)
+    ]
+    return np.concatenate(sides).reshape(-1, 3)
+
+
+def draw_map(values: Array, label: str, axes: "Axes") -> None:
+    """Draw values (n,) of `everywhere` as colours, with a bar that says what they are."""
+    r, t = _polar()
+    for side, part in enumerate(values.reshape(2, *r.shape)):
+        mesh = axes.pcolormesh(
+            r * np.cos(t) + side * _APART,
+            r * np.sin(t),
+            part,
+            vmin=values.min(),
+            vmax=values.max(),
+            cmap="cividis",
+            shading="gouraud",
+            rasterized=True,
+        )
+    bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.8)
+    bar.outline.set(edgecolor="#000000", linewidth=0.8)
+    bar.ax.set_axisbelow("line")
+    dress_axis(bar.ax.yaxis)
+    bar.ax.set_ylabel(label)
+
+
+def draw_frame(axes: "Axes") -> None:
+    """Draw the rims of both hemispheres and the names of the axes."""
+    t = np.linspace(0.0, 2.0 * np.pi, _SPOKES)
+    for side in (0, 1):
+        axes.plot(np.cos(t) + side * _APART, np.sin(t), color="#999999", linewidth=0.6)
+        write(axes, side * _APART, -1.2, f"z {'down' if side else 'up'}", ha="center")
+        for angle, name in ((0.0, "x"), (0.5 * np.pi, "y")):
+            place = 1.17 * np.cos(angle) + side * _APART, 1.17 * np.sin(angle)
+            write(axes, *place, name, ha="center", va="center")
+    axes.set_xlim(-1.15, 1.25 + _APART)
+    axes.set_ylim(-1.3, 1.25)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def draw_directions(up: Array, axes: "Axes", marker: str = "o") -> None:
+    """Draw unit vectors (n, 3); a number counts repeats, and what lies on the rim lies on both."""
+    places, counts = np.unique(np.round(up, 6), axis=0, return_counts=True)
+    for (x, y, z), count in zip(places.tolist(), counts.tolist(), strict=True):
+        for side in [0] * (z > -1e-6) + [1] * (z < 1e-6):
+            shrink = 1.0 / np.sqrt(1.0 + abs(z))
+            place = x * shrink + side * _APART, y * shrink
+            axes.plot(
+                *place,
+                marker,
+                color=_PAPER,
+                markeredgecolor=_INK,
+                clip_on=False,
+                markersize=6.0 if count == 1 else 11.0,
+            )
+            if count > 1:
+                write(
+                    axes,
+                    *place,
+                    str(count),
+                    ha="center",
+                    va="center_baseline",
+                    fontsize=7.0,
+                    color=_INK,
+                )
+
+
+def _polar() -> tuple[Array, Array]:
+    """Return radius and angle of the grid of one hemisphere."""
+    r, t = np.meshgrid(np.linspace(0.0, 1.0, _RINGS), np.linspace(0.0, 2.0 * np.pi, _SPOKES))
+    return r, t
