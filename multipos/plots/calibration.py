@@ -48,12 +48,12 @@ def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
     """Draw which way was up at every position on both hemispheres, and what they determine behind.
 
     The colour is the standard uncertainty of compensated force as a vector, from the parameters,
-    for a sensor at rest; there is none where an output does not respond. A number counts repeats,
-    squares are known forces of whatever size.
+    for a sensor at rest; there is none where an output does not respond or nothing is left to find
+    u from. A number counts repeats, squares are known forces of whatever size.
     """
     c = calibration
     up = c.sign * directions(c.reference)
-    if np.isfinite(c.rms):
+    if np.isfinite(c.rms) and np.isfinite(c.u).all():
         u = force_uncertainty(c, c.sign * everywhere())
         power, unit = (6.0, "µg") if u.max() < 1e-3 else (3.0, "mg")
         draw_map(10.0**power * u, f"u of force [{unit}]", axes)

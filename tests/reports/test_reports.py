@@ -402,6 +402,15 @@ def test_the_map_of_positions_shows_the_worst_of_the_sphere(calibration, convent
         assert found == pytest.approx((1e6 if u < 1e-3 else 1e3) * u, rel=1e-9)
 
 
+def test_a_map_without_u_shows_positions_alone():
+    up = np.vstack([np.eye(3), np.full(3, -1.0 / np.sqrt(3.0))])
+    c = mp.fit(mp.Readings(up + 0.01, up=up, unit="g"))  # as many positions as parameters
+    figure, (axes,) = plots.new_figure()
+    plots.draw_coverage(c, axes)
+    assert len(figure.axes) == 1
+    assert not axes.collections
+
+
 def test_residuals_are_drawn_where_they_are(calibration):
     _, (axes,) = plots.new_figure()
     plots.draw_residuals(calibration, axes, output="az")
