@@ -360,6 +360,8 @@ def _number(text: str) -> float | None:
 def _replay(source: Source, columns: Names | None, speed: float) -> Iterator[Arrival]:
     assert source.path is not None
     log = open_log(source.path, columns=columns)
+    if not log.numeric:
+        raise MultiposError(f"{log.source}: no column of numbers; a log needs samples.")
     begun, sent, opened = time.monotonic(), 0, False
     for piece in log.read((), log.numeric, (), lenient=True):
         table = np.array([piece.table.columns[name] for name in log.numeric], dtype=np.float64)

@@ -365,6 +365,11 @@ def _with_reading_sd(readings: Readings, reading_sd: ArrayLike) -> Readings:
 
 def _check_environment(readings: Readings, model: Model) -> None:
     for name in model.environment:
+        if name not in readings.environment:
+            raise MultiposError(
+                f"{readings.source or 'the readings'}: the model uses '{name}', but there is no "
+                "such column; add it, or take the term out of the model."
+            )
         bad = ~np.isfinite(readings.environment[name])
         if bad.any():
             raise MultiposError(

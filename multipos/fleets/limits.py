@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.lists import near
+from multipos.files.records import LARGEST
 from multipos.files.tables import read_table
 from multipos.files.trees import read_toml
 from multipos.fleets.units import Units
@@ -83,6 +84,12 @@ def _limit(where: str, name: str, pair: Any) -> Limit:
         raise MultiposError(f"{where}: '{name}' needs two limits, [lsl, usl], got {pair!r}.")
     lsl = -math.inf if pair[0] is None or math.isnan(pair[0]) else float(pair[0])
     usl = math.inf if pair[1] is None or math.isnan(pair[1]) else float(pair[1])
+    for side in (lsl, usl):
+        if LARGEST < abs(side) < math.inf:
+            raise MultiposError(
+                f"{where}: '{name}' has the limit {side:g}, which no parameter could reach; "
+                "leave it empty where there is none."
+            )
     if not lsl < usl:
         raise MultiposError(f"{where}: '{name}' has lsl {lsl:g}, which is not below usl {usl:g}.")
     return Limit(name, lsl, usl)

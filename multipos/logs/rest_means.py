@@ -152,12 +152,13 @@ class RestSum:
         variance = np.maximum(self._square - n * mean**2, 0.0) / max(n - 1, 1)
         variance[self._longest == n] = 0.0  # what rounding leaves of equal samples
         centred = batches - batches.mean(axis=1, keepdims=True)
-        density, dof = density_with_dof(centred, 1)
+        rise, left = _lines(batches)
+        removed = np.repeat([1, 2], len(batches))
+        densities, freedom = density_with_dof(np.concatenate([centred, left]), removed)
+        (density, around), (dof, _) = np.split(densities, 2), np.split(freedom, 2)
         # Less than white noise would say is luck, or a hum that fits into the rest.
         plain = np.maximum(np.where(variance > 0.0, density / batches.shape[1], 0.0), variance / n)
         square, dof, wander = _wandering(centred, plain, np.where(variance > 0.0, dof, n - 1.0))
-        rise, left = _lines(batches)
-        around = zero_density(left, 2)
         count = batches.shape[1]
         low, high = self._ends
         return RestMean(
@@ -249,22 +250,16 @@ def _allan_line(
     return line[1], line[0], float(inverse[0, 0])
 
 
-def zero_density(z: Array, removed: int) -> Array:
-    """Return b u² of eq. (1): the spectral density at zero of b batch means, of each row."""
-    return density_with_dof(z, removed)[0]
-
-
-def density_with_dof(z: Array, removed: int) -> tuple[Array, Array]:
-    """Return b u² of eq. (1), and the degrees of freedom of u by eq. (2), of each row.
+def density_with_dof(rows: Array, removed: Counts) -> tuple[Array, Array]:
+    """Return b u² (J,) of eq. (1), and the degrees of freedom (J,) of u by eq. (2).
 
     Parameters
     ----------
-    z : (..., b) array
+    rows : (J, b) array
         Batch means less their mean or their line.
-    removed : int
+    removed : (J,) array
         How many parameters that took, m of eq. (1).
     """
-    rows = np.atleast_2d(z)
     count = rows.shape[-1]
     highest = min(count // 10, int(10.0 * np.log10(max(count, 1))))
     lags = [np.einsum("ji,ji->j", rows[:, : count - k], rows[:, k:]) for k in range(highest + 1)]
@@ -272,8 +267,8 @@ def density_with_dof(z: Array, removed: int) -> tuple[Array, Array]:
     there = lagged[:, 0] > 0.0
     lagged[~there, 0] = 1.0  # equal samples have no density, and are put back to zero below
     variance, phi = lagged[:, 0].copy(), np.zeros((len(rows), highest))
-    best, density = _criterion(variance, 0, count), variance.copy()
-    spread = np.full(len(rows), 2.0 / count)  # of ln u²
+    best, chosen = _criterion(variance, 0, count), np.zeros(len(rows), dtype=np.int64)
+    innovation, memory = variance.copy(), np.zeros(len(rows))
     for order in range(1, highest + 1):
         # Levinson's recursion for the Yule–Walker equations
         before = phi[:, : order - 1]
@@ -284,24 +279,23 @@ def density_with_dof(z: Array, removed: int) -> tuple[Array, Array]:
         variance = np.maximum(variance * (1.0 - partial**2), _SMALLEST)
         criterion = _criterion(variance, order, count)
         better = criterion < best
-        best = np.where(better, criterion, best)
-        whole = variance / (1.0 - phi[:, :order].sum(axis=1)) ** 2
-        density = np.where(better, whole, density)
-        for j in np.flatnonzero(better).tolist():
-            spread[j] = _spread(lagged[j, :order], variance[j], float(phi[j, :order].sum()), count)
+        best, chosen = np.where(better, criterion, best), np.where(better, order, chosen)
+        innovation = np.where(better, variance, innovation)
+        memory = np.where(better, phi[:, :order].sum(axis=1), memory)
+    density = innovation / (1.0 - memory) ** 2
+    inner = np.array([_inner(lagged[j, :p]) for j, p in enumerate(chosen.tolist())])
+    spread = 2.0 / count + 4.0 * density * inner / count  # of ln u², eq. (2)
     lost = removed * density / lagged[:, 0] / count  # m / n_eff
     found = np.where(there, density / (1.0 - np.minimum(lost, 0.5)), 0.0)
-    dof = np.where(there, np.maximum(2.0 / spread - 1.0, 1.0), np.inf)
-    return found.reshape(z.shape[:-1]), dof.reshape(z.shape[:-1])
+    return found, np.where(there, np.maximum(2.0 / spread - 1.0, 1.0), np.inf)
 
 
-def _spread(lagged: Array, variance: float, memory: float, count: int) -> float:
-    """Return the variance of ln u² of an autoregression, eq. (2)."""
+def _inner(lagged: Array) -> float:
+    """Return 1'γ⁻¹1 of eq. (2), with γ the matrix of autocovariances (p,)."""
     order = np.arange(len(lagged))
     gamma = lagged[np.abs(order[:, None] - order)]
     ones = np.ones(len(lagged))
-    inner = float(ones @ np.linalg.lstsq(gamma, ones, rcond=None)[0])
-    return 2.0 / count + 4.0 * float(variance) * max(inner, 0.0) / (count * (1.0 - memory) ** 2)
+    return max(float(ones @ np.linalg.lstsq(gamma, ones, rcond=None)[0]), 0.0)
 
 
 def _criterion(variance: Array, order: int, count: int) -> Array:

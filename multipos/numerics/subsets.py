@@ -29,7 +29,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import COLLINEAR, NOTHING, Triangle
 from multipos.results import Result
@@ -132,6 +132,8 @@ def all_subsets(
     ------
     UsageError
         More than 20 free columns, or an unknown criterion.
+    MultiposError
+        No subset leaves a row over.
     """
     p = triangle.R.shape[1] - 1
     free = [j for j in range(p) if j not in forced]
@@ -150,6 +152,12 @@ def all_subsets(
         allowed &= _stand_on_theirs(member, free, forced, requires)
     size = member.sum(axis=1) + len(forced)
     allowed &= size < triangle.rows
+    if not allowed.any():
+        raise MultiposError(
+            f"every subset of the terms takes up all that the rows tell ({triangle.rows} beside "
+            "what runs take), so that nothing is left to compare them by; give more rows, or "
+            "fewer runs."
+        )
     index = index[allowed]
     if len(index) > _LISTED:
         ranked = index[np.lexsort((rss[index], size[index]))]

@@ -431,8 +431,11 @@ def test_what_is_no_source_is_said(source, said):
 
 
 def test_mistakes_end_in_one_line(log, tmp_path, capsys):
+    wordy = tmp_path / "wordy.csv"
+    wordy.write_text("place,note\n" + "here,still\n" * 50)
     for command, status in (
         (["capture", "replay:nothing.csv"], 1),
+        (["capture", f"replay:{wordy}:0", "--headless"], 1),
         (["capture", f"replay:{log}:0", "--positions", "0"], 2),
         (["capture", f"replay:{log}:0", "--headless", "--target", "nonsense=1"], 2),
         (["capture", f"replay:{log}:0", "--headless", "-o", str(log)], 2),
@@ -443,6 +446,7 @@ def test_mistakes_end_in_one_line(log, tmp_path, capsys):
         assert main(command) == status, command
         last = capsys.readouterr().err.strip().splitlines()[-1:]
         assert last[0].startswith("multipos: error: ")
+        assert "report it" not in last[0]  # as a fault of the program's own is
 
 
 def test_a_frame_by_a_sphere_needs_no_unit_and_no_zero():

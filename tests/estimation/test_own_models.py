@@ -203,6 +203,11 @@ def test_a_misspelt_column_does_not_become_a_parameter(model, said):
     assert said in str(caught.value)
 
 
+def test_a_temperature_that_was_not_measured_is_asked_for():
+    with pytest.raises(mp.MultiposError, match="the model uses 'temperature', but there is no"):
+        mp.fit(readings(), model="each = b + s*own + c*temperature")
+
+
 def test_a_start_is_found_where_none_is_stated():
     """A sine has no slope at zero amplitude: other starts are tried."""
     own = UP[:, [0]]

@@ -235,6 +235,7 @@ def test_the_folder_that_is_read_is_not_written(tmp_path, table, capsys):
         ("name,lsl,usl\nbias_ay,1,0\n", "lsl 1, which is not below usl 0"),
         ("name,lsl,usl\nbias_ay,a,0\n", "row 1 (line 2), column 'lsl': 'a' is not a number"),
         ("name,lsl\nbias_ay,1\n", "no column 'usl'"),
+        ("name,lsl,usl\nbias_ay,-1e298,1e298\n", "the limit -1e+298, which no parameter could"),
         ("name,lsl,usl\nbias_q,0,1\n", "'bias_q', which no unit has; did you mean"),
         ("name,lsl,usl\nbias_ax,0,1\nbias_ax,0,2\n", "twice"),
     ],

@@ -41,7 +41,7 @@ def test_degrees_of_freedom_by_the_delta_method():
     z -= z.mean()
     lag = [float((z[:, : 400 - k] * z[:, k:]).sum()) / 400 for k in (0, 1)]
     phi = lag[1] / lag[0]
-    density, dof = density_with_dof(z, 0)
+    density, dof = density_with_dof(z, np.zeros(1))
     assert density == pytest.approx(lag[0] * (1 - phi**2) / (1 - phi) ** 2, rel=1e-12)  # order 1
     # var phi = (1 − phi²)/b, and ln u² has the derivative 2/(1 − phi); var ln s² = 2/b
     spread = 2 / 400 + 4 * (1 - phi**2) / (400 * (1 - phi) ** 2)

@@ -7,7 +7,7 @@ import pytest
 from log_bench import ar1, shared
 
 from multipos import MultiposError, UsageError
-from multipos.logs.rest_means import RestSum, zero_density
+from multipos.logs.rest_means import RestSum, density_with_dof
 from multipos.logs.rests import (
     PIECE,
     Finder,
@@ -276,6 +276,11 @@ def test_drift_is_found_and_noise_is_not():
 # Sixteen values of ±1 without mean or slope: the fourteen inner neighbours and the rest agree 11
 # times and differ 4 times, so the lag-1 correlation is r = (11 − 4)/16 = 7/16.
 WAVE = np.array([1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1], dtype=float)
+
+
+def zero_density(z, removed):
+    """Return b u² of eq. (1) of one row."""
+    return density_with_dof(z[None], np.array([removed]))[0]
 
 
 def test_spectral_density_of_a_short_series_by_hand():
