@@ -35,7 +35,7 @@ from multipos.files.numbers import number, table
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.combinations import name_combinations
-from multipos.numerics.least_squares import separability
+from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import Scheme, named_schemes, read_scheme
 from multipos.results import Keyed, data_frame

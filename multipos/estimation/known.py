@@ -25,8 +25,9 @@ from multipos.estimation.identifiability import formal_only
 from multipos.estimation.scatter import find_scatter
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import LinearFit, block_design, separability, solve
+from multipos.numerics.least_squares import LinearFit, block_design, solve
 from multipos.numerics.quantiles import chi2_quantile
+from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, add_variances, diagonal, stated_sd
 from multipos.sensor.diagnostics import (

@@ -4,22 +4,15 @@ The n rows of a design X (n, p) explain a response y (n,) through p coefficients
 
     y = X b + r,    cov r = V,    b minimises r' V⁻¹ r.                                     (1)
 
-V is the unit matrix, the variances of the rows, or a full covariance; V = L L'. The rows are
-whitened and factored, L⁻¹ X = Q R, by Householder QR, which never squares the condition of X:
+V = L L' is the unit matrix, the variances of the rows, or a full covariance. The rows are whitened
+and factored, L⁻¹ X = Q R (`multipos.numerics.factoring`):
 
     b = R⁻¹ Q' L⁻¹ y,    C = (X' V⁻¹ X)⁻¹ = R⁻¹ R⁻ᵀ,    leverage h = diag Q Q'.             (2)
 
 C, the cofactor, is the covariance of b where V is the covariance of the rows, and C s² with
 s² = rss/(n − p) is where V is known up to a factor. A residual sum is a sum of squared residuals,
-never a difference of sums.
-
-**Rank.** Columns may be in any unit, so R is judged with its columns scaled to unit length:
-singular values below `_RANK` of the largest count as zero. Columns dependent but for rounding leave
-1e-16 to 1e-15; the hardest problem known to be worth solving (NIST's Filip) leaves 2e-10. `_RANK` =
-1e-13 lies between, with two and three decades to either side. Scaling alone would promote a column
-that is nothing but rounding, cos 90° = 6e-17, to a full member: a column whose Euclidean norm does
-not exceed `floor` is zero. References in g have a floor of 1e-9; columns of a regression have units
-of their own and no floor. What cannot be separated is named.
+never a difference of sums. What the rows cannot tell apart is named, and not solved
+(`multipos.numerics.separability`).
 
 **Refinement.** QR loses κε of the coefficients (κ the condition of the scaled design, ε = 1.1e-16):
 half of all digits on a tenth-degree polynomial, how many depends on the order of the rows.
@@ -37,19 +30,14 @@ whitening rounds.
 left). Above, with T ≈ R⁻¹ and Z = L⁻¹ X T formed in twice the working precision, C = T (Z' Z)⁻¹ T'
 holds for any T, and Z' Z is so near the unit matrix that plain double forms and inverts it safely.
 
-**Size.** Many rows are factored in small blocks and the triangles again (Demmel): as stable as one
-Householder QR, several times faster, and Q is the only array as large as X that is made.
-
 Sources: Å. Björck, Numerical Methods for Least Squares Problems, SIAM 1996 (augmented system and
-its iterative refinement). J. Demmel, L. Grigori, M. Hoemmen, J. Langou, SIAM J. Sci. Comput. 34,
-2012 (QR by blocks of rows). The NIST StRD linear sets, which judge the result in the tests.
+its iterative refinement). The NIST StRD linear sets, which judge the result in the tests.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,11 +46,19 @@ from multipos.errors import MultiposError, RankError
 from multipos.numerics import extended
 from multipos.numerics.arrays import Array
 from multipos.numerics.combinations import name_combinations
+from multipos.numerics.factoring import (
+    BLOCK,
+    RANK,
+    Covariance,
+    column_norms,
+    design_matrix,
+    factor,
+    singular_values,
+)
+from multipos.numerics.separability import Separability, separability
 
-_RANK = 1e-13  # singular values of the scaled design below this part of the largest are zero
 _REFINE_COFACTOR = 1e6  # condition from which the cofactor takes twice the working precision
 _STEPS = 8  # of refinement at most; Filip takes three
-_BLOCK = 8192  # numbers factored at once: in cache, and below the size that BLAS starts threads for
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,26 +90,6 @@ class LinearFit:
     dof: int
     leverage: Array
     condition: float
-
-
-@dataclass(frozen=True, slots=True)
-class Separability:
-    """What the rows of a design can tell apart.
-
-    Attributes
-    ----------
-    rank, parameters : int
-    condition : float
-        As in `LinearFit`; infinite where the rank is short.
-    null : (p, p − rank) array
-        Combinations of coefficients that no row sees: adding a multiple of a column to the
-        coefficients changes nothing. In units of the coefficients, in reduced echelon form.
-    """
-
-    rank: int
-    parameters: int
-    condition: float
-    null: Array
 
 
 def solve(
@@ -160,12 +136,12 @@ def solve(
             rank=n,
             parameters=p,
         )
-    V = _Covariance(covariance, n)
-    Q, R = _qr(V, X)
-    norms = _norms(R)
-    singular = _singular_values(R)
-    judged = singular if V.full is None else _singular_values(X)  # see `separability`
-    if judged[-1] <= _RANK * judged[0] or (floor > 0.0 and _norms(X).min() <= floor):
+    V = Covariance(covariance, n)
+    Q, R = factor(V, X)
+    norms = column_norms(R)
+    singular = singular_values(R)
+    judged = singular if V.full is None else singular_values(X)  # see `separability`
+    if judged[-1] <= RANK * judged[0] or (floor > 0.0 and column_norms(X).min() <= floor):
         _refuse(separability(X, floor=floor, covariance=covariance), names, rows)
     condition = float(singular[0] / singular[-1])
 
@@ -185,87 +161,8 @@ def solve(
     )
 
 
-class _Covariance:
-    """V of eq. (1), as unit matrix, variances or full; what whitens with it and colours again."""
-
-    def __init__(self, covariance: ArrayLike | None, n: int) -> None:
-        self.sd: Array | None = None
-        self.full: Array | None = None
-        if covariance is None:
-            return
-        V = np.asarray(covariance, dtype=np.float64)
-        if V.shape == (n,):
-            if not (np.isfinite(V).all() and (V > 0.0).all()):
-                raise MultiposError("`covariance` must be positive and finite in every row.")
-            self.variances = V
-            self.sd = np.sqrt(V)
-        elif V.shape == (n, n):
-            # ten digits: a covariance computed as J S J' is symmetric to rounding, not exactly
-            if not np.abs(V - V.T).max() <= 1e-10 * np.abs(V).max():
-                raise MultiposError("`covariance` must be symmetric and finite.")
-            try:
-                self.L = np.linalg.cholesky(V)
-            except np.linalg.LinAlgError:
-                raise MultiposError("`covariance` must be positive definite.") from None
-            self.inverse = np.linalg.inv(self.L)
-            self.full = (V + V.T) / 2.0
-        else:
-            raise MultiposError(
-                f"`covariance` must have shape ({n},) or ({n}, {n}), got {V.shape}; "
-                "give one variance per row, or the covariance of the rows."
-            )
-
-    def whitened(self, a: Array, rows: slice = slice(None)) -> Array:
-        """L⁻¹ a, where `a` holds the given rows."""
-        if self.full is not None:
-            return np.asarray(self.inverse[rows] @ a)
-        return a if self.sd is None else a / self.sd[rows, np.newaxis]
-
-    def multiplier(self, s: Array) -> Array:
-        """λ = L⁻ᵀ s, from whitened residuals s."""
-        if self.full is not None:
-            return np.asarray(self.inverse.T @ s)
-        return self.whitened(s)
-
-    def coloured(self, s: Array) -> Array:
-        """Residuals r = L s = V λ."""
-        if self.full is not None:
-            return np.asarray(self.L @ s)
-        return s if self.sd is None else s * self.sd[:, np.newaxis]
-
-    def residual(self, y: Array, X: Array, b: Array, multiplier: Array) -> Array:
-        """`y − V λ − X b` in twice the working precision."""
-        if self.full is not None:
-            both = np.hstack((self.full, X))
-            zero = np.zeros_like(y)
-            return extended.residual(y, both, np.vstack((multiplier, b)), zero)
-        return extended.residual(y, X, b, multiplier, None if self.sd is None else self.variances)
-
-
-def _qr(V: _Covariance, X: Array) -> tuple[Array, Array]:
-    """Q (n, p) and R (p, p) of the whitened design.
-
-    Columns are not scaled beforehand: Householder QR commutes with that, and R is cheaper to scale.
-    """
-    n, p = X.shape
-    limit = max(2 * p, _BLOCK // p)
-    if V.full is not None or n <= limit:
-        Q, R = np.linalg.qr(V.whitened(X))
-        return Q, R
-    edges = np.linspace(0, n, -(-n // limit) + 1).astype(int)
-    blocks = [slice(i, j) for i, j in pairwise(edges)]
-    Q = np.empty((n, p))
-    triangles = np.empty((len(blocks), p, p))
-    for i, block in enumerate(blocks):
-        Q[block], triangles[i] = np.linalg.qr(V.whitened(X[block], block))
-    top, R = _qr(_Covariance(None, 0), triangles.reshape(-1, p))
-    for block, turn in zip(blocks, top.reshape(-1, p, p), strict=True):
-        Q[block] = Q[block] @ turn
-    return Q, R
-
-
 def _refined(
-    X: Array, y: Array, V: _Covariance, Q: Array, T: Array, norms: Array
+    X: Array, y: Array, V: Covariance, Q: Array, T: Array, norms: Array
 ) -> tuple[Array, Array]:
     """Coefficients (p, k) and whitened residuals (n, k) by iterating on eq. (3).
 
@@ -306,13 +203,13 @@ def _relative(db: Array, b: Array, norms: Array) -> float:
     return float((correction / np.where(size > 0.0, size, 1.0)).max())
 
 
-def _cofactor(X: Array, V: _Covariance, T: Array, condition: float) -> Array:
+def _cofactor(X: Array, V: Covariance, T: Array, condition: float) -> Array:
     """(X' V⁻¹ X)⁻¹ from T = R⁻¹, to full precision where R⁻¹ has lost too much of it."""
     if condition <= _REFINE_COFACTOR:
         return np.asarray(T @ T.T)
     n, p = X.shape
     information = np.zeros((p, p))
-    step = n if V.full is not None else _BLOCK
+    step = n if V.full is not None else BLOCK
     for i in range(0, n, step):
         rows = slice(i, i + step)
         Z = V.whitened(extended.product(X[rows], T), rows)
@@ -321,22 +218,8 @@ def _cofactor(X: Array, V: _Covariance, T: Array, condition: float) -> Array:
     return np.asarray(half.T @ half)
 
 
-def _norms(X: Array) -> Array:
-    return np.asarray(np.sqrt(np.einsum("ij,ij->j", X, X)))
-
-
-def _scales(R: Array) -> Array:
-    norms = _norms(R)
-    norms[norms == 0.0] = 1.0
-    return norms
-
-
-def _singular_values(R: Array) -> Array:
-    return np.asarray(np.linalg.svd(R / _scales(R), compute_uv=False))
-
-
 def _checked(design: ArrayLike, response: ArrayLike) -> tuple[Array, Array]:
-    X = _matrix(design)
+    X = design_matrix(design)
     y = np.asarray(response, dtype=np.float64)
     if y.ndim not in (1, 2) or len(y) != len(X):
         raise MultiposError(
@@ -345,15 +228,6 @@ def _checked(design: ArrayLike, response: ArrayLike) -> tuple[Array, Array]:
     if not np.isfinite(y).all():
         raise MultiposError("`response` has a number that is not finite.")
     return X, y
-
-
-def _matrix(design: ArrayLike) -> Array:
-    X = np.asarray(design, dtype=np.float64)
-    if X.ndim != 2 or X.shape[1] == 0:
-        raise MultiposError(f"`design` must have shape (n, p) with p > 0, got {X.shape}.")
-    if not np.isfinite(X).all():
-        raise MultiposError("`design` has a number that is not finite.")
-    return X
 
 
 def _refuse(found: Separability, names: Sequence[str] | None, rows: str) -> None:
@@ -369,51 +243,6 @@ def _refuse(found: Separability, names: Sequence[str] | None, rows: str) -> None
     )
 
 
-def separability(
-    design: ArrayLike, *, floor: float = 0.0, covariance: ArrayLike | None = None
-) -> Separability:
-    """What the rows of a design can tell apart, whatever the response.
-
-    Parameters
-    ----------
-    design : (n, p) array
-        May have fewer rows than columns; the rank is then n at most.
-    floor, covariance
-        As in `solve`. The covariance bears on the condition; what rows of finite variance can
-        tell apart does not depend on it.
-
-    Returns
-    -------
-    Separability
-    """
-    X = _matrix(design)
-    n, p = X.shape
-    V = _Covariance(covariance, n)
-    dead = _norms(X) <= floor
-    if dead.any():
-        X = np.where(dead, 0.0, X)
-    R = _qr(V, X)[1] if n >= p else V.whitened(X)
-    # Whitening by a full covariance rounds enough to hide a dependence; by variances it does not.
-    judged = R if V.full is None else X
-    scales = _scales(judged)
-    _, singular, Vt = np.linalg.svd(judged / scales, full_matrices=n < p)
-    rank = int((singular > _RANK * singular[0]).sum())
-    null = _echelon(Vt[rank:]).T / scales[:, np.newaxis]
-    for v in null.T:
-        v /= v[np.flatnonzero(v)[-1]]
-    whole = np.rint(null)
-    condition = np.inf
-    if rank == p:
-        values = singular if V.full is None else _singular_values(R)
-        condition = float(values[0] / values[-1])
-    return Separability(
-        rank=rank,
-        parameters=p,
-        condition=condition,
-        null=np.where(np.abs(null - whole) <= 1e-10 * np.abs(null), whole, null),
-    )
-
-
 def block_design(designs: Sequence[Array]) -> Array:
     """Return the design (n, M, p) of M outputs together, of which output i has (n, p_i) of its own.
 
@@ -424,24 +253,3 @@ def block_design(designs: Sequence[Array]) -> Array:
     for i, design in enumerate(designs):
         result[:, i, ends[i] : ends[i + 1]] = design
     return result
-
-
-def _echelon(N: Array) -> Array:
-    """Reduced row echelon form of orthonormal rows (m, p), pivots from the right.
-
-    From the right, so that later terms are explained by earlier ones. Columns are scaled, so
-    entries compare; rows are good to 1e-13 or better, and 1e-8 is no part of a combination.
-    """
-    N = N.copy()
-    row = len(N)  # rows from here on have their pivot
-    for column in reversed(range(N.shape[1])):
-        pivot = int(np.abs(N[:row, column]).argmax()) if row else 0
-        if row == 0 or abs(N[pivot, column]) <= 1e-8:
-            continue
-        row -= 1
-        N[[row, pivot]] = N[[pivot, row]]
-        N[row] /= N[row, column]
-        others = np.arange(len(N)) != row
-        N[others] -= np.outer(N[others, column], N[row])
-    N[np.abs(N) <= 1e-8 * np.abs(N).max(axis=1, keepdims=True, initial=0.0)] = 0.0
-    return N

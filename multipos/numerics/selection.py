@@ -40,14 +40,14 @@ from numpy.typing import ArrayLike
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import Array
 from multipos.numerics.combinations import name_combinations
-from multipos.numerics.least_squares import separability
+from multipos.numerics.factoring import BLOCK
 from multipos.numerics.quantiles import f_quantile, f_tail
+from multipos.numerics.separability import separability
 from multipos.results import Result
 
 COLLINEAR = 1e-5  # part of a column's length below which it says nothing of its own
 NOTHING = 1e-12  # part of a column's length below which what the forced terms leave is rounding
 _EXACT = 1e-14  # part of the response below which a residual is rounding
-_BLOCK = 8192  # numbers factored at once, as in `least_squares`
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def compress(design: ArrayLike, response: ArrayLike) -> Triangle:
     """Factor a design (n, p) and response (n,) once for all subsets, eq. (1)."""
     X, y = np.asarray(design, dtype=np.float64), np.asarray(response, dtype=np.float64)
     n, p = X.shape
-    limit = max(2 * (p + 1), _BLOCK // (p + 1))
+    limit = max(2 * (p + 1), BLOCK // (p + 1))
     parts = [
         _triangular(np.column_stack((X[i : i + limit], y[i : i + limit])))
         for i in range(0, n, limit)
@@ -184,7 +184,7 @@ def join(parts: Sequence[Triangle]) -> Triangle:
     factors = [part.R for part in parts]
     width = factors[0].shape[1]
     while len(factors) > 1:  # a tree: triangles are stacked while they fit the cache
-        group = max(2, _BLOCK // width**2)
+        group = max(2, BLOCK // width**2)
         factors = [
             _triangular(np.vstack(factors[i : i + group])) for i in range(0, len(factors), group)
         ]

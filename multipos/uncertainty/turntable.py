@@ -29,8 +29,9 @@ import numpy as np
 from multipos.errors import RankError
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import separability, solve
+from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
+from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
 from multipos.results import Result

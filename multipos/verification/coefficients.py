@@ -28,8 +28,8 @@ from multipos.errors import MultiposError, RankError, UsageError
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
 from multipos.numerics.combinations import name_combinations
-from multipos.numerics.least_squares import separability
 from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.results import Result

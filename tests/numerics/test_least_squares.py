@@ -12,9 +12,10 @@ from nist import digits
 from numpy.testing import assert_allclose
 
 from multipos.errors import MultiposError, RankError
-from multipos.numerics import least_squares
+from multipos.numerics import factoring, least_squares
 from multipos.numerics.combinations import name_combinations
-from multipos.numerics.least_squares import separability, solve
+from multipos.numerics.least_squares import solve
+from multipos.numerics.separability import separability
 
 EPS = 2.0**-53  # relative error of one rounding
 
@@ -252,7 +253,8 @@ def test_blocks_of_rows_change_nothing(monkeypatch, covariance):
     v = rng.uniform(0.5, 2.0, 700) if covariance else None
     whole = solve(X, y, covariance=v)
     assert whole.condition > 1e6
-    monkeypatch.setattr(least_squares, "_BLOCK", 200)  # 22 rows of 9
+    for module in (factoring, least_squares):
+        monkeypatch.setattr(module, "BLOCK", 200)  # 22 rows of 9
     blocks = solve(X, y, covariance=v)
     assert_allclose(blocks.coefficients, whole.coefficients, rtol=4 * EPS)
     assert_allclose(blocks.cofactor, whole.cofactor, rtol=1e-13)

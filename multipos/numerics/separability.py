@@ -1,0 +1,113 @@
+"""What the rows of a design can tell apart, whatever the response.
+
+The rank is that of the whitened design with its columns scaled to unit length
+(`multipos.numerics.factoring`). Scaling alone would promote a column that is nothing but rounding,
+cos 90° = 6e-17, to a full member: a column whose Euclidean norm does not exceed `floor` is zero.
+References in g have a floor of 1e-9; columns of a regression have units of their own and no floor.
+What cannot be separated is named by the null space in reduced echelon form
+(`multipos.numerics.combinations`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from multipos.numerics.arrays import Array
+from multipos.numerics.factoring import (
+    RANK,
+    Covariance,
+    column_norms,
+    column_scales,
+    design_matrix,
+    factor,
+    singular_values,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Separability:
+    """What the rows of a design can tell apart.
+
+    Attributes
+    ----------
+    rank, parameters : int
+    condition : float
+        As in `LinearFit`; infinite where the rank is short.
+    null : (p, p − rank) array
+        Combinations of coefficients that no row sees: adding a multiple of a column to the
+        coefficients changes nothing. In units of the coefficients, in reduced echelon form.
+    """
+
+    rank: int
+    parameters: int
+    condition: float
+    null: Array
+
+
+def separability(
+    design: ArrayLike, *, floor: float = 0.0, covariance: ArrayLike | None = None
+) -> Separability:
+    """What the rows of a design can tell apart, whatever the response.
+
+    Parameters
+    ----------
+    design : (n, p) array
+        May have fewer rows than columns; the rank is then n at most.
+    floor, covariance
+        As in `multipos.numerics.least_squares.solve`. The covariance bears on the condition; what
+        rows of finite variance can tell apart does not depend on it.
+
+    Returns
+    -------
+    Separability
+    """
+    X = design_matrix(design)
+    n, p = X.shape
+    V = Covariance(covariance, n)
+    dead = column_norms(X) <= floor
+    if dead.any():
+        X = np.where(dead, 0.0, X)
+    R = factor(V, X)[1] if n >= p else V.whitened(X)
+    # Whitening by a full covariance rounds enough to hide a dependence; by variances it does not.
+    judged = R if V.full is None else X
+    scales = column_scales(judged)
+    _, singular, Vt = np.linalg.svd(judged / scales, full_matrices=n < p)
+    rank = int((singular > RANK * singular[0]).sum())
+    null = _echelon(Vt[rank:]).T / scales[:, np.newaxis]
+    for v in null.T:
+        v /= v[np.flatnonzero(v)[-1]]
+    whole = np.rint(null)
+    condition = np.inf
+    if rank == p:
+        values = singular if V.full is None else singular_values(R)
+        condition = float(values[0] / values[-1])
+    return Separability(
+        rank=rank,
+        parameters=p,
+        condition=condition,
+        null=np.where(np.abs(null - whole) <= 1e-10 * np.abs(null), whole, null),
+    )
+
+
+def _echelon(N: Array) -> Array:
+    """Reduced row echelon form of orthonormal rows (m, p), pivots from the right.
+
+    From the right, so that later terms are explained by earlier ones. Columns are scaled, so
+    entries compare; rows are good to 1e-13 or better, and 1e-8 is no part of a combination.
+    """
+    N = N.copy()
+    row = len(N)  # rows from here on have their pivot
+    for column in reversed(range(N.shape[1])):
+        pivot = int(np.abs(N[:row, column]).argmax()) if row else 0
+        if row == 0 or abs(N[pivot, column]) <= 1e-8:
+            continue
+        row -= 1
+        N[[row, pivot]] = N[[pivot, row]]
+        N[row] /= N[row, column]
+        others = np.arange(len(N)) != row
+        N[others] -= np.outer(N[others, column], N[row])
+    N[np.abs(N) <= 1e-8 * np.abs(N).max(axis=1, keepdims=True, initial=0.0)] = 0.0
+    return N
