@@ -6,7 +6,7 @@ from functools import cache
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import file_progress, names, numbers
-from multipos.compensation.applying import apply_log
+from multipos.compensation.applied_logs import apply_log
 from multipos.compensation.correction import correct
 from multipos.errors import UsageError
 from multipos.files.tables import Column, format_csv, read_table

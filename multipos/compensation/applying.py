@@ -1,51 +1,32 @@
 """Apply a calibration to a table of raw readings: every column kept, force added.
 
-Beside the columns that came in stand ``f_x``, ``f_y``, ``f_z`` [g] for the axes that the sensor
-has, in the calibration's convention, on request their uncertainties ``u_f_x``, ``U_f_x`` …, the
-noise of one reading included (`multipos.compensation.reading_noise`), and ``outside``: 1 where a
-reading lies beyond what was calibrated, that is where |f| exceeds the largest reference, where f
-leaves the known forces that were applied, or where a column of the model leaves the range of the
-calibration's readings, 0 elsewhere.
-
-With tilt the sensor is taken to be at rest (`multipos.sensor.tilt`): ``tilt_x_deg`` … are the
-angles of its axes above the horizon, and one axis that it does not have follows from |f| = g with
-that axis up. More outputs than axes leave a parity: ``parity`` and ``fault``
-(`multipos.sensor.parity`).
-
-A table in memory is done at once (`apply`), a file piece by piece (`apply_log`), so that a log may
-be of any length.
+What is added stands in `multipos.compensation.added_columns`. A table in memory is done at once, a
+file as a log (`multipos.compensation.applied_logs`).
 """
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncertainty
+from multipos.compensation.added_columns import (
+    Outside,
+    add_columns,
+    check_columns,
+    check_outside,
+    refusal,
+)
+from multipos.compensation.applied_logs import apply_log
+from multipos.compensation.reading_noise import asked_uncertainty
 from multipos.doubts.model_error import said_of_hidden
-from multipos.errors import MultiposError, UsageError
-from multipos.files.tables import Column, Source, Table, format_csv, read_table
-from multipos.logs.opening import open_log, read_log
-from multipos.logs.table import Log, Piece
-from multipos.numerics.arrays import LARGEST, Array
-from multipos.numerics.terms import COMPONENTS, largest_value
-from multipos.positions.headers import require_units
+from multipos.files.tables import Source, read_table
+from multipos.logs.opening import open_log
 from multipos.positions.reading_tables import plain_names
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.inverse import has_other_solutions, sensed_axes
-from multipos.sensor.parity import FAULT_LEVEL, parity
-from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest
-from multipos.uncertainty.unseen import unseen_covariance
-from multipos.uncertainty.validity import applied
-
-Outside = Literal["flag", "clamp", "refuse"]
-OUTSIDE: tuple[Outside, ...] = get_args(Outside)
 
 
 class AppliedColumns(Columns):
@@ -164,269 +145,14 @@ def apply(
     wanted = asked_uncertainty(
         calibration, table.source, table.columns, uncertainty, reading_sd, parameters_only
     )
-    _check_columns(calibration, table.source, table.columns, tilt, wanted, units)
+    check_columns(calibration, table.source, table.columns, tilt, wanted, units)
     added = add_columns(calibration, table, tilt=tilt, uncertainty=wanted, outside=outside)
     if outside == "refuse" and added["outside"].any():
         where = table.where(int(np.argmax(added["outside"])), calibration.outputs[0])
-        raise _refusal(where, int(added["outside"].sum()), table.rows)
+        raise refusal(where, int(added["outside"].sum()), table.rows)
     kept = {name: copy(column) for name, column in given.columns.items()}  # the caller's own stay
     said = said_of_hidden(calibration)
     if wanted is None:
         return Applied({**kept, **added}, warnings=said)
     said += (*wanted.said, *wanted.cautions(table, table.columns))
     return Applied({**kept, **added}, wanted.noise.text, said)
-
-
-@dataclass
-class AppliedLog:
-    """A log with the compensated force beside its columns, as CSV text that comes in pieces.
-
-    Attributes
-    ----------
-    calibration : Calibration
-    log : Log
-    tilt, outside
-        As for `apply`.
-    uncertainty : ReadingUncertainty or None
-        Of the force, where it is asked for.
-    progress : callable or None
-        Is told how much of the log has been read, 0 to 1.
-    rows, beyond : int
-        Rows done so far, and those of them beyond what was calibrated.
-    cautions : tuple of str
-        What is doubtful in the uncertainties, as the first piece shows it.
-    """
-
-    calibration: Calibration
-    log: Log
-    tilt: bool = False
-    uncertainty: ReadingUncertainty | None = None
-    outside: Outside = "flag"
-    progress: Callable[[float], object] | None = None
-    rows: int = 0
-    beyond: int = 0
-    cautions: tuple[str, ...] = ()
-
-    @property
-    def noise(self) -> str | None:
-        """Which noise of one reading the uncertainties hold; None where there are none."""
-        return None if self.uncertainty is None else self.uncertainty.noise.text
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What there is to say of the force and its uncertainties, of the rows done so far."""
-        hidden = said_of_hidden(self.calibration)
-        if self.uncertainty is None:
-            return hidden
-        return (*hidden, *self.uncertainty.said, *self.cautions)
-
-    def __iter__(self) -> Iterator[str]:
-        """Yield header and rows; under 'refuse' the error comes when all rows have been seen."""
-        carried = () if self.log.text else self.log.numeric  # rows of text are written as they are
-        header = self.log.header if self.log.text else self.log.numeric
-        begun = False
-        for piece, added in self._applied(carried):
-            if not begun:
-                yield format_csv(dict.fromkeys((*header, *added), ()), self._delimiter)
-            begun = True
-            if not self.beyond or self.outside != "refuse":
-                yield self._text(piece, added)
-
-    def columns(self) -> dict[str, Column]:
-        """Return all columns at once; what is added to them is computed piece by piece."""
-        found: dict[str, list[Array]] = {}
-        for _, added in self._applied(()):
-            for name, column in added.items():
-                found.setdefault(name, []).append(column)
-        return {
-            **read_log(self.log),
-            **{name: np.concatenate(all_) for name, all_ in found.items()},
-        }
-
-    def _applied(self, carried: Sequence[str]) -> Iterator[tuple[Piece, dict[str, Array]]]:
-        """Yield pieces with what is added to them; under 'refuse' the error comes at the end."""
-        self.rows = self.beyond = 0
-        first = None
-        for piece in self.log.read(self._needed, carried):
-            if self.uncertainty is not None and self.rows == 0:
-                self.cautions = self.uncertainty.cautions(piece.table, self.log.columns)
-            added = add_columns(
-                self.calibration,
-                piece.table,
-                tilt=self.tilt,
-                uncertainty=self.uncertainty,
-                outside=self.outside,
-            )
-            beyond = added["outside"].astype(bool)
-            if first is None and beyond.any():
-                first = piece.table.where(int(np.argmax(beyond)), self.calibration.outputs[0])
-            self.rows += piece.table.rows
-            self.beyond += int(beyond.sum())
-            yield piece, added
-            if self.progress is not None:
-                self.progress(piece.done)
-        if first is not None and self.outside == "refuse":
-            raise _refusal(first, self.beyond, self.rows)
-
-    @property
-    def _needed(self) -> tuple[str, ...]:
-        beside = () if self.uncertainty is None else self.uncertainty.noise.columns
-        return (*self.calibration.outputs, *self.calibration.model.environment, *beside)
-
-    @property
-    def _delimiter(self) -> str:
-        return self.log.delimiter or ","
-
-    def _text(self, piece: Piece, added: Mapping[str, Array]) -> str:
-        if piece.lines is None:
-            columns = {name: piece.table.columns[name] for name in self.log.numeric}
-            return format_csv({**columns, **added}).partition("\n")[2]
-        lines = piece.lines
-        if not self.log.delimiter:
-            lines = [",".join(line.split()) for line in lines]
-        beside = format_csv(added, self._delimiter).partition("\n")[2].split("\n")
-        rows = zip(lines, beside, strict=False)  # the last line break leaves one more, empty
-        return "".join([f"{line}{self._delimiter}{cells}\n" for line, cells in rows])
-
-
-def apply_log(
-    calibration: Calibration,
-    log: Log,
-    *,
-    tilt: bool = False,
-    uncertainty: bool = False,
-    reading_sd: ArrayLike | None = None,
-    parameters_only: bool = False,
-    outside: Outside = "flag",
-    progress: Callable[[float], object] | None = None,
-) -> AppliedLog:
-    """Return a log with the compensated force beside its columns, to be written piece by piece.
-
-    Raises
-    ------
-    MultiposError
-        A column is missing. Bad cells and refused rows are found when the pieces are read.
-    """
-    check_outside(outside)
-    wanted = asked_uncertainty(
-        calibration, log.source, log.columns, uncertainty, reading_sd, parameters_only
-    )
-    _check_columns(calibration, log.source, log.columns, tilt, wanted, log.units)
-    return AppliedLog(calibration, log, tilt, wanted, outside, progress)
-
-
-def add_columns(
-    calibration: Calibration,
-    table: Table,
-    *,
-    tilt: bool,
-    uncertainty: ReadingUncertainty | None,
-    outside: Outside,
-) -> dict[str, Array]:
-    """Return the columns that a table gets, each row from itself alone, in order."""
-    raw = np.column_stack([table.number(name, largest=LARGEST) for name in calibration.outputs])
-    terms = [term for _, term in calibration.model.keys]
-    environment = {
-        name: table.number(name, largest=largest_value(terms, name))
-        for name in calibration.model.environment
-    }
-    beyond, clamped = _environment_outside(calibration, table, environment)
-    if outside == "clamp":
-        environment = clamped
-    axes = list(sensed_axes(calibration.model))
-    noise = None if uncertainty is None else uncertainty.noise.of(table)
-    tilts: dict[str, Array] = {}
-    if tilt:
-        rest = at_rest(calibration, raw, environment)
-        force, found = rest[:, axes], tilt_at_rest(calibration, rest, environment)
-        beyond |= np.isnan(found.tilt).any(axis=1)
-        tilts = _by_axis("tilt_{}_deg", axes, np.degrees(found.tilt))
-        if noise is not None:  # what is a tilt at all does not depend on what is asked for
-            unseen = unseen_covariance(calibration, force, environment)
-            sized = tilt_at_rest(calibration, rest, environment, noise, unseen)
-            tilts |= _by_axis("u_tilt_{}_deg", axes, np.degrees(sized.u))
-            tilts |= _by_axis("U_tilt_{}_deg", axes, np.degrees(sized.U))
-    else:
-        force = calibration.compensate(raw, environment)
-    beyond |= ~applied(calibration).holds(force, axes)
-    if isinstance(calibration.model, ExpressionModel):
-        beyond |= has_other_solutions(
-            calibration.model,
-            calibration.parameters,
-            raw,
-            environment,
-            found=force,
-            reach=float(np.linalg.norm(calibration.reference, axis=1).max()),
-        )
-    added = _by_axis("f_{}", axes, force)
-    if uncertainty is not None and noise is not None:
-        u, U = uncertainty.of_force(force, environment, noise)
-        added |= _by_axis("u_f_{}", axes, u) | _by_axis("U_f_{}", axes, U)
-    added |= tilts
-    if len(calibration.outputs) > len(axes):
-        odd = parity(calibration, raw, force, environment, reading_noise(calibration))
-        added["parity"] = odd.size
-        added["fault"] = (odd.p < FAULT_LEVEL).astype(np.int64)
-    return {**added, "outside": beyond.astype(np.int64)}
-
-
-def _by_axis(name: str, axes: Sequence[int], values: Array) -> dict[str, Array]:
-    """Return values (n, K) as columns named after their axes."""
-    return {name.format(COMPONENTS[i]): values[:, column] for column, i in enumerate(axes)}
-
-
-def check_outside(outside: str) -> None:
-    """Refuse a way with rows outside that is none."""
-    if outside not in OUTSIDE:
-        raise UsageError(f"--outside takes {', '.join(OUTSIDE)}, got '{outside}'.")
-
-
-def _check_columns(
-    calibration: Calibration,
-    source: str,
-    columns: Mapping[str, Column] | tuple[str, ...],
-    tilt: bool,
-    uncertainty: ReadingUncertainty | None,
-    units: Mapping[str, str],
-) -> None:
-    for name in (*calibration.outputs, *calibration.model.environment):
-        if name not in columns:
-            raise MultiposError(
-                f"{source}: no column '{name}', which this calibration needs; "
-                f"the columns are {', '.join(columns)}."
-            )
-    model = calibration.model
-    require_units(source, units, model.outputs, model.environment, model.unit)
-    # What one reading gets, every reading gets.
-    one = {name: calibration.readings.values[:1, i] for i, name in enumerate(calibration.outputs)}
-    one |= {n: calibration.readings.environment[n][:1] for n in calibration.model.environment}
-    one |= {} if uncertainty is None else dict.fromkeys(uncertainty.noise.columns, np.ones(1))
-    added = add_columns(
-        calibration, Table(source, one, rows=1), tilt=tilt, uncertainty=uncertainty, outside="flag"
-    )
-    for name in added:
-        if name in columns:
-            raise MultiposError(
-                f"{source}: column '{name}' is there already; rename it, apply writes it."
-            )
-
-
-def _refusal(where: str, beyond: int, rows: int) -> MultiposError:
-    return MultiposError(
-        f"{where}: the reading is outside what was calibrated ({beyond} of {rows} rows are); "
-        "use --outside flag to see them."
-    )
-
-
-def _environment_outside(
-    calibration: Calibration, table: Table, environment: Mapping[str, Array]
-) -> tuple[NDArray[np.bool_], dict[str, Array]]:
-    """Return which rows leave the calibrated range of a column, and the columns clamped to it."""
-    beyond = np.zeros(table.rows, dtype=bool)
-    clamped = {}
-    for name, column in environment.items():
-        seen = calibration.readings.environment[name]
-        low, high = float(seen.min()), float(seen.max())
-        beyond |= (column < low) | (column > high)
-        clamped[name] = np.clip(column, low, high)
-    return beyond, clamped

@@ -26,8 +26,9 @@ from functools import cached_property
 import numpy as np
 
 from multipos import __version__
-from multipos.compensation.c_body import environment_range, literal
+from multipos.compensation.c_body import literal
 from multipos.compensation.c_source import c_source, comment
+from multipos.compensation.c_steps import environment_range
 from multipos.files.numbers import number
 from multipos.numerics.arrays import LARGEST
 from multipos.numerics.factors import FUNCTIONS

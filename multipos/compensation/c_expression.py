@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from multipos.compensation.c_body import (
+from multipos.compensation.c_body import literal
+from multipos.compensation.c_steps import (
     environment_range,
     force_grid,
-    literal,
     needed_steps,
     steps_in_words,
 )

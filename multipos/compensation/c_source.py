@@ -11,8 +11,9 @@ from textwrap import wrap
 import numpy as np
 
 from multipos import __version__
-from multipos.compensation.c_body import environment_range, function_body, literal
+from multipos.compensation.c_body import function_body, literal
 from multipos.compensation.c_expression import expression_body
+from multipos.compensation.c_steps import environment_range
 from multipos.compensation.c_tilt import declaration, tilt_function, tilt_header, tilt_signature
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import visible

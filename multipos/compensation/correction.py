@@ -24,7 +24,8 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.compensation.applying import AppliedColumns, Outside, check_outside
+from multipos.compensation.added_columns import Outside, check_outside
+from multipos.compensation.applying import AppliedColumns
 from multipos.compensation.reading_noise import check_noise_options
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import Names, split_names

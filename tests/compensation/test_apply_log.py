@@ -10,7 +10,7 @@ from log_bench import sensor, write_csv
 
 import multipos as mp
 from multipos.cli import main
-from multipos.compensation.applying import apply_log
+from multipos.compensation.applied_logs import apply_log
 from multipos.errors import MultiposError
 from multipos.files.trees import json_table, to_json
 from multipos.files.whole import write_text
