@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from multipos.designs.designing import Design
+from multipos.designs.result import Design
 from multipos.errors import MultiposError, UsageError
 
 _SIZES = 8  # of designs in a curve; each is a search of its own

@@ -14,8 +14,8 @@ from html import escape
 from typing import Any
 
 from multipos.designs.assessment import Schemes, scheme_rows, schemes_text
-from multipos.designs.designing import Design, design_text
 from multipos.designs.prospects import Worth, worth_text
+from multipos.designs.result import Design, design_text
 from multipos.errors import UsageError
 from multipos.files.characters import visible
 from multipos.files.numbers import number
