@@ -1,22 +1,11 @@
 """Check: an independent run at known positions, before and after compensation.
 
-At each position and axis the error is what is said less what is known, of the force [g] or of the
-tilt [degrees]: before by the nominal conversion (raw − bias)/scale, after by the calibration,
-
-    e = f − f_ref,    u² = u²(f) + u²(f_ref),    U = k u,                                   (1)
-
-with u(f) of eq. (4) of `multipos.sensor.tilt`, the noise of the run's own readings in it, and
-u(f_ref) from ``orientation_sd_deg`` and ``reference_u_x`` … where it states them. Verdicts are
-those of `multipos.verification.verdicts`; whether the run as a whole agrees with the calibration,
-`multipos.verification.agreement`. Where readings state their u, the scatter from rest to rest that
-the calibration found beyond what its own readings state is in the noise as well.
+The errors, of force or of tilt, are those of `multipos.verification.run_errors`, verdicts those of
+`multipos.verification.verdicts`; whether the run as a whole agrees with the calibration,
+`multipos.verification.agreement`.
 
 Where a run is so far off that it may have been taken wrongly, it is fitted by itself, and what is
 implausible of it, such as rows interchanged or in another unit, is a doubt of the check.
-
-Linearity is the largest departure from the least-squares line against the reference, in percent of
-that line's span: from −1 to +1 g for force, over the angles of the run for tilt. The positions
-of the run are known, so a component that the sensor does not have is taken on its known side.
 
 A regression is checked by `multipos.verification.regression_checks`.
 """
@@ -28,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.tables import Source
@@ -39,27 +28,26 @@ from multipos.positions.column_names import unit_of
 from multipos.positions.headers import require_units
 from multipos.positions.placement import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
-from multipos.positions.readings import Readings, require_range, spread_reading_sd
+from multipos.positions.readings import Readings, require_range
 from multipos.positions.scheme import Scheme
 from multipos.regression.result import Regression
 from multipos.regression.several import Regressions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import Doubt, implausible
-from multipos.sensor.inverse import invert, sensed_axes
-from multipos.sensor.nominal import Nominal, nominal_force, read_nominal
-from multipos.sensor.tilt import (
-    at_rest,
-    coverage_factors,
-    force_uncertainty,
-    magnitude_of,
-    reading_noise,
-    tilt_at_rest,
-    triad_tilt,
-    true_tilt,
-)
-from multipos.uncertainty.unseen import unseen_covariance
+from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.nominal import Nominal, read_nominal
+from multipos.sensor.tilt import true_tilt
 from multipos.verification.agreement import judge_run
 from multipos.verification.regression_checks import check_regression, check_regressions
+from multipos.verification.run_errors import (
+    Errors,
+    force_errors,
+    known_force,
+    linearity,
+    require_known,
+    run_noise,
+    tilt_errors,
+)
 from multipos.verification.verdicts import (
     Check,
     family_confidence,
@@ -148,6 +136,24 @@ def check(
     before = calibration.nominal or Nominal(0.0, 1.0)
     if nominal is not None:
         before = read_nominal(nominal)
+    data = _read_run(calibration, readings, scheme)
+    if range is not None:
+        require_range(data, range)
+    noise, estimated = run_noise(calibration, data, reading_sd)
+    require_known(calibration, data, tilt)
+    known = known_force(calibration, data)
+    limit = limit_deg if tilt else limit_g
+    found = _check_run(calibration, data, known, noise, tilt, limit, within_deg, before)
+    agreement, doubts = judge_run(calibration, data, known, noise, estimated)
+    doubts = (*_of_the_run(calibration, data, known), *doubts)
+    said = (*(doubt.text for doubt in doubts), *found.warnings)
+    return replace(found, consistency=agreement, doubts=doubts, warnings=said)
+
+
+def _read_run(
+    calibration: Calibration, readings: Source | Readings, scheme: Source | Scheme | None
+) -> Readings:
+    """Return a run with its positions, held to what the calibration needs."""
     data = read_readings(
         readings, outputs=calibration.outputs, environment=calibration.model.environment
     )
@@ -166,33 +172,29 @@ def check(
         )
     data = orient(data, scheme)
     refuse_open_rolls(data)
-    if range is not None:
-        require_range(data, range)
-    noise, estimated = _noise(calibration, data, reading_sd)
-    limit = limit_deg if tilt else limit_g
-    found = _check_run(calibration, data, noise, tilt, limit, within_deg, before)
-    known = _known_force(calibration, data)
-    agreement, doubts = judge_run(calibration, data, known, noise, estimated)
-    doubts = (*_of_the_run(calibration, data, known), *doubts)
-    said = (*(doubt.text for doubt in doubts), *found.warnings)
-    return replace(found, consistency=agreement, doubts=doubts, warnings=said)
+    return data
 
 
 def _check_run(
     calibration: Calibration,
     data: Readings,
+    known: Array,
     noise: Array,
     tilt: bool,
     limit: float | None,
     within_deg: float | None,
     nominal: Nominal,
 ) -> Check:
-    """Return errors and verdicts of a run whose positions and noise (n, M) are known."""
+    """Return errors and verdicts of a run that is known to stand in a force (n, 3) [g]."""
     assert data.up is not None
-    _require_known(calibration, data, tilt)
+
+    def errors(of: Calibration) -> Errors:
+        if tilt:
+            return tilt_errors(of, data, nominal, noise)
+        return force_errors(of, data, known, nominal, noise)
+
     axes = list(sensed_axes(calibration.model))
-    errors = _tilt_errors if tilt else _force_errors
-    reference, before, after, u, U = errors(calibration, data, data.up, nominal, noise)
+    reference, before, after, u, U = errors(calibration)
     level = np.nan_to_num(np.degrees(true_tilt(data.up)))[:, axes]
     # A hair's breadth more, so that 60 degrees from a cosine is within 60.
     counted = np.abs(level) <= (90.0 if within_deg is None else within_deg) + 1e-6
@@ -203,7 +205,7 @@ def _check_run(
         sharper = replace(
             calibration, confidence=family_confidence(calibration.confidence, int(counted.sum()))
         )
-        U_family = errors(sharper, data, data.up, nominal, noise)[4]
+        U_family = errors(sharper)[4]
     return Check(
         quantity="tilt" if tilt else "force",
         unit="deg" if tilt else "g",
@@ -219,8 +221,8 @@ def _check_run(
         verdicts=judge_errors(after, U, limit, counted),
         counted=counted,
         linearity_percent={
-            "before": _linearity(reference, before, counted, tilt),
-            "after": _linearity(reference, after, counted, tilt),
+            "before": linearity(reference, before, counted, tilt),
+            "after": linearity(reference, after, counted, tilt),
         },
         bias=nominal.bias,
         scale=nominal.scale,
@@ -259,33 +261,6 @@ def _check_options(
             require_limit(name, value)
 
 
-def _noise(
-    calibration: Calibration, data: Readings, reading_sd: ArrayLike | None
-) -> tuple[Array, Array]:
-    """Return the standard uncertainty of the run's readings (n, M), and its estimated part."""
-    shape = data.values.shape
-    nothing = np.zeros(shape)
-    if reading_sd is not None:
-        return spread_reading_sd(reading_sd, shape), nothing
-    if data.u is None:
-        noise = np.broadcast_to(reading_noise(calibration), shape)
-        return noise, np.where(np.isinf(calibration.dof), 0.0, noise)
-    found = calibration.variance_components
-    if found is None or found.rest_to_rest is None:
-        return data.u, nothing
-    scatter = np.array([found.rest_to_rest[output].value for output in calibration.outputs])
-    return np.hypot(data.u, scatter), np.broadcast_to(scatter, shape)
-
-
-def _known_force(calibration: Calibration, data: Readings) -> Array:
-    """Return what the run is known to stand in (n, 3) [g], in the calibration's convention."""
-    assert data.up is not None
-    known = calibration.sign * magnitude_of(calibration) * data.up
-    if data.force is None:
-        return known
-    return np.where(data.forced[:, None], calibration.sign * data.force, known)
-
-
 def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> tuple[Doubt, ...]:
     """Return what is implausible of a run that is far off, found by a fit of the run by itself."""
     c = calibration
@@ -311,109 +286,3 @@ def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> tuple
         replace(doubt, text=f"the run: {doubt.text}")
         for doubt in implausible(found.diagnostics.doubts)
     )
-
-
-_Errors = tuple[Array, Array, Array, Array, Array]
-
-
-def _force_errors(
-    calibration: Calibration, data: Readings, up: Array, nominal: Nominal, noise: Array
-) -> _Errors:
-    axes = list(sensed_axes(calibration.model))
-    known = _known_force(calibration, data)
-    rest = at_rest(calibration, data.values, data.environment, up)
-    if data.force is not None:
-        rest = np.where(data.forced[:, None], _explained(calibration, data, known), rest)
-    reference = known[:, axes]
-    unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
-    covariance, dof = force_uncertainty(calibration, rest, data.environment, noise, unseen)
-    square = np.einsum("ni,ni->n", known, known)[:, None]
-    across = np.sqrt(np.maximum(square - reference**2, 0.0))
-    own = np.sqrt(np.einsum("nkk->nk", covariance))
-    u = np.hypot(own, across * _placement(data))
-    if data.reference_u is not None:
-        u = np.hypot(u, data.reference_u[:, axes])
-    before = nominal_force(calibration.model, data.values, nominal) - reference
-    return reference, before, rest[:, axes] - reference, u, _expanded(calibration, own, u, dof) * u
-
-
-def _explained(calibration: Calibration, data: Readings, known: Array) -> Array:
-    """Return the force (n, 3) [g] that explains the readings, what no output senses as known."""
-    force = known.copy()
-    force[:, list(sensed_axes(calibration.model))] = invert(
-        calibration.model, calibration.parameters, data.values, data.environment, unseen=known
-    )
-    return force
-
-
-def _require_known(calibration: Calibration, data: Readings, tilt: bool) -> None:
-    """Refuse known forces where tilt is asked for, or beside a gravity of unknown size."""
-    forced = data.forced
-    if tilt and forced.any():
-        raise MultiposError(
-            f"{data.source or 'the run'}: position '{data.labels[int(np.argmax(forced))]}' has a "
-            "known force and is not at rest, which has no tilt; compare force, or leave it out."
-        )
-    both = np.concatenate([forced, calibration.readings.forced])
-    if calibration.gravity is None and both.any() and not both.all():
-        raise MultiposError(
-            f"{data.source or 'the run'}: known forces are in standard g, and what that is in "
-            "local gravity the calibration does not know; fit it with --gravity or --latitude."
-        )
-
-
-def _tilt_errors(
-    calibration: Calibration, data: Readings, up: Array, nominal: Nominal, noise: Array
-) -> _Errors:
-    axes = list(sensed_axes(calibration.model))
-    reference = true_tilt(up)[:, axes]
-    rest = at_rest(calibration, data.values, data.environment, up)
-    unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
-    found = tilt_at_rest(calibration, rest, data.environment, noise, unseen)
-    placed = _placement(data)
-    force = nominal_force(calibration.model, data.values, nominal)
-    if len(axes) == 3:
-        before = triad_tilt(force, calibration.sign)
-    else:
-        before = np.arcsin(np.clip(calibration.sign * force / magnitude_of(calibration), -1.0, 1.0))
-    k = coverage_factors(calibration.confidence, np.full(found.u.shape, np.inf))
-    U = np.hypot(found.U, k * placed)
-    u = np.hypot(found.u, placed)
-    arrays = (reference, before - reference, found.tilt - reference, u, U)
-    degrees = [np.degrees(array) for array in arrays]
-    return degrees[0], degrees[1], degrees[2], degrees[3], degrees[4]
-
-
-def _placement(data: Readings) -> Array:
-    """Return how well each position of the run is known (n, 1) [rad]; exact where not stated."""
-    if data.orientation_sd is None:
-        return np.zeros((len(data), 1))
-    sd = data.orientation_sd
-    return np.where(np.isfinite(sd), sd, 0.0)[:, None]
-
-
-def _expanded(calibration: Calibration, own: Array, u: Array, dof: Array) -> Array:
-    """Return k of a sum of which only the part `own` has finite degrees of freedom."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        effective = np.where(own > 0.0, dof * (u / own) ** 4, np.inf)
-    return coverage_factors(calibration.confidence, effective)
-
-
-def _linearity(reference: Array, error: Array, counted: NDArray[np.bool_], tilt: bool) -> Array:
-    """Return the largest departure from the least-squares line (K,), in percent of its span."""
-    result = np.full(reference.shape[1], np.nan)
-    for column, (known, wrong, used) in enumerate(
-        zip(reference.T, error.T, counted.T, strict=True)
-    ):
-        rows = used & np.isfinite(wrong)
-        x, y = known[rows], (known + wrong)[rows]
-        if not len(x) or np.ptp(x) < 1e-9:
-            continue
-        centred = x - x.mean()
-        slope = float(centred @ y) / float(centred @ centred)
-        if abs(slope) < 1e-9:  # an output that does not answer has no line to depart from
-            continue
-        span = abs(slope) * (float(np.ptp(x)) if tilt else 2.0)
-        left = y - y.mean() - slope * centred
-        result[column] = 100.0 * float(np.abs(left).max()) / span
-    return result
