@@ -11,7 +11,7 @@ import pytest
 import multipos as mp
 from multipos.numerics.terms import NAMED
 from multipos.positions import attitudes
-from multipos.positions.reading_tables import _RESERVED
+from multipos.positions.headers import RESERVED
 from multipos.positions.scheme import SCHEMES
 from multipos.reports.certificate import LAB_FIELDS
 from multipos.sensor.found import FoundOrientations
@@ -33,7 +33,7 @@ def rows(heading):
 
 
 def test_every_column_of_readings_is_described():
-    assert attitudes.COLUMNS | _RESERVED <= NAMES
+    assert attitudes.COLUMNS | RESERVED <= NAMES
     assert {"temperature", "time", "u_<output>", "sd_<output>"} <= NAMES
 
 

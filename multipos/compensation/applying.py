@@ -24,7 +24,7 @@ from multipos.compensation.reading_noise import asked_uncertainty
 from multipos.doubts.model_error import said_of_hidden
 from multipos.files.tables import Source, read_table
 from multipos.logs.opening import open_log
-from multipos.positions.reading_tables import plain_names
+from multipos.positions.headers import plain_names
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
 

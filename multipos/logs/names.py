@@ -11,7 +11,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.logs.gravity import triad_of_gravity
 from multipos.logs.table import Log
 from multipos.positions.column_names import Component, component, split_unit, triads_of
-from multipos.positions.reading_tables import is_environment
+from multipos.positions.headers import is_environment
 
 
 def name_columns(

@@ -1,4 +1,4 @@
-"""What the units in a header mean for readings, and for what a calibration is applied to.
+"""What a header says: names as they are known here, and units, of readings and of other data.
 
 Outputs are in the unit that their header says. A column in a unit of temperature, time or pressure
 is about the surroundings and no output. Temperatures are in degrees Celsius everywhere; a header in
@@ -12,11 +12,93 @@ from dataclasses import replace
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
-from multipos.positions.column_names import unit_of
+from multipos.positions import attitudes
+from multipos.positions.column_names import split_unit, unit_of
+from multipos.positions.forces import REFERENCE_U
 
+# Columns of a readings file that have a meaning of their own and are no outputs.
+RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group", *REFERENCE_U}
 OF_SURROUNDINGS = frozenset({"K", "°C", "s", "ms", "us", "ns", "hPa", "Pa", "Hz", "%"})
 _KELVIN = "K"
 _ZERO = 273.15  # [K] at 0 °C
+
+
+def plain_names(table: Table) -> tuple[Table, dict[str, str]]:
+    """Return a table whose names have no unit in brackets and known names their own case.
+
+    Returns
+    -------
+    (Table, {column: unit})
+    """
+    bare = {name: split_unit(name) for name in table.columns}
+    if len({name for name, _ in bare.values()}) < len(bare):
+        bare = {name: (name, None) for name in table.columns}  # the units tell columns apart
+    known = {name.casefold(): name for name in (*RESERVED, "temperature", "time")}
+    short = [name for name, _ in bare.values()]
+    folded = [name.casefold() for name in short]
+    beside = {f"{p}_{name}".casefold(): f"{p}_{name}" for p in ("u", "sd") for name in short}
+    renamed, units = {}, {}
+    for name, (plain, unit) in bare.items():
+        own = plain.casefold()
+        if folded.count(own) == 1:
+            plain = known.get(own) or beside.get(own) or _as_environment(plain)
+        renamed[plain] = table.columns[name]
+        if unit is not None:
+            units[plain] = unit
+    return replace(table, columns=renamed), units
+
+
+def _as_environment(name: str) -> str:
+    """Return a name of the surroundings in small letters, where it is one in any."""
+    folded = name.casefold()
+    return folded if is_environment(folded) and not is_environment(name) else name
+
+
+def find_column(table: Table, name: str) -> str:
+    """Return the name that a column has, whatever the case and the unit it is asked for with."""
+    if name in table:
+        return name
+    folded = split_unit(name)[0].casefold()
+    alike = [own for own in table.columns if own.casefold() == folded]
+    return alike[0] if len(alike) == 1 else name
+
+
+def unit_as_known(unit: str) -> str:
+    """Return a unit of acceleration as it is called here: m/s2, mps2 and m/s**2 are m/s^2."""
+    known = unit_of(unit)
+    return known if known in ("m/s^2", "g", "mg", "ug") else unit
+
+
+def unit_of_outputs(
+    table: Table, names: tuple[str, ...], units: Mapping[str, str], stated: str | None
+) -> str:
+    """Return the unit of the outputs, of their header or as stated.
+
+    Raises
+    ------
+    MultiposError
+        The outputs differ in unit, or the header contradicts what is stated.
+    """
+    written = {name: units[name] for name in names if name in units}
+    kinds = sorted(set(written.values()))
+    if len(kinds) > 1:
+        said = ", ".join(f"{name} in {unit}" for name, unit in written.items())
+        raise MultiposError(f"{table.source}: outputs differ in unit, {said}; give them in one.")
+    if stated is None:
+        return kinds[0] if kinds else "reading"
+    asked = unit_as_known(stated)
+    if kinds and kinds[0] != asked and kinds[0] != unit_of(asked):
+        first = next(iter(written))
+        raise MultiposError(
+            f"{table.source}: the header gives column '{first}' in {kinds[0]}, and --unit says "
+            f"{stated}; correct one, or leave --unit away."
+        )
+    return asked
+
+
+def is_environment(name: str) -> bool:
+    """Tell whether a column is about the surroundings by its name."""
+    return name in ("temperature", "time") or name.startswith("ambient") or name.endswith("_rate")
 
 
 def in_celsius(table: Table, units: Mapping[str, str], notes: list[str]) -> Table:

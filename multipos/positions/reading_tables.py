@@ -14,10 +14,9 @@ from multipos.files.lists import Names, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions import attitudes
-from multipos.positions.column_names import Component, component, split_unit, unit_of
+from multipos.positions.column_names import Component, component
 from multipos.positions.forces import (
     FORCE,
-    REFERENCE_U,
     known_rows,
     left_by_apply,
     read_forces,
@@ -25,11 +24,18 @@ from multipos.positions.forces import (
     said_of_lengths,
     states_forces,
 )
-from multipos.positions.headers import OF_SURROUNDINGS, in_celsius
+from multipos.positions.headers import (
+    OF_SURROUNDINGS,
+    RESERVED,
+    find_column,
+    in_celsius,
+    is_environment,
+    plain_names,
+    unit_as_known,
+    unit_of_outputs,
+)
 from multipos.positions.open_rolls import read_open_rolls, with_angles
 from multipos.positions.readings import Readings, quoted, require_columns, select_outputs
-
-_RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group", *REFERENCE_U}
 
 
 def read_readings(
@@ -103,7 +109,7 @@ def read_readings(
         force=force,
         reference_u=reference_u,
         environment=columns,
-        unit=_unit(table, names, units, unit),
+        unit=unit_of_outputs(table, names, units, unit),
         source=None if table.sha256 is None else table.source,
         sha256=table.sha256,
         notes=tuple(notes),
@@ -190,7 +196,7 @@ def _of_surroundings(
     notes += [
         f"column '{name}' is in {units[name]} by its header, and no output"
         for name in found
-        if name not in _RESERVED and name not in used and not is_environment(name)
+        if name not in RESERVED and name not in used and not is_environment(name)
     ]
     return found
 
@@ -250,81 +256,8 @@ def _refuse_text(
             )
 
 
-def plain_names(table: Table) -> tuple[Table, dict[str, str]]:
-    """Return a table whose names have no unit in brackets and known names their own case.
-
-    Returns
-    -------
-    (Table, {column: unit})
-    """
-    bare = {name: split_unit(name) for name in table.columns}
-    if len({name for name, _ in bare.values()}) < len(bare):
-        bare = {name: (name, None) for name in table.columns}  # the units tell columns apart
-    known = {name.casefold(): name for name in (*_RESERVED, "temperature", "time")}
-    short = [name for name, _ in bare.values()]
-    folded = [name.casefold() for name in short]
-    beside = {f"{p}_{name}".casefold(): f"{p}_{name}" for p in ("u", "sd") for name in short}
-    renamed, units = {}, {}
-    for name, (plain, unit) in bare.items():
-        own = plain.casefold()
-        if folded.count(own) == 1:
-            plain = known.get(own) or beside.get(own) or _as_environment(plain)
-        renamed[plain] = table.columns[name]
-        if unit is not None:
-            units[plain] = unit
-    return replace(table, columns=renamed), units
-
-
-def _as_environment(name: str) -> str:
-    """Return a name of the surroundings in small letters, where it is one in any."""
-    folded = name.casefold()
-    return folded if is_environment(folded) and not is_environment(name) else name
-
-
-def find_column(table: Table, name: str) -> str:
-    """Return the name that a column has, whatever the case and the unit it is asked for with."""
-    if name in table:
-        return name
-    folded = split_unit(name)[0].casefold()
-    alike = [own for own in table.columns if own.casefold() == folded]
-    return alike[0] if len(alike) == 1 else name
-
-
-def unit_as_known(unit: str) -> str:
-    """Return a unit of acceleration as it is called here: m/s2, mps2 and m/s**2 are m/s^2."""
-    known = unit_of(unit)
-    return known if known in ("m/s^2", "g", "mg", "ug") else unit
-
-
-def _unit(
-    table: Table, names: tuple[str, ...], units: Mapping[str, str], stated: str | None
-) -> str:
-    """Return the unit of the outputs, of their header or as stated.
-
-    Raises
-    ------
-    MultiposError
-        The outputs differ in unit, or the header contradicts what is stated.
-    """
-    written = {name: units[name] for name in names if name in units}
-    kinds = sorted(set(written.values()))
-    if len(kinds) > 1:
-        said = ", ".join(f"{name} in {unit}" for name, unit in written.items())
-        raise MultiposError(f"{table.source}: outputs differ in unit, {said}; give them in one.")
-    if stated is None:
-        return kinds[0] if kinds else "reading"
-    asked = unit_as_known(stated)
-    if kinds and kinds[0] != asked and kinds[0] != unit_of(asked):
-        first = next(iter(written))
-        raise MultiposError(
-            f"{table.source}: the header gives column '{first}' in {kinds[0]}, and --unit says "
-            f"{stated}; correct one, or leave --unit away."
-        )
-    return asked
-
-
 def _may_be_output(name: str, table: Table) -> bool:
-    if name in _RESERVED or is_environment(name):
+    if name in RESERVED or is_environment(name):
         return False
     return not any(_stands_beside(name, prefix, table) for prefix in ("u", "dof", "sd"))
 
@@ -335,11 +268,6 @@ def _averaged_along(names: tuple[str, ...], table: Table) -> list[str]:
     if "n" not in table or not any(f"sd_{name}" in table for name in names):
         return []
     return [name for name in names if f"sd_{name}" not in table and f"u_{name}" not in table]
-
-
-def is_environment(name: str) -> bool:
-    """Tell whether a column is about the surroundings by its name."""
-    return name in ("temperature", "time") or name.startswith("ambient") or name.endswith("_rate")
 
 
 def _environment(

@@ -28,7 +28,7 @@ from multipos.files.lists import near
 from multipos.files.trees import read_toml
 from multipos.numerics.arrays import LARGEST
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.reading_tables import is_environment
+from multipos.positions.headers import is_environment
 from multipos.results import Result
 from multipos.sensor.formulas import CONSTANTS, FUNCTIONS, Formula, parse_formula
 
