@@ -22,9 +22,9 @@ from multipos.doubts.directions import (
 from multipos.doubts.linear_view import View, look
 from multipos.doubts.repairs import ABSURD, Repair, candidates, explains, is_absurd
 from multipos.doubts.scales import are_of_unit, factor_in_words, output_unit, unit
+from multipos.files.lists import quoted
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.readings import quoted
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import Doubt
 from multipos.sensor.found import Estimator

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.doubts.linear_view import listed_reference
+from multipos.files.lists import quoted
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.readings import quoted
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import Doubt
 

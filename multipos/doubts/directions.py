@@ -15,10 +15,10 @@ from itertools import permutations
 
 import numpy as np
 
+from multipos.files.lists import quoted
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import align, rotation_vector
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.readings import quoted
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import Doubt
 

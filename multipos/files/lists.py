@@ -1,9 +1,9 @@
-"""Names and numbers as people list them: 'ax, ay, az', or a sequence of them."""
+"""Names and numbers as people list them: 'ax, ay, az', or a sequence; and as they are told."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import TypeVar
 
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 
 Names = str | Sequence[str]
 T = TypeVar("T")
@@ -58,3 +58,19 @@ def near(name: str, known: Collection[str]) -> str:
     folded = {other.casefold(): other for other in known}
     close = get_close_matches(name.casefold(), folded, n=1)
     return f"; did you mean '{folded[close[0]]}'?" if close else "."
+
+
+def require_columns(names: Sequence[str], columns: Collection[str], where: str) -> None:
+    """Refuse names of which a table, named by `where`, has no column."""
+    missing = [name for name in names if name not in columns]
+    if missing:
+        way = near(missing[0], columns).removesuffix(".")
+        raise MultiposError(
+            f"{where}: no column {quoted(missing)}{way}; the columns are {quoted(columns)}."
+        )
+
+
+def quoted(names: Iterable[object]) -> str:
+    """Return the first dozen names in quotes, separated by commas."""
+    texts = [f"'{name}'" for name in names]
+    return ", ".join(texts[:12]) + (f" and {len(texts) - 12} more" if len(texts) > 12 else "")

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from multipos.errors import MultiposError
-from multipos.files.lists import near
+from multipos.files.lists import near, quoted
 from multipos.files.pipes import is_there
 from multipos.files.tables import Source
 from multipos.fitting.readings import fit
 from multipos.fleets.grouping import group_rows
 from multipos.fleets.sources import read_rows
-from multipos.positions.readings import quoted
 from multipos.sensor.calibration import Calibration
 
 

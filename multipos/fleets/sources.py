@@ -17,13 +17,12 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.lists import near
+from multipos.files.lists import near, quoted
 from multipos.files.pipes import is_folder, is_there, rereadable
 from multipos.files.tables import Column, Source, Table, read_table
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
 from multipos.logs.extras import require_extra
 from multipos.numerics.arrays import Array
-from multipos.positions.readings import quoted
 
 _ENDINGS = (".csv", ".parquet")
 

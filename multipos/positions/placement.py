@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.lists import quoted
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.positions.open_rolls import OpenRolls, gather_open_rolls
-from multipos.positions.readings import Readings, quoted
+from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme, read_scheme
 
 _FIRST_SD = np.radians(0.1)  # where the estimate of an orientation sd starts

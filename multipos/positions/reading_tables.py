@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.lists import Names, split_names
+from multipos.files.lists import Names, quoted, require_columns, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions import attitudes
@@ -35,7 +35,7 @@ from multipos.positions.headers import (
     unit_of_outputs,
 )
 from multipos.positions.open_rolls import read_open_rolls, with_angles
-from multipos.positions.readings import Readings, quoted, require_columns, select_outputs
+from multipos.positions.readings import Readings, select_outputs
 
 
 def read_readings(

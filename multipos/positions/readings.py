@@ -7,14 +7,13 @@ Columns of a readings file, beside the outputs, are listed in `docs/reference/fo
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import control_characters, visible
-from multipos.files.lists import near
+from multipos.files.lists import require_columns
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
 from multipos.positions.forces import along_forces, known_rows
@@ -373,22 +372,6 @@ def require_range(readings: Readings, limits: Sequence[float]) -> None:
             f"{low:g} to {high:g} ({int(outside.sum())} of {outside.size} readings are); measure "
             "these positions again or leave them out."
         )
-
-
-def require_columns(names: Sequence[str], columns: Any, where: str) -> None:
-    """Refuse names of which a table, named by `where`, has no column."""
-    missing = [name for name in names if name not in columns]
-    if missing:
-        way = near(missing[0], columns).removesuffix(".")
-        raise MultiposError(
-            f"{where}: no column {quoted(missing)}{way}; the columns are {quoted(columns)}."
-        )
-
-
-def quoted(names: Any) -> str:
-    """Return the first dozen names in quotes, separated by commas."""
-    texts = [f"'{name}'" for name in names]
-    return ", ".join(texts[:12]) + (f" and {len(texts) - 12} more" if len(texts) > 12 else "")
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:
