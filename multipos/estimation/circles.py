@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import align, directions
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.open_rolls import OpenRolls
+from multipos.positions.open_rolls import OpenRolls, across
 
 _TOLD = 0.02  # of the mean square: rolls that spread less about a circle do not tell its axis
 _WEAK = 1e-3  # weight of the case as it stands, beside what ties it
@@ -35,7 +35,7 @@ def over_circle(direction: Array, axis: Array) -> tuple[Array, Array]:
     height = np.einsum("ni,ni->n", direction, axis)
     foot = direction - height[:, None] * axis
     along = np.linalg.norm(foot, axis=1)[:, None] > 0.0
-    foot = np.where(along, foot, np.roll(axis, 1, axis=1))  # any, over the axis itself
+    foot = np.where(along, foot, across(axis))  # over the axis itself
     return directions(foot), np.arcsin(np.clip(height, -1.0, 1.0))
 
 

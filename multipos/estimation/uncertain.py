@@ -40,6 +40,7 @@ from multipos.estimation.solution import Solution
 from multipos.estimation.starts import reduced_information, search, too_few
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import rotation_vector
+from multipos.positions.open_rolls import across
 from multipos.positions.placement import Placement
 from multipos.positions.readings import Readings, select_outputs
 from multipos.sensor.calibration import Status
@@ -330,8 +331,7 @@ def _inclinations(problem: Problem, state: State, readings: Readings) -> dict[st
     """Return how far up the axis of each group of rolls points [degrees]."""
     if problem.rolls is None:
         return {}
-    any_up = np.roll(problem.rolls.vectors, 1, axis=1)  # as `placement` lists rolls
-    sign = np.sign(np.sum(problem.reference * any_up))
+    sign = np.sign(np.sum(problem.reference * across(problem.rolls.vectors)))
     leans = np.degrees(sign * state.inclination).tolist()
     return dict(zip(_labels(readings, problem.rolls.cone), leans, strict=True))
 

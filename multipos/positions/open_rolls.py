@@ -59,6 +59,11 @@ class OpenRolls:
         return tuple(COMPONENTS[i] for i in sorted(set(self.axis[self.rows].tolist())))
 
 
+def across(axis: Array) -> Array:
+    """Return a unit vector across each case axis (n, 3): any of its circle, the same everywhere."""
+    return np.roll(axis, 1, axis=1)
+
+
 def with_angles(table: Table) -> Table:
     """Return a table whose rolls have a column of angles, empty where it had none."""
     if "roll_axis" not in table or "angle_deg" in table:

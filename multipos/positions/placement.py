@@ -17,7 +17,7 @@ from multipos.errors import MultiposError
 from multipos.files.lists import quoted
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
-from multipos.positions.open_rolls import OpenRolls, gather_open_rolls
+from multipos.positions.open_rolls import OpenRolls, across, gather_open_rolls
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme, read_scheme
 
@@ -189,7 +189,7 @@ def _directions(readings: Readings, unknown: NDArray[np.bool_], rolls: OpenRolls
     """Return up vectors (n, 3), any where a direction is unknown, any of its circle for a roll."""
     up = np.full((len(readings), 3), np.nan) if readings.up is None else readings.up
     if rolls is not None:
-        up = np.where(rolls.rows[:, None], np.roll(rolls.vectors, 1, axis=1), up)
+        up = np.where(rolls.rows[:, None], across(rolls.vectors), up)
     missing = np.isnan(up).any(axis=1) & ~unknown & ~readings.forced
     if missing.any():
         raise MultiposError(
