@@ -102,7 +102,7 @@ def default_axes(outputs: Sequence[str], axes: Names | None) -> tuple[str, ...]:
     """Return the case axis of each output: as given, as it names it, or x, y, z in order.
 
     An axis that is given may have a minus before it, which tells which way the output faces and
-    is no part of what is returned (`multipos.sensor.model.stated_facing`).
+    is no part of what is returned (`stated_facing`).
     """
     if axes is not None:
         return tuple(axis.removeprefix("-") for axis in split_names(axes, "--axes"))
