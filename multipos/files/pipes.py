@@ -63,6 +63,12 @@ def is_folder(path: str | os.PathLike[str]) -> bool:
     return mode is not None and stat.S_ISDIR(mode)
 
 
+def is_file(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a path can be read: a file, or a pipe."""
+    mode = _mode(path)
+    return mode is not None and not stat.S_ISDIR(mode)
+
+
 def is_there(path: str | os.PathLike[str]) -> bool:
     """Tell whether a path is anything that can be looked at."""
     return _mode(path) is not None
@@ -71,7 +77,7 @@ def is_there(path: str | os.PathLike[str]) -> bool:
 def _mode(path: str | os.PathLike[str]) -> int | None:
     try:
         return Path(path).stat().st_mode
-    except (OSError, ValueError):  # what cannot be looked at is refused where it is read
+    except (OSError, ValueError):  # too long, no name at all: refused where it is read
         return None
 
 

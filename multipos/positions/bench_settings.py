@@ -7,11 +7,11 @@ Benches that are fine sets of directions, such as ``sphere``, have no such names
 """
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from multipos.files.pipes import is_file
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
 from multipos.positions.benches import read_bench
@@ -44,7 +44,7 @@ def bench_settings(source: "Source | Scheme", up: Array) -> tuple[dict[str, Any]
     up : (n, 3) array
     """
     known: list[tuple[Array, dict[str, Any]]] = []
-    if isinstance(source, str) and not Path(source).is_file():
+    if isinstance(source, str) and not is_file(source):
         for part in source.split("+"):
             known += _of_name(part.strip())
     else:
@@ -97,16 +97,15 @@ def _of_rolls(name: str, axes: str) -> list[tuple[Array, dict[str, Any]]]:
 
 
 def _of_table(source: "Source | Scheme") -> list[tuple[Array, dict[str, Any]]]:
-    scheme = read_scheme(source)
+    table = None if isinstance(source, Scheme) else read_table(source, what="bench")
+    scheme = read_scheme(source if table is None else table)
     settings: list[dict[str, Any]] = [{} for _ in range(len(scheme))]
     if scheme.labels is not None:
         settings = [{"position": label} for label in scheme.labels]
-    if not isinstance(source, Scheme):
-        table = read_table(source, what="bench")
-        for name in _ANGLES:
-            if name in table:
-                for setting, value in zip(settings, table.text(name), strict=True):
-                    setting[name] = _plain(value)
+    for name in _ANGLES:
+        if table is not None and name in table:
+            for setting, value in zip(settings, table.text(name), strict=True):
+                setting[name] = _plain(value)
     return list(zip(scheme.up, settings, strict=True))
 
 

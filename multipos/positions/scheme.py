@@ -21,7 +21,7 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import visible
-from multipos.files.pipes import is_pipe
+from multipos.files.pipes import is_file
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import (
@@ -104,7 +104,7 @@ def read_scheme(source: "Source | Scheme") -> Scheme:
     """
     if isinstance(source, Scheme):
         return source
-    if isinstance(source, str) and not _is_file(source):
+    if isinstance(source, str) and not is_file(source):
         parts = [_named_or_file(part) for part in source.split("+")]
         return parts[0] if len(parts) == 1 else join(source, parts)
     return _from_table(source)
@@ -155,20 +155,13 @@ def _named_or_file(text: str) -> Scheme:
                 f"scheme '{name}': N must lie between 1 and {LARGEST}, got {digits:.{_LONGEST}}."
             )
         return _scheme(name, SCHEMES[f"{family}-N"].positions(count))
-    if _is_file(name):
+    if is_file(name):
         return _from_table(name)
     if Path(name).suffix or os.sep in name:
         raise MultiposError(f"{name}: no such file; check the path of the scheme.")
     raise UsageError(
         f"unknown scheme '{name}'; give a file or one of {', '.join(SCHEMES)}, joined by +."
     )
-
-
-def _is_file(path: str) -> bool:
-    try:
-        return Path(path).is_file() or is_pipe(path)
-    except OSError:  # many names joined are too long to be the name of a file
-        return False
 
 
 def _from_table(source: Source) -> Scheme:
