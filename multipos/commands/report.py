@@ -124,13 +124,14 @@ def _of_comparison(arguments: argparse.Namespace, found: Mapping[str, Any]) -> A
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    if is_folder(arguments.calibration) or read_schema(arguments.calibration) == FLEET:
+    schema = FLEET if is_folder(arguments.calibration) else read_schema(arguments.calibration)
+    if schema == FLEET:
         return _of_fleet(arguments) if arguments.unit is None else _of_unit(arguments)
     if arguments.unit is not None or arguments.station is not None:
         raise UsageError("--unit and --station are of a fleet.")
-    if read_schema(arguments.calibration) == REGRESSION:
+    if schema == REGRESSION:
         return _of_regression(arguments)
-    comparison = read_comparison(arguments.calibration)
+    comparison = None if schema else read_comparison(arguments.calibration)  # which names none
     if comparison is not None:
         return _of_comparison(arguments, comparison)
     if arguments.data is not None:
