@@ -15,6 +15,7 @@ A unit is left to `fit` where its weights differ by more than double precision t
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,16 +62,31 @@ def estimate_stated(
     """
     count, n = values[0].shape
     step = max(1, _AT_ONCE // n)
+    factors = [_factor(design) for design in shared.designs]
     parts = []
     for first in range(0, count, step):
         rows = slice(first, first + step)
         mine = [tuple(each[rows] for each in arrays) for arrays in (values, stated, claimed)]
-        parts.append(_estimate(shared, *mine, pool=pool))
+        parts.append(_estimate(shared, factors, *mine, pool=pool))
     return join_estimates(parts)
+
+
+class _Factors(NamedTuple):
+    """A design as Q (n, p) R (p, p), and the products of the columns of Q (n, p²)."""
+
+    Q: Array
+    R: Array
+    squares: Array
+
+
+def _factor(design: Array) -> _Factors:
+    Q, R = np.linalg.qr(design)
+    return _Factors(Q, R, (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1))
 
 
 def _estimate(
     shared: SharedDesign,
+    factors: Sequence[_Factors],
     values: Sequence[Array],
     stated: Sequence[Array],
     claimed: Sequence[Array],
@@ -90,10 +106,10 @@ def _estimate(
     plain = [fit_output(design, inverse, y) for design, inverse, y in designs]
     for (_, r), y in zip(plain, values, strict=True):
         sound &= np.einsum("bn,bn->b", r, r) > _ROUNDING**2 * np.einsum("bn,bn->b", y, y)
-    first = _weigh(shared, plain, floor)
+    first = _weigh(factors, plain, floor)
     residuals = np.stack([r for _, r in first], axis=2)
     found = find_scatter(shared.designs, residuals, floor, pool=pool)
-    second = _weigh(shared, plain, floor + found.variance[:, None])
+    second = _weigh(factors, plain, floor + found.variance[:, None])
     parameters = np.concatenate([b for b, _ in second], axis=1)
     moves = parameters - np.concatenate([b for b, _ in first], axis=1)
     known = per_parameter(model, found.dof)
@@ -117,18 +133,16 @@ def _are_claims(u: Array, dof: Array | None) -> NDArray[np.bool_]:
 
 
 def _weigh(
-    shared: SharedDesign, plain: Sequence[tuple[Array, Array]], variances: Array
+    factors: Sequence[_Factors], plain: Sequence[tuple[Array, Array]], variances: Array
 ) -> list[tuple[Array, Array]]:
     """Return coefficients (B, p) and residuals (B, n) of every output, eq. (1)."""
     weighed = []
-    for i, (design, (b, r)) in enumerate(zip(shared.designs, plain, strict=True)):
+    for i, ((Q, R, squares), (b, r)) in enumerate(zip(factors, plain, strict=True)):
         weight = 1.0 / variances[:, :, i]
         if not np.ptp(weight, axis=1).any():  # alike: as the plain fit
             weighed.append((b, r))
             continue
-        Q, R = np.linalg.qr(design)
-        p = Q.shape[1]
-        squares = (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1)
+        p = len(R)
         information = (weight @ squares).reshape(-1, p, p)
         d = np.zeros((len(b), p))
         left = r
