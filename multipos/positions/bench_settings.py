@@ -14,7 +14,7 @@ import numpy as np
 from multipos.files.pipes import is_file
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
-from multipos.positions.benches import read_bench
+from multipos.positions.benches import AS_SCHEMES, read_bench
 from multipos.positions.scheme import Scheme, read_scheme
 
 _ANGLES = (
@@ -76,6 +76,7 @@ def _of_name(name: str) -> list[tuple[Array, dict[str, Any]]]:
     match = _ROLL.fullmatch(name)
     if match:
         return _of_rolls(name, match[1])
+    name = AS_SCHEMES.get(name, name)
     scheme = read_scheme(name)
     labels = scheme.labels or [str(i + 1) for i in range(len(scheme))]
     return [

@@ -28,7 +28,11 @@ _TWO_AXIS = re.compile(rf"two-axis-({_NUMBER})(?:x({_NUMBER}))?")
 _ROLL = re.compile(rf"roll-({_NUMBER})-([xyz]+)")
 _NEAR = re.compile(rf"near-faces-({_NUMBER})")
 _TILT = re.compile(rf"tilt-({_NUMBER})(?:-([xyz]))?")
-_FIXED = {"cube": "faces-6", "dodecahedron": "icosahedron-12", "sphere": "all-26+fibonacci-3000"}
+AS_SCHEMES = {
+    "cube": "faces-6",
+    "dodecahedron": "icosahedron-12",
+    "sphere": "all-26+fibonacci-3000",
+}
 _SAME = 9  # decimals to which equal directions agree
 _RINGS = 6  # of a cap, beside its middle
 _SPOKES = 24  # directions of a ring
@@ -66,8 +70,8 @@ def read_bench(source: "Source | Scheme") -> Array:
 
 
 def _reach(name: str) -> Array:
-    if name in _FIXED:
-        return read_scheme(_FIXED[name]).up
+    if name in AS_SCHEMES:
+        return read_scheme(AS_SCHEMES[name]).up
     if match := _TWO_AXIS.fullmatch(name):
         return _two_axis(_turn(name, match[1]), _turn(name, match[2] or match[1]))
     if match := _ROLL.fullmatch(name):

@@ -57,4 +57,6 @@ def test_included_positions_keep_their_numbers_and_fine_sets_have_none():
     assert [s.get("number") for s in found.settings[:6]] == ["1", "2", "3", "4", "5", "6"]
     assert set(found.settings[7]) == {"tilt_deg", "roll_deg"}
     assert mp.design("linear", 6, candidates="tilt-60").settings == ()
+    long = "+".join(["cube"] * 60)  # longer than the name of a file may be
+    assert {s["scheme"] for s in mp.design("linear", 6, candidates=long).settings} == {"faces-6"}
     assert list(mp.design("linear", 6).columns()) == ["position", "up_x", "up_y", "up_z"]
