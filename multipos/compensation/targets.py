@@ -22,14 +22,12 @@ from multipos.sensor.stability_file import load_stability
 
 # In the order of the documentation; the first that recognises a file reads it back.
 TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, IMUCAL, KALIBR, INAV)
-# for those who check types
-Name = Literal["c", "ros-imu-calib", "px4", "ardupilot", "imucal", "kalibr", "inav"]
 Unit = Literal["g", "m/s^2"]
 
 
 def export(
     calibration: Parts,
-    to: Name,
+    to: str,
     *,
     name: str = "multipos",
     float: bool = False,

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -48,7 +47,6 @@ PLAIN = parameter_target(
 def test_every_target_is_on_the_page_and_no_two_share_a_name():
     names = [target.name for target in targets.TARGETS]
     assert len(set(names)) == len(names)
-    assert tuple(names) == get_args(targets.Name)
     for target in targets.TARGETS:
         assert f"`{target.name}`" in PAGE.read_text(encoding="utf-8") or target.is_code
 
