@@ -99,15 +99,23 @@ def keep(source: Source, readings: Path | None, *, resume: bool) -> Kept:
     if resume:
         kept.earlier = _read(kept.session)
         kept.before = log
-        if log is not None and not log.exists():
-            raise MultiposError(f"{log}: no such file; the session cannot go on without its rows.")
-    elif log is not None and log.exists():
-        old = log.with_name(f"{log.stem}.old.csv")
-        log.replace(old)
-        kept.said.append(f"the rows of an earlier session are now {old}")
     if log is not None:
+        kept.said += _make_way(log, resume=resume)
         kept.said.append(f"rows are written to {log} as they come")
     return kept
+
+
+def _make_way(log: Path, *, resume: bool) -> list[str]:
+    """Move the rows of an earlier session aside, unless it goes on; return what to say of it."""
+    if resume:
+        if not log.exists():
+            raise MultiposError(f"{log}: no such file; the session cannot go on without its rows.")
+        return []
+    if not log.exists():
+        return []
+    old = log.with_name(f"{log.stem}.old.csv")
+    log.replace(old)
+    return [f"the rows of an earlier session are now {old}"]
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.model import Model
 from multipos.units import STANDARD_GRAVITY
 
 REPEAT_DEG = 5.0
@@ -92,23 +93,35 @@ def find_frame(
     """Return how readings (n, M) show directions, as far as the poses so far tell."""
     sign = -1.0 if convention == "gravity" else 1.0
     order = tuple(int(i) for i in np.argsort(axes))
-    plain = calibration is not None and not calibration.model.environment
-    if plain and calibration is not None and len(calibration.model.axes) == 3:
+    if calibration is not None and _is_plain_triad(calibration.model):
         return Frame(np.zeros(3), 1.0, order, sign, calibration)
     if len(axes) != 3 or not len(means):
         return None
-    if len(means) >= 4:
-        scale = float(np.abs(means).max())
-        rows = np.column_stack([2.0 * means / scale, np.ones(len(means))])
-        if np.linalg.cond(rows) < _SPREAD:
-            found = np.linalg.lstsq(rows, (means**2).sum(axis=1) / scale, rcond=None)[0]
-            centre = found[:3]
-            return Frame(centre, float(np.median(_sizes(means, centre))), order, sign)
+    centre = _centre(means)
+    if centre is not None:
+        return Frame(centre, float(np.median(_sizes(means, centre))), order, sign)
     zero = np.zeros(3)
     size = float(np.median(_sizes(means, zero)))
     if any(abs(size / one - 1.0) < _NEAR for one in _ONE_G):
         return Frame(zero, size, order, sign)
     return None
+
+
+def _is_plain_triad(model: Model) -> bool:
+    """Tell whether a model has three outputs and asks for no other column."""
+    return len(model.axes) == 3 and not model.environment
+
+
+def _centre(means: Array) -> Array | None:
+    """Return the centre (3,) of the sphere that readings (n, 3) lie on; None where few tell it."""
+    if len(means) < 4:
+        return None
+    scale = float(np.abs(means).max())
+    rows = np.column_stack([2.0 * means / scale, np.ones(len(means))])
+    if not np.linalg.cond(rows) < _SPREAD:
+        return None
+    found = np.linalg.lstsq(rows, (means**2).sum(axis=1) / scale, rcond=None)[0]
+    return np.asarray(found[:3])
 
 
 def _sizes(means: Array, centre: Array) -> Array:

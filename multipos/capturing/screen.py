@@ -113,10 +113,13 @@ def _status(state: Mapping[str, Any]) -> str:
         said = "hold still" if left is None else f"hold still: {left:.1f} s more"
     else:
         said = "moving: hold still"
-    motion = ""
-    if live["motion"] is not None and live["threshold"] is not None:
-        motion = f", motion {number(live['motion'], 3)} of {number(live['threshold'], 3)}"
-    return f"{said}   ({taken} poses, {state['rows']} rows{motion})"
+    return f"{said}   ({taken} poses, {state['rows']} rows{_motion(live)})"
+
+
+def _motion(live: Mapping[str, Any]) -> str:
+    if live["motion"] is None or live["threshold"] is None:
+        return ""
+    return f", motion {number(live['motion'], 3)} of {number(live['threshold'], 3)}"
 
 
 def _parameters(state: Mapping[str, Any]) -> "RenderableType":

@@ -187,15 +187,21 @@ class _Head:
             if len(self._lines) >= _MOST_LINES:
                 raise
             return False  # what a device says when it starts; its rows may still come
-        if self._source.untimed and text.log.rate is None and not time_columns(text.log):
-            now = time.monotonic()
-            if self._begun is None:  # what had been waiting before says nothing of the rate
-                self._begun = now, len(self._lines)
-            elapsed = now - self._begun[0]
-            if elapsed < _COUNTED:
-                return False
-            self._rate = (len(self._lines) - self._begun[1]) / elapsed or None
+        untimed = self._source.untimed and text.log.rate is None and not time_columns(text.log)
+        if untimed and not self._is_counted():
+            return False
         self.text = text
+        return True
+
+    def _is_counted(self) -> bool:
+        """Tell whether lines have come for long enough to tell the rate."""
+        now = time.monotonic()
+        if self._begun is None:  # what had been waiting before says nothing of the rate
+            self._begun = now, len(self._lines)
+        elapsed = now - self._begun[0]
+        if elapsed < _COUNTED:
+            return False
+        self._rate = (len(self._lines) - self._begun[1]) / elapsed or None
         return True
 
     def end(self, last: str) -> None:

@@ -283,9 +283,7 @@ def deliver(
             if path is not None and made is not None:
                 stack.enter_context(written(made if isinstance(made, Mapping) else {path: made}))
             made = answer.json() if arguments.json else answer.text()
-        if answer.failure:
-            made = ""
-        pieces = _complete(made, stack)
+        pieces = _complete("" if answer.failure else made, stack)
         if not quiet:
             warn(answer.warnings())
         verbatim = path == STDOUT or (answer.verbatim and not arguments.json)

@@ -112,12 +112,9 @@ def check_targets(arguments: argparse.Namespace) -> None:
     strange = [name for name in arguments.to if named_target(name) is None]
     if strange:
         raise UsageError(f"--to takes {names}, got '{strange[0]}'.")
-    asked = {
-        name for name, value in export_options(arguments).items() if value not in (None, False)
-    }
-    for option in ("output_unit", "instance", "device_id", "stability", "tilt"):
+    for option, value in export_options(arguments).items():
         owners = [target.name for target in TARGETS if option in target.takes]
-        if option in asked and not set(owners) & set(arguments.to):
+        if value not in (None, False) and owners and not set(owners) & set(arguments.to):
             flag = option.replace("_", "-")
             raise UsageError(f"--{flag} is for --to {', '.join(owners)}.")
     if arguments.to and arguments.output in (None, STDOUT):

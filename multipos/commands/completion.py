@@ -99,19 +99,22 @@ def fish(parsers: Parsers) -> str:
             f"complete -c multipos -n '{first}' -a {name} -d {_quoted(parser.description or '')}"
         )
         here = f"complete -c multipos -n '__fish_seen_subcommand_from {name}'"
-        for action in parser._actions:
-            words = f" -a {_quoted(' '.join(_words(action)))}" if action.choices else ""
-            if not action.option_strings:
-                lines += [f"{here}{words}"] if words else []
-                continue
-            names = " ".join(
-                f"-l {text[2:]}" if text.startswith("--") else f"-s {text[1:]}"
-                for text in action.option_strings
-            )
-            value = "" if action.nargs == 0 else " -r"
-            said = _quoted((action.help or "").replace("%%", "%"))
-            lines.append(f"{here} {names}{value}{words} -d {said}")
+        lines += [line for action in parser._actions for line in _fish_lines(here, action)]
     return "\n".join(lines) + "\n"
+
+
+def _fish_lines(here: str, action: argparse.Action) -> list[str]:
+    """Return the line of an option or of words that are asked for, none for other words."""
+    words = f" -a {_quoted(' '.join(_words(action)))}" if action.choices else ""
+    if not action.option_strings:
+        return [f"{here}{words}"] if words else []
+    names = " ".join(
+        f"-l {text[2:]}" if text.startswith("--") else f"-s {text[1:]}"
+        for text in action.option_strings
+    )
+    value = "" if action.nargs == 0 else " -r"
+    said = _quoted((action.help or "").replace("%%", "%"))
+    return [f"{here} {names}{value}{words} -d {said}"]
 
 
 def _quoted(text: str) -> str:

@@ -60,14 +60,8 @@ def add_columns(
     tilts: dict[str, Array] = {}
     if tilt:
         rest = at_rest(calibration, raw, environment)
-        force, found = rest[:, axes], tilt_at_rest(calibration, rest, environment)
-        beyond |= np.isnan(found.tilt).any(axis=1)
-        tilts = _by_axis("tilt_{}_deg", axes, np.degrees(found.tilt))
-        if noise is not None:  # what is a tilt at all does not depend on what is asked for
-            unseen = unseen_covariance(calibration, force, environment)
-            sized = tilt_at_rest(calibration, rest, environment, noise, unseen)
-            tilts |= _by_axis("u_tilt_{}_deg", axes, np.degrees(sized.u))
-            tilts |= _by_axis("U_tilt_{}_deg", axes, np.degrees(sized.U))
+        force, tilts = rest[:, axes], _tilts(calibration, rest, environment, noise)
+        beyond |= np.any([np.isnan(tilts[f"tilt_{COMPONENTS[i]}_deg"]) for i in axes], axis=0)
     else:
         force = calibration.compensate(raw, environment)
     beyond |= ~applied(calibration).holds(force, axes)
@@ -90,6 +84,21 @@ def add_columns(
         added["parity"] = odd.size
         added["fault"] = (odd.p < FAULT_LEVEL).astype(np.int64)
     return {**added, "outside": beyond.astype(np.int64)}
+
+
+def _tilts(
+    calibration: Calibration, rest: Array, environment: Mapping[str, Array], noise: Array | None
+) -> dict[str, Array]:
+    """Return the tilt of each axis at rest, with its uncertainties where the noise is known."""
+    axes = list(sensed_axes(calibration.model))
+    found = tilt_at_rest(calibration, rest, environment)
+    tilts = _by_axis("tilt_{}_deg", axes, np.degrees(found.tilt))
+    if noise is not None:  # what is a tilt at all does not depend on what is asked for
+        unseen = unseen_covariance(calibration, rest[:, axes], environment)
+        sized = tilt_at_rest(calibration, rest, environment, noise, unseen)
+        tilts |= _by_axis("u_tilt_{}_deg", axes, np.degrees(sized.u))
+        tilts |= _by_axis("U_tilt_{}_deg", axes, np.degrees(sized.U))
+    return tilts
 
 
 def _by_axis(name: str, axes: Sequence[int], values: Array) -> dict[str, Array]:

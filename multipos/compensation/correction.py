@@ -128,13 +128,18 @@ def correct(
     if target is None:
         told = (f"no column '{regression.response}' to correct: predicted only", *told)
     added["outside"] = beyond.astype(np.int64)
+    return Corrected(_beside(table, added), noise, told)
+
+
+def _beside(table: Table, added: Mapping[str, Column]) -> dict[str, Column]:
+    """Return the columns of a table and behind them those that are added."""
     twice = [name for name in added if name in table]
     if twice:
         raise MultiposError(
             f"{table.source}: column '{twice[0]}' is there already; rename it, apply writes it."
         )
     kept = {name: copy(column) for name, column in table.columns.items()}  # the caller's own stay
-    return Corrected({**kept, **added}, noise, told)
+    return {**kept, **added}
 
 
 def _correct_each(
@@ -172,13 +177,7 @@ def _correct_each(
         noises.append(found.noise)
         told += [f"{name}: {said}" for said in found.warnings]
     added["outside"] = beyond
-    twice = [name for name in added if name in table]
-    if twice:
-        raise MultiposError(
-            f"{table.source}: column '{twice[0]}' is there already; rename it, apply writes it."
-        )
-    kept = {name: copy(column) for name, column in table.columns.items()}
-    return Corrected({**kept, **added}, noises[0], tuple(told))
+    return Corrected(_beside(table, added), noises[0], tuple(told))
 
 
 def _target(regression: Regression, table: Table, names: Names | None) -> str | None:

@@ -44,8 +44,12 @@ def split_parts(parts: Parts) -> tuple[Calibration | None, tuple[Regression, ...
             raise TypeError(f"needs calibrations and regressions, got {type(part).__name__}.")
     if not given:
         raise UsageError("there is nothing to export; give a calibration or a regression.")
-    if any(isinstance(part, Calibration) for part in given[1:]):
-        raise UsageError("one calibration can be exported, and it comes before the regressions.")
-    first = given[0] if isinstance(given[0], Calibration) else None
-    rest = [part for part in given if not isinstance(part, Calibration)]
-    return first, tuple(r for part in rest for r in all_of(part))
+    first, rest = (given[0], given[1:]) if isinstance(given[0], Calibration) else (None, given)
+    regressions: list[Regression] = []
+    for part in rest:
+        if isinstance(part, Calibration):
+            raise UsageError(
+                "one calibration can be exported, and it comes before the regressions."
+            )
+        regressions += all_of(part)
+    return first, tuple(regressions)

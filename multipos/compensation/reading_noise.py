@@ -148,7 +148,21 @@ def _choose_noise(
         stated = spread_reading_sd(reading_sd, (1, m))[0]
     if parameters_only:
         return Noise("none: parameters and budget only", (), np.zeros(m))
-    names = [f"u_{output}" for output in calibration.outputs]
+    names = _stated_columns(calibration, source, columns)
+    if names:
+        return Noise(f"{', '.join(names)} of the data", names, np.zeros(m))
+    if reading_sd is not None:
+        return Noise("--reading-sd", (), stated)
+    return Noise(
+        "that of an averaged reading of the calibration", (), reading_noise(calibration), own=True
+    )
+
+
+def _stated_columns(
+    calibration: Calibration, source: str, columns: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the columns of a table that state the uncertainty of every output, or none."""
+    names = tuple(f"u_{output}" for output in calibration.outputs)
     given = [name for name in names if name in columns]
     missing = [name for name in names if name not in columns]
     if given and missing:
@@ -156,13 +170,7 @@ def _choose_noise(
             f"{source}: column {quoted(missing)} is missing beside {quoted(given)}; "
             "give it for every output or for none."
         )
-    if given:
-        return Noise(f"{', '.join(names)} of the data", tuple(names), np.zeros(m))
-    if reading_sd is not None:
-        return Noise("--reading-sd", (), stated)
-    return Noise(
-        "that of an averaged reading of the calibration", (), reading_noise(calibration), own=True
-    )
+    return names if given else ()
 
 
 @dataclass(frozen=True)

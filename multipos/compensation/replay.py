@@ -6,7 +6,7 @@ both a twentieth beyond the range. The segment variable meets every edge, and th
 it; there is a gap in time, and the run starts again.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -23,6 +23,7 @@ from multipos.files.tables import Table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.regression.observations import number_labels
 from multipos.regression.result import Regression
+from multipos.sensor.calibration import Calibration
 
 _BEYOND = 0.05  # of a range, on both sides
 _CLOSE = {False: 1e-12, True: 1e-5}  # of the largest value, by single precision
@@ -120,8 +121,8 @@ def fitted_rows(c: Correction, table: Table) -> Drive:
     MultiposError
         A column is missing.
     """
-    times = list(dict.fromkeys(r.time for r in c.regressions if r.time is not None))
-    runs = list(dict.fromkeys(r.run for r in c.regressions if r.run is not None))
+    times = _named(r.time for r in c.regressions)
+    runs = _named(r.run for r in c.regressions)
     if len(times) > 1 or len(runs) > 1:
         raise MultiposError(
             f"the regressions have different time or run columns ({', '.join(times + runs)}), so "
@@ -141,6 +142,11 @@ def fitted_rows(c: Correction, table: Table) -> Drive:
         raise MultiposError(f"{table.source}: every row has an empty cell; nothing is replayed.")
     rows = complete[np.argsort(run[complete], kind="stable")]
     return Drive(run[rows], time[rows], values[rows])
+
+
+def _named(columns: Iterable[str | None]) -> list[str]:
+    """Return the columns that are named, each once."""
+    return list(dict.fromkeys(name for name in columns if name is not None))
 
 
 # --- rows that are made up
@@ -204,11 +210,18 @@ def _range(c: Correction, name: str) -> tuple[float, float]:
     """Return what a column covered, as far as the files tell."""
     pairs = [s.limits[name] for r in c.regressions for s in r.segments if name in s.limits]
     pairs += [s.range for r in c.regressions for s in r.segments if name == r.segment_variable]
-    if c.calibration is not None and name in c.calibration.model.environment:
-        pairs.append(environment_range(c.calibration, name))
-    if c.calibration is not None and name in c.calibration.outputs:
-        seen = c.calibration.readings.values[:, c.calibration.outputs.index(name)]
-        pairs.append((float(seen.min()), float(seen.max())))
+    if c.calibration is not None:
+        pairs += _calibrated(c.calibration, name)
     if not pairs:
         return -1.0, 1.0
     return min(low for low, _ in pairs), max(high for _, high in pairs)
+
+
+def _calibrated(c: Calibration, name: str) -> list[tuple[float, float]]:
+    """Return what a column covered at calibration."""
+    if name in c.model.environment:
+        return [environment_range(c, name)]
+    if name not in c.outputs:
+        return []
+    seen = c.readings.values[:, c.outputs.index(name)]
+    return [(float(seen.min()), float(seen.max()))]

@@ -87,13 +87,7 @@ def export(
     >>> [line for line in found.text.splitlines() if line.startswith("void")]
     ['void imu_compensate(const double raw[3], double accel[3])']
     """
-    target = named_target(to)
-    if target is None:
-        names = ", ".join(target.name for target in TARGETS)
-        raise UsageError(f"--to takes {names}, got '{to}'.")
-    if float and not target.is_code:
-        codes = ", ".join(target.name for target in TARGETS if target.is_code)
-        raise UsageError(f"--float is for --to {codes}; {to} has a precision of its own.")
+    target = _target(to, single=float)
     first, regressions = split_parts(calibration)
     others = {
         "output_unit": output_unit,
@@ -106,12 +100,7 @@ def export(
     if first is not None and not accept_doubts:
         refuse_implausible(first.diagnostics.doubts, f"the export to {to}")
     if regressions:
-        if tilt:
-            raise UsageError("--tilt is of a calibration alone; a correction tells no angles.")
-        if output_unit is not None:
-            raise UsageError("--output-unit is of a calibration alone; a regression has its own.")
-        if target is not C:
-            raise UsageError(f"a regression is exported --to {C.name}; {to} has no place for it.")
+        _check_correction(target, tilt, output_unit)
         return write_correction(correction_of(first, regressions, correct), name, single=float)
     if correct is not None:
         raise UsageError("--correct goes with a regression; a calibration gives forces.")
@@ -121,6 +110,29 @@ def export(
     in_metres = output_unit == "m/s^2"
     wish = Wish(name, float, allow_lossy, instance, device_id, in_metres, stability, tilt)
     return target.write(first, wish)
+
+
+def _target(to: str, *, single: bool) -> Target:
+    """Return the target that is asked for."""
+    target = named_target(to)
+    if target is None:
+        names = ", ".join(target.name for target in TARGETS)
+        raise UsageError(f"--to takes {names}, got '{to}'.")
+    if single and not target.is_code:
+        codes = ", ".join(target.name for target in TARGETS if target.is_code)
+        raise UsageError(f"--float is for --to {codes}; {to} has a precision of its own.")
+    return target
+
+
+def _check_correction(target: Target, tilt: bool, output_unit: Unit | None) -> None:
+    """Refuse what is of a calibration alone where regressions are exported."""
+    if tilt:
+        raise UsageError("--tilt is of a calibration alone; a correction tells no angles.")
+    if output_unit is not None:
+        raise UsageError("--output-unit is of a calibration alone; a regression has its own.")
+    if target is not C:
+        name = target.name
+        raise UsageError(f"a regression is exported --to {C.name}; {name} has no place for it.")
 
 
 def _check_options(target: Target, given: dict[str, Any]) -> None:

@@ -26,7 +26,7 @@ design, iterative refinement). K. Ozaki, T. Ogita, S. Oishi, S. M. Rump, Numer. 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,16 +219,20 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
     """Return estimates of some units after others."""
     if len(parts) == 1:
         return parts[0]
+
+    def joined(name: str) -> Any:
+        return np.concatenate([getattr(part, name) for part in parts])
+
     residuals = zip(*(part.residuals for part in parts), strict=True)
     return Estimates(
-        np.concatenate([part.parameters for part in parts]),
-        np.concatenate([part.u for part in parts]),
+        joined("parameters"),
+        joined("u"),
         np.concatenate([np.broadcast_to(part.dof, part.u.shape) for part in parts]),
-        np.concatenate([part.rms for part in parts]),
+        joined("rms"),
         tuple(np.concatenate(each) for each in residuals),
-        np.concatenate([part.inverse for part in parts]),
-        np.concatenate([part.sound for part in parts]),
-        None if parts[0].chi2 is None else np.concatenate([each.chi2 for each in parts]),
+        joined("inverse"),
+        joined("sound"),
+        None if parts[0].chi2 is None else joined("chi2"),
     )
 
 

@@ -4,6 +4,7 @@ The second start of `multipos.estimation.first_states` is tried where the first 
 positions may be further off than five degrees; the lower minimum wins.
 """
 
+from collections.abc import Set
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from multipos.estimation.identifiability import (
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Normal, Optimum, Problem, State, start_state
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.terms import COMPONENTS, Term
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
 
@@ -52,12 +53,9 @@ def search(problem: Problem) -> Optimum:
         found = maximise(problem, state)
         if problem.adrift:
             found = _positive(problem, found)
-        better = best is None or (found.converged, -found.point.objective) > (
-            best[1].converged,
-            -best[1].point.objective,
-        )
-        best = (state, found) if better else best
-        if best is not None and best[1].converged and not wide and not _several(problem):
+        if best is None or _is_better(found, best[1]):
+            best = state, found
+        if best[1].converged and not wide and not _several(problem):
             break
     if best is None:
         raise fault or MultiposError("no start could be found; give the orientations.")
@@ -68,6 +66,11 @@ def search(problem: Problem) -> Optimum:
     if np.isinf(problem.orientation_sd).all():  # where lever arms come from the readings themselves
         _require_told(problem, *best)
     return best[1]
+
+
+def _is_better(found: Optimum, best: Optimum) -> bool:
+    """Tell whether an optimum has converged where the best has not, or fits better."""
+    return (found.converged, -found.point.objective) > (best.converged, -best.point.objective)
 
 
 def _several(problem: Problem) -> bool:
@@ -166,12 +169,7 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
         mirrored = axes.keys() - mirrored
     if not mirrored:
         return optimum
-    odd = np.array(
-        [
-            sum(f.is_odd for f in term.factors if f.variable in mirrored) % 2 == 1
-            for _, term in model.keys
-        ]
-    )
+    odd = np.array([_is_odd(term, mirrored) for _, term in model.keys])
     mirror = np.array([-1.0 if axis in mirrored else 1.0 for axis in COMPONENTS])
     # Exact under the lower gauge; under the symmetric one only near, hence the search again.
     theta = np.where(odd, -state.theta, state.theta)
@@ -185,6 +183,11 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
             state.turns * mirror[:, None] if problem.groups else state.turns,
         ),
     )
+
+
+def _is_odd(term: Term, axes: Set[str]) -> bool:
+    """Tell whether a term changes its sign where these components do."""
+    return sum(f.is_odd for f in term.factors if f.variable in axes) % 2 == 1
 
 
 def _require_information(problem: Problem, optimum: Optimum) -> None:

@@ -88,22 +88,17 @@ def solve_uncertain(
     MultiposError
         Too few positions, or readings that do not spread.
     """
-    own = isinstance(model, ExpressionModel)
     tied = isinstance(model, ExpressionModel) and bool(model.shared)
     if placement.exact and len(model.outputs) > 1 and not (pool or tied or _correlated(readings)):
         return _solve_separately(model, readings, placement, robust)
-    if not placement.listed.any():
-        _require_triad(model)
-        model = model if own else _with_gauge(model, placement, gauge)
-    elif np.isinf(placement.orientation_sd).any() or placement.rolls is not None:
-        _require_triad(model)
+    model = _with_gauge(model, placement, gauge)
     problem = state_problem(model, readings, placement, None if robust is None else "huber")
     nu = float(problem.degrees.sum()) - problem.unknowns
     nu += int(np.count_nonzero(model.beliefs))
     if nu < 0:
         raise too_few(problem)
     held: tuple[str, ...] = ()
-    if own and problem.adrift:
+    if isinstance(model, ExpressionModel) and problem.adrift:
         problem, held = _without_free_rotations(problem, gauge)
         nu = float(problem.degrees.sum()) - problem.unknowns + np.count_nonzero(model.beliefs)
     optimum = search(problem)
@@ -127,7 +122,18 @@ def solve_uncertain(
 
 
 def _with_gauge(model: Model, placement: Placement, gauge: Gauge) -> Model:
-    """Return the model without what the rotations fix that positions leave free."""
+    """Return the model without what the rotations fix that positions leave free.
+
+    Raises
+    ------
+    MultiposError
+        The model has too few outputs for positions of unknown orientation.
+    """
+    listed = placement.listed.any()
+    if not listed or np.isinf(placement.orientation_sd).any() or placement.rolls is not None:
+        _require_triad(model)
+    if listed or isinstance(model, ExpressionModel):
+        return model
     if placement.rolls is None:
         return model.with_gauge(gauge)
     about = placement.rolls.axes
@@ -165,35 +171,45 @@ def _solve_separately(
         )
         for output in model.outputs
     ]
-    covariance = np.zeros((len(model.keys), len(model.keys)))
-    for part, where in zip(parts, model.slices, strict=True):
-        covariance[where, where] = part.covariance
+
+    def joined(name: str) -> Array:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    def stacked(name: str) -> Array:
+        return np.column_stack([getattr(part, name) for part in parts])
 
     def said(name: str) -> tuple[str, ...]:
         pairs = zip(model.outputs, parts, strict=True)
         return tuple(f"{output}: {text}" for output, part in pairs for text in getattr(part, name))
 
-    weights = [part.robust_weight for part in parts if part.robust_weight is not None]
     return replace(
         parts[0],
         model=model,
-        parameters=np.concatenate([part.parameters for part in parts]),
-        covariance=covariance,
-        parameter_dof=np.concatenate([part.parameter_dof for part in parts]),
-        inflation=np.concatenate([part.inflation for part in parts]),
-        dof=np.concatenate([part.dof for part in parts]),
-        residuals=np.column_stack([part.residuals for part in parts]),
-        residual_sd=np.concatenate([part.residual_sd for part in parts]),
-        leverage=np.column_stack([part.leverage for part in parts]),
+        parameters=joined("parameters"),
+        covariance=_block_diagonal(model, [part.covariance for part in parts]),
+        parameter_dof=joined("parameter_dof"),
+        inflation=joined("inflation"),
+        dof=joined("dof"),
+        residuals=stacked("residuals"),
+        residual_sd=joined("residual_sd"),
+        leverage=stacked("leverage"),
         condition=max(part.condition for part in parts),
         outliers=said("outliers"),
         warnings=said("warnings"),
         unidentifiable=said("unidentifiable"),
         status=max((part.status for part in parts), key=lambda status: status.iterations),
         variance_components=_joined([part.variance_components for part in parts]),
-        robust_weight=None if robust is None else np.column_stack(weights),
+        robust_weight=None if robust is None else stacked("robust_weight"),
         claim=_together([part.claim for part in parts if part.claim is not None]),
     )
+
+
+def _block_diagonal(model: Model, covariances: list[Array]) -> Array:
+    """Return the covariance (p, p) of parameters that outputs do not share."""
+    whole = np.zeros((len(model.keys), len(model.keys)))
+    for covariance, where in zip(covariances, model.slices, strict=True):
+        whole[where, where] = covariance
+    return whole
 
 
 def _joined(parts: list[VarianceComponents | None]) -> VarianceComponents | None:

@@ -27,26 +27,29 @@ def note_names(readings: Readings, model: Model) -> Readings:
     return replace(readings, notes=(*readings.notes, note))
 
 
-def face(calibration: Calibration, facing: tuple[str, ...]) -> Calibration:
+def face(calibration: Calibration, facing: tuple[str, ...] | None) -> Calibration:
     """Return a calibration that knows what was said of its outputs, reflected where it is free.
+
+    It stays as it is where nothing was said.
 
     Raises
     ------
     UsageError
         A symmetric gauge, which no reflection leaves.
     """
+    if facing is None:
+        return calibration
     down = {axis.removeprefix("-") for axis in facing if axis.startswith("-")}
     gauge = calibration.model.gauge
     if not down or gauge is None:
         return replace(calibration, facing=facing)
-    if gauge == "symmetric" or not all(
-        isinstance(term, Term) for _, term in calibration.model.keys
-    ):
+    terms = [term for _, term in calibration.model.keys]
+    if gauge == "symmetric" or not all(isinstance(term, Term) for term in terms):
         raise UsageError(
             "--axes with a minus needs --gauge lower, and a model of terms, where orientations are "
             "unknown."
         )
-    sign = np.array([_parity(term, down) for _, term in calibration.model.keys])
+    sign = np.array([_parity(term, down) for term in terms])
     mirror = np.array([-1.0 if axis in down else 1.0 for axis in COMPONENTS])
     return replace(
         calibration,

@@ -212,9 +212,7 @@ def fit(
         raise explain_failure(error, data) from None
     if before is not None:
         calibration = replace(calibration, nominal=before)
-    facing = stated_facing(axes)
-    if facing is not None:
-        calibration = face(calibration, facing)
+    calibration = face(calibration, stated_facing(axes))
     if stated is not None:
         calibration = state_budget(calibration, stated)
     calibration = examine(calibration)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.lists import near
 from multipos.files.records import LARGEST
-from multipos.files.tables import read_table
+from multipos.files.tables import Table, read_table
 from multipos.files.trees import read_toml
 from multipos.fleets.units import Units
 from multipos.numerics.arrays import Array
@@ -57,30 +57,38 @@ def read_limits(source: LimitsSource) -> tuple[Limit, ...]:
     if Path(source).suffix.lower() == ".toml":
         tables = read_toml(source, "limits")
         return tuple(_limit(str(source), name, pair) for name, pair in tables.items())
-    table = read_table(source, what="limits")
+    return _of_table(read_table(source, what="limits"))
+
+
+def _of_table(table: Table) -> tuple[Limit, ...]:
     for name in ("name", "lsl", "usl"):
         if name not in table:
             raise MultiposError(
                 f"{table.source}: no column '{name}'; limits have the columns name, lsl, usl."
             )
-    sides = [table.numbers(name) for name in ("lsl", "usl")]
-    for side, name in zip(sides, ("lsl", "usl"), strict=True):
-        for row, text in enumerate(table.text(name)):
-            if text and math.isnan(side[row]):
-                raise MultiposError(f"{table.where(row, name)}: '{text}' is not a number.")
+    lower, upper = (_side(table, name) for name in ("lsl", "usl"))
     return tuple(
-        _limit(table.where(row, "name"), name, (float(sides[0][row]), float(sides[1][row])))
+        _limit(table.where(row, "name"), name, (lower[row], upper[row]))
         for row, name in enumerate(table.text("name"))
     )
 
 
+def _side(table: Table, name: str) -> list[float]:
+    """Return the limits of one side, NaN where a cell is empty."""
+    side = table.numbers(name).tolist()
+    for row, text in enumerate(table.text(name)):
+        if text and math.isnan(side[row]):
+            raise MultiposError(f"{table.where(row, name)}: '{text}' is not a number.")
+    return list(side)
+
+
+def _is_side(side: Any) -> bool:
+    return side is None or (isinstance(side, int | float) and not isinstance(side, bool))
+
+
 def _limit(where: str, name: str, pair: Any) -> Limit:
     known = isinstance(pair, list | tuple) and len(pair) == 2
-    numbers = known and all(
-        side is None or (isinstance(side, int | float) and not isinstance(side, bool))
-        for side in pair
-    )
-    if not numbers:
+    if not known or not all(map(_is_side, pair)):
         raise MultiposError(f"{where}: '{name}' needs two limits, [lsl, usl], got {pair!r}.")
     lsl = -math.inf if pair[0] is None or math.isnan(pair[0]) else float(pair[0])
     usl = math.inf if pair[1] is None or math.isnan(pair[1]) else float(pair[1])

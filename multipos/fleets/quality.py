@@ -157,11 +157,21 @@ def describe(
         "sd_true": spread.true,
         "u": np.nan if own is None or not len(x) else float(np.sqrt(np.mean(own**2))),
     }
+    return said | _against_limits(spread, said["u"], limits, confidence)
+
+
+def _against_limits(
+    spread: Spread, u: float, limits: tuple[float, float] | None, confidence: float
+) -> dict[str, Any]:
+    """Return capability and wrong verdicts; None where a number has no limit."""
     lsl, usl = (-np.inf, np.inf) if limits is None else limits
-    said |= {"lsl": lsl if np.isfinite(lsl) else None, "usl": usl if np.isfinite(usl) else None}
+    said: dict[str, Any] = {
+        "lsl": lsl if np.isfinite(lsl) else None,
+        "usl": usl if np.isfinite(usl) else None,
+    }
     for key, which in (("cpk", "within"), ("ppk", "sd"), ("ppk_true", "true")):
         found = capability(spread, lsl, usl, which, confidence)
         said[key] = None if found is None else found.to_dict()
     limited = said["lsl"] is not None or said["usl"] is not None
-    said["risk"] = wrong_verdicts(spread, said["u"], lsl, usl) if limited else None
+    said["risk"] = wrong_verdicts(spread, u, lsl, usl) if limited else None
     return said

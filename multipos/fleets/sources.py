@@ -119,20 +119,8 @@ def read_rows(
         tables = [table for table in tables if table.rows]
         if not tables:
             raise MultiposError(f"no unit '{only}' in column '{unit_column}'; look at units.csv.")
-    first = tables[0]
     for table in tables:
-        for name in (unit_column, station_column):
-            if name is not None and name not in table:
-                raise MultiposError(
-                    f"{table.source}: no column '{name}'{near(name, list(table.columns))} The "
-                    f"columns are {quoted(table.columns)}."
-                )
-        if set(table.columns) != set(first.columns):
-            odd = set(table.columns) ^ set(first.columns)
-            raise MultiposError(
-                f"{table.source}: column {quoted(sorted(odd))} is not in both it and "
-                f"{first.source}; give tables with the same columns."
-            )
+        _require_columns(table, tables[0], unit_column, station_column)
     unit = joined_labels([labels_of(table, unit_column) for table in tables])
     _require_units(tables, unit, unit_column)
     station = Labels(np.zeros(len(unit), dtype=np.int32), ("",))
@@ -142,6 +130,22 @@ def read_rows(
     apart = {unit_column, station_column}
     left = tuple(_without(table, apart) for table in tables)
     return Rows(left, tuple(starts), unit, station, _are_counted(tables, unit_column))
+
+
+def _require_columns(table: Table, first: Table, unit: str, station: str | None) -> None:
+    """Refuse a table without the columns that name units, or with others than the first."""
+    for name in (unit, station):
+        if name is not None and name not in table:
+            raise MultiposError(
+                f"{table.source}: no column '{name}'{near(name, list(table.columns))} The "
+                f"columns are {quoted(table.columns)}."
+            )
+    if set(table.columns) != set(first.columns):
+        odd = set(table.columns) ^ set(first.columns)
+        raise MultiposError(
+            f"{table.source}: column {quoted(sorted(odd))} is not in both it and "
+            f"{first.source}; give tables with the same columns."
+        )
 
 
 def _are_counted(tables: Sequence[Table], name: str) -> bool:
@@ -175,25 +179,26 @@ def _expanded(sources: Sequence[Source]) -> list[Source]:
     """Return sources with folders and patterns replaced by the files they stand for."""
     found: list[Source] = []
     for source in sources:
-        if not isinstance(source, str | os.PathLike):
-            found.append(source)
-            continue
-        name = os.fspath(source)
-        if is_folder(name):
-            files = [path for path in sorted(Path(name).iterdir()) if path.suffix in _ENDINGS]
-            if not files:
-                raise MultiposError(f"{name}: the folder has no {' or '.join(_ENDINGS)} files.")
-            found += files
-        elif has_magic(name) and not is_there(name):
-            fitting = sorted(glob(name, recursive=True))  # noqa: PTH207 – any path, not one below
-            if not fitting:
-                raise MultiposError(f"{name}: no file fits the pattern; check the path.")
-            found += fitting
-        else:
-            found.append(rereadable(source))
+        found += _files(source) if isinstance(source, str | os.PathLike) else [source]
     if not found:
         raise MultiposError("no table; give at least one.")
     return found
+
+
+def _files(source: str | os.PathLike[str]) -> Sequence[Source]:
+    """Return the files that a path, a folder or a pattern stands for."""
+    name = os.fspath(source)
+    if is_folder(name):
+        files = [path for path in sorted(Path(name).iterdir()) if path.suffix in _ENDINGS]
+        if not files:
+            raise MultiposError(f"{name}: the folder has no {' or '.join(_ENDINGS)} files.")
+        return files
+    if has_magic(name) and not is_there(name):
+        fitting = sorted(glob(name, recursive=True))  # noqa: PTH207 – any path, not one below
+        if not fitting:
+            raise MultiposError(f"{name}: no file fits the pattern; check the path.")
+        return fitting
+    return [rereadable(source)]
 
 
 def _read(source: Source, kept: tuple[str, str] | None) -> Table:

@@ -112,11 +112,19 @@ def axes_by_name(outputs: Sequence[str]) -> tuple[str, ...] | None:
     named = tuple(COMPONENTS[axis] for axis in axes)
     if len(outputs) == 1:
         return named if kinds[outputs[0]].acceleration else None
-    alike = len({each.stem.casefold() for each in kinds.values()}) == 1
-    if alike and len(set(axes)) == len(axes):
-        return named
-    whole = triads_of(outputs, kinds)
-    return named if len(whole) > 1 and 3 * len(whole) == len(outputs) else None
+    return named if _is_one_sensor(kinds) or _are_triads(kinds) else None
+
+
+def _is_one_sensor(kinds: Mapping[str, Component]) -> bool:
+    """Tell whether names have one stem, and no axis twice."""
+    axes = {each.axis for each in kinds.values()}
+    return len({each.stem.casefold() for each in kinds.values()}) == 1 and len(axes) == len(kinds)
+
+
+def _are_triads(kinds: Mapping[str, Component]) -> bool:
+    """Tell whether names make several triads, and none is left."""
+    whole = triads_of(tuple(kinds), kinds)
+    return len(whole) > 1 and 3 * len(whole) == len(kinds)
 
 
 def named_axes(outputs: Sequence[str]) -> list[int]:

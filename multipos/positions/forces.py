@@ -113,7 +113,7 @@ def read_reference_u(table: Table, force: Array | None) -> Array | None:
     present = [name for name in REFERENCE_U if name in table]
     if not present:
         return None
-    missing = [name for name in REFERENCE_U if name not in table]
+    missing = [name for name in REFERENCE_U if name not in present]
     if missing:
         raise MultiposError(
             f"{table.source}: column '{missing[0]}' is missing beside '{present[0]}'; give the "

@@ -7,6 +7,7 @@ kelvin is believed, and
     t/°C = T/K − 273.15.                                                                    (1)
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -33,19 +34,28 @@ def plain_names(table: Table) -> tuple[Table, dict[str, str]]:
     bare = {name: split_unit(name) for name in table.columns}
     if len({name for name, _ in bare.values()}) < len(bare):
         bare = {name: (name, None) for name in table.columns}  # the units tell columns apart
-    known = {name.casefold(): name for name in (*RESERVED, "temperature", "time")}
-    short = [name for name, _ in bare.values()]
-    folded = [name.casefold() for name in short]
-    beside = {f"{p}_{name}".casefold(): f"{p}_{name}" for p in ("u", "sd") for name in short}
+    known = _own_case([name for name, _ in bare.values()])
     renamed, units = {}, {}
-    for name, (plain, unit) in bare.items():
-        own = plain.casefold()
-        if folded.count(own) == 1:
-            plain = known.get(own) or beside.get(own) or _as_environment(plain)
+    for name, (written, unit) in bare.items():
+        plain = known[written]
         renamed[plain] = table.columns[name]
         if unit is not None:
             units[plain] = unit
     return replace(table, columns=renamed), units
+
+
+def _own_case(names: Sequence[str]) -> dict[str, str]:
+    """Return names as they are known here; those that differ in case alone stay as written."""
+    known = {name.casefold(): name for name in (*RESERVED, "temperature", "time")}
+    beside = {f"{p}_{name}".casefold(): f"{p}_{name}" for p in ("u", "sd") for name in names}
+    folded = Counter(name.casefold() for name in names)
+
+    def own(name: str) -> str:
+        if folded[name.casefold()] > 1:
+            return name
+        return known.get(name.casefold()) or beside.get(name.casefold()) or _as_environment(name)
+
+    return {name: own(name) for name in names}
 
 
 def _as_environment(name: str) -> str:

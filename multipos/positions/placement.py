@@ -219,8 +219,9 @@ def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
     MultiposError
         Neither the readings nor a scheme say the orientation, or labels and counts do not match.
     """
+    oriented = readings.up is not None or readings.rotation is not None
     if scheme is None:
-        if readings.up is not None or readings.rotation is not None:
+        if oriented:
             return _with_up(readings)
         raise MultiposError(
             f"{readings.source or 'the readings'}: no orientation; give --scheme (a name or a "
@@ -230,7 +231,7 @@ def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
     given = read_scheme(scheme)
     rows = _match(readings, given)
     notes = readings.notes
-    if readings.up is not None or readings.rotation is not None:
+    if oriented:
         notes += (f"the orientation columns are ignored, scheme '{given.name}' is used",)
     positions = readings.positions
     if positions is None and given.labels is not None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.lists import Names, quoted, require_columns, split_names
@@ -129,26 +130,30 @@ def _where_it_stood(
     """
     rows = attitudes.rows_with_orientation(free)
     force = read_forces(free, rows) if states_forces(free, rows) else None
-    unknown = None if spread is None else np.isnan(spread)
-    if rolls is not None:
-        open_ = np.array([axis != "" for axis in rolls])
-        unknown = open_ if unknown is None else np.asarray(unknown | open_)
-        if force is not None and (open_ & known_rows(force)).any():
-            row = int(np.argmax(open_ & known_rows(force)))
-            raise MultiposError(
-                f"{free.where(row, 'roll_axis')}: the row states a force and a roll; keep one."
-            )
-    if force is not None:
-        forced = known_rows(force)
-        unknown = forced if unknown is None else np.asarray(unknown | forced)
-    elif all(name in free for name in FORCE):
+    if force is None and all(name in free for name in FORCE):
         why = "were added by apply" if left_by_apply(free) else "stand beside an orientation"
         notes.append(f"columns {quoted(FORCE)} {why} and are no positions")
-    oriented = attitudes.read_attitudes(free, unknown)
+    oriented = attitudes.read_attitudes(free, _without_attitude(free, spread, rolls, force))
     up = attitudes.FORMS["up vector"]
     if oriented is not None and up[0] in free:
         notes += said_of_lengths(free, up)
     return oriented, force, read_reference_u(free, force)
+
+
+def _without_attitude(
+    free: Table, spread: Array | None, rolls: tuple[str, ...] | None, force: Array | None
+) -> NDArray[np.bool_] | None:
+    """Return the rows (n,) that need no attitude: unknown, a roll of open angle, a known force."""
+    open_ = None if rolls is None else np.array([axis != "" for axis in rolls])
+    forced = None if force is None else known_rows(force)
+    if open_ is not None and forced is not None and (open_ & forced).any():
+        row = int(np.argmax(open_ & forced))
+        raise MultiposError(
+            f"{free.where(row, 'roll_axis')}: the row states a force and a roll; keep one."
+        )
+    unknown = None if spread is None else np.isnan(spread)
+    kinds = [rows for rows in (unknown, open_, forced) if rows is not None]
+    return np.logical_or.reduce(kinds) if kinds else None
 
 
 def _named_otherwise(
@@ -168,17 +173,7 @@ def _outputs(
     table: Table, names: tuple[str, ...] | None, environment: Sequence[str], notes: list[str]
 ) -> tuple[str, ...]:
     """Return the columns that are outputs, noting what is not used."""
-    applied = left_by_apply(table)
-    every = [
-        name
-        for name in table.columns
-        if _may_be_output(name, table) and name not in environment and name not in applied
-    ]
-    # Forces are references, unless nothing else could be what the sensor said.
-    whole = all(name in table for name in FORCE)
-    candidates = [name for name in every if not (whole and name in FORCE)]
-    if not any(not table.is_text(name) for name in candidates):
-        candidates = every
+    candidates = _candidates(table, environment)
     if names is None:
         return _numeric(table, candidates, notes)
     require_columns(names, table.columns, table.source)
@@ -186,6 +181,17 @@ def _outputs(
     others = (name for name in candidates if name not in names and name not in beside)
     notes += [f"column '{name}' is not among the outputs and is not used" for name in others]
     return names
+
+
+def _candidates(table: Table, environment: Sequence[str]) -> list[str]:
+    """Return the columns that may be outputs."""
+    apart = {*environment, *left_by_apply(table)}
+    every = [name for name in table.columns if name not in apart and _may_be_output(name, table)]
+    if not all(name in table for name in FORCE):
+        return every
+    # Forces are references, unless nothing else could be what the sensor said.
+    others = [name for name in every if name not in FORCE]
+    return every if all(map(table.is_text, others)) else others
 
 
 def _of_surroundings(
@@ -222,13 +228,17 @@ def _numeric(table: Table, candidates: list[str], notes: list[str]) -> tuple[str
     chosen = _of_acceleration(left, kinds)
     _refuse_text(table, chosen, text, kinds)
     notes += [f"column '{name}' holds text and is not used" for name in text]
-    others = [name for name in left if name not in chosen]
-    if others:
-        notes.append(
-            f"outputs are {', '.join(chosen)}, by their names; {', '.join(others)} beside them "
-            f"{'is of another sensor' if len(others) == 1 else 'are of other sensors'}"
-        )
+    notes += _said_of_others(chosen, [name for name in left if name not in chosen])
     return chosen
+
+
+def _said_of_others(chosen: Sequence[str], others: Sequence[str]) -> list[str]:
+    if not others:
+        return []
+    whose = "is of another sensor" if len(others) == 1 else "are of other sensors"
+    return [
+        f"outputs are {', '.join(chosen)}, by their names; {', '.join(others)} beside them {whose}"
+    ]
 
 
 def _of_acceleration(names: tuple[str, ...], kinds: Mapping[str, Component]) -> tuple[str, ...]:

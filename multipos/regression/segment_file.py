@@ -1,6 +1,6 @@
 """Segments in regression files: what a file holds of each, its writing and its reading."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -153,52 +153,57 @@ def segment_to_dict(s: Segment) -> dict[str, Any]:
         "dof": s.dof,
         "significant": s.significant,
         "path": [_step_dict(step) for step in s.path],
-        "runner_up": None
-        if s.runner_up is None
-        else {
-            "term": s.runner_up.term,
-            "F": s.runner_up.F,
-            "p": s.runner_up.p,
-            "F_to_enter": s.F_to_enter,
-        },
+        "runner_up": None if s.runner_up is None else _runner_up_dict(s.runner_up, s.F_to_enter),
         "collinear": s.collinear,
         "limits": dict(s.limits),
     }
     if s.subsets:
-        content["subsets"] = [
-            {
-                "terms": names,
-                "rss": b.rss,
-                "r2": b.r2,
-                "adjusted_r2": b.adjusted_r2,
-                "aicc": b.aicc,
-                "bic": b.bic,
-            }
-            for names, b in s.subsets
-        ]
+        content["subsets"] = [_subset_dict(names, found) for names, found in s.subsets]
     if s.robust is not None:
-        r = s.robust
-        content |= {
-            "F_robust": r.F,
-            "p_robust": r.p,
-            "dof_robust": r.dof,
-            "robust": r.kind,
-            "t_dof_robust": r.t_dof,
-            "covariance_robust": r.covariance,
-            "n_effective": r.n_effective,
-            "lag_one": r.lag_one,
-        }
+        content |= _robust_dict(s.robust)
     if s.between is not None:
-        content["between_runs"] = {
-            "runs": s.between.runs,
-            "dof": s.between.runs - 1,
-            "sd": s.between.sd,
-            "slope_sd": s.between.slope_sd,
-            "variable": s.between.variable,
-            "centre": s.between.centre,
-            "covariance": s.between.covariance,
-        }
+        content["between_runs"] = _between_dict(s.between)
     return content
+
+
+def _runner_up_dict(found: Tested, to_enter: float) -> dict[str, Any]:
+    return {"term": found.term, "F": found.F, "p": found.p, "F_to_enter": to_enter}
+
+
+def _subset_dict(names: Sequence[str], found: Subset) -> dict[str, Any]:
+    return {
+        "terms": names,
+        "rss": found.rss,
+        "r2": found.r2,
+        "adjusted_r2": found.adjusted_r2,
+        "aicc": found.aicc,
+        "bic": found.bic,
+    }
+
+
+def _robust_dict(found: Robust) -> dict[str, Any]:
+    return {
+        "F_robust": found.F,
+        "p_robust": found.p,
+        "dof_robust": found.dof,
+        "robust": found.kind,
+        "t_dof_robust": found.t_dof,
+        "covariance_robust": found.covariance,
+        "n_effective": found.n_effective,
+        "lag_one": found.lag_one,
+    }
+
+
+def _between_dict(found: Between) -> dict[str, Any]:
+    return {
+        "runs": found.runs,
+        "dof": found.runs - 1,
+        "sd": found.sd,
+        "slope_sd": found.slope_sd,
+        "variable": found.variable,
+        "centre": found.centre,
+        "covariance": found.covariance,
+    }
 
 
 def _step_dict(step: Step) -> dict[str, Any]:

@@ -223,20 +223,23 @@ class _Reader:
                 self.fail_at(at, f"{token} is larger than a number can be")
             return value
         if kind == "name":
-            self.next()
-            if self.kind == "mark" and self.token == "(":
-                return self._call(token, at, depth)
-            if token in FUNCTIONS:
-                self.fail(f"expected '(' after {token}")
-            if token not in CONSTANTS:
-                self.names.setdefault(token, self.offset + at + 1)
-            return token
+            return self._named(token, at, depth)
         if kind == "mark" and token in "(|":
             self.next()
             inner = self.sum(depth + 1)
             self._close(")" if token == "(" else "|", token, at)
             return inner if token == "(" else ("fabs", (inner,))
         return self.fail("expected a number, a name or '('")
+
+    def _named(self, name: str, at: int, depth: int) -> Tree:
+        self.next()
+        if self.kind == "mark" and self.token == "(":
+            return self._call(name, at, depth)
+        if name in FUNCTIONS:
+            self.fail(f"expected '(' after {name}")
+        if name not in CONSTANTS:
+            self.names.setdefault(name, self.offset + at + 1)
+        return name
 
     def _close(self, mark: str, opened: str, at: int) -> None:
         if self.kind != "mark" or self.token != mark:
@@ -257,11 +260,7 @@ class _Reader:
             self.next()
             given.append(self.sum(depth + 1))
         self._close(")", "(", opened)
-        needs = 1 if name in UNARY else 2
-        if len(given) != needs and not (name in FOLDED and len(given) > needs):
-            more = " or more" if name in FOLDED else ""
-            said = f"{name} takes {needs}{more} argument{'s' * (needs > 1)}, got {len(given)}"
-            self.fail_at(at, said)
+        self._check_count(name, at, len(given))
         if name in UNARY:
             return (UNARY[name], (given[0],))
         operation = BINARY.get(name) or FOLDED[name]
@@ -269,3 +268,10 @@ class _Reader:
         for other in given[1:]:
             folded = (operation, (folded, other))
         return folded
+
+    def _check_count(self, name: str, at: int, given: int) -> None:
+        needs = 1 if name in UNARY else 2
+        if given != needs and not (name in FOLDED and given > needs):
+            more = " or more" if name in FOLDED else ""
+            said = f"{name} takes {needs}{more} argument{'s' * (needs > 1)}, got {given}"
+            self.fail_at(at, said)

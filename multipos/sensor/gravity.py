@@ -48,11 +48,15 @@ def resolve_gravity(
     if gravity_u is not None and gravity is None:
         raise UsageError("--gravity-u needs --gravity.")
     if latitude is not None:
-        try:
-            return Gravity(normal_gravity(latitude, height or 0.0), 0.0)
-        except ValueError as error:
-            raise UsageError(str(error)) from None
+        return _of_place(latitude, height or 0.0)
     return None if gravity is None else _measured(gravity, gravity_u)
+
+
+def _of_place(latitude: float, height: float) -> Gravity:
+    try:
+        return Gravity(normal_gravity(latitude, height), 0.0)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
 
 
 def _measured(gravity: float, gravity_u: float | None) -> Gravity:

@@ -56,25 +56,14 @@ def build_sketch(
     """
     check_axes(outputs, axes, inputs)
     formulas = _formula_of_each(sketch, outputs)
-    held = {(output, name): value for output, name, value in fixed}
-    own: list[list[str]] = []
-    shared: list[str] = []
-    for output, formula in zip(outputs, formulas, strict=True):
-        names = [n for n in formula.names if n not in (*COMPONENTS, "own", *columns)]
+    for formula in formulas:
         _require_inputs(formula, inputs)
-        mine = [n for n in names if not n.startswith(f"{SHARED}_")]
-        own.append([n for n in mine if (output, n) not in held])
-        common = (n for n in names if n not in mine and (SHARED, n) not in held)
-        shared += [n for n in common if n not in shared]
+    held = {(output, name): value for output, name, value in fixed}
+    own, shared = _free_names(dict(zip(outputs, formulas, strict=True)), columns, held)
     functions, used = [], []
     for output, axis, formula, names in zip(outputs, axes, formulas, own, strict=True):
         mine = [n for n in shared if n in formula.names]
-        places: dict[str, tuple[int, int] | float] = {
-            component: (0, i) for i, component in enumerate(COMPONENTS)
-        }
-        places["own"] = places[axis]
-        places |= {name: (1, j) for j, name in enumerate(columns)}
-        places |= {name: (2, i) for i, name in enumerate([*names, *mine])}
+        places = _places(axis, columns, [*names, *mine])
         places |= {n: v for (who, n), v in held.items() if who in (output, SHARED)}
         functions.append(tuple(instruct(formula, places)))
         used.append(tuple(shared.index(n) for n in mine))
@@ -97,6 +86,39 @@ def build_sketch(
         sketch,
         tuple((output, name, value) for output, name, value in fixed),
     )
+
+
+def _free_names(
+    formulas: Mapping[str, Formula], columns: tuple[str, ...], held: Mapping[tuple[str, str], float]
+) -> tuple[list[list[str]], list[str]]:
+    """Return the parameters of each output's own, and those shared, but for those that are held."""
+    known = {*COMPONENTS, "own", *columns}
+    own: list[list[str]] = []
+    shared: dict[str, None] = {}
+    for output, formula in formulas.items():
+        own.append([])
+        for name in formula.names:
+            common = name.startswith(f"{SHARED}_")
+            if name in known or (SHARED if common else output, name) in held:
+                continue
+            if common:
+                shared[name] = None
+            else:
+                own[-1].append(name)
+    return own, list(shared)
+
+
+def _places(
+    axis: str, columns: Sequence[str], parameters: Sequence[str]
+) -> dict[str, tuple[int, int] | float]:
+    """Return where an output finds what its formula names: components, columns, parameters."""
+    places: dict[str, tuple[int, int] | float] = {
+        component: (0, i) for i, component in enumerate(COMPONENTS)
+    }
+    places["own"] = places[axis]
+    places |= {name: (1, j) for j, name in enumerate(columns)}
+    places |= {name: (2, i) for i, name in enumerate(parameters)}
+    return places
 
 
 def _formula_of_each(sketch: Sketch, outputs: tuple[str, ...]) -> list[Formula]:

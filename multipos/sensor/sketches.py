@@ -222,22 +222,27 @@ def _quantity(path: str, name: str, said: Any) -> Quantity:
         raise MultiposError(f"{where}: this is no name for a parameter; use another.")
     given = said if isinstance(said, Mapping) else {"start": said}
     for key, value in given.items():
-        if key not in ("start", "sd", "unit", "low", "high"):
-            keys = ("start", "sd", "unit", "low", "high")
-            raise MultiposError(
-                f"{where}: unknown '{key}'{near(key, keys)} It takes {', '.join(keys)}."
-            )
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if key == "unit" and not isinstance(value, str):
-            raise MultiposError(f"{where}: unit must be text in quotes, got {value!r}.")
-        if key != "unit" and not (number and abs(value) <= LARGEST):
-            infinite = key in ("low", "high") and number and math.isinf(value)
-            if not infinite:
-                raise MultiposError(f"{where}: {key} must be a number, got {value!r}.")
+        _check_entry(where, key, value)
     numbers: dict[str, Any] = {k: v if k == "unit" else float(v) for k, v in given.items()}
     quantity = Quantity(name, **numbers)
     _check_quantity(quantity, where)
     return quantity
+
+
+def _check_entry(where: str, key: str, value: Any) -> None:
+    keys = ("start", "sd", "unit", "low", "high")
+    if key not in keys:
+        raise MultiposError(
+            f"{where}: unknown '{key}'{near(key, keys)} It takes {', '.join(keys)}."
+        )
+    if key == "unit":
+        if not isinstance(value, str):
+            raise MultiposError(f"{where}: unit must be text in quotes, got {value!r}.")
+        return
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    infinite = number and key in ("low", "high") and math.isinf(value)
+    if not infinite and not (number and abs(value) <= LARGEST):
+        raise MultiposError(f"{where}: {key} must be a number, got {value!r}.")
 
 
 def _check_quantity(quantity: Quantity, where: str) -> None:

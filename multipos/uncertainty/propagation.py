@@ -293,11 +293,7 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
     kept = None if c.budget is None else c.budget.scatter
     added = sum(row.added for row in others)
     rest = c.covariance - added if kept is None else kept
-    output_of, dof = c.model.output_of, c.dof_of_outputs
-    apart = output_of[:, None] != output_of
-    scale = np.sqrt(np.abs(np.diag(rest)))
-    joint = bool((np.abs(rest) > 1e-9 * np.outer(scale, scale))[apart].any())
-    blocks = [np.ones(len(dof), bool)] if joint else [output_of == i for i in range(len(c.outputs))]
+    dof = c.dof_of_outputs
     stated = bool(np.isinf(c.dof).all())
     text = "noise of the readings, as stated" if stated else "scatter of the residuals"
     if c.sessions is not None:
@@ -317,8 +313,18 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
             sensitivity=np.full(len(dof), math.nan),
             covariance=np.where(np.outer(block, block), rest, 0.0),
         )
-        for block in blocks
+        for block in _blocks(c, rest)
     ]
+
+
+def _blocks(c: Calibration, covariance: Array) -> list[NDArray[np.bool_]]:
+    """Return which parameters (p,) are in one row: those of an output, all where any covary."""
+    output_of = c.model.output_of
+    apart = output_of[:, None] != output_of
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    if (np.abs(covariance) > 1e-9 * np.outer(scale, scale))[apart].any():
+        return [np.ones(len(output_of), bool)]
+    return [output_of == i for i in range(len(c.outputs))]
 
 
 def _row(
@@ -334,7 +340,7 @@ def _row(
     contained &= not (kind.common or kind.shared)
     covariance = effects @ effects.T * quantity.u**2
     held = contained.astype(np.float64)
-    if scatter is not None and kind.common and c.estimator.exact and quantity.name != "gravity":
+    if scatter is not None and _is_in_residuals(c, quantity):
         part = _held(c, gain, quantity) * scatter
         own = np.diag(covariance)
         held = np.minimum(np.divide(part, own, out=np.zeros_like(own), where=own > 0.0), 1.0)
@@ -352,6 +358,11 @@ def _row(
         sensitivity=effects[:, 0] if effects.shape[1] == 1 else np.linalg.norm(effects, axis=1),
         covariance=covariance,
     )
+
+
+def _is_in_residuals(c: Calibration, quantity: Quantity) -> bool:
+    """Tell whether residuals may hold part of a common quantity."""
+    return quantity.kind.common and c.estimator.exact and quantity.name != "gravity"
 
 
 def _held(c: Calibration, gain: Array, quantity: Quantity) -> Array:

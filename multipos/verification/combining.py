@@ -115,41 +115,53 @@ def _joined(sessions: Sequence[Readings]) -> Readings:
     """Return the readings of all sessions as one set; a group is one of its session."""
     first = sessions[0]
 
-    def stacked(name: str) -> Array | None:
-        parts = [getattr(r, name) for r in sessions]
-        return None if any(part is None for part in parts) else np.concatenate(parts)
-
-    groups = [
-        f"{i}:{label}" if label else ""
-        for i, r in enumerate(sessions, start=1)
-        for label in r.group or ("",) * len(r)
-    ]
-    states = [r.u is not None or r.covariance is not None for r in sessions]
-    if any(states) and (any(r.covariance is not None for r in sessions) or not all(states)):
-        raise MultiposError(
-            "sessions whose readings are not independent, or of which only some state their "
-            "uncertainty, cannot be combined; fit all with u_… columns, or none."
-        )
+    _require_independent(sessions)
     shared = [n for n in first.environment if all(n in r.environment for r in sessions)]
     sources = dict.fromkeys(r.source for r in sessions if r.source is not None)
     return Readings(
         values=np.concatenate([r.values for r in sessions]),
         outputs=first.outputs,
         positions=tuple(label for r in sessions for label in r.labels),
-        up=stacked("up"),
-        rotation=stacked("rotation"),
-        u=stacked("u"),
-        dof=stacked("dof"),
-        samples=stacked("samples"),
-        sd=stacked("sd"),
-        orientation_sd=stacked("orientation_sd"),
-        group=tuple(groups) if any(groups) else None,
+        up=_stacked(sessions, "up"),
+        rotation=_stacked(sessions, "rotation"),
+        u=_stacked(sessions, "u"),
+        dof=_stacked(sessions, "dof"),
+        samples=_stacked(sessions, "samples"),
+        sd=_stacked(sessions, "sd"),
+        orientation_sd=_stacked(sessions, "orientation_sd"),
+        group=_groups(sessions),
         environment={n: np.concatenate([r.environment[n] for r in sessions]) for n in shared},
         unit=first.unit,
         source=", ".join(sources) or None,
-        force=stacked("force"),
-        reference_u=stacked("reference_u"),
+        force=_stacked(sessions, "force"),
+        reference_u=_stacked(sessions, "reference_u"),
     )
+
+
+def _stacked(sessions: Sequence[Readings], name: str) -> Array | None:
+    """Return an array of the readings, of all sessions; None where one has none."""
+    parts = [getattr(r, name) for r in sessions]
+    return None if any(part is None for part in parts) else np.concatenate(parts)
+
+
+def _require_independent(sessions: Sequence[Readings]) -> None:
+    correlated = [r.covariance is not None for r in sessions]
+    states = [r.u is not None or own for r, own in zip(sessions, correlated, strict=True)]
+    if any(correlated) or len(set(states)) > 1:
+        raise MultiposError(
+            "sessions whose readings are not independent, or of which only some state their "
+            "uncertainty, cannot be combined; fit all with u_… columns, or none."
+        )
+
+
+def _groups(sessions: Sequence[Readings]) -> tuple[str, ...] | None:
+    """Return the group of each reading, of its session by name; None without any."""
+    found = [
+        f"{i}:{label}" if label else ""
+        for i, r in enumerate(sessions, start=1)
+        for label in r.group or ("",) * len(r)
+    ]
+    return tuple(found) if any(found) else None
 
 
 def _diagnosed(found: Sequence[Calibration], pooled: Diagnostics) -> Diagnostics:

@@ -222,14 +222,20 @@ def compare(
         raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
     loaded = tuple(_loaded(run) for run in runs)
     files = _files(runs)
-    regressions = [all_of(one) for one in loaded if not isinstance(one, Calibration)]
-    if regressions:
-        if len(regressions) < len(loaded):
-            raise UsageError("calibrations and regressions are no repeats; compare one kind.")
-        if combine:
-            raise UsageError("--combine is for calibrations; fit runs of a regression with --run.")
-        return compare_regressions(regressions, files, confidence)
     found = tuple(one for one in loaded if isinstance(one, Calibration))
+    regressions = [all_of(one) for one in loaded if not isinstance(one, Calibration)]
+    if not regressions:
+        return _compare(found, files, confidence, combine=combine)
+    if found:
+        raise UsageError("calibrations and regressions are no repeats; compare one kind.")
+    if combine:
+        raise UsageError("--combine is for calibrations; fit runs of a regression with --run.")
+    return compare_regressions(regressions, files, confidence)
+
+
+def _compare(
+    found: tuple[Calibration, ...], files: tuple[str, ...], confidence: float, *, combine: bool
+) -> Comparison:
     _check_alike(found, files)
     combined = combine_sessions(found, files) if combine else None
     values = np.array([c.parameters for c in found])

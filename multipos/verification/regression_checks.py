@@ -11,6 +11,7 @@ nothing there.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,18 +140,22 @@ def check_regressions(
         errors = sum(int(one.counted.sum()) for one in found)
         pairs = zip(regressions.values(), found, strict=True)
         family = np.hstack([one.U * _family_factor(r, errors) for r, one in pairs])
+
+    def stacked(name: str) -> Any:
+        return np.hstack([getattr(one, name) for one in found])
+
     return replace(
         first,
         quantity=", ".join(regressions),
         axes=tuple(regressions),
-        reference=np.hstack([one.reference for one in found]),
-        before=np.hstack([one.before for one in found]),
-        after=np.hstack([one.after for one in found]),
-        u=np.hstack([one.u for one in found]),
-        U=np.hstack([one.U for one in found]),
+        reference=stacked("reference"),
+        before=stacked("before"),
+        after=stacked("after"),
+        u=stacked("u"),
+        U=stacked("U"),
         U_family=family,
-        verdicts=np.hstack([one.verdicts for one in found]),
-        counted=np.hstack([one.counted for one in found]),
+        verdicts=stacked("verdicts"),
+        counted=stacked("counted"),
         linearity_percent={"before": nothing, "after": nothing},
         warnings=tuple(dict.fromkeys(said for one in found for said in one.warnings)),
         segments=first.segments if same else {},

@@ -27,6 +27,7 @@ from multipos.files.numbers import number, table
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.regression.result import Regression, format_span
+from multipos.regression.segment import Segment
 from multipos.results import Result, plain
 
 
@@ -133,19 +134,17 @@ def compare_regressions(
     MultiposError
         Their responses, edges or branches are not the same.
     """
-    first = runs[0]
     for run, file in zip(runs[1:], files[1:], strict=True):
-        _check_alike(first, run, file)
+        _check_alike(runs[0], run, file)
     terms = [
         term
-        for k, r in enumerate(first)
-        for s in range(len(r.segments))
-        for term in _compared([run[k] for run in runs], s)
+        for repeats in zip(*runs, strict=True)
+        for s in range(len(repeats[0].segments))
+        for term in _compared(repeats, s)
     ]
     tested = [t.p for t in terms if not math.isnan(t.p)]
     consistent = not tested or min(tested) * len(tested) >= 1.0 - confidence
-    lonely = list(dict.fromkeys(t.term for t in terms if np.isnan(t.values).any()))
-    said = [f"not in every repeat, and not judged: {', '.join(lonely)}"] if lonely else []
+    said = _said_of_lonely(terms)
     if not consistent and not all(r.run for run in runs for r in run):
         said.append(
             "a regression of one switch-on does not know the zero of the next; fit several with "
@@ -159,6 +158,11 @@ def compare_regressions(
         consistent=consistent,
         warnings=tuple(said),
     )
+
+
+def _said_of_lonely(terms: Sequence[ComparedTerm]) -> list[str]:
+    lonely = list(dict.fromkeys(t.term for t in terms if np.isnan(t.values).any()))
+    return [f"not in every repeat, and not judged: {', '.join(lonely)}"] if lonely else []
 
 
 def _check_alike(first: Sequence[Regression], other: Sequence[Regression], file: str) -> None:
@@ -189,20 +193,25 @@ def _compared(repeats: Sequence[Regression], place: int) -> list[ComparedTerm]:
     if len(first.segments) > 1:
         s = first.segments[place]
         where = format_span(first.range_variable, s.range, s.branch)
-    found = []
+    found: list[ComparedTerm] = []
     for name in names:
-        values, u, dof = (np.full(len(segments), np.nan) for _ in range(3))
-        for i, s in enumerate(segments):
-            for c in s.coefficients:
-                if c.term == name:
-                    values[i], u[i] = c.value, c.u if c.u_robust is None else c.u_robust
-                    own = s.dof[1] if s.robust is None else s.robust.t_dof
-                    dof[i] = own if c.dof is None else c.dof
+        told = zip(*(_of_term(s, name) for s in segments), strict=True)
+        values, u, dof = (np.array(column, dtype=np.float64) for column in told)
         F, p = welch(values, u, dof)
         here = values[~np.isnan(values)]
         sd = float(here.std(ddof=1)) if len(here) > 1 else math.nan
         found.append(ComparedTerm(first.response, where, name, values, u, sd, F, p))
     return found
+
+
+def _of_term(segment: Segment, name: str) -> tuple[float, float, float]:
+    """Return value, u and degrees of freedom of a term; NaN where the segment has none such."""
+    for c in segment.coefficients:
+        if c.term == name:
+            own = segment.dof[1] if segment.robust is None else segment.robust.t_dof
+            u = c.u if c.u_robust is None else c.u_robust
+            return c.value, u, own if c.dof is None else c.dof
+    return math.nan, math.nan, math.nan
 
 
 def welch(values: Array, u: Array, dof: Array) -> tuple[float, float]:

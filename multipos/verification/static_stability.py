@@ -282,17 +282,23 @@ def _cautions(
         notes.append(f"{steady[0]}: the temperature never changes, so it is not used")
     notes += [said for each in raw for said in _movements(each)]
     shortest = min(each.samples / each.rate for each in raw)
-    for name, found in outputs.items():
-        if found.warm_up is not None and found.warm_up.settled_after > shortest:
-            notes.append(
-                f"{name}: the warm-up settles after {found.warm_up.settled_after:.0f} s only, but "
-                f"a record ends at {shortest:.0f} s; record longer"
-            )
+    notes += [said for name, found in outputs.items() for said in _unsettled(name, found, shortest)]
     if 1 < len(raw) < _LEAST:
         notes.append(
             f"{len(raw)} records say little about how the zero repeats; take at least {_LEAST}"
         )
     return tuple(notes)
+
+
+def _unsettled(name: str, found: OutputStability, shortest: float) -> list[str]:
+    """Say that a warm-up settles only after the shortest record [s] has ended."""
+    if found.warm_up is None or not found.warm_up.settled_after > shortest:
+        return []
+    said = (
+        f"{name}: the warm-up settles after {found.warm_up.settled_after:.0f} s only, but a record "
+        f"ends at {shortest:.0f} s; record longer"
+    )
+    return [said]
 
 
 def _movements(record: RawRecord) -> list[str]:
