@@ -57,11 +57,7 @@ class LiveRows:
         self.rate = timing.rate or log.rate
         self.step = np.nan
         if column is not None:
-            time = self._of(head, column)
-            time = time[np.isfinite(time)]
-            self.clock = read_clock(log, column, time, timing.unit)
-            self.rate = sample_rate(log.source, column, time * self.clock.seconds)
-            self.step = 1.0 / self.rate
+            self._read_clock(column, self._of(head, column), timing)
         apart = {*self.outputs, column, *log.nameless}
         self.others = tuple(name for name in log.numeric if name not in apart)
         names = [*self.outputs, *self.others, *([column] if column else [])]
@@ -70,6 +66,13 @@ class LiveRows:
         self._last = -np.inf
         self._seen = 0
         self._store = _Store(len(names))
+
+    def _read_clock(self, column: str, time: Array, timing: Timing) -> None:
+        """Learn from the first times what their unit is, and how often rows come."""
+        time = time[np.isfinite(time)]
+        self.clock = read_clock(self.log, column, time, timing.unit)
+        self.rate = sample_rate(self.log.source, column, time * self.clock.seconds)
+        self.step = 1.0 / self.rate
 
     def _of(self, head: Array, name: str) -> Array:
         if name not in self.log.numeric:

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -113,12 +114,18 @@ def check_targets(arguments: argparse.Namespace) -> None:
     if strange:
         raise UsageError(f"--to takes {names}, got '{strange[0]}'.")
     for option, value in export_options(arguments).items():
-        owners = [target.name for target in TARGETS if option in target.takes]
-        if value not in (None, False) and owners and not set(owners) & set(arguments.to):
-            flag = option.replace("_", "-")
-            raise UsageError(f"--{flag} is for --to {', '.join(owners)}.")
+        if value not in (None, False):
+            _require_owner(option, arguments.to)
     if arguments.to and arguments.output in (None, STDOUT):
         raise UsageError("--to writes files beside CAL.json; name it with -o.")
+
+
+def _require_owner(option: str, asked: Sequence[str]) -> None:
+    """Refuse an option that only some targets have, where none of them is asked for."""
+    owners = [target.name for target in TARGETS if option in target.takes]
+    if owners and not set(owners) & set(asked):
+        flag = option.replace("_", "-")
+        raise UsageError(f"--{flag} is for --to {', '.join(owners)}.")
 
 
 def _own(target: Target, options: dict[str, Any]) -> dict[str, Any]:

@@ -208,13 +208,18 @@ def _fastest(c: Correction, name: str) -> float:
 
 def _range(c: Correction, name: str) -> tuple[float, float]:
     """Return what a column covered, as far as the files tell."""
-    pairs = [s.limits[name] for r in c.regressions for s in r.segments if name in s.limits]
-    pairs += [s.range for r in c.regressions for s in r.segments if name == r.segment_variable]
+    pairs = [pair for r in c.regressions for pair in _fitted(r, name)]
     if c.calibration is not None:
         pairs += _calibrated(c.calibration, name)
     if not pairs:
         return -1.0, 1.0
     return min(low for low, _ in pairs), max(high for _, high in pairs)
+
+
+def _fitted(r: Regression, name: str) -> list[tuple[float, float]]:
+    """Return what a column covered in each segment of a regression."""
+    limits = [s.limits[name] for s in r.segments if name in s.limits]
+    return limits + [s.range for s in r.segments if name == r.segment_variable]
 
 
 def _calibrated(c: Calibration, name: str) -> list[tuple[float, float]]:

@@ -93,23 +93,19 @@ def solve_uncertain(
         return _solve_separately(model, readings, placement, robust)
     model = _with_gauge(model, placement, gauge)
     problem = state_problem(model, readings, placement, None if robust is None else "huber")
-    nu = float(problem.degrees.sum()) - problem.unknowns
-    nu += int(np.count_nonzero(model.beliefs))
-    if nu < 0:
+    if _degrees(problem, model) < 0:
         raise too_few(problem)
     held: tuple[str, ...] = ()
     if isinstance(model, ExpressionModel) and problem.adrift:
         problem, held = _without_free_rotations(problem, gauge)
-        nu = float(problem.degrees.sum()) - problem.unknowns + np.count_nonzero(model.beliefs)
+    nu = _degrees(problem, model)
     optimum = search(problem)
     stated = readings.noise is not None
     loose = not (stated or placement.estimated or problem.has_prior or robust is not None)
+    dof: Array | None = None
     if loose and (problem.believed or (tied and not pool)):
         problem, optimum, worth, dof = judge_tied(problem, optimum)
-        worth = replace(worth, warnings=(*held, *worth.warnings))
-        found = _solution(problem, optimum, readings, nu, worth)
-        return with_degrees(found, problem, optimum, dof)
-    if robust is not None:
+    elif robust is not None:
         problem, optimum, worth = judge_robustly(
             problem, optimum, robust, readings.labels, stated=stated
         )
@@ -118,7 +114,13 @@ def solve_uncertain(
             problem, optimum, nu, stated=stated, estimate_sd=placement.estimated
         )
     worth = replace(worth, warnings=(*held, *worth.warnings))
-    return _solution(problem, optimum, readings, nu, worth)
+    found = _solution(problem, optimum, readings, nu, worth)
+    return found if dof is None else with_degrees(found, problem, optimum, dof)
+
+
+def _degrees(problem: Problem, model: Model) -> float:
+    """Return the degrees of freedom: what readings and beliefs say more than is unknown."""
+    return float(problem.degrees.sum()) - problem.unknowns + int(np.count_nonzero(model.beliefs))
 
 
 def _with_gauge(model: Model, placement: Placement, gauge: Gauge) -> Model:

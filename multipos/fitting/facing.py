@@ -40,9 +40,14 @@ def face(calibration: Calibration, facing: tuple[str, ...] | None) -> Calibratio
     if facing is None:
         return calibration
     down = {axis.removeprefix("-") for axis in facing if axis.startswith("-")}
+    if down and calibration.model.gauge is not None:
+        calibration = _reflected(calibration, down)
+    return replace(calibration, facing=facing)
+
+
+def _reflected(calibration: Calibration, down: set[str]) -> Calibration:
+    """Return a calibration whose gauge leaves it free with some axes the other way round."""
     gauge = calibration.model.gauge
-    if not down or gauge is None:
-        return replace(calibration, facing=facing)
     terms = [term for _, term in calibration.model.keys]
     if gauge == "symmetric" or not all(isinstance(term, Term) for term in terms):
         raise UsageError(
@@ -56,7 +61,6 @@ def face(calibration: Calibration, facing: tuple[str, ...] | None) -> Calibratio
         parameters=sign * calibration.parameters,
         covariance=np.outer(sign, sign) * calibration.covariance,
         reference=calibration.reference * mirror + 0.0,
-        facing=facing,
     )
 
 

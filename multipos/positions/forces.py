@@ -121,15 +121,16 @@ def read_reference_u(table: Table, force: Array | None) -> Array | None:
         )
     u = np.column_stack([table.number(name, empty=True, largest=LARGEST) for name in REFERENCE_U])
     known = np.zeros(len(u), dtype=bool) if force is None else known_rows(force)
-    faults: tuple[tuple[NDArray[np.bool_], str], ...] = (
-        (np.asarray(u < 0.0), "negative; a standard uncertainty is 0 or more"),
-        (np.isnan(u) & known[:, None], "empty beside a known force; write 0 where it is exact"),
-    )
-    for bad, fault in faults:
-        if bad.any():
-            row, i = np.argwhere(bad)[0].tolist()
-            raise MultiposError(f"{table.where(row, REFERENCE_U[i])}: {fault}.")
+    _refuse_cells(table, np.asarray(u < 0.0), "negative; a standard uncertainty is 0 or more")
+    empty = np.isnan(u) & known[:, None]
+    _refuse_cells(table, empty, "empty beside a known force; write 0 where it is exact")
     return np.nan_to_num(u)
+
+
+def _refuse_cells(table: Table, bad: NDArray[np.bool_], fault: str) -> None:
+    if bad.any():
+        row, i = np.argwhere(bad)[0].tolist()
+        raise MultiposError(f"{table.where(row, REFERENCE_U[i])}: {fault}.")
 
 
 def said_of_lengths(table: Table, names: Iterable[str]) -> tuple[str, ...]:

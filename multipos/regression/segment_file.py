@@ -30,7 +30,7 @@ from multipos.numerics.factors import factor_from_list, factor_to_list
 from multipos.numerics.selection import Step, Tested
 from multipos.numerics.subsets import Subset
 from multipos.numerics.terms import CONSTANT, Term, linear_term
-from multipos.regression.segment import Between, Robust, Segment
+from multipos.regression.segment import Between, Coefficient, Robust, Segment
 
 # What stands beside 'robust' in a file.
 _ROBUST = (
@@ -132,15 +132,11 @@ SEGMENT = Fields(
 
 def segment_to_dict(s: Segment) -> dict[str, Any]:
     """Return a segment as what JSON can carry."""
-    terms = []
-    for coefficient, term in zip(s.coefficients, s.terms, strict=True):
-        row = {k: v for k, v in coefficient._asdict().items() if v is not None}
-        terms.append({**row, "factors": [factor_to_list(f) for f in term.factors]})
     content: dict[str, Any] = {
         "range": s.range,
         "branch": s.branch,
         "n": s.n,
-        "terms": terms,
+        "terms": [_term_dict(*each) for each in zip(s.coefficients, s.terms, strict=True)],
         "covariance": s.covariance,
         "r2": s.r2,
         "adjusted_r2": s.adjusted_r2,
@@ -164,6 +160,11 @@ def segment_to_dict(s: Segment) -> dict[str, Any]:
     if s.between is not None:
         content["between_runs"] = _between_dict(s.between)
     return content
+
+
+def _term_dict(coefficient: Coefficient, term: Term) -> dict[str, Any]:
+    row = {k: v for k, v in coefficient._asdict().items() if v is not None}
+    return {**row, "factors": [factor_to_list(f) for f in term.factors]}
 
 
 def _runner_up_dict(found: Tested, to_enter: float) -> dict[str, Any]:
@@ -233,9 +234,7 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
     covariance = _square(c, "covariance")
     require_covariance(covariance, _numbers([entry["u"] for entry in c["terms"]]))
     _check_limits(c, terms)
-    robust = _robust(c) if "robust" in c else None
     found = c["runner_up"]
-    between = c.get("between_runs")
     return Segment(
         range=tuple(c["range"]),
         branch=c["branch"],
@@ -258,8 +257,8 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
         F_to_enter=np.nan if found is None else _number(found["F_to_enter"]),
         collinear=tuple(c["collinear"]),
         subsets=tuple(_subset(s, c["terms"]) for s in c.get("subsets", [])),
-        robust=robust,
-        between=None if between is None else _between(between, terms),
+        robust=_robust(c) if "robust" in c else None,
+        between=_between(c["between_runs"], terms) if c.get("between_runs") else None,
     )
 
 
