@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from multipos.capturing.session import Reading, Session
+from multipos.capturing.rows import Reading
+from multipos.capturing.session import Session
 from multipos.capturing.sources import Source
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import read_json, to_json

@@ -8,6 +8,7 @@ many, and let go of when no rest can begin before them any more.
 
 import tempfile
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import IO
 
 import numpy as np
@@ -22,6 +23,16 @@ from multipos.numerics.arrays import Array
 
 _IN_MEMORY = 1 << 22  # numbers
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How the rows are read, as `average` is told."""
+
+    outputs: tuple[str, ...] | None = None
+    timing: Timing = field(default_factory=Timing)
+    min_duration: float | None = None
+    threshold: float | None = None
 
 
 class LiveRows:

@@ -15,7 +15,8 @@ from typing import Any
 from multipos.capturing.evaluation import Plan
 from multipos.capturing.keeping import Kept
 from multipos.capturing.raw_log import RawLog
-from multipos.capturing.session import Reading, Session
+from multipos.capturing.rows import Reading
+from multipos.capturing.session import Session
 from multipos.capturing.sources import Source, open_source
 from multipos.capturing.state import line_of, state_of
 from multipos.capturing.targets import Targets, read_targets

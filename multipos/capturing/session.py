@@ -9,7 +9,7 @@ that come, `undo`, `redo` of a pose, and `finish`. Whoever looks at it from anot
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,9 +31,8 @@ from multipos.capturing.poses import (
     refuse_unit,
 )
 from multipos.capturing.rests import LiveRests
-from multipos.capturing.rows import LiveRows
+from multipos.capturing.rows import LiveRows, Reading
 from multipos.errors import UsageError
-from multipos.logs.samples import Timing
 from multipos.logs.still import Still, StillLog
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
@@ -42,16 +41,6 @@ from multipos.sensor.model import Model
 
 _LIVE = 0.05  # [s] of rows that a live value is the mean of
 _OFF_DEG = 10.0  # from a position of the scheme
-
-
-@dataclass(frozen=True)
-class Reading:
-    """How the rows are read, as `average` is told."""
-
-    outputs: tuple[str, ...] | None = None
-    timing: Timing = field(default_factory=Timing)
-    min_duration: float | None = None
-    threshold: float | None = None
 
 
 class Session:

@@ -34,7 +34,7 @@ from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import largest_value
 from multipos.positions.reading_tables import nonnegative_column
-from multipos.positions.readings import spread_reading_sd
+from multipos.positions.stated_noise import spread_reading_sd
 from multipos.regression.observations import Rows, number_labels
 from multipos.regression.rates import form_rate
 from multipos.regression.result import Regression

@@ -30,7 +30,7 @@ from multipos.files.lists import quoted
 from multipos.files.tables import Table
 from multipos.numerics.arrays import Array
 from multipos.positions.reading_tables import nonnegative_column
-from multipos.positions.readings import spread_reading_sd
+from multipos.positions.stated_noise import spread_reading_sd
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes, sensitivities
 from multipos.sensor.tilt import coverage_factors, reading_noise

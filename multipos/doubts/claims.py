@@ -42,7 +42,7 @@ from multipos.estimation.likelihood import evaluate, linearise, respond, weigh
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.readings import diagonal
+from multipos.positions.stated_noise import diagonal
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import Doubt
 from multipos.sensor.expressions import ExpressionModel

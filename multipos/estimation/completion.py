@@ -14,7 +14,8 @@ from multipos.files.records import LARGEST as LARGEST_IN_FILES
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.attitudes import CONVENTIONS, Convention
-from multipos.positions.readings import Readings, stated_sd
+from multipos.positions.readings import Readings
+from multipos.positions.stated_noise import stated_sd
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.diagnostics import Diagnostics, lack_of_fit
 from multipos.sensor.expressions import ExpressionModel

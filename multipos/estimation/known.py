@@ -29,7 +29,8 @@ from multipos.numerics.least_squares import LinearFit, block_design, solve
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS, linear_term
-from multipos.positions.readings import Readings, add_variances, diagonal, stated_sd
+from multipos.positions.readings import Readings
+from multipos.positions.stated_noise import add_variances, diagonal, stated_sd
 from multipos.sensor.diagnostics import (
     UNEQUAL,
     Claim,

@@ -37,8 +37,9 @@ from multipos.numerics.terms import COMPONENTS, formula_columns, largest_value
 from multipos.positions.attitudes import Convention
 from multipos.positions.placement import Placement, as_used, resolve
 from multipos.positions.reading_tables import read_readings
-from multipos.positions.readings import Readings, require_range, spread_reading_sd
+from multipos.positions.readings import Readings, require_range
 from multipos.positions.scheme import Scheme
+from multipos.positions.stated_noise import spread_reading_sd
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression, ExpressionModel
 from multipos.sensor.found import Chosen, Estimator

@@ -27,8 +27,8 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import formula_columns
 from multipos.positions.attitudes import Convention
 from multipos.positions.reading_tables import read_readings
-from multipos.positions.readings import spread_reading_sd
 from multipos.positions.scheme import Scheme, read_scheme
+from multipos.positions.stated_noise import spread_reading_sd
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression

@@ -10,7 +10,7 @@ import numpy as np
 
 from multipos.files.numbers import largest_rows, number, table, uncertain
 from multipos.sensor.calibration import Calibration
-from multipos.uncertainty.turntable import TableErrors
+from multipos.uncertainty.table_findings import TableErrors
 from multipos.verification.agreement import agreement_in_words
 from multipos.verification.verdicts import VERDICTS, Check, worst
 

@@ -25,7 +25,8 @@ from multipos.files.whole import write_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.positions.attitudes import Convention
-from multipos.positions.readings import Readings, diagonal
+from multipos.positions.readings import Readings
+from multipos.positions.stated_noise import diagonal
 from multipos.results import Drawn, Result, data_frame
 from multipos.sensor import derived, inverse
 from multipos.sensor.diagnostics import Diagnostics, linearity

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import LARGEST, Array
-from multipos.positions.readings import diagonal
+from multipos.positions.stated_noise import diagonal
 from multipos.results import Drawn, Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget

@@ -36,7 +36,7 @@ from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model
 from multipos.sensor.stating import build_model
-from multipos.uncertainty.turntable import BesideTable
+from multipos.uncertainty.table_findings import BesideTable
 
 # Coefficient: its term of eq. (1), sign, unit, and the customary unit, a millionth of it.
 COEFFICIENTS = {

@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import Array
-from multipos.positions.readings import Readings, spread_reading_sd
+from multipos.positions.readings import Readings
+from multipos.positions.stated_noise import spread_reading_sd
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import invert, sensed_axes
 from multipos.sensor.nominal import Nominal, nominal_force

@@ -30,7 +30,8 @@ from multipos.results import Drawn, Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model
 from multipos.sensor.tilt import reading_noise
-from multipos.uncertainty.turntable import TableErrors, table_errors
+from multipos.uncertainty.table_findings import TableErrors
+from multipos.uncertainty.turntable import table_errors
 from multipos.verification.coefficients import (
     DEFAULT,
     TumbleCoefficient,

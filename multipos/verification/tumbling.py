@@ -28,7 +28,8 @@ from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
 from multipos.results import Drawn, Result
 from multipos.sensor.stating import default_axes
-from multipos.uncertainty.turntable import TableErrors, table_errors
+from multipos.uncertainty.table_findings import TableErrors
+from multipos.uncertainty.turntable import table_errors
 from multipos.verification.coefficients import TumbleCoefficient, coefficients_beside, roles
 from multipos.verification.single_axis import SCHEMA, Tumble, tumble_output
 
