@@ -89,9 +89,10 @@ def _is_calm(c: Calibration) -> bool:
 
 
 def _bends(c: Calibration, sizes: dict[str, float]) -> bool:
-    """Tell whether terms beyond the linear ones are large."""
+    """Tell whether terms beyond the linear ones are large, or a formula is far from linear."""
     if not c.model.has_all_linear:
-        return True
+        view = look(c)
+        return view is None or not view.misfit < _SUSPICIOUS
     return any(
         term.force_degree > 1 and abs(value) > 10.0 * _SUSPICIOUS * sizes[output]
         for (output, term), value in zip(c.model.keys, c.parameters.tolist(), strict=True)
