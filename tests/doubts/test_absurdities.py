@@ -239,3 +239,12 @@ def test_the_linear_view_is_least_squares():
     rest = [np.linalg.lstsq(design[rows], values[rows], rcond=None)[1] for rows in without]
     least = min(float(np.sum(each / size**2)) for each in rest)
     assert view.misfit_but_one == pytest.approx(np.sqrt(least / 3 / 21), rel=1e-10)
+
+
+def test_an_interchange_is_found_under_a_formula_that_is_nearly_linear():
+    up = mp.read_scheme("fibonacci-24").up
+    values = sense(up / (1.0 + 0.05 * up**2))
+    assert codes(values, up, model="each = a + p*x + q*y + r*z + c*own^3")[0] == []
+    swap(values, up)
+    found = doubt(values, up, model="each = a + p*x + q*y + r*z + c*own^3")
+    assert (found.code, found.rows) == ("interchanged-rows", ("1", "2"))
