@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 import multipos as mp
 from benchmarks.peer_tasks import ACC, ORDER, Task, recorded
+from benchmarks.picture import on_white
 from multipos.plots import to_svg
 
 
@@ -31,7 +32,7 @@ def main() -> None:
     ):
         draw_rests(tasks[name], axes)
     draw_faces(tasks["six-position session (Ferraris)"], panels[3])
-    chosen.output.write_text(to_svg(figure), encoding="utf-8")
+    chosen.output.write_text(on_white(to_svg(figure)), encoding="utf-8")
 
 
 def draw_rests(task: Task, axes: Axes) -> None:

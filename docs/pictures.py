@@ -6,7 +6,6 @@ shows all pictures with it.
 """
 
 import re
-import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -21,6 +20,7 @@ MARK = re.compile(
 FENCED = re.compile(
     r"^```(?P<language>console|python)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
 )
+PAPER = '<rect width="100%" height="100%" fill="#ffffff"/>'
 HEAD = """# Gallery
 
 Every picture of these pages with the command or the lines that drew it. The pages give the
@@ -77,10 +77,14 @@ def gallery_page() -> str:
 
 
 def keep(drawn: Path, kept: Path) -> None:
-    """Keep a picture; pixels are made fewer, of few colours, as pages need no more of them."""
+    """Keep a picture, black on white whatever the page is like.
+
+    Pixels are made fewer, of few colours, as pages need no more of them.
+    """
     kept.parent.mkdir(exist_ok=True)
     if drawn.suffix == ".svg":
-        shutil.copy(drawn, kept)
+        text = re.sub(r"<svg [^>]*>", lambda tag: tag[0] + PAPER, drawn.read_text("utf-8"), count=1)
+        kept.write_text(text, encoding="utf-8")
         return
     from PIL import Image
 

@@ -5,6 +5,7 @@
   what it prints on stdout and stderr; `...` stands for anything. A command may fail only where the
   page shows its line `multipos: error: …`.
 - Any block after `<!-- file: NAME -->` is written to that file first.
+- After `<!-- continues: PAGE -->` the blocks of that page are run before those of this one.
 - ```` ```sh ```` after `<!-- command: NAME -->` sets a machine up: `.ci/run` runs it, not this.
 
 All of a page happens in one temporary folder, from top to bottom.
@@ -55,6 +56,7 @@ TIMEOUT = 300  # [s] for one command: a hang must end, a slow machine must not f
 
 FENCE = re.compile(r"(?P<indent> *)(?P<ticks>`{3,})(?P<language>[^`\s]*)")
 NOTE = re.compile(r"\s*<!-- (?P<kind>command|file): (?P<name>.+?) -->\s*$")
+CONTINUES = re.compile(r"^<!-- continues: (\S+) -->$", re.MULTILINE)
 EQUATION = re.compile(r"^\$\$ \([\w-]*?(?P<number>\d+)\)\s*$", re.MULTILINE)
 IMPORT = re.compile(r"^[>.\s]*(?:from|import) (?P<module>multipos[\w.]*)", re.MULTILINE)
 FILE = re.compile(r"`((?:multipos|tests)/[a-z_/]+(?:\.py)?)`")
@@ -98,11 +100,17 @@ def blocks(page: Path) -> list[Block]:
     return found
 
 
+def way_to(page: Path) -> list[Path]:
+    """Return the pages that this one goes on from, the first of them first, and this one."""
+    before = CONTINUES.search(page.read_text(encoding="utf-8"))
+    return [*(way_to(page.parent / before[1]) if before else []), page]
+
+
 def run_page(page: Path, folder: Path) -> list[str]:
     """Run all blocks of a page in a folder; return what went wrong, a text each."""
     namespace: dict[str, object] = {"__name__": "__main__"}
     problems: list[str] = []
-    for block in blocks(page):
+    for block in [block for each in way_to(page) for block in blocks(each)]:
         match block.note, block.language:
             case ("file", name), _:
                 (folder / name).write_text(block.text, encoding="utf-8")
@@ -204,10 +212,18 @@ def test_page_prints_what_it_says(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     problems = run_page(page, tmp_path)
     for picture in load("pictures").pictures(page):
-        if not (tmp_path / picture.drawn).is_file():
+        drawn = tmp_path / picture.drawn
+        if not drawn.is_file():
             problems.append(f"{page.name} shows {picture.drawn}, which nothing on it draws")
+        elif drawn.suffix == ".svg" and written_in(drawn) != written_in(picture.kept):
+            problems.append(f"{picture.kept.name} is old: python docs/pictures.py {page}")
     if problems:
         pytest.fail("\n\n".join(problems), pytrace=False)
+
+
+def written_in(picture: Path) -> list[str]:
+    """Return all text of a figure: its numbers along the axes, its names, its legend."""
+    return re.findall(r"<text[^>]*>([^<]*)</text>", picture.read_text("utf-8"))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -257,6 +273,24 @@ def test_pictures_are_small_and_each_is_shown():
     assert max(path.stat().st_size for path in kept) < 100_000
 
 
+@pytest.mark.parametrize("picture", sorted(ROOT.glob("docs/**/*.svg")), ids=lambda p: p.name)
+def test_a_kept_picture_stands_on_white_and_is_the_same_whenever_it_is_drawn(picture):
+    text = picture.read_text("utf-8")
+    assert re.search(r'<rect width="(100%|760)" height="(100%|600)" fill="#ffffff"/>', text)
+    assert "<dc:date>" not in text
+    if picture.name != "architecture.svg":  # written by hand
+        ids = re.findall(r'\bid="([^"]+)"', text)
+        assert ids == [f"i{k}" for k in range(len(ids))]  # else they are drawn by lot
+
+
+SHOWN = [page for page in PAGES if page.parent.name in ("howto", "studies")]
+
+
+@pytest.mark.parametrize("page", SHOWN, ids=lambda page: f"{page.parent.name}/{page.name}")
+def test_how_to_and_study_pages_have_a_picture(page):
+    assert re.search(r"^!\[[^\]]+\]\(\S+\.(svg|png)\)$", page.read_text("utf-8"), re.MULTILINE)
+
+
 @pytest.mark.parametrize("name", sorted(multipos._PUBLIC))
 def test_every_public_name_has_an_example(name):
     assert ">>> import multipos as mp" in inspect.getdoc(getattr(multipos, name))
@@ -296,6 +330,15 @@ def test_a_wrong_page_is_reported(text, message, tmp_path):
     page.write_text(text + "\n", encoding="utf-8")
     (problem,) = run_page(page, tmp_path)
     assert message in problem
+
+
+def test_a_page_goes_on_from_another(tmp_path):
+    (tmp_path / "first.md").write_text("```python\nx = 1\n```\n", encoding="utf-8")
+    page = tmp_path / "second.md"
+    page.write_text(
+        "<!-- continues: first.md -->\n```python\nassert x == 1\n```\n", encoding="utf-8"
+    )
+    assert run_page(page, tmp_path) == []
 
 
 def test_a_right_page_passes(tmp_path, monkeypatch):
