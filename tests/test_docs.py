@@ -280,7 +280,51 @@ def test_a_kept_picture_stands_on_white_and_is_the_same_whenever_it_is_drawn(pic
     assert "<dc:date>" not in text
     if picture.name != "architecture.svg":  # written by hand
         ids = re.findall(r'\bid="([^"]+)"', text)
-        assert ids == [f"i{k}" for k in range(len(ids))]  # else they are drawn by lot
+        assert all(re.fullmatch(r"i\d+", one) for one in ids)  # else they are drawn by lot
+
+
+# Two minutes at 225 words a minute, the pace of a text with numbers in it. What is looked up
+# rather than read may be longer: docs/decisions.md says why these are.
+MOST_WORDS = 450
+LOOKED_UP = {
+    "reference",
+    "theory",
+    "architecture.md",
+    "conventions.md",
+    "decisions.md",
+    "doubts.md",
+}
+LOOKED_UP |= {"gallery.md"}
+READ = [
+    page
+    for page in PAGES
+    if page.is_relative_to(ROOT / "docs") and not {page.name, page.parent.name} & LOOKED_UP
+]
+NOT_PROSE = re.compile(
+    r"^ *(`{3,}).*?^ *\1|<!--.*?-->|^\$\$.*?^\$\$.*?$|^ *\|.*?$|\$[^$\n]+\$"
+    r"|!\[[^\]]*\]\([^)]*\)|\]\([^)]*\)",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+def words(page: Path) -> int:
+    """Return how many words of prose: no code, tables, equations, pictures nor addresses."""
+    return len(re.findall(r"[^\W_]\S*", NOT_PROSE.sub(" ", page.read_text("utf-8"))))
+
+
+@pytest.mark.parametrize("page", READ, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_page_is_read_in_two_minutes(page):
+    assert words(page) <= MOST_WORDS
+
+
+def test_words_of_prose_are_counted(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# One\n\n| no | table |\n```python\nno_code()\n```\n<!-- no note -->\n"
+        "![no picture](no.svg)\nTwo `three` [four](no.md), five: $n o$ six.\n$$\nn o\n$$ (a-1)\n",
+        encoding="utf-8",
+    )
+    assert words(page) == 6
 
 
 SHOWN = [page for page in PAGES if page.parent.name in ("howto", "studies")]

@@ -41,3 +41,15 @@ def test_it_prints_the_rows_of_its_page():
         float(mine[name, program][5]) for program in ("multipos", "multipos --orientation-sd .2")
     ]
     assert left[1] < 0.5 * left[0]
+
+
+def test_its_picture_is_of_its_page(tmp_path):
+    drawn = tmp_path / "peers.svg"
+    command = [sys.executable, "-m", "benchmarks.picture_peers", str(PAGE), str(drawn)]
+    subprocess.run(command, cwd=ROOT, check=True)
+    shown, kept = (
+        re.findall(r"<text[^>]*>([^<]*)</text>", picture.read_text("utf-8"))
+        for picture in (drawn, PAGE.with_name("peers.svg"))
+    )
+    assert shown == kept
+    assert "worn for 13 h, axes askew" in shown
