@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from multipos.doubts.belief import ABSURD, as_good_as_best, explains, is_absurd
 from multipos.doubts.directions import (
     CLEAR,
     cosines,
@@ -20,7 +21,7 @@ from multipos.doubts.directions import (
     turned,
 )
 from multipos.doubts.linear_view import View, look
-from multipos.doubts.repairs import ABSURD, Repair, candidates, explains, is_absurd
+from multipos.doubts.repairs import Repair, candidates
 from multipos.doubts.scales import are_of_unit, factor_in_words, output_unit, unit
 from multipos.files.lists import quoted
 from multipos.numerics.arrays import Array
@@ -33,11 +34,10 @@ _SUSPICIOUS = 0.02  # residual sd as a share of the signal, or terms beyond the 
 _ROUNDING = 1e-12  # likewise, where readings are exact
 _CALM = 0.94  # cosine of an output with its own axis, 20°
 _NO_RESPONSE = 0.2  # of an output to its own axis, as a share of its whole response
-_FEW = 3.0  # standard deviations of a reading, as small as a response may be to be none
+_FEW = 2.0  # standard deviations of a reading, as small as a response may be to be none
 _SILENT = 0.02  # of what the other outputs respond
 _QUIET = 0.2  # likewise, as scatter
 _SKEW = 0.5  # cosine between two outputs of a triad, which should be at right angles
-_TIE = 1.5  # repairs whose misfits are within this factor fit as well as each other
 
 
 def explained(c: Calibration) -> tuple[Doubt, ...]:
@@ -134,13 +134,13 @@ def _repair(c: Calibration, view: View) -> Doubt | None:
         repair
         for repair in found
         if explains(repair, view, tried, absurd=absurd)
-        and reversed_or_permuted(c, repair.view.sensitivity) is None
+        and (  # an output that wrapped at both ends looks reversed beside one that did at one
+            repair.code == "wrapped" or reversed_or_permuted(c, repair.view.sensitivity) is None
+        )
     ]
     if not sound:
         return None
-    least = min(repair.view.misfit for repair in sound)
-    alike = [repair for repair in sound if repair.view.misfit <= _TIE * least]
-    best = max(alike, key=lambda each: _faces(each.view, expected))
+    best = max(as_good_as_best(sound, view), key=lambda each: _faces(each.view, expected))
     return _in_words(c, best)
 
 

@@ -291,6 +291,8 @@ def judge_equality(c: Calibration) -> tuple[float, Array]:
     P *= root[:, :, None, None] * root
     traces = np.einsum("nini->i", P)
     squares = np.einsum("ni,ni->i", root * push, root * push)
+    if not squares.any():
+        return 1.0, np.zeros(m)  # readings so coarse that nothing is left
     common = squares.sum() / traces.sum()
     U = 0.5 * (squares / common - traces)
     information = 0.5 * np.einsum("kilj,kilj->ij", P, P)

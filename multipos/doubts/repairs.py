@@ -2,20 +2,12 @@
 
 A row may belong to another position, have been taken upside down, or stand in another unit; a
 converter may have wrapped around; angles may have been radians. Each such repair is tried, on the
-linear view of the readings (`linear_view`), and leaves a misfit rho' where there was rho. It is
-believed where
-
-    N (rho'/rho)^nu < alpha,    nu = M (n − r),                                              (1)
-
-the chance that one of N repairs, each a point in the nu dimensions of the residuals, comes so near
-to residuals that are nothing but large; alpha is 1e-5, and .02 where rho is beyond what
-any sensor gives, so that only the name is open. And what it repairs must not stick out afterwards:
-an outlier is not an upside-down row that happens to be near.
+linear view of the readings (`linear_view`); which one is believed stands in `belief`.
 
 All changes of readings y' = y + d v' in a few rows have closed forms: with M = I − QQ' the
 projector on the residuals, r = M y,
 
-    rss' = rss + 2 d (v·r) + d² v'Mv.                                                       (2)
+    rss' = rss + 2 d (v·r) + d² v'Mv.                                                       (1)
 """
 
 from collections.abc import Callable, Iterator
@@ -27,7 +19,6 @@ from numpy.typing import NDArray
 
 from multipos.doubts.linear_view import View
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import f_tail
 from multipos.units import STANDARD_GRAVITY, cos_deg, sin_deg
 
 Rows = NDArray[np.intp]
@@ -42,14 +33,7 @@ FACTORS = (
     180.0 / np.pi,
     np.pi / 180.0,
 )
-ABSURD = 0.4  # rho that no sensor at listed positions has
-ABSURD_BUT_ONE = 0.25  # likewise, when the worst position is left out
-_ALPHA, _ALPHA_ABSURD = 1e-5, 0.02
-_BETTER = 1.0 / 3.0  # rho'/rho at most
-_LEFT = 0.15  # rho' at most
-_STICKS_OUT = 1e-4  # chance
-_MORE_THAN_AN_OUTLIER = 0.8  # [g], by which one row must be off to be absurd and not an outlier
-_LESS_BY_A_UNIT = 0.6  # [g], likewise where a factor takes it: 9.8 leaves .9 g less a bias
+_TAKEN = 0.1  # of the step of a converter, that a signal spans at least which ran over its end
 _ROWS = 60  # of those that fit worst, among which one or two are looked for
 _TURNS = 12  # of an alternation between rows and fit
 
@@ -70,6 +54,12 @@ class Repair:
         Those changed, where not all are.
     size : float
         The factor, or the step of a converter in reading units.
+    tried : int
+        How many repairs of its kind this is the best of.
+    fitted : bool
+        Whether a number was fitted for each changed output, as the step of a converter is.
+    shrunk : float
+        The logarithm of the factors by which readings became smaller, summed.
     """
 
     code: str
@@ -77,6 +67,9 @@ class Repair:
     view: View
     outputs: tuple[int, ...] = ()
     size: float = 1.0
+    tried: int = 1
+    fitted: bool = False
+    shrunk: float = 0.0
 
 
 def candidates(view: View, guess: Array) -> tuple[list[Repair], int]:
@@ -99,53 +92,6 @@ def candidates(view: View, guess: Array) -> tuple[list[Repair], int]:
     return found + several, tried + len(several)
 
 
-def is_absurd(view: View, placement_sd: float) -> bool:
-    """Tell whether the misfit is beyond any sensor, placed to so many radians."""
-    allowed = 2.5 * placement_sd
-    return view.misfit > max(ABSURD, allowed) or view.misfit_but_one > max(ABSURD_BUT_ONE, allowed)
-
-
-def explains(repair: Repair, view: View, tried: int, *, absurd: bool) -> bool:
-    """Tell whether a repair explains the data, by eq. (1) and without a row that sticks out."""
-    before, after = view.misfit, repair.view.misfit
-    if repair.code == "angles-in-radians":  # in reading units: |K| was as wrong as the angles
-        before *= float(view.response.mean() / repair.view.response.mean())
-    least = _LESS_BY_A_UNIT if repair.code == "row-unit" else _MORE_THAN_AN_OUTLIER
-    if len(repair.rows) == 1 and _change(repair, view) < least:
-        return False
-    if not after <= min(_BETTER * before, _LEFT):
-        return False
-    nu = view.dof * view.values.shape[1]
-    alpha = _ALPHA_ABSURD if absurd else _ALPHA
-    if np.log(tried) + nu * np.log(max(after / before, 1e-300)) > np.log(alpha):
-        return False
-    return not _sticks_out(repair)
-
-
-def _change(repair: Repair, view: View) -> float:
-    """Return by how much one row is moved by its repair, in g."""
-    row, after = repair.rows[0], repair.view
-    turned = (view.odd[row, :3] - after.odd[row, :3]) @ after.sensitivity.T
-    expected = after.values[row] - after.residuals[row] + turned  # where it is listed
-    return float(np.linalg.norm((view.values[row] - expected) / after.response))
-
-
-def _sticks_out(repair: Repair) -> bool:
-    """Tell whether a row that was changed is an outlier among the others even so.
-
-    Its misfit, over what the others leave, follows F on M and M (dof − 1) degrees of freedom.
-    """
-    view, rows = repair.view, np.array(repair.rows)
-    outputs, dof = view.values.shape[1], view.dof
-    if len(rows) >= dof or dof <= 1:
-        return False
-    left = np.maximum(1.0 - np.sum(view.basis**2, axis=1), 1e-9)
-    square = np.sum((view.residuals / view.response) ** 2, axis=1)
-    mine = float((square / left)[rows].max())
-    rest = max(float(square.sum()) - mine, 1e-30) / (dof - 1)
-    return f_tail(mine / rest, float(outputs), float(outputs * (dof - 1))) < _STICKS_OUT
-
-
 def _worst_rows(view: View) -> Rows:
     """Return the rows that fit worst, in their order."""
     if len(view.values) <= _ROWS:
@@ -166,7 +112,7 @@ def _projector(view: View, rows: Rows) -> Array:
 
 
 def _interchanges(view: View, rows: Rows) -> tuple[list[Repair], int]:
-    """Return the best interchanges of two rows, by eq. (2)."""
+    """Return the best interchanges of two rows, by eq. (1)."""
     rss, weight = _squares(view)
     M, e, y = _projector(view, rows), view.residuals[rows], view.values[rows]
     d = y[None, :] - y[:, None]  # what row i gains
@@ -181,12 +127,13 @@ def _interchanges(view: View, rows: Rows) -> tuple[list[Repair], int]:
     for i, j in zip(rows[first[best]].tolist(), rows[second[best]].tolist(), strict=True):
         values = view.values.copy()
         values[[i, j]] = values[[j, i]]
-        found.append(Repair("interchanged-rows", (i, j), view.with_values(values)))
+        again = view.with_values(values)
+        found.append(Repair("interchanged-rows", (i, j), again, tried=len(first)))
     return found, len(first)
 
 
 def _single_factors(view: View, rows: Rows) -> tuple[list[Repair], int]:
-    """Return the best repairs of one row in another unit, by eq. (2)."""
+    """Return the best repairs of one row in another unit, by eq. (1)."""
     rss, weight = _squares(view)
     M, e, y = _projector(view, rows), view.residuals[rows], view.values[rows]
     gain = np.array(FACTORS)[:, None, None] - 1.0
@@ -198,7 +145,14 @@ def _single_factors(view: View, rows: Rows) -> tuple[list[Repair], int]:
         values = view.values.copy()
         values[rows[i]] *= FACTORS[k]
         found.append(
-            Repair("row-unit", (int(rows[i]),), view.with_values(values), size=1.0 / FACTORS[k])
+            Repair(
+                "row-unit",
+                (int(rows[i]),),
+                view.with_values(values),
+                size=1.0 / FACTORS[k],
+                tried=total.size,
+                shrunk=-float(np.log(FACTORS[k])) * values.shape[1],
+            )
         )
     return found, total.size
 
@@ -216,7 +170,8 @@ def _single_flips(view: View, rows: Rows) -> tuple[list[Repair], int]:
     residual[np.arange(len(rows)), rows] = y - (Z[:, None] @ beta)[:, 0]
     total = np.sum(residual**2, axis=1) @ _squares(view)[1]
     best = rows[np.argsort(total)[:3]].tolist()
-    return [Repair("flipped-row", (i,), view.turned(np.array([i]))) for i in best], len(rows)
+    found = [Repair("flipped-row", (i,), view.turned(np.array([i])), tried=len(rows)) for i in best]
+    return found, len(rows)
 
 
 def _many_flips(view: View, guess: Array) -> Iterator[Repair]:
@@ -265,12 +220,14 @@ def _alternate(start: Mask, step: Callable[[Rows], Mask]) -> Rows:
 
 def _many_factors(view: View) -> Iterator[Repair]:
     """Yield sets of rows in another unit: the largest readings first, then in turns."""
-    n = len(view.values)
+    n, outputs = view.values.shape
     width = np.abs(view.values).mean(axis=0)
     width = np.maximum(width, 1e-12 * width.max())
-    order = np.argsort(np.linalg.norm(view.values / width, axis=1))
+    size = np.linalg.norm(view.values, axis=1), np.linalg.norm(view.values / width, axis=1)
+    orders = np.argsort(size, axis=1)  # outputs of one unit, and of several
     for factor in (STANDARD_GRAVITY, 1000.0, 180.0 / np.pi):
-        splits = (order[n - larger :] for larger in range(2, n - 1, 1 + n // _ROWS))
+        counts = range(2, n - 1, 1 + n // _ROWS)
+        splits = [order[n - larger :] for order in orders for larger in counts]
         trials = [(_divided(view, rows, factor).misfit, rows) for rows in splits]
         if not trials:
             continue
@@ -279,8 +236,15 @@ def _many_factors(view: View) -> Iterator[Repair]:
         start[first] = True
         larger = _alternate(start, partial(_too_large, view, factor=factor))
         smaller = np.setdiff1d(np.arange(n), larger)
-        few, size = (larger, factor) if len(larger) <= len(smaller) else (smaller, 1.0 / factor)
-        yield Repair("row-unit", tuple(few.tolist()), _divided(view, larger, factor), size=size)
+        few, times = (larger, factor) if len(larger) <= len(smaller) else (smaller, 1.0 / factor)
+        yield Repair(
+            "row-unit",
+            tuple(few.tolist()),
+            _divided(view, larger, factor),
+            size=times,
+            tried=len(trials),
+            shrunk=len(larger) * outputs * float(np.log(factor)),
+        )
 
 
 def _divided(view: View, rows: Rows, factor: float) -> View:
@@ -303,7 +267,7 @@ def _too_large(view: View, rows: Rows, factor: float) -> Mask:
 def _wrapped(view: View) -> Iterator[Repair]:
     """Yield the outputs whose largest or smallest readings came out at the other end.
 
-    With v the rows that wrapped, +1 at the top and −1 at the bottom of the own component, eq. (2)
+    With v the rows that wrapped, +1 at the top and −1 at the bottom of the own component, eq. (1)
     is smallest for the step −(v·r)/(v'Mv), and it must be wider than all that was read.
     """
     n, outputs = view.values.shape
@@ -321,7 +285,15 @@ def _wrapped(view: View) -> Iterator[Repair]:
             step = max(step, width)
     if changed:
         view = view.with_values(values)
-        yield Repair("wrapped", tuple(sorted(rows)), view, tuple(changed), step)
+        yield Repair(
+            "wrapped",
+            tuple(sorted(rows)),
+            view,
+            tuple(changed),
+            step,
+            tried=8 * (n // 2 + 1) ** 2,  # of `_wrap_of`
+            fitted=True,
+        )
 
 
 def _wrap_of(view: View, M: Array, output: int) -> tuple[Array, float] | None:
@@ -344,6 +316,8 @@ def _wrap_of(view: View, M: Array, output: int) -> tuple[Array, float] | None:
             left = e @ e + 2.0 * step * (u @ e) + step**2 * curvature
             left = np.where(step >= 0.98 * np.ptp(y), left, np.inf)
             for k in np.flatnonzero(left < 0.25 * before).tolist():
+                if np.ptp(y + step[k] * u[k]) < _TAKEN * step[k]:
+                    continue
                 tried.append((float(left[k]), int(np.abs(u[k]).sum()), u[k], float(step[k])))
     if not tried:
         return None
