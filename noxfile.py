@@ -50,6 +50,20 @@ def _makes_environments(python: Path) -> bool:
     return subprocess.run([python, "-c", asked], capture_output=True, check=False).returncode == 0
 
 
+# Files that other services read, and whose schema they are held to.
+FORMS = {
+    "github-workflows": ".github/workflows/*.yml",
+    "github-issue-forms": ".github/ISSUE_TEMPLATE/[!c]*.yml",
+    "github-issue-config": ".github/ISSUE_TEMPLATE/config.yml",
+    "dependabot": ".github/dependabot.yml",
+    "readthedocs": ".readthedocs.yaml",
+    "citation-file-format": "CITATION.cff",
+}
+RECIPE = """
+from rattler_build import Stage0Recipe, VariantConfig
+(built,) = Stage0Recipe.from_file("conda/recipe.yaml").render(VariantConfig())
+print("conda/recipe.yaml:", built)
+"""
 PYTHONS = pythons()
 OLDEST, NEWEST = min(PYTHONS), max(PYTHONS)
 
@@ -113,8 +127,13 @@ def benchmarks(session: nox.Session) -> None:
 def review(session: nox.Session) -> None:
     """Hold the project's files to what scientific Python asks of them."""
     session.install("repo-review[cli]", "sp-repo-review", "validate-pyproject", "zizmor")
+    session.install("check-jsonschema", "py-rattler-build")
     session.run("repo-review", ".")
     session.run("zizmor", "--offline", ".github")
+    for schema, pattern in FORMS.items():
+        files = map(str, Path().glob(pattern))
+        session.run("check-jsonschema", "--builtin-schema", f"vendor.{schema}", *files)
+    session.run("python", "-c", RECIPE)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,13 @@
 """What the project's files say of it is the same in all of them."""
 
+import json
 import re
+import shutil
+import subprocess
 import tomllib
 from pathlib import Path
+
+import pytest
 
 import multipos
 
@@ -62,6 +67,23 @@ def test_the_paper_has_its_parts_and_cites_what_its_bibliography_holds():
     held = re.findall(r"^@\w+\{(\w+),$", bibliography, re.MULTILINE)
     assert set(re.findall(r"@(\w+)", paper)) == set(held)
     assert len(held) == len(set(held))
+
+
+@pytest.mark.skipif(not shutil.which("pandoc"), reason="pandoc is not installed")
+def test_the_paper_is_typeset():
+    """Pandoc is what the journal's own tools run; a key without its work would be a warning."""
+    command = ["pandoc", "--citeproc", "--fail-if-warnings", "-s", "paper.md"]
+    done = subprocess.run(
+        [*command, "-t", "json"], cwd=ROOT / "paper", capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    document = json.loads(done.stdout)
+    needed = {"title", "tags", "authors", "affiliations", "date", "bibliography"}
+    assert needed <= set(document["meta"])
+    assert '"refs"' in json.dumps(document["blocks"][-1])  # the works, set from the bibliography
+    subprocess.run(
+        [*command, "-t", "latex"], cwd=ROOT / "paper", stdout=subprocess.DEVNULL, check=True
+    )
 
 
 def test_a_page_for_a_reader_has_three_commands_and_the_same_parts():
