@@ -29,6 +29,7 @@ from multipos.plots.runs import draw_values
 from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.page import Figure, PageTable, Section, draw_svg
 from multipos.reports.translations import Language, Translator
+from multipos.sensor.doubt import DOUBTS, NOT_FIT
 
 _RUNS = Listed(Fields({"file": Maybe(ANY_TEXT), "created": Maybe(ANY_TEXT)}), 2)
 _VALUES = Listed(Maybe(ANY_NUMBER), 2)
@@ -59,7 +60,8 @@ _CALIBRATIONS = Fields(
         "test": ANY_TEXT,
         "consistent": Flag(),
         "warnings": TEXTS,
-    }
+    },
+    {"doubts": DOUBTS},
 )
 _REGRESSIONS = Fields(
     {
@@ -135,7 +137,7 @@ def comparison_content(
         language=language,
         title=tr("Report of repeated calibrations"),
         subtitle=tr("{count} runs of one unit", count=str(len(runs))),
-        verdict=None,
+        verdict=tr(NOT_FIT) if any(map(_is_implausible, found.get("doubts", ()))) else None,
         warnings=tuple(map(tr.message, found["warnings"])),
         fields=lab_fields(said, tr),
         sections=(*sections, _origin(runs, tr)),
@@ -176,6 +178,10 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
         ),
     )
     return Section(tr("Result"), tuple(paragraphs), (picture,) if biases else ())
+
+
+def _is_implausible(doubt: Mapping[str, Any]) -> bool:
+    return bool(doubt["severity"] == "implausible")
 
 
 def _less_mean(values: Sequence[float | None]) -> list[float]:

@@ -32,6 +32,7 @@ from multipos.regression.result import Regression
 from multipos.regression.several import Regressions, all_of
 from multipos.results import Drawn, Result, data_frame
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.doubt import Doubt, besides
 from multipos.sensor.loading import load
 from multipos.verification.combining import combine_sessions
 from multipos.verification.consistency import Judgement, judge_repeats
@@ -40,6 +41,7 @@ from multipos.verification.regression_comparison import (
     RegressionComparison,
     compare_regressions,
 )
+from multipos.verification.repeat_doubts import doubt_repeats
 
 Run = Calibration | Regression | Regressions | str | os.PathLike[str]
 
@@ -81,6 +83,8 @@ class Comparison(Result, Drawn):
     warnings : tuple of str
     combined : Calibration or None
         That of all sessions, where it was asked for.
+    doubts : tuple of Doubt
+        The texts of these are the first warnings.
     """
 
     calibrations: tuple[Calibration, ...]
@@ -107,6 +111,7 @@ class Comparison(Result, Drawn):
     times: str
     warnings: tuple[str, ...]
     combined: Calibration | None = None
+    doubts: tuple[Doubt, ...] = ()
 
     def to_pandas(self) -> Any:
         """Return the parameters as a data frame: their values by run, mean, sd, drift and p.
@@ -124,19 +129,6 @@ class Comparison(Result, Drawn):
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""
         first = self.calibrations[0].model
-        columns = (
-            self.values.T,
-            self.mean,
-            self.sd,
-            self.range,
-            self.chi2,
-            self.dof,
-            self.p,
-            self.scatter_dof,
-            self.drift,
-            self.drift_u,
-            self.drift_p,
-        )
         names = (
             "values",
             "mean",
@@ -150,6 +142,7 @@ class Comparison(Result, Drawn):
             "drift_u",
             "drift_p",
         )
+        columns = (self.values.T, *(getattr(self, name) for name in names[1:]))
         return {
             "calibrations": [
                 {"file": file, "created": c.created}
@@ -177,6 +170,7 @@ class Comparison(Result, Drawn):
             "consistent": self.consistent,
             "drift_per": self.per,
             "drift_times": self.times,
+            "doubts": [doubt.to_dict() for doubt in self.doubts],
             "warnings": self.warnings,
             **({} if self.combined is None else {"combined": self.combined.to_dict()}),
         }
@@ -246,7 +240,8 @@ def _compare(
         judged = Judgement.of_methods(found, values)
     else:
         judged = judge_repeats(found, values, 1.0 - confidence)
-    warnings = [*judged.warnings]
+    doubts = () if same else doubt_repeats(found, files)
+    warnings = [*(doubt.text for doubt in doubts), *judged.warnings]
     if len(found) < _LEAST and not same:
         warnings.append(
             f"{len(found)} repeats say little about stability; calibrate at least {_LEAST} times"
@@ -276,6 +271,7 @@ def _compare(
         times=drift.times,
         warnings=tuple(warnings),
         combined=combined,
+        doubts=doubts,
     )
 
 
@@ -345,13 +341,14 @@ def comparison_text(found: Comparison) -> str:
     model = found.calibrations[0].model
     stability = [[output, number(sd, 3)] for output, sd in found.bias_stability.items()]
     parts = [
+        *(f"{doubt.severity}: {doubt.text}" for doubt in found.doubts),
         "\n".join(lines),
         _parameter_table(found),
         *([] if math.isnan(found.p_total) else [f"drift: {_TIMES[found.times]}"]),
         "bias stability\n" + table(["output", f"sd [{model.unit}]"], stability),
         _verdict(found),
         *([] if found.combined is None else [f"combined\n{found.combined}"]),
-        *(f"warning: {warning}" for warning in found.warnings),
+        *(f"warning: {warning}" for warning in besides(found.warnings, found.doubts)),
     ]
     return "\n\n".join(parts) + "\n"
 

@@ -14,6 +14,7 @@ from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.positions.scheme import read_scheme
+from multipos.verification.comparison import comparison_text
 
 SD = np.array([1e-3, 1e-2, 3e-3])  # the outputs differ
 
@@ -421,3 +422,72 @@ def test_a_combination_that_is_known_exactly_has_no_statistic():
     p = len(found[0].parameters)
     tied = [replace(c, covariance=np.full((p, p), 1e-6)) for c in found]
     assert math.isnan(mp.compare(*tied).p_total)
+
+
+def unit_of_a_line(rng):
+    """Zero, response and readings of a unit: zeros of 40 mg, scale 2 %, axes half a degree."""
+    K = np.diag(1.0 + 0.02 * rng.standard_normal(3)) + np.radians(0.5) * rng.standard_normal((3, 3))
+    return 0.04 * rng.standard_normal(3), K
+
+
+def run_of(zero, K, rng, scheme="faces-6"):
+    up = read_scheme(scheme).up
+    values = zero + up @ K.T + 1e-3 * rng.standard_normal(up.shape)
+    return mp.fit(mp.Readings(values, unit="g"), scheme=scheme, model="linear")
+
+
+def codes(found):
+    return [doubt.code for doubt in found.doubts]
+
+
+def test_two_units_of_a_line_are_told_from_one_that_drifts():
+    """As data sheets have it, a sensor drifts by 30 mg and half a percent (standard deviations).
+
+    Two units pass none of the limits 2 %, 1° and .1 g with a probability of .034: of three each,
+    scale factors differ by N(0, 2.8 %), .14; angles by N(0, 1°), .32; zeros by N(0, 57 mg), .78.
+    That 30 pairs have more than five such has a probability below 1e-3.
+    """
+    rng = np.random.default_rng(8)
+    told = drifted = 0
+    for _ in range(30):
+        zero, K = unit_of_a_line(rng)
+        first, second = run_of(zero, K, rng), run_of(*unit_of_a_line(rng), rng)
+        told += codes(mp.compare(first, second)) == ["different-sensors"]
+        moved = zero + 0.03 * np.clip(rng.standard_normal(3), -3.0, 3.0)
+        later = run_of(moved, K * (1.0 + 0.005 * np.clip(rng.standard_normal(), -3.0, 3.0)), rng)
+        drifted += codes(mp.compare(first, later)) != []
+    assert told >= 25
+    assert drifted == 0
+
+
+def test_what_differs_most_between_two_sensors_is_said_first_of_all():
+    rng = np.random.default_rng(1)
+    first = run_of(np.zeros(3), np.eye(3), rng)
+    told = mp.compare(first, run_of(np.zeros(3), np.diag([1.0, 1.1, 1.0]), rng))
+    (doubt,) = told.doubts
+    assert (doubt.code, doubt.severity) == ("different-sensors", "caution")
+    assert "ay responds 1.099 times" in doubt.text
+    assert comparison_text(told).startswith("caution: calibration 2 and calibration 1 look like")
+    assert comparison_text(told).count(doubt.text) == 1
+    assert told.to_dict()["doubts"] == [doubt.to_dict()]
+    assert told.warnings[0] == doubt.text
+
+
+def test_a_run_given_twice_is_no_repeat():
+    rng = np.random.default_rng(1)
+    first, second = (run_of(np.zeros(3), np.eye(3), rng) for _ in range(2))
+    assert codes(mp.compare(first, second)) == []
+    told = mp.compare(first, second, first)
+    assert codes(told) == ["repeated-runs"]
+    assert "calibration 3 and calibration 1" in told.doubts[0].text
+
+
+def test_what_makes_a_calibration_unfit_is_said_of_the_comparison(tmp_path):
+    rng = np.random.default_rng(1)
+    good = run_of(np.zeros(3), np.eye(3), rng)
+    told = mp.compare(good, run_of(np.zeros(3), np.diag([1.0, -1.0, 1.0]), rng))
+    assert codes(told)[0] == "sign"
+    assert told.doubts[0].text.startswith("calibration 2: 'ay' falls")
+    page = tmp_path / "compared.md"
+    mp.report(told, page)
+    assert "not fit for use" in page.read_text("utf-8")

@@ -1,0 +1,133 @@
+"""Doubts about repeats: two sensors taken for one, and one run taken twice.
+
+A sensor drifts. Its zero moves by some hundredths of a g over years and its scale factors by a
+percent, but its axes, etched or glued, keep their angles to each other, and how it is mounted
+changes none of them. Two runs r and s with responses K_i (M, 3), zeros b_i and standard
+uncertainties u are those of two sensors where, beyond U of both, one of
+
+    |log |K_i,r| − log |K_i,s||,   |angle_ij,r − angle_ij,s|,   |b_i,r − b_i,s| / |K_i|      (1)
+
+passes its limit below. Two of one production, whose scale factors scatter by 2 %, axes by half a
+degree and zeros by 40 mg, pass one of them nearly always; no sensor does that drifts as data
+sheets say.
+
+Readings equal to the last digit are those of one run.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import CONSTANT
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.doubt import Doubt, implausible
+
+_SCALE = 0.02  # of a scale factor
+_ANGLE = math.radians(1.0)  # between outputs
+_ZERO = 0.1  # [g]
+
+
+def doubt_repeats(found: Sequence[Calibration], files: Sequence[str]) -> tuple[Doubt, ...]:
+    """Return the doubts about repeats, those about the calibrations themselves first.
+
+    Parameters
+    ----------
+    found : sequence of R Calibration
+        Of one model, outputs and unit.
+    files : sequence of R str
+        What they are called.
+    """
+    carried = [
+        Doubt(doubt.code, doubt.severity, f"{file}: {doubt.text}", doubt.rows, doubt.outputs)
+        for c, file in zip(found, files, strict=True)
+        for doubt in implausible(c.diagnostics.doubts)
+    ]
+    own = (_repeated_run(found, files), _different_sensors(found, files))
+    return (*carried, *(doubt for doubt in own if doubt is not None))
+
+
+def _repeated_run(found: Sequence[Calibration], files: Sequence[str]) -> Doubt | None:
+    """Find runs whose readings are those of another."""
+    pairs = [
+        f"{second} and {first}"
+        for (first, a), (second, b) in combinations(zip(files, found, strict=True), 2)
+        if np.array_equal(a.readings.values, b.readings.values)
+    ]
+    if not pairs:
+        return None
+    return Doubt(
+        "repeated-runs",
+        "caution",
+        f"the readings of {pairs[0]} are the same to the last digit: a run that is given twice is "
+        "no repeat, and makes runs agree that may not; leave it out",
+    )
+
+
+def _different_sensors(found: Sequence[Calibration], files: Sequence[str]) -> Doubt | None:
+    """Find the two runs that are least those of one sensor, by eq. (1)."""
+    worst, said, pair = 1.0, "", (0, 0)
+    for i, j in combinations(range(len(found)), 2):
+        by, what = _apart(found[i], found[j])
+        if by > worst:
+            worst, said, pair = by, what, (i, j)
+    if not said:
+        return None
+    return Doubt(
+        "different-sensors",
+        "caution",
+        f"{files[pair[1]]} and {files[pair[0]]} look like two sensors and not one: {said}, which "
+        "no sensor drifts; look at which unit each file is of, and at order and unit of its "
+        "columns",
+    )
+
+
+def _apart(a: Calibration, b: Calibration) -> tuple[float, str]:
+    """Return by how much eq. (1) passes its limits, 0 where nowhere, and where most, in words."""
+    size_a, size_b = (np.linalg.norm(c.sensitivity, axis=1) for c in (a, b))
+    if not (size_a.all() and size_b.all()):
+        return 0.0, ""
+    unsure = _unsure(a) + _unsure(b)
+    zeros = dict(_zeros(b))
+    found = []
+    for i, output in enumerate(a.outputs):
+        ratio = float(size_b[i] / size_a[i])
+        change = abs(math.log(ratio))
+        words = f"{output} responds {ratio:.4g} times as much"
+        found.append((change, unsure[i, 0], _SCALE, words))
+        for j, other in enumerate(a.outputs[:i]):
+            turned = _angle(b, i, j) - _angle(a, i, j)
+            words = f"{other} and {output} are by {math.degrees(turned):+.2g} degrees further apart"
+            found.append((abs(turned), unsure[i, 1] + unsure[j, 1], _ANGLE, words))
+    for output, zero in _zeros(a):
+        i = a.outputs.index(output)
+        moved = (zeros[output] - zero) / float(size_a[i])
+        words = f"the zero of {output} lies {moved:+.2g} g away"
+        found.append((abs(moved), unsure[i, 2], _ZERO, words))
+    beyond = [(size / limit, words) for size, U, limit, words in found if size > U]
+    return max(beyond, default=(0.0, ""))
+
+
+def _zeros(c: Calibration) -> list[tuple[str, float]]:
+    pairs = zip(c.model.keys, c.parameters.tolist(), strict=True)
+    return [(output, value) for (output, term), value in pairs if term == CONSTANT]
+
+
+def _unsure(c: Calibration) -> Array:
+    """Return U of size, direction [rad] and zero [g] of each output (M, 3); 0 where not known."""
+    result = np.zeros((len(c.outputs), 3))
+    size = np.linalg.norm(c.sensitivity, axis=1)
+    for (output, term), U in zip(c.model.keys, np.nan_to_num(c.U).tolist(), strict=True):
+        i = c.outputs.index(output)
+        place = 2 if term == CONSTANT else 0 if term.along == c.model.axes[i] else 1
+        if term == CONSTANT or (term.along is not None and term.force_degree == 1):
+            result[i, place] = max(result[i, place], U / float(size[i]))
+    return result
+
+
+def _angle(c: Calibration, i: int, j: int) -> float:
+    first, second = c.sensitivity[i], c.sensitivity[j]
+    size = np.linalg.norm(first) * np.linalg.norm(second)
+    return math.acos(float(np.clip(first @ second / size, -1.0, 1.0)))
