@@ -36,7 +36,7 @@ from multipos.sensor.stating import build_model
 
 
 @dataclass(frozen=True)
-class Plan:
+class SessionPlan:
     """What was asked for.
 
     Attributes
@@ -75,7 +75,7 @@ class Progress(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation(Result):
+class PosesWorth(Result):
     """What some poses are worth.
 
     Attributes
@@ -101,21 +101,21 @@ class Evaluation(Result):
     enough: bool
 
 
-NOTHING = Evaluation(None, None, "no pose has been taken yet", None, (), (), enough=False)
+NOTHING = PosesWorth(None, None, "no pose has been taken yet", None, (), (), enough=False)
 
 
 def evaluate(
-    plan: Plan, log: StillLog, poses: list[Pose], before: "Evaluation | None"
-) -> Evaluation:
+    plan: SessionPlan, log: StillLog, poses: list[Pose], before: "PosesWorth | None"
+) -> PosesWorth:
     """Return what accepted poses are worth.
 
     Parameters
     ----------
-    plan : Plan
+    plan : SessionPlan
     log : StillLog
         The log they are rests of.
     poses : list of Pose
-    before : Evaluation or None
+    before : PosesWorth or None
         Of all but the last of them.
     """
     if not poses:
@@ -129,7 +129,7 @@ def evaluate(
     if calibration is not None:
         parameters = tuple(_progress(plan, calibration, before))
     wanted = [each.met for each in parameters if each.met is not None]
-    return Evaluation(
+    return PosesWorth(
         averages=averages,
         calibration=calibration,
         problem=problem,
@@ -140,7 +140,7 @@ def evaluate(
     )
 
 
-def average_poses(plan: Plan, log: StillLog, poses: list[Pose]) -> Averages:
+def average_poses(plan: SessionPlan, log: StillLog, poses: list[Pose]) -> Averages:
     """Return the averages of poses, with the directions of the scheme where one is followed."""
     chosen = [Chosen(pose.position, log, pose.still, given=True) for pose in poses]
     averages = complete([log], chosen, None, plan.convention, [])
@@ -156,7 +156,7 @@ def position_labels(scheme: Scheme) -> list[str]:
     return list(scheme.labels or map(str, range(1, len(scheme) + 1)))
 
 
-def _fit(plan: Plan, averages: Averages) -> tuple[Calibration | None, str | None]:
+def _fit(plan: SessionPlan, averages: Averages) -> tuple[Calibration | None, str | None]:
     """Return the fit of the model asked for, or of the linear one, and what is in the way."""
     problem = None
     for model in dict.fromkeys([plan.fitting.get("model", "linear"), "linear"]):
@@ -178,7 +178,9 @@ def _dof(calibration: Calibration) -> float:
     return float(free - len(calibration.parameters))
 
 
-def _progress(plan: Plan, calibration: Calibration, before: Evaluation | None) -> list[Progress]:
+def _progress(
+    plan: SessionPlan, calibration: Calibration, before: PosesWorth | None
+) -> list[Progress]:
     targets = _targets_in(plan, calibration.model)
     known = None if before is None else before.calibration
     told = known is not None and known.names == calibration.names
@@ -206,7 +208,7 @@ def _doubts(averages: Averages, calibration: Calibration | None) -> tuple[dict[s
     )
 
 
-def model_of(plan: Plan, outputs: tuple[str, ...], unit: str) -> Model:
+def model_of(plan: SessionPlan, outputs: tuple[str, ...], unit: str) -> Model:
     """Return the model by which poses are chosen: the one asked for, or the linear one.
 
     The linear one stands for a model of one's own, or one that depends on more than the position.
@@ -231,19 +233,19 @@ def model_of(plan: Plan, outputs: tuple[str, ...], unit: str) -> Model:
     return build("linear" if own or columns else asked)
 
 
-def is_unknown(plan: Plan) -> bool:
+def is_unknown(plan: SessionPlan) -> bool:
     """Tell whether nothing is known of the positions."""
     return plan.scheme is None
 
 
 def next_pose(
-    plan: Plan, model: Model, found: Evaluation, poses: list[Pose], under_way: Array
+    plan: SessionPlan, model: Model, found: PosesWorth, poses: list[Pose], under_way: Array
 ) -> NextPose | None:
     """Return the pose to take next.
 
     Parameters
     ----------
-    found : Evaluation
+    found : PosesWorth
     poses : list of Pose
         The accepted ones.
     under_way : (0 or 1, 3) array
@@ -259,7 +261,7 @@ def next_pose(
     return best_pose(model, found.calibration, taken, targets, unknown_orientation=True)
 
 
-def _targets_in(plan: Plan, model: Model) -> dict[str, float]:
+def _targets_in(plan: SessionPlan, model: Model) -> dict[str, float]:
     """Return the targets of the parameters that the model has."""
     kinds = {name.partition("_")[0] for name in model.names}
     known = {n: U for n, U in plan.targets.items() if n in kinds or n in model.names}
@@ -269,7 +271,7 @@ def _targets_in(plan: Plan, model: Model) -> dict[str, float]:
 def _next_of_scheme(
     scheme: Scheme,
     model: Model,
-    found: Evaluation,
+    found: PosesWorth,
     poses: list[Pose],
     targets: dict[str, float],
 ) -> NextPose | None:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from multipos.capturing.rows import Reading
+from multipos.capturing.rows import RowOptions
 from multipos.capturing.session import Session
-from multipos.capturing.sources import Source
+from multipos.capturing.sources import RowSource
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text
@@ -52,7 +52,7 @@ class Kept:
         found: Mapping[str, str] = self.earlier.get("taken_back", {})
         return found
 
-    def as_before(self, reading: Reading) -> Reading:
+    def as_before(self, reading: RowOptions) -> RowOptions:
         """Return how the rows are read, with the threshold and the rate that were fixed."""
         threshold, rate = self.earlier.get("threshold"), self.earlier.get("rate_by_arrival")
         timing = reading.timing
@@ -80,7 +80,7 @@ class Kept:
             self.written = text
 
 
-def keep(source: Source, readings: Path | None, *, resume: bool) -> Kept:
+def keep(source: RowSource, readings: Path | None, *, resume: bool) -> Kept:
     """Return what is kept, beside the readings; earlier rows are never written over.
 
     Raises

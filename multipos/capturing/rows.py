@@ -26,7 +26,7 @@ _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
 
 @dataclass(frozen=True)
-class Reading:
+class RowOptions:
     """How the rows are read, as `average` is told."""
 
     outputs: tuple[str, ...] | None = None

@@ -12,17 +12,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from multipos.capturing.evaluation import Plan
+from multipos.capturing.evaluation import SessionPlan
 from multipos.capturing.keeping import Kept
 from multipos.capturing.raw_log import RawLog
-from multipos.capturing.rows import Reading
+from multipos.capturing.rows import RowOptions
 from multipos.capturing.session import Session
-from multipos.capturing.sources import Source, open_source
+from multipos.capturing.sources import RowSource, open_source
 from multipos.capturing.state import line_of, state_of
 from multipos.capturing.targets import Targets, read_targets
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import Names, split_names
-from multipos.files.tables import Source as TableSource
+from multipos.files.tables import Source
 from multipos.logs.averages import Averages
 from multipos.logs.clock import TimeUnit, check_time_unit
 from multipos.logs.samples import Timing
@@ -86,7 +86,7 @@ def capture(
     *,
     target: "Targets | Sequence[str]" = (),
     positions: int | None = None,
-    scheme: "TableSource | Scheme | None" = None,
+    scheme: "Source | Scheme | None" = None,
     outputs: Names | None = None,
     columns: Names | None = None,
     time_column: str | None = None,
@@ -154,15 +154,15 @@ def capture(
 def make_plan(
     target: "Targets | Sequence[str]",
     positions: int | None,
-    scheme: "TableSource | Scheme | None",
+    scheme: "Source | Scheme | None",
     fitting: dict[str, Any],
-) -> Plan:
+) -> SessionPlan:
     """Return what was asked for, checked."""
     check_convention(fitting.get("convention", "specific-force"))
     if positions is not None and positions < 1:
         raise UsageError(f"--positions must be 1 or more, got {positions}.")
     known = None if scheme is None else read_scheme(scheme)
-    return Plan(fitting, read_targets(target), positions, known)
+    return SessionPlan(fitting, read_targets(target), positions, known)
 
 
 def make_reading(
@@ -172,7 +172,7 @@ def make_reading(
     rate: float | None,
     min_duration: float | None,
     threshold: float | None,
-) -> Reading:
+) -> RowOptions:
     """Return how the rows are read, checked."""
     check_time_unit(time_unit)
     if time_column is not None and rate is not None:
@@ -180,18 +180,18 @@ def make_reading(
     if threshold is not None and not 0.0 < threshold < float("inf"):
         raise UsageError(f"--threshold must be above 0, got {threshold:g}.")
     named = None if outputs is None else split_names(outputs, "--outputs")
-    return Reading(named, Timing(time_column, time_unit, rate), min_duration, threshold)
+    return RowOptions(named, Timing(time_column, time_unit, rate), min_duration, threshold)
 
 
 def run_session(
-    session: Session, source: Source, columns: Names | None = None, kept: Kept | None = None
+    session: Session, source: RowSource, columns: Names | None = None, kept: Kept | None = None
 ) -> None:
     """Let rows go into the session until it is finished; Ctrl-C is the word that it is enough.
 
     Parameters
     ----------
     session : Session
-    source : Source
+    source : RowSource
     columns : names, optional
     kept : Kept, optional
         Where rows and decisions go, and what the session goes on from.
@@ -213,7 +213,7 @@ def run_session(
 
 def _feed(
     session: Session,
-    source: Source,
+    source: RowSource,
     columns: Names | None,
     raw: RawLog | None,
     kept: Kept,
@@ -238,7 +238,7 @@ def _feed(
             return
 
 
-def _begin(session: Session, source: Source, log: Log, head: Array) -> None:
+def _begin(session: Session, source: RowSource, log: Log, head: Array) -> None:
     """Settle the columns, or see that they are those that the session began with."""
     if session.rows is None:
         session.begin(log, head)

@@ -15,8 +15,8 @@ import numpy as np
 
 from multipos.capturing.evaluation import (
     NOTHING,
-    Evaluation,
-    Plan,
+    PosesWorth,
+    SessionPlan,
     evaluate,
     model_of,
     next_pose,
@@ -31,7 +31,7 @@ from multipos.capturing.poses import (
     refuse_unit,
 )
 from multipos.capturing.rests import LiveRests
-from multipos.capturing.rows import LiveRows, Reading
+from multipos.capturing.rows import LiveRows, RowOptions
 from multipos.errors import UsageError
 from multipos.logs.still import Still, StillLog
 from multipos.logs.table import Log
@@ -54,7 +54,7 @@ class Session:
         Counts changes of anything but the live values.
     poses : list of Pose
         Every rest that was offered.
-    evaluation : Evaluation
+    evaluation : PosesWorth
     asked_to_finish, finished : bool
     connected : bool
     rows, rests, model : LiveRows, LiveRests, Model, or None
@@ -69,7 +69,10 @@ class Session:
     """
 
     def __init__(
-        self, plan: Plan, reading: Reading, told: "Callable[[Session], object] | None" = None
+        self,
+        plan: SessionPlan,
+        reading: RowOptions,
+        told: "Callable[[Session], object] | None" = None,
     ) -> None:
         self.plan, self._reading = plan, reading
         self._told = told
@@ -82,7 +85,7 @@ class Session:
         self.rows: LiveRows | None = None
         self.rests: LiveRests | None = None
         self.model: Model | None = None
-        self._known: dict[tuple[str, ...], Evaluation] = {(): NOTHING}
+        self._known: dict[tuple[str, ...], PosesWorth] = {(): NOTHING}
         self.next: NextPose | None = None
         self._is_fixed = reading.threshold is not None
         self._again = ""  # the pose that is to be taken again
@@ -332,7 +335,7 @@ class Session:
         self._choose_next()
         self.version += 1
 
-    def _evaluated(self, poses: Sequence[Pose]) -> Evaluation:
+    def _evaluated(self, poses: Sequence[Pose]) -> PosesWorth:
         key = tuple(self.key(pose) for pose in poses)
         if key not in self._known:
             before = None

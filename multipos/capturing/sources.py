@@ -64,7 +64,7 @@ class Arrival(NamedTuple):
 
 
 @dataclass
-class Source:
+class RowSource:
     """Where rows come from.
 
     Attributes
@@ -90,7 +90,7 @@ class Source:
     untimed: bool = False
 
 
-def open_source(text: str) -> Source:
+def open_source(text: str) -> RowSource:
     """Return the source that a text names; nothing is opened yet.
 
     Raises
@@ -115,13 +115,13 @@ def open_source(text: str) -> Source:
     return source
 
 
-def _bytes_source(name: str, chunks: Callable[[], Iterator[bytes | None]]) -> Source:
-    source = Source(name, False, None, lambda columns: _rows_of(source, chunks(), columns))
+def _bytes_source(name: str, chunks: Callable[[], Iterator[bytes | None]]) -> RowSource:
+    source = RowSource(name, False, None, lambda columns: _rows_of(source, chunks(), columns))
     return source
 
 
 def _rows_of(
-    source: Source, chunks: Iterator[bytes | None], columns: Names | None
+    source: RowSource, chunks: Iterator[bytes | None], columns: Names | None
 ) -> Iterator[Arrival]:
     """Yield arrivals from bytes; None among them says that the connection is lost."""
     given = None if columns is None else split_names(columns, "--columns")
@@ -167,7 +167,7 @@ def _together(chunks: Iterator[bytes | None]) -> Iterator[bytes | None]:
 class _Head:
     """The first lines, until they tell what a row is, and how many come in a second."""
 
-    def __init__(self, source: Source, given: tuple[str, ...] | None) -> None:
+    def __init__(self, source: RowSource, given: tuple[str, ...] | None) -> None:
         self._source, self._given = source, given
         self._lines: list[str] = []
         self._begun: tuple[float, int] | None = None  # when counting began, and at which line
@@ -276,7 +276,7 @@ def _growing(path: Path) -> Iterator[bytes | None]:
             yield chunk
 
 
-def _udp_source(rest: str) -> Source:
+def _udp_source(rest: str) -> RowSource:
     address, _, port = rest.rpartition(":")
     if not port.isdigit() or not 0 < int(port) < 1 << 16:
         raise UsageError(f"'udp:{rest}' names no port; give udp:PORT, or udp:ADDRESS:PORT.")
@@ -304,7 +304,7 @@ def _udp(address: str, port: int) -> Iterator[bytes | None]:
                 yield datagram if datagram.endswith((b"\n", b"\r")) else datagram + b"\n"
 
 
-def _serial_source(rest: str) -> Source:
+def _serial_source(rest: str) -> RowSource:
     device, _, baud = rest.rpartition(":")
     if not (device and baud.isdigit()):
         device, baud = rest, str(_BAUD)
@@ -342,7 +342,7 @@ def _serial(device: str, baud: int) -> Iterator[bytes | None]:
             time.sleep(_RETRY)
 
 
-def _replay_source(rest: str) -> Source:
+def _replay_source(rest: str) -> RowSource:
     path, _, last = rest.rpartition(":")
     speed = _number(last)
     if not path or speed is None:
@@ -352,7 +352,7 @@ def _replay_source(rest: str) -> Source:
             f"'replay:{rest}': give replay:LOG, or replay:LOG:SPEED with SPEED 0 (as fast as it "
             "goes) or more."
         )
-    source = Source(path, True, Path(path), lambda columns: _replay(source, columns, speed))
+    source = RowSource(path, True, Path(path), lambda columns: _replay(source, columns, speed))
     return source
 
 
@@ -363,7 +363,7 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _replay(source: Source, columns: Names | None, speed: float) -> Iterator[Arrival]:
+def _replay(source: RowSource, columns: Names | None, speed: float) -> Iterator[Arrival]:
     assert source.path is not None
     log = open_log(source.path, columns=columns)
     if not log.numeric:

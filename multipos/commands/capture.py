@@ -11,7 +11,7 @@ from typing import Any
 from multipos.capturing.keeping import Kept, keep
 from multipos.capturing.running import Captured, captured, make_plan, make_reading, run_session
 from multipos.capturing.session import Session
-from multipos.capturing.sources import Source, open_source
+from multipos.capturing.sources import RowSource, open_source
 from multipos.capturing.state import line_of
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, same_file
 from multipos.commands.calibrate import check_targets, make_exports
@@ -109,7 +109,7 @@ def _say(text: str) -> None:
         print(f"multipos: {text}", file=sys.stderr, flush=True)
 
 
-def _begin(arguments: argparse.Namespace, source: Source) -> tuple[Session, Kept]:
+def _begin(arguments: argparse.Namespace, source: RowSource) -> tuple[Session, Kept]:
     options = vars(arguments)
     apart = {*_READING, "to", *export_options(arguments), *_OWN, *_UNUSED}
     fitting = {name: value for name, value in options.items() if name not in apart}
@@ -133,7 +133,7 @@ def _readings_path(arguments: argparse.Namespace) -> Path | None:
     return None if arguments.output in (None, STDOUT) else Path(arguments.output)
 
 
-def _refuse_input(source: Source, output: str | None) -> None:
+def _refuse_input(source: RowSource, output: str | None) -> None:
     """Refuse an output that is the log which is read."""
     if output in (None, STDOUT) or source.path is None:
         return

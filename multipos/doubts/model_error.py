@@ -15,7 +15,7 @@ from multipos.doubts.score_tests import judge_model, significant
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import Doubt
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.model_test import ModelTest
+from multipos.sensor.term_tests import ModelTest
 from multipos.uncertainty.unseen import unseen_sizes
 
 _MOST = 3  # terms named

@@ -11,7 +11,7 @@ power of temperature, on q degrees of freedom, and ν left,
 
     F = (Δ/q) / (rest/ν),      σ_a² = (F − 1) s² q / Σ left of the columns,                 (2)
 
-one F an output, their p values combined as in `multipos.sensor.model_test`. A curve that was fitted
+one F an output, their p values combined as in `multipos.sensor.term_tests`. A curve that was fitted
 straight shows as the next power of temperature (`multipos.doubts.score_tests`); of the two causes a
 zero of its own for each soak explains the other, so it is asked first.
 """
@@ -26,7 +26,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import Doubt
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.model_test import ModelTest
+from multipos.sensor.term_tests import ModelTest
 
 COLUMN = "temperature"
 _LEVEL = 0.01

@@ -35,7 +35,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian, sensed_axes
-from multipos.sensor.model_test import ModelTest
+from multipos.sensor.term_tests import ModelTest
 
 LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
 # of the readings' span: what scatters less is rounded, and rounding follows no law

@@ -36,7 +36,7 @@ _GRID = 2001  # of eq. (3): its error is below 1e-6
 _REACH = 8.0  # standard deviations that it goes to
 
 
-class Interval(NamedTuple):
+class CoveredFigure(NamedTuple):
     """A figure and the interval that covers it."""
 
     value: float
@@ -48,7 +48,7 @@ class Interval(NamedTuple):
         return self._asdict()
 
 
-def proportion(successes: int, trials: int, confidence: float = 0.95) -> Interval:
+def proportion(successes: int, trials: int, confidence: float = 0.95) -> CoveredFigure:
     """Return a proportion with the interval of Clopper and Pearson."""
     from scipy.special import betaincinv
 
@@ -56,10 +56,10 @@ def proportion(successes: int, trials: int, confidence: float = 0.95) -> Interva
     left = trials - successes
     low = float(betaincinv(successes, left + 1, tail)) if successes else 0.0
     high = float(betaincinv(successes + 1, left, 1.0 - tail)) if left else 1.0
-    return Interval(successes / trials, low, high)
+    return CoveredFigure(successes / trials, low, high)
 
 
-class Spread(NamedTuple):
+class UnitSpread(NamedTuple):
     """How the values of n units spread, over all, within stations, and without measurement."""
 
     n: int
@@ -70,7 +70,7 @@ class Spread(NamedTuple):
     true: float  # NaN where the measurement explains all
 
 
-def spread_of(values: Array, u: Array | None, stations: NDArray[np.intp]) -> Spread:
+def spread_of(values: Array, u: Array | None, stations: NDArray[np.intp]) -> UnitSpread:
     """Return how values (n,) spread.
 
     Parameters
@@ -83,7 +83,7 @@ def spread_of(values: Array, u: Array | None, stations: NDArray[np.intp]) -> Spr
     count = len(values)
     if count < 2:
         mean = float(values.mean()) if count else np.nan
-        return Spread(count, mean, np.nan, np.nan, 0.0, np.nan)
+        return UnitSpread(count, mean, np.nan, np.nan, 0.0, np.nan)
     mean, variance = float(values.mean()), float(values.var(ddof=1))
     _, place = np.unique(stations, return_inverse=True)
     means = np.bincount(place, values) / np.bincount(place)
@@ -91,12 +91,12 @@ def spread_of(values: Array, u: Array | None, stations: NDArray[np.intp]) -> Spr
     within = float(np.sum((values - means[place]) ** 2)) / dof if dof else np.nan
     added = np.nan if u is None else float(np.mean(u**2))
     true = np.sqrt(variance - added) if variance > added else np.nan
-    return Spread(count, mean, np.sqrt(variance), np.sqrt(within), float(dof), float(true))
+    return UnitSpread(count, mean, np.sqrt(variance), np.sqrt(within), float(dof), float(true))
 
 
 def capability(
-    spread: Spread, lsl: float, usl: float, which: str, confidence: float = 0.95
-) -> Interval | None:
+    spread: UnitSpread, lsl: float, usl: float, which: str, confidence: float = 0.95
+) -> CoveredFigure | None:
     """Return Cpk ('within'), Ppk ('sd') or Ppk of the units themselves ('true'), eqs. (1), (2).
 
     None where there is no limit or no spread.
@@ -111,10 +111,10 @@ def capability(
     by_sigma = ratio if which == "true" else 1.0
     variance = ratio / (9.0 * spread.n) + value**2 * by_sigma**2 / (2.0 * dof)
     half = normal_quantile(0.5 + confidence / 2.0) * np.sqrt(variance)
-    return Interval(value, value - half, value + half)
+    return CoveredFigure(value, value - half, value + half)
 
 
-def wrong_verdicts(spread: Spread, u: float, lsl: float, usl: float) -> dict[str, float] | None:
+def wrong_verdicts(spread: UnitSpread, u: float, lsl: float, usl: float) -> dict[str, float] | None:
     """Return consumer's and producer's risk, shares of all units, eq. (3)."""
     if not (spread.true > 0.0 and u > 0.0):
         return None
@@ -161,7 +161,7 @@ def describe(
 
 
 def _against_limits(
-    spread: Spread, u: float, limits: tuple[float, float] | None, confidence: float
+    spread: UnitSpread, u: float, limits: tuple[float, float] | None, confidence: float
 ) -> dict[str, Any]:
     """Return capability and wrong verdicts; None where a number has no limit."""
     lsl, usl = (-np.inf, np.inf) if limits is None else limits

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from multipos.errors import MultiposError, UsageError
 from multipos.logs.gravity import triad_of_gravity
 from multipos.logs.table import Log
-from multipos.positions.column_names import Component, component, split_unit, triads_of
+from multipos.positions.column_names import NameParts, component, split_unit, triads_of
 from multipos.positions.headers import is_environment
 
 
@@ -116,7 +116,7 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
     return Outputs(chosen, _said(chosen, names, by))
 
 
-def _by_name(names: Sequence[str], kinds: dict[str, Component]) -> tuple[str, ...]:
+def _by_name(names: Sequence[str], kinds: dict[str, NameParts]) -> tuple[str, ...]:
     """Return the outputs among numeric columns: the triad of acceleration, where there is one."""
     named = [name for name in names if kinds[name].acceleration]
     triads = triads_of(named, kinds)
@@ -128,7 +128,7 @@ def _by_name(names: Sequence[str], kinds: dict[str, Component]) -> tuple[str, ..
     return whole[0] if whole else tuple(names)
 
 
-def _refuse_text(log: Log, chosen: Sequence[str], kinds: dict[str, Component]) -> None:
+def _refuse_text(log: Log, chosen: Sequence[str], kinds: dict[str, NameParts]) -> None:
     stems = {kinds[name].stem.casefold() for name in chosen if kinds[name].axis >= 0}
     for name in log.columns:
         kind = kinds[name]

@@ -63,7 +63,7 @@ def split_unit(name: str) -> tuple[str, str | None]:
     return (found[1], unit) if found and unit and found[1] else (name, None)
 
 
-class Component(NamedTuple):
+class NameParts(NamedTuple):
     """A name cut into what it measures and along which axis."""
 
     stem: str
@@ -72,13 +72,13 @@ class Component(NamedTuple):
     elsewhere: bool  # another sensor
 
 
-def component(name: str) -> Component:
+def component(name: str) -> NameParts:
     """Return a name cut into its parts."""
     found = _COMPONENT.fullmatch(name)
     stem, axis = (name, -1) if found is None else (found[1], _axis(found[2] or found[3]))
     plain = re.sub(r"[^a-z]+", " ", stem.casefold()).strip()
     acceleration = _ACCELERATION.fullmatch(plain) is not None
-    return Component(
+    return NameParts(
         stem if found is None else f"{stem}{found[4]}",
         axis,
         acceleration and axis >= 0 and not _WITHOUT_GRAVITY.fullmatch(plain),
@@ -90,7 +90,7 @@ def _axis(written: str) -> int:
     return int(written) if written.isdigit() else "xyz".index(written.casefold())
 
 
-def triads_of(names: Sequence[str], kinds: Mapping[str, Component]) -> list[tuple[str, ...]]:
+def triads_of(names: Sequence[str], kinds: Mapping[str, NameParts]) -> list[tuple[str, ...]]:
     """Return the triads among the names, each in the order x, y, z."""
     by_stem: dict[str, dict[int, str]] = {}
     for name in names:
@@ -115,13 +115,13 @@ def axes_by_name(outputs: Sequence[str]) -> tuple[str, ...] | None:
     return named if _is_one_sensor(kinds) or _are_triads(kinds) else None
 
 
-def _is_one_sensor(kinds: Mapping[str, Component]) -> bool:
+def _is_one_sensor(kinds: Mapping[str, NameParts]) -> bool:
     """Tell whether names have one stem, and no axis twice."""
     axes = {each.axis for each in kinds.values()}
     return len({each.stem.casefold() for each in kinds.values()}) == 1 and len(axes) == len(kinds)
 
 
-def _are_triads(kinds: Mapping[str, Component]) -> bool:
+def _are_triads(kinds: Mapping[str, NameParts]) -> bool:
     """Tell whether names make several triads, and none is left."""
     whole = triads_of(tuple(kinds), kinds)
     return len(whole) > 1 and 3 * len(whole) == len(kinds)

@@ -17,7 +17,6 @@ form, and where no other column could be an output.
 
 import re
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +29,6 @@ FORCE = ("f_x", "f_y", "f_z")
 REFERENCE_U = ("reference_u_x", "reference_u_y", "reference_u_z")
 _APPLIED = re.compile(r"([uU]_)?(f_[xyz]|tilt_[xyz]_deg)|outside|parity|fault")
 _LENGTHS = 0.01  # by which up vectors, rounded for print, are longer or shorter than one
-
-
-class Forces(NamedTuple):
-    """Known forces (n, 3) and their standard uncertainty (n, 3) [g]; NaN in rows without."""
-
-    force: Array
-    u: Array
 
 
 def left_by_apply(table: Table) -> tuple[str, ...]:

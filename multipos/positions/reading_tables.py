@@ -15,7 +15,7 @@ from multipos.files.lists import Names, quoted, require_columns, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions import attitudes
-from multipos.positions.column_names import Component, component
+from multipos.positions.column_names import NameParts, component
 from multipos.positions.forces import (
     FORCE,
     known_rows,
@@ -241,7 +241,7 @@ def _said_of_others(chosen: Sequence[str], others: Sequence[str]) -> list[str]:
     ]
 
 
-def _of_acceleration(names: tuple[str, ...], kinds: Mapping[str, Component]) -> tuple[str, ...]:
+def _of_acceleration(names: tuple[str, ...], kinds: Mapping[str, NameParts]) -> tuple[str, ...]:
     """Return the columns named as acceleration, where others are named as rate or field."""
     named = tuple(name for name in names if kinds[name].acceleration)
     elsewhere = any(kinds[name].elsewhere and kinds[name].axis >= 0 for name in names)
@@ -251,7 +251,7 @@ def _of_acceleration(names: tuple[str, ...], kinds: Mapping[str, Component]) -> 
 
 
 def _refuse_text(
-    table: Table, chosen: tuple[str, ...], text: Sequence[str], kinds: Mapping[str, Component]
+    table: Table, chosen: tuple[str, ...], text: Sequence[str], kinds: Mapping[str, NameParts]
 ) -> None:
     """Refuse to drop a column that is an output by its name."""
     stems = {kinds[name].stem.casefold() for name in chosen if kinds[name].axis >= 0}

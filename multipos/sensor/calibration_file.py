@@ -41,8 +41,8 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.doubt import DOUBTS
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import GAUGES, ROLL_GAUGES
-from multipos.sensor.model_test import MODEL_TESTS
 from multipos.sensor.own_models import expression_dict
+from multipos.sensor.term_tests import MODEL_TESTS
 
 SCHEMA = "multipos/calibration/1"
 _DIAGNOSTICS = (

@@ -29,7 +29,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result
 from multipos.sensor.doubt import Doubt, besides
 from multipos.sensor.model import Model
-from multipos.sensor.model_test import ModelTest
+from multipos.sensor.term_tests import ModelTest
 
 UNEQUAL = 0.05  # level at which outputs are called unequally noisy
 OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named

@@ -35,11 +35,10 @@ from multipos.numerics.terms import Term
 from multipos.sensor.compiled import Compiled, Values, compile_model
 from multipos.sensor.instructions import Instruction
 from multipos.sensor.model import Block, Gauge, Model, RollGauge
-from multipos.sensor.sketches import SHARED, Quantity, Sketch
+from multipos.sensor.sketches import SHARED, Sketch, StatedParameter
 from multipos.units import unit_per
 
 Expression = Callable[..., Any]
-Key = tuple[str, str]  # output and name of a parameter
 
 _INSIDE = 1e-6  # of the way between bounds that a start keeps from them, where (2) has no slope
 
@@ -78,7 +77,7 @@ class ExpressionModel(Model):
         Parameters that outputs share, last among all.
     shared_by : tuple of M tuples of int
         Which of these each output uses.
-    quantities : tuple of p Quantity
+    quantities : tuple of p StatedParameter
         What is known of each parameter.
     sketch : Sketch or None
         The formulas as they were written; None for a Python function.
@@ -92,7 +91,7 @@ class ExpressionModel(Model):
     columns_used: tuple[str, ...] = ()
     shared: tuple[Symbol, ...] = ()
     shared_by: tuple[tuple[int, ...], ...] = ()
-    quantities: tuple[Quantity, ...] = ()
+    quantities: tuple[StatedParameter, ...] = ()
     sketch: Sketch | None = None
     fixed: tuple[tuple[str, str, float], ...] = ()
     inner: bool = False

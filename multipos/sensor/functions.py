@@ -12,7 +12,7 @@ from multipos.errors import UsageError
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.expressions import Expression, ExpressionModel, Symbol, load_casadi
 from multipos.sensor.instructions import Instruction, require_instructions, write_instructions
-from multipos.sensor.sketches import Quantity
+from multipos.sensor.sketches import StatedParameter
 from multipos.sensor.stating import check_axes
 
 
@@ -45,7 +45,7 @@ def build_expression(
         y = _called(expression, {a.name: given[a.name] for a in arguments})
         functions.append(_program(y, [force, surroundings, unknown], expression))
     known_of = tuple(
-        Quantity(a.name, None if a.default is Parameter.empty else float(a.default))
+        StatedParameter(a.name, None if a.default is Parameter.empty else float(a.default))
         for a in parameters
     )
     symbols = tuple(Symbol(name=a.name) for a in parameters)
@@ -135,5 +135,5 @@ def load_expression(content: Mapping[str, Any]) -> ExpressionModel:
         tuple(tuple(map(tuple, program)) for program in expression["functions"]),
         tuple(expression["columns"]),
         shared_by=((),) * len(outputs),
-        quantities=tuple(Quantity(str(symbol)) for symbol in symbols) * len(outputs),
+        quantities=tuple(StatedParameter(str(symbol)) for symbol in symbols) * len(outputs),
     )

@@ -38,10 +38,10 @@ from multipos.sensor.found import (
 from multipos.sensor.functions import load_expression
 from multipos.sensor.gravity import Gravity
 from multipos.sensor.model import Model
-from multipos.sensor.model_test import model_test_from_dict
 from multipos.sensor.nominal import read_nominal
 from multipos.sensor.own_models import load_sketch
 from multipos.sensor.stating import build_model
+from multipos.sensor.term_tests import model_test_from_dict
 
 _PLACED = ("value", "u", "determined")
 

@@ -18,8 +18,8 @@ from multipos.sensor.model import Model
 from multipos.sensor.sketches import (
     EACH,
     SHARED,
-    Quantity,
     Sketch,
+    StatedParameter,
     sketch_dict,
     sketch_from_dict,
 )
@@ -82,7 +82,7 @@ def build_sketch(
         columns,
         tuple(Symbol(name=n) for n in shared),
         tuple(used),
-        tuple(sketch.stated.get(n, Quantity(n)) for n in names),
+        tuple(sketch.stated.get(n, StatedParameter(n)) for n in names),
         sketch,
         tuple((output, name, value) for output, name, value in fixed),
     )

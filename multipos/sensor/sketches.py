@@ -41,7 +41,7 @@ _ALIKE = 0.8  # of two names, from which one is the other misspelt
 
 
 @dataclass(frozen=True)
-class Quantity(Result):
+class StatedParameter(Result):
     """What is known of a parameter before any reading; see the module for `start`, `sd`, bounds."""
 
     name: str
@@ -64,7 +64,7 @@ class Sketch(Result):
     Attributes
     ----------
     lines : tuple of (output or 'each', formula)
-    quantities : tuple of Quantity
+    quantities : tuple of StatedParameter
         The parameters of which something is stated.
     where : str
         The file or the text, for messages.
@@ -73,7 +73,7 @@ class Sketch(Result):
     """
 
     lines: tuple[tuple[str, str], ...]
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[StatedParameter, ...]
     where: str = field(compare=False)
     starts: tuple[int, ...] = field(compare=False)
 
@@ -102,7 +102,7 @@ class Sketch(Result):
         return found
 
     @cached_property
-    def stated(self) -> dict[str, Quantity]:
+    def stated(self) -> dict[str, StatedParameter]:
         """What is stated of parameters, by their names."""
         return {quantity.name: quantity for quantity in self.quantities}
 
@@ -216,7 +216,7 @@ def _from_tables(tables: Mapping[str, Any], path: str) -> Sketch:
     return Sketch(lines, tuple(found), path, starts)
 
 
-def _quantity(path: str, name: str, said: Any) -> Quantity:
+def _quantity(path: str, name: str, said: Any) -> StatedParameter:
     where = f"{path}: [parameters] {name}"
     if not _NAME.fullmatch(name) or name in _TAKEN:
         raise MultiposError(f"{where}: this is no name for a parameter; use another.")
@@ -224,7 +224,7 @@ def _quantity(path: str, name: str, said: Any) -> Quantity:
     for key, value in given.items():
         _check_entry(where, key, value)
     numbers: dict[str, Any] = {k: v if k == "unit" else float(v) for k, v in given.items()}
-    quantity = Quantity(name, **numbers)
+    quantity = StatedParameter(name, **numbers)
     _check_quantity(quantity, where)
     return quantity
 
@@ -245,7 +245,7 @@ def _check_entry(where: str, key: str, value: Any) -> None:
         raise MultiposError(f"{where}: {key} must be a number, got {value!r}.")
 
 
-def _check_quantity(quantity: Quantity, where: str) -> None:
+def _check_quantity(quantity: StatedParameter, where: str) -> None:
     start, sd, low, high = quantity.start, quantity.sd, quantity.low, quantity.high
     if not low < high:
         raise MultiposError(f"{where}: low {low:g} must be below high {high:g}.")

@@ -36,7 +36,7 @@ _MARGIN_RMS = 4.0
 POINTS = "fibonacci-1000"  # even directions: the worst of them is within 1 % of the worst of all
 
 
-class Applied(NamedTuple):
+class ForcesSeen(NamedTuple):
     """The forces that a calibration has seen [g].
 
     Inside is what is no larger than `sphere`, and what is no larger than `largest` with components
@@ -76,7 +76,7 @@ class Applied(NamedTuple):
         return f"{', '.join(parts)} g"
 
 
-def applied(calibration: Calibration) -> Applied:
+def applied(calibration: Calibration) -> ForcesSeen:
     """Return the forces that a calibration has seen."""
     c = calibration
     forced = c.readings.forced
@@ -86,7 +86,7 @@ def applied(calibration: Calibration) -> Applied:
     known = c.reference[forced]
     low = known.min(axis=0, initial=-sphere)
     high = known.max(axis=0, initial=sphere)
-    return Applied(sphere, largest, np.asarray(low), np.asarray(high), margin)
+    return ForcesSeen(sphere, largest, np.asarray(low), np.asarray(high), margin)
 
 
 def evaluate_sphere(

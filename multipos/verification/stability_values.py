@@ -16,7 +16,7 @@ from multipos.sensor.stability import (
     WarmUp,
 )
 from multipos.verification.static_records import RawRecord
-from multipos.verification.trends import DRIFT, TEMPERATURE, WARM_UP, Coefficient, Description
+from multipos.verification.trends import DRIFT, TEMPERATURE, WARM_UP, Description, TrendEstimate
 
 _NOTHING = 0.1  # of the largest mean reading: an output that reads less has no ppm
 
@@ -62,7 +62,7 @@ class Values:
         U = found.laws.root(law, coverage_factor(self._confidence, np.inf))[1]
         return Estimate(value, u, U, np.inf, unit).scaled(factor, unit)
 
-    def _estimate(self, found: Coefficient, factor: float, unit: str) -> Estimate:
+    def _estimate(self, found: TrendEstimate, factor: float, unit: str) -> Estimate:
         U = coverage_factor(self._confidence, found.dof) * found.u
         return Estimate(found.value, found.u, U, found.dof, unit).scaled(factor, unit)
 

@@ -22,7 +22,7 @@ _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
 
 @dataclass(frozen=True)
-class Source:
+class RecordOptions:
     """What of a log is wanted.
 
     Attributes
@@ -59,7 +59,7 @@ class RawRecord:
     notes: tuple[str, ...]
 
 
-def read_record(log: Log, wanted: Source, progress: Progress | None) -> RawRecord:
+def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> RawRecord:
     """Read one record.
 
     Raises
@@ -128,7 +128,7 @@ def _dropped(samples: Samples) -> list[str]:
     return [f"{samples.dropped} of {samples.log_rows} rows are bad and left out"]
 
 
-def _outputs(log: Log, wanted: Source, time_column: str | None) -> Outputs:
+def _outputs(log: Log, wanted: RecordOptions, time_column: str | None) -> Outputs:
     if wanted.calibration is not None:
         needed = (*wanted.calibration.outputs, *wanted.calibration.model.environment)
         for name in needed:
@@ -145,7 +145,7 @@ def _names(raw: tuple[str, ...], calibration: Calibration | None) -> tuple[str, 
     return tuple(f"f_{COMPONENTS[axis]}" for axis in sensed_axes(calibration.model))
 
 
-def _temperature(log: Log, wanted: Source, samples: Samples) -> slice:
+def _temperature(log: Log, wanted: RecordOptions, samples: Samples) -> slice:
     """Return the row of the temperature in the pieces, none where it was not measured."""
     name = "temperature" if wanted.temperature is None else log.find(wanted.temperature)
     if name not in samples.others:

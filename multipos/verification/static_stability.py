@@ -114,7 +114,7 @@ def stability(
     model = calibration
     if model is not None and not isinstance(model, Calibration):
         model = load(model)
-    wanted = static_records.Source(
+    wanted = static_records.RecordOptions(
         outputs=None if outputs is None else split_names(outputs, "--outputs"),
         calibration=model,
         temperature=temperature,

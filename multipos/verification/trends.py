@@ -71,7 +71,7 @@ class Blocks:
         return np.asarray((np.arange(len(self.values)) + 0.5) * self.length)
 
 
-class Coefficient(NamedTuple):
+class TrendEstimate(NamedTuple):
     """A coefficient over all records: value, standard uncertainty, degrees of freedom."""
 
     value: float
@@ -85,9 +85,9 @@ class Description:
 
     Attributes
     ----------
-    found : dict of str to Coefficient
+    found : dict of str to TrendEstimate
         Of `drift`, `temperature`, `warm_up` (its amplitude), those in the model.
-    time_constant : Coefficient or None
+    time_constant : TrendEstimate or None
     transients : tuple of (b,) array
         The warm-up of every record; zero where there is none.
     laws : Laws
@@ -95,8 +95,8 @@ class Description:
         −2 ln L of eq. (2), over all records.
     """
 
-    found: dict[str, Coefficient]
-    time_constant: Coefficient | None
+    found: dict[str, TrendEstimate]
+    time_constant: TrendEstimate | None
     transients: tuple[Array, ...]
     laws: Laws
     likelihood: float
@@ -161,8 +161,8 @@ def _describe(
 class _Fit(NamedTuple):
     """Least squares for one time constant, and where that would move."""
 
-    coefficients: dict[str, Coefficient]
-    time_constant: Coefficient | None
+    coefficients: dict[str, TrendEstimate]
+    time_constant: TrendEstimate | None
     trends: tuple[Array, ...]  # of every record, without its constant
     transients: tuple[Array, ...]
     square: float
@@ -189,7 +189,9 @@ def _least_squares(
     # The warm-up comes last, where there is one.
     warm = [0.0 if constant is None else float(b[-1]) for b in own]
     step, u_step, covariances = _step(records, constant, squares, white, own, left)
-    time_constant = None if constant is None else Coefficient(constant, constant * u_step, math.inf)
+    time_constant = (
+        None if constant is None else TrendEstimate(constant, constant * u_step, math.inf)
+    )
     return _Fit(
         coefficients=_coefficients(names, own, covariances),
         time_constant=time_constant,
@@ -296,14 +298,14 @@ def _covariance(count: int, length: int, squares: Array) -> Array:
 
 def _coefficients(
     names: tuple[str, ...], own: list[Array], covariances: list[Array]
-) -> dict[str, Coefficient]:
+) -> dict[str, TrendEstimate]:
     return {
         name: _pooled([b[i] for b in own], [C[i, i] for C in covariances])
         for i, name in enumerate(names, start=1)
     }
 
 
-def _pooled(values: list[float], variances: list[float]) -> Coefficient:
+def _pooled(values: list[float], variances: list[float]) -> TrendEstimate:
     """Return the weighted mean over records, u by noise or by scatter."""
     weight = 1.0 / np.array(variances)
     mean = float(weight @ values / weight.sum())
@@ -312,7 +314,7 @@ def _pooled(values: list[float], variances: list[float]) -> Coefficient:
         ratio = float(weight @ (np.array(values) - mean) ** 2) / (len(values) - 1)
         if ratio > 1.0:
             u, dof = u * math.sqrt(ratio), len(values) - 1.0
-    return Coefficient(mean, u, dof)
+    return TrendEstimate(mean, u, dof)
 
 
 def _noise(records: Sequence[Blocks], lengths: Sequence[int], trends: Sequence[Array]) -> Laws:
