@@ -42,6 +42,12 @@ FORBIDDEN_CALLS = {"eval", "exec"}
 EXISTING = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
 ROOM = {name: name.removesuffix(".py").partition("/")[0] for name in EXISTING}
 ORDERED = [name for name in EXISTING if name != "__init__.py"]
+PAGES = ["README.md", "CONTRIBUTING.md"]
+PAGES += sorted(
+    path.relative_to(PACKAGE.parent).as_posix()
+    for path in (PACKAGE.parent / "docs").rglob("*.md")
+    if "_build" not in path.parts
+)
 every_file = pytest.mark.parametrize("name", EXISTING)
 
 
@@ -141,6 +147,41 @@ def test_the_architecture_page_shows_the_rooms_as_they_are():
         rows.append(f"| {shown} | {sentence} | {f'`{opened}`' if opened else ''} |")
     page = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
     assert re.findall(r"^\| `.*", page, re.MULTILINE) == rows
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_name_files_that_are_there(page):
+    text = (PACKAGE.parent / page).read_text(encoding="utf-8")
+    named = re.findall(r"`((?:multipos|tests|docs|benchmarks)/[\w/]+(?:\.\w+)?)`", text)
+    named = [name for name in named if not re.search(r"/\d+$", name)]  # schemas of files
+    assert [name for name in named if not (PACKAGE.parent / name).exists()] == []
+
+
+@every_file
+def test_docstrings_name_what_is_there(name):
+    """A dotted name in backticks is public, a module, or stands at the top level of one."""
+    named = re.findall(r"`multipos\.([\w.]+)`", (PACKAGE / name).read_text(encoding="utf-8"))
+    assert [target for target in set(named) - set(names_for_types()) if not is_there(target)] == []
+
+
+def is_there(target: str) -> bool:
+    module, _, attribute = target.rpartition(".")
+    path = PACKAGE / target.replace(".", "/")
+    if path.is_dir() or path.with_suffix(".py").exists():
+        return True
+    while module and not (PACKAGE / f"{module.replace('.', '/')}.py").exists():
+        module, _, attribute = module.rpartition(".")
+    return bool(module) and attribute in top_level(f"{module.replace('.', '/')}.py")
+
+
+def top_level(name: str) -> set[str]:
+    found = set()
+    for node in parse(name).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        found |= {target.id for target in targets if isinstance(target, ast.Name)}
+    return found
 
 
 def test_inside_nothing_comes_through_the_face_of_a_room():
