@@ -20,8 +20,6 @@ because single precision cannot count the milliseconds of a day.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -29,10 +27,11 @@ from multipos import __version__
 from multipos.compensation.c_body import literal
 from multipos.compensation.c_source import c_source, comment
 from multipos.compensation.c_steps import environment_range
+from multipos.compensation.parts import Correction
 from multipos.files.numbers import number
 from multipos.numerics.arrays import LARGEST
 from multipos.numerics.factors import FUNCTIONS
-from multipos.numerics.terms import COMPONENTS, Term
+from multipos.numerics.terms import Term
 from multipos.regression.rates import filter_time
 from multipos.regression.result import Regression
 from multipos.regression.segment import Segment
@@ -43,58 +42,6 @@ from multipos.uncertainty.validity import applied
 _ROUNDING = {False: 2.0**-53, True: 2.0**-24}
 STEPS = 5.0  # T/Δt of the default window, 20 rows
 _NUMBERS = {False: LARGEST, True: 1e30}  # beyond these an input is no number
-
-
-@dataclass(frozen=True)
-class Correction:
-    """What ``NAME_correct`` computes.
-
-    Attributes
-    ----------
-    calibration : Calibration or None
-        Compensates first; its forces are inputs of the regressions.
-    regressions : tuple of Regression
-    corrected : tuple of str
-        The column that each regression corrects; empty where they predict.
-    """
-
-    calibration: Calibration | None
-    regressions: tuple[Regression, ...]
-    corrected: tuple[str, ...] = ()
-
-    @cached_property
-    def forces(self) -> tuple[str, ...]:
-        """Compensated columns, as `apply` names them."""
-        if self.calibration is None:
-            return ()
-        return tuple(f"f_{COMPONENTS[i]}" for i in sensed_axes(self.calibration.model))
-
-    @cached_property
-    def inputs(self) -> tuple[str, ...]:
-        """Columns that come in, in the order of ``in``."""
-        names: list[str] = []
-        if self.calibration is not None:
-            names += [*self.calibration.outputs, *self.calibration.model.environment]
-        for r in self.regressions:
-            names += [name.removesuffix("_rate") if name in r.rates else name for name in r.needed]
-        names += self.corrected
-        return tuple(name for name in dict.fromkeys(names) if name not in self.forces)
-
-    @cached_property
-    def rates(self) -> tuple[tuple[str, float], ...]:
-        """Columns that rates are formed of, each with the window of its rate."""
-        found = [
-            (name.removesuffix("_rate"), r.rates[name])
-            for r in self.regressions
-            for name in r.needed
-            if name in r.rates
-        ]
-        return tuple(dict.fromkeys(found))
-
-    @cached_property
-    def branched(self) -> tuple[int, ...]:
-        """Regressions that tell heating from cooling."""
-        return tuple(k for k, r in enumerate(self.regressions) if r.branch_column is not None)
 
 
 def rounding(r: Regression, *, single: bool, steps: float = STEPS) -> float:

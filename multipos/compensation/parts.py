@@ -2,17 +2,73 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 from multipos.errors import UsageError
 from multipos.files.trees import read_schema
+from multipos.numerics.terms import COMPONENTS
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.regression.result import Regression
 from multipos.regression.several import Regressions, all_of
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.loading import load
 
 Part = Calibration | Regression | Regressions
 Parts = Part | Sequence[Part]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What ``NAME_correct`` computes.
+
+    Attributes
+    ----------
+    calibration : Calibration or None
+        Compensates first; its forces are inputs of the regressions.
+    regressions : tuple of Regression
+    corrected : tuple of str
+        The column that each regression corrects; empty where they predict.
+    """
+
+    calibration: Calibration | None
+    regressions: tuple[Regression, ...]
+    corrected: tuple[str, ...] = ()
+
+    @cached_property
+    def forces(self) -> tuple[str, ...]:
+        """Compensated columns, as `apply` names them."""
+        if self.calibration is None:
+            return ()
+        return tuple(f"f_{COMPONENTS[i]}" for i in sensed_axes(self.calibration.model))
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        """Columns that come in, in the order of ``in``."""
+        names: list[str] = []
+        if self.calibration is not None:
+            names += [*self.calibration.outputs, *self.calibration.model.environment]
+        for r in self.regressions:
+            names += [name.removesuffix("_rate") if name in r.rates else name for name in r.needed]
+        names += self.corrected
+        return tuple(name for name in dict.fromkeys(names) if name not in self.forces)
+
+    @cached_property
+    def rates(self) -> tuple[tuple[str, float], ...]:
+        """Columns that rates are formed of, each with the window of its rate."""
+        found = [
+            (name.removesuffix("_rate"), r.rates[name])
+            for r in self.regressions
+            for name in r.needed
+            if name in r.rates
+        ]
+        return tuple(dict.fromkeys(found))
+
+    @cached_property
+    def branched(self) -> tuple[int, ...]:
+        """Regressions that tell heating from cooling."""
+        return tuple(k for k, r in enumerate(self.regressions) if r.branch_column is not None)
 
 
 def load_parts(paths: Sequence[str | os.PathLike[str]]) -> tuple[Part, ...]:

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.compensation.added_columns import add_columns
-from multipos.compensation.c_correction import Correction
 from multipos.compensation.c_steps import environment_range
 from multipos.compensation.correction import predict_clamped, read_predictors
+from multipos.compensation.parts import Correction
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
 from multipos.numerics.arrays import LARGEST, Array

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from multipos.compensation.c_correction import (
-    Correction,
     correction_source,
     declarations,
     output_line,
@@ -20,6 +19,7 @@ from multipos.compensation.c_correction import (
 )
 from multipos.compensation.c_running import compile_and_run
 from multipos.compensation.c_source import array, comment, require_identifier
+from multipos.compensation.parts import Correction
 from multipos.compensation.replay import Drive, expected_rows, fitted_rows, generated_rows
 from multipos.compensation.target import Exported, GivenFile
 from multipos.compensation.target_c import difference_of

@@ -10,7 +10,8 @@ from test_exporters import SANITIZERS, WARNINGS, made
 
 import multipos as mp
 from multipos.cli import main
-from multipos.compensation.c_correction import Correction, declarations
+from multipos.compensation.c_correction import declarations
+from multipos.compensation.parts import Correction
 from multipos.compensation.replay import Drive, expected_rows, fitted_rows
 from multipos.compensation.target_correction import _MAIN
 from multipos.errors import MultiposError, UsageError
