@@ -85,7 +85,10 @@ def test_a_unit_at_both_stations_compares_them_within_itself():
     # paired: sd of a difference √2 noise, over √30
     assert u == pytest.approx(noise * np.sqrt(2.0 / n), rel=0.3)
     assert abs(effect[1] - effect[0] - 0.5) < 4.0 * u
-    assert effect[1] - effect[0] == pytest.approx(np.mean(values[n:] - values[:n]), abs=1e-12)
+    # the information has a condition of 2 lot²/noise², so ε of it
+    rounding = 2.0 * (lot / noise) ** 2 * 2.0**-52
+    paired = np.mean(values[n:] - values[:n])
+    assert effect[1] - effect[0] == pytest.approx(paired, abs=2.0 * rounding)
 
 
 def test_a_step_is_found_where_it_was():
