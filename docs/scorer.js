@@ -1,7 +1,8 @@
-// How Sphinx ranks what a search finds: its own weights, and the page of doubts first.
+// How Sphinx ranks what a search finds: its own weights, and the page of doubts first, then which number to read.
 // `var`, as the script that uses it declares it again.
 var Scorer = {
-  score: ([docname, title, anchor, description, score]) => score + (docname === "doubts" ? 100 : 0),
+  score: ([docname, title, anchor, description, score]) =>
+    score + ({ doubts: 100, "which-number": 50 }[docname] ?? 0),
   objNameMatch: 11,
   objPartialMatch: 6,
   objPrio: { 0: 15, 1: 5, 2: -5 },
