@@ -1,4 +1,4 @@
 """What does not look right in a finished calibration.
 
-Open `criticism` first.
+Open `examination` first, which asks them all.
 """
