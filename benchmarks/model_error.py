@@ -16,7 +16,7 @@ import numpy as np
 
 import multipos as mp
 from multipos.numerics.quantiles import coverage_factor
-from multipos.sensor.inverse import inverse_covariance
+from multipos.sensor.inverse import sensitivities
 
 BIAS = np.array([0.012, -0.021, 0.034])
 MATRIX = np.array([[1.012, 0.007, -0.003], [0.005, 0.99, 0.007], [-0.007, 0.004, 1.003]])
@@ -117,7 +117,9 @@ def one(
     raw = sense(up, name, size, terms)
     if "unknown_orientation" in options:
         force = cal.compensate(raw)
-        covariance = inverse_covariance(cal.model, cal.parameters, cal.covariance, force, {})
+        inverse, slopes = sensitivities(cal.model, cal.parameters, force, {})
+        moved = inverse @ slopes
+        covariance = moved @ cal.covariance @ moved.transpose(0, 2, 1)
         error = np.linalg.norm(force, axis=1) - 1.0
         u = np.sqrt(np.einsum("ni,nij,nj->n", force, covariance, force))
         U = coverage_factor(0.95, float(cal.dof[0])) * u

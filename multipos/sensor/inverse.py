@@ -195,24 +195,6 @@ def invert_at_rest(
     return force
 
 
-def inverse_covariance(
-    model: Model,
-    parameters: Array,
-    covariance: Array,
-    force: Array,
-    environment: Mapping[str, ArrayLike],
-) -> Array:
-    """Return the covariance (n, K, K) [g²] of compensated force (n, K), by eq. (2); NaN as it."""
-    sound = np.isfinite(force.sum(axis=1))
-    full = np.zeros((len(force), 3))
-    full[:, list(sensed_axes(model))] = np.where(sound[:, None], force, 0.0)
-    inverse, by_parameter = sensitivities(model, parameters, full, environment)
-    sensitivity = inverse @ by_parameter
-    result: Array = sensitivity @ covariance @ sensitivity.transpose(0, 2, 1)
-    result[~sound] = np.nan
-    return result
-
-
 def sensitivities(
     model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
 ) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from multipos.errors import MultiposError
 from multipos.numerics.terms import COMPONENTS, NAMED
-from multipos.sensor.inverse import inverse_covariance, invert, parameter_jacobian, sensed_axes
+from multipos.sensor.inverse import invert, parameter_jacobian, sensed_axes, sensitivities
 from multipos.sensor.stating import build_model
 
 SENSORS = {
@@ -122,7 +122,11 @@ def test_the_uncertainty_of_a_force_against_monte_carlo(kind):
     f = forces(built, rng, 4)
     raw = built.predict(parameters, f, {})
     sensed = list(sensed_axes(built))
-    stated = inverse_covariance(built, parameters, root @ root.T, f[:, sensed], {})
+    seen = np.zeros_like(f)
+    seen[:, sensed] = f[:, sensed]
+    inverse, slopes = sensitivities(built, parameters, seen, {})
+    moved = inverse @ slopes @ root
+    stated = moved @ moved.transpose(0, 2, 1)
     runs = 2000
     draws = np.array(
         [
