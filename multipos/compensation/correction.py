@@ -39,7 +39,7 @@ from multipos.regression.observations import Rows, number_labels
 from multipos.regression.rates import form_rate
 from multipos.regression.result import Regression
 from multipos.regression.several import Regressions
-from multipos.sensor.tilt import coverage_factors
+from multipos.sensor.tilt import coverage_by_tenths
 
 
 class Corrected(AppliedColumns):
@@ -268,7 +268,7 @@ def _uncertainty(
         if sd is not None:
             with np.errstate(divide="ignore"):
                 dof = nu * np.where(own > 0.0, variance / own, np.inf) ** 2
-            k = coverage_factors(regression.confidence, dof)
+            k = coverage_by_tenths(regression.confidence, dof)
         u[rows], U[rows] = np.sqrt(variance), k * np.sqrt(variance)
         if segment.between is not None:
             m, scatter = segment.between.runs, segment.between.variance(columns, rows)

@@ -33,7 +33,7 @@ from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.stated_noise import spread_reading_sd
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes, sensitivities
-from multipos.sensor.tilt import coverage_factors, reading_noise
+from multipos.sensor.tilt import coverage_by_tenths, reading_noise
 from multipos.uncertainty.propagation import (
     Evaluation,
     evaluate_budget,
@@ -233,7 +233,7 @@ class ReadingUncertainty:
         u = np.sqrt(np.sum(parts**2, axis=0)).reshape(n, -1)
         nu = welch_satterthwaite(parts, np.array(dof)).reshape(n, -1)
         u[~sound] = np.nan
-        return u, coverage_factors(c.confidence, nu) * u
+        return u, coverage_by_tenths(c.confidence, nu) * u
 
     def cautions(self, table: Table, columns: Iterable[str]) -> tuple[str, ...]:
         """Return a caution where rows look like single samples, and their noise is not told.

@@ -74,7 +74,7 @@ def describe_stations(units: Units, counted: NDArray[np.bool_]) -> list[dict[str
 def _levels(
     units: Units, counted: NDArray[np.bool_], stations: Codes, who: Codes, count: int
 ) -> list[dict[str, Any] | None] | None:
-    matrix = None if units.model is None else sensitivities(units.model, units.parameters)
+    matrix = None if units.model is None else linear_parts(units.model, units.parameters)
     if matrix is None:
         return None
     usable = counted & np.isfinite(matrix).all(axis=(1, 2))
@@ -90,7 +90,7 @@ def _levels(
     return _by_station(found, count)
 
 
-def sensitivities(model: Model, parameters: Array) -> Array | None:
+def linear_parts(model: Model, parameters: Array) -> Array | None:
     """Return the linear part (B, 3, 3) of a triad's parameters, None where a term is missing."""
     places = []
     if sorted(model.axes) != sorted(COMPONENTS) or model.gauge is not None:

@@ -12,7 +12,7 @@ from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, scale_b
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.nominal import nominal_force
 from multipos.uncertainty.propagation import Evaluation
-from multipos.uncertainty.validity import force_uncertainty
+from multipos.uncertainty.validity import vector_uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +54,7 @@ def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
     c = calibration
     up = c.sign * directions(c.reference)
     if np.isfinite(c.rms) and np.isfinite(c.u).all():
-        u = force_uncertainty(c, c.sign * everywhere())
+        u = vector_uncertainty(c, c.sign * everywhere())
         power, unit = (6.0, "µg") if u.max() < 1e-3 else (3.0, "mg")
         draw_map(10.0**power * u, f"u of force [{unit}]", axes)
     draw_frame(axes)

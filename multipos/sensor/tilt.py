@@ -109,7 +109,7 @@ def tilt_at_rest(
     noise = reading_noise(calibration) if noise is None else noise
     covariance, dof = force_uncertainty(calibration, rest, environment, noise, unseen)
     u = np.sqrt(np.einsum("nkk->nk", covariance))
-    k = coverage_factors(calibration.confidence, dof)
+    k = coverage_by_tenths(calibration.confidence, dof)
     sign, magnitude, force = calibration.sign, magnitude_of(calibration), rest[:, axes]
     if len(axes) == 3:
         angle_u = triad_tilt_u(force, covariance)
@@ -135,7 +135,7 @@ def beyond_vertical(calibration: Calibration) -> Array:
     covariance, dof = force_uncertainty(
         calibration, upright, environment, reading_noise(calibration)
     )
-    k = coverage_factors(calibration.confidence, dof)
+    k = coverage_by_tenths(calibration.confidence, dof)
     U = (k * np.sqrt(np.einsum("nkk->nk", covariance))).reshape(2, len(axes), len(axes))
     largest: Array = U.max(axis=0)[range(len(axes)), range(len(axes))]
     return np.nan_to_num(largest) + _ROUNDING
@@ -216,7 +216,7 @@ def _with_unseen(
     return result
 
 
-def coverage_factors(confidence: float, dof: Array) -> Array:
+def coverage_by_tenths(confidence: float, dof: Array) -> Array:
     """Return the coverage factor of each dof, rounded down to a tenth to look up each but once."""
     lowered = np.where(np.isfinite(dof), np.floor(dof * 10.0) / 10.0, dof)
     different, place = np.unique(lowered, return_inverse=True)

@@ -146,7 +146,7 @@ def evaluate_sphere(
     return result
 
 
-def force_uncertainty(calibration: Calibration, force: Array) -> Array:
+def vector_uncertainty(calibration: Calibration, force: Array) -> Array:
     """Return the standard uncertainty (n,) [g] of compensated force as a vector, at forces (n, 3).
 
     The root of the sum of the variances along all sensed axes.

@@ -29,7 +29,7 @@ from multipos.sensor.inverse import invert, sensed_axes
 from multipos.sensor.nominal import Nominal, nominal_force
 from multipos.sensor.tilt import (
     at_rest,
-    coverage_factors,
+    coverage_by_tenths,
     force_uncertainty,
     magnitude_of,
     reading_noise,
@@ -130,7 +130,7 @@ def tilt_errors(calibration: Calibration, data: Readings, nominal: Nominal, nois
         before = triad_tilt(force, calibration.sign)
     else:
         before = np.arcsin(np.clip(calibration.sign * force / magnitude_of(calibration), -1.0, 1.0))
-    k = coverage_factors(calibration.confidence, np.full(found.u.shape, np.inf))
+    k = coverage_by_tenths(calibration.confidence, np.full(found.u.shape, np.inf))
     U = np.hypot(found.U, k * placed)
     u = np.hypot(found.u, placed)
     arrays = (reference, before - reference, found.tilt - reference, u, U)
@@ -150,10 +150,10 @@ def _expanded(calibration: Calibration, own: Array, u: Array, dof: Array) -> Arr
     """Return k of a sum of which only the part `own` has finite degrees of freedom."""
     with np.errstate(divide="ignore", invalid="ignore"):
         effective = np.where(own > 0.0, dof * (u / own) ** 4, np.inf)
-    return coverage_factors(calibration.confidence, effective)
+    return coverage_by_tenths(calibration.confidence, effective)
 
 
-def linearity(reference: Array, error: Array, counted: NDArray[np.bool_], tilt: bool) -> Array:
+def line_departure(reference: Array, error: Array, counted: NDArray[np.bool_], tilt: bool) -> Array:
     """Return the largest departure from the least-squares line (K,), in percent of its span."""
     result = np.full(reference.shape[1], np.nan)
     for column, (known, wrong, used) in enumerate(
