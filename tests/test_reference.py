@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import multipos as mp
+from multipos.cli import COMMANDS
 from multipos.numerics.terms import NAMED
 from multipos.positions import attitudes
 from multipos.positions.headers import RESERVED
@@ -30,6 +31,19 @@ def rows(heading):
         if line.startswith("| `"):
             cells = re.split(r"(?<!\\)\|", line)[1:-1]
             yield [cell.replace(r"\|", "|").strip().strip("`") for cell in cells]
+
+
+def test_what_o_writes_is_described_for_every_command():
+    table = dict(re.findall(r"^\| (`\.\w+`.*?) \| (.+?) \|$", PAGE, re.MULTILINE))
+    said = {ending: set(re.findall(r"`([\w-]+)`", text)) for ending, text in table.items()}
+    forms = {}
+    for name in COMMANDS:
+        output = importlib.import_module(f"multipos.commands.{name.replace('-', '_')}").OUTPUT
+        forms[name] = {output.own, *output.others}
+    assert said["`.csv`"] == {name for name, form in forms.items() if "table" in form}
+    assert said["`.svg`, `.png`, `.pdf`"] == {name for name in forms if "figure" in forms[name]}
+    without = set(re.findall(r"`([\w-]+)`", table["`.json`"].split(";")[1]))
+    assert without == {name for name, form in forms.items() if "json" not in form}
 
 
 def test_every_column_of_readings_is_described():
