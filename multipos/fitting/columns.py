@@ -24,7 +24,7 @@ from multipos.numerics.selection import thresholds
 from multipos.numerics.subsets import CRITERIA, SubsetCriterion
 from multipos.numerics.terms import largest_value
 from multipos.regression.candidates import read_candidates
-from multipos.regression.cautions import few_rows_said, jumps_said, order_said, state_cautions
+from multipos.regression.cautions import jumps_said, order_said, state_cautions
 from multipos.regression.cutting import Cut, fit_cut, settle_edges
 from multipos.regression.hysteresis import compare_branches
 from multipos.regression.junctions import Junction, find_junctions
@@ -238,7 +238,6 @@ def _describe(
         warnings=(
             *state_cautions(plan, segments, hysteresis, validation),
             *jumps_said(cut.variable, junctions),
-            *few_rows_said(plan, read),
         ),
     )
 

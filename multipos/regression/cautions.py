@@ -4,22 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from multipos.regression.junctions import Junction
-from multipos.regression.observations import (
-    Observations,
-)
+from multipos.regression.observations import Observations
 from multipos.regression.piecewise import Plan
 from multipos.regression.result import Regression
 from multipos.regression.segment import Segment
-from multipos.regression.whitening import said_of_few_rows
-
-
-def few_rows_said(plan: Plan, read: Observations) -> tuple[str, ...]:
-    """Say where rows, which have a time, are too few to know their noise."""
-    data = read.data
-    if read.time is None or data.order is None or data.cluster is not None:
-        return ()
-    columns = (data.columns[name] for name in plan.variables if name in data.columns)
-    return said_of_few_rows(columns, data.order)
 
 
 def order_said(read: Observations, result: Regression) -> tuple[str, ...]:
@@ -83,11 +71,17 @@ def _segment_warnings(plan: Plan, segment: Segment, where: str) -> list[str]:
             f"{where}: {', '.join(segment.collinear)} cannot be told from the terms in the model"
         )
     robust = segment.robust
-    if robust is not None and robust.kind != "cluster":
+    if robust is not None and robust.kind != "cluster" and robust.n_effective < segment.n:
         said.append(
             f"{where}: neighbouring rows are correlated ({robust.lag_one:.2f}); {segment.n} rows "
             f"are worth about {robust.n_effective:.3g}, see F_robust"
         )
     if robust is not None and segment.significant and not robust.p < 1.0 - plan.confidence:
         said.append(f"{where}: significant by F, not by F_robust (p = {robust.p:.2g})")
+        if robust.kind != "cluster" and robust.n_effective == segment.n:
+            said.append(
+                f"{where}: {segment.n} rows cannot tell slow noise beside white noise from white "
+                f"noise alone: F (p = {segment.p:.2g}) stands if theirs is white, F_robust if it "
+                "is as slow as they leave open; more rows, or several runs, tell"
+            )
     return said

@@ -19,7 +19,7 @@ from multipos.regression.result import format_span
 from multipos.regression.runs import within_runs
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import check_edges, find_edges, segment_of
-from multipos.regression.whitening import Law, find_law, whitening_of
+from multipos.regression.whitening import Noise, find_noise, whitening_of
 
 
 @dataclass(frozen=True)
@@ -70,17 +70,17 @@ def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> 
     if data.order is not None:
         # what five segments leave is close to noise alone, whatever the edges will be
         bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
-        law = _law(design, data, segment_of(values, bins.tolist()))
-        whitening = whitening_of(data.order, law)
+        noise = _noise(design, data, segment_of(values, bins.tolist()))
+        whitening = whitening_of(data.order, noise)
         if whitening is not None:
             design, response = whitening(design), whitening(response)
     return find_edges(values, design, response, minimum=minimum)
 
 
-def _law(design: Array, data: Data, place: Rows) -> Law | None:
-    """Return the law of the noise that fits to the rows of each place leave."""
+def _noise(design: Array, data: Data, place: Rows) -> Noise | None:
+    """Return what is told of the noise that fits to the rows of each place leave."""
     apart = [np.where((place == i)[:, np.newaxis], design, 0.0) for i in np.unique(place)]
-    return find_law(np.column_stack(apart), data.response, data.order)
+    return find_noise(np.column_stack(apart), data.response, data.order)
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def fit_cut(plan: Plan, data: Data, cut: Cut) -> list[Segment]:
     place = np.empty(len(data), dtype=np.intp)
     for b, branch in enumerate(branches):
         place[branch.rows] = branch.place + b * (len(cut.edges) + 1)
-    data = replace(data, law=_law(design, within, place))
+    data = replace(data, noise=_noise(design, within, place))
     return [segment for branch in branches for segment in fit(plan, data, cut, branch)]
 
 

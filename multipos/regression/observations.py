@@ -17,7 +17,7 @@ from multipos.files.tables import Table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.regression.correlation import TimeOrder, time_order
 from multipos.regression.rates import default_window, form_rate, rows_of_runs
-from multipos.regression.whitening import Law
+from multipos.regression.whitening import Noise
 
 Rows = NDArray[np.intp]
 
@@ -30,14 +30,14 @@ _SAME = 1e-10  # relative difference below which two columns are one
 
 @dataclass(frozen=True)
 class Data:
-    """Columns of the rows that are fitted, with order in time, clusters, runs and noise's law."""
+    """Columns of the rows that are fitted, with order in time, clusters, runs and their noise."""
 
     columns: Mapping[str, Array]
     response: Array
     order: TimeOrder | None = None
     cluster: Rows | None = None
     run: Rows | None = None
-    law: Law | None = None
+    noise: Noise | None = None
 
     def take(self, rows: Rows) -> "Data":
         """Return some of the rows."""
@@ -47,7 +47,7 @@ class Data:
             None if self.order is None else self.order.of(rows),
             None if self.cluster is None else self.cluster[rows],
             None if self.run is None else self.run[rows],
-            self.law,
+            self.noise,
         )
 
     def __len__(self) -> int:

@@ -147,7 +147,7 @@ def fit_segment(
         F,
         span,
         branch,
-        None if robust is None else robust_test(robust, terms, values),
+        robust_test(robust, terms, values, (F, k, fit.dof), plan.confidence),
     )
     if read.run is None:
         return segment
@@ -200,9 +200,7 @@ def fit_continuous(
         values, covariance = L @ b, L @ fit.covariance @ L.T
         slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
         F, k = wald(values[slopes], covariance[np.ix_(slopes, slopes)])
-        local = None
-        if robust is not None:
-            local = robust_test(robust.turned(L), terms, values)
+        turned = None if robust is None else robust.turned(L)
         rows = np.flatnonzero(place == s)
         segments.append(
             _segment(
@@ -217,7 +215,7 @@ def fit_continuous(
                 F,
                 span,
                 branch,
-                local,
+                robust_test(turned, terms, values, (F, k, fit.dof), plan.confidence),
             )
         )
     if read.run is None:
@@ -324,7 +322,7 @@ def _select(
 ) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
     if plan.method == "full":
         return all_columns(names), ()
-    whitening = whitening_of(data.order, data.law)
+    whitening = whitening_of(data.order, data.noise)
     if whitening is None:
         triangle = compress(design, data.response)
     else:

@@ -15,18 +15,25 @@ it does the correlation of its residuals:
 
     l(ρ, θ) = −R/2 ln r − 1/2 ln |X̃'X̃| − (n − p)/2 ln rss,                                (3)
 
-R runs, p columns; they are used where 2 (l(ρ, θ) − l(0, 0)) is beyond what independent rows give
-once in a hundred. The law is one of the sensor, not of a segment, and is found from all rows at
-once, with the columns of every segment apart. What is still left is fitted by an autoregression of
-up to six orders, as many as the Bayesian criterion grants, and taken off likewise. What tests of
-terms then do where nothing is there stands in `docs/theory/regression.md`.
+R runs, p columns. **The likeliest** law chooses terms and edges, where 2 (l(ρ, θ) − l(0, 0)) is
+beyond what independent rows give once in a hundred. A test of the whole model cannot take it at
+its word: a hundred rows hardly tell slow noise under white noise from white noise alone, and a
+variable as slow as that noise would pass. So F_robust is the one with the largest p of all
+**plausible** laws, those with
+
+    2 (max l − l(ρ, θ)) ≤ 2.7,                                                              (4)
+
+The law is one of the sensor, not of a segment, and is found from all rows at once, with the columns
+of every segment apart. What is still left is fitted by an autoregression of up to six orders, as
+many as the Bayesian criterion grants, and taken off likewise. What tests of terms then do where
+nothing is there stands in `docs/theory/regression.md`.
 
 Sources: D. Cochrane, G. H. Orcutt, J. Am. Stat. Assoc. 44, 1949; S. J. Prais, C. B. Winsten, Cowles
 Commission 383, 1954 (the first row); D. M. Cooper, R. Thompson, Biometrika 64, 1977 (3);
-G. Schwarz, Ann. Stat. 6, 1978.
+G. Schwarz, Ann. Stat. 6, 1978; R. L. Berger, D. D. Boos, J. Am. Stat. Assoc. 89, 1994 (the largest
+p over a confidence set of what else is unknown).
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from math import log
@@ -36,16 +43,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
-from multipos.regression.correlation import TimeOrder, lag_one
+from multipos.regression.correlation import TimeOrder
 
-_GRID = np.concatenate([np.arange(0.0, 0.8, 0.15), 1.0 - np.geomspace(0.15, 0.003, 7)])
-_SHARES = (0.0, 0.3, 0.6, 0.8, 0.93)  # of θ in ρ
+_FAST = np.arange(0.0, 0.8, 0.15)  # ρ of the grid, and the shares of θ in it
+_FAST_SHARES = (0.0, 0.3, 0.6, 0.8, 0.93)
+_SLOW = 1.0 - np.geomspace(0.15, 0.003, 7)
+_SLOW_SHARES = (0.0, 0.3, 0.6, 0.8, 0.9, 0.96, 0.99)
 _BEYOND_CHANCE = 7.4  # of twice the likelihood's logarithm
+_PLAUSIBLE = 2.7  # of the same: what one quantity is beyond once in ten times
 _ROWS = 3000  # of which the correlation is estimated: the first in time
 _ORDERS = 6
 _RANK = 1e-10
-_SHORT = 200  # rows: with fewer, 19 % of false models at 5 % (docs/theory/regression.md)
-_SLOW = 0.9  # correlation of neighbours, from which a variable can pass for slow noise
 _FEWEST = 6  # rows beyond the columns, for a correlation to be told
 _NOTHING = 1e-12  # of the response, below which what is left is rounding
 
@@ -56,6 +64,22 @@ class Law(NamedTuple):
     rho: float
     theta: float
     further: Array
+
+
+class Noise(NamedTuple):
+    """What rows tell of their noise.
+
+    Attributes
+    ----------
+    law : Law or None
+        The likeliest; None where independent rows are as likely but for chance.
+    plausible : tuple of Law
+        All of eq. (4), the likeliest first; of more rows than its likelihood is taken of, `law`
+        alone.
+    """
+
+    law: Law | None
+    plausible: tuple[Law, ...]
 
 
 @dataclass(frozen=True)
@@ -78,13 +102,15 @@ class Whitening:
         return back
 
 
-def whitening_of(order: TimeOrder | None, law: Law | None) -> Whitening | None:
-    """Return the filter of rows in an order; None where they are independent."""
-    return None if order is None or law is None else Whitening(order, law)
+def whitening_of(order: TimeOrder | None, noise: Noise | None) -> Whitening | None:
+    """Return the filter of rows by the likeliest law; None where they are independent."""
+    if order is None or noise is None or noise.law is None:
+        return None
+    return Whitening(order, noise.law)
 
 
-def find_law(design: Array, response: Array, order: TimeOrder | None) -> Law | None:
-    """Return the law of the noise that a fit to all columns leaves; None of independent rows.
+def find_noise(design: Array, response: Array, order: TimeOrder | None) -> Noise | None:
+    """Return what the rows tell of the noise that a fit to all columns leaves.
 
     Parameters
     ----------
@@ -92,6 +118,11 @@ def find_law(design: Array, response: Array, order: TimeOrder | None) -> Law | N
         Columns of which some may say the same.
     response : (n,) array
     order : TimeOrder or None
+
+    Returns
+    -------
+    Noise or None
+        None where rows have no order, are too few, or leave nothing.
     """
     if order is None:
         return None
@@ -104,33 +135,23 @@ def find_law(design: Array, response: Array, order: TimeOrder | None) -> Law | N
     if len(y) - basis.shape[1] < _FEWEST or size <= _NOTHING * float(np.linalg.norm(y)):
         return None
     both = np.column_stack([basis, left / size])
-    rho, theta = _most_likely(both, age)
-    if not rho:
-        return None
+    likely = _likelihoods(both, age)
+    ranked = sorted(likely, key=lambda point: -likely[point])
+    top = likely[ranked[0]]
+    told = 2.0 * (top - likely[0.0, 0.0]) >= _BEYOND_CHANCE
+    if len(order.order) > _ROWS:
+        ranked = ranked[:1] if told else []
+    laws = [_law(both, age, point) for point in ranked if 2.0 * (top - likely[point]) <= _PLAUSIBLE]
+    return Noise(laws[0] if told else None, tuple(laws))
+
+
+def _law(both: Array, age: NDArray[np.intp], point: tuple[float, float]) -> Law:
+    """Return the law at ρ and θ/ρ, with the autoregression of what it leaves of (n, p + 1)."""
+    rho, theta = point[0], point[0] * point[1]
     white = _filtered(both, age, rho, theta)
     fit = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=_RANK)[0]
     rest = white[:, -1] - white[:, :-1] @ fit
-    return Law(rho, theta, _autoregression(rest, age))
-
-
-def said_of_few_rows(columns: Iterable[Array], order: TimeOrder) -> tuple[str, ...]:
-    """Say where rows in time are too few for the law of their noise to be told.
-
-    Parameters
-    ----------
-    columns : (n,) arrays
-        Of the variables: where these are fast, slow noise passes for none of them.
-    order : TimeOrder
-    """
-    n = len(order.order)
-    if n >= _SHORT or not any(lag_one(each - each.mean(), order)[0] > _SLOW for each in columns):
-        return ()
-    said = (
-        f"{n} rows in time are too few to tell slow noise beside white noise from white noise "
-        "alone: of variables that change as slowly as these, up to one in five false models "
-        f"passes F and F_robust at 5 %; record {_SHORT} rows or more, or several runs"
-    )
-    return (said,)
+    return Law(rho, theta, _autoregression(rest, age) if rho else np.zeros(0))
 
 
 def _basis(design: Array) -> Array:
@@ -140,8 +161,8 @@ def _basis(design: Array) -> Array:
     return np.asarray(U[:, s > _RANK * s[0]])
 
 
-def _most_likely(z: Array, age: NDArray[np.intp]) -> tuple[float, float]:
-    """Return ρ and θ of eq. (3) from basis and residuals (n, p + 1); zeros where within chance."""
+def _likelihoods(z: Array, age: NDArray[np.intp]) -> dict[tuple[float, float], float]:
+    """Return eq. (3) by ρ and θ/ρ, of basis and residuals (n, p + 1): a grid, finer at its top."""
     n, p = len(z), z.shape[1] - 1
     runs = int((age == 0).sum())
 
@@ -151,21 +172,21 @@ def _most_likely(z: Array, age: NDArray[np.intp]) -> tuple[float, float]:
         logs = float(np.log(d[:p]).sum()) + (n - p) * log(d[p])
         return float(-0.5 * runs * log(_first_variance(rho, share * rho)) - logs)
 
-    grid = [(rho, share) for rho in _GRID.tolist() for share in _SHARES if rho or not share]
-    found = [likelihood(rho, share) for rho, share in grid]
-    best = int(np.argmax(found))
-    if 2.0 * (found[best] - found[0]) < _BEYOND_CHANCE:
-        return 0.0, 0.0
-    (rho, share), top = grid[best], found[best]
+    grid = [(0.0, 0.0)]
+    grid += [(rho, share) for rho in _FAST[1:].tolist() for share in _FAST_SHARES]
+    grid += [(rho, share) for rho in _SLOW.tolist() for share in _SLOW_SHARES]
+    found = {point: likelihood(*point) for point in grid}
+    best = max(grid, key=found.__getitem__)
     step = 0.5
     for _ in range(4):  # each finer by half, ρ by what it lacks to 1
+        rho, share = best
         around = [(1.0 - (1.0 - rho) * by, share) for by in (1.0 - step / 2, 1.0 + step / 2)]
         around += [(rho, share + step * by) for by in (-0.2, 0.2)]
-        for one in around:
-            if 0.0 < one[0] < 0.9995 and 0.0 <= one[1] < 1.0 and likelihood(*one) > top:
-                (rho, share), top = one, likelihood(*one)
+        inside = [one for one in around if 0.0 < one[0] < 0.9995 and 0.0 <= one[1] < 1.0]
+        found |= {one: likelihood(*one) for one in inside}
+        best = max(found, key=found.__getitem__)
         step /= 2.0
-    return rho, share * rho
+    return found
 
 
 def _first_variance(rho: float, theta: float) -> float:

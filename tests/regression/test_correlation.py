@@ -144,13 +144,14 @@ def test_f_robust_by_hand():
     """Eq. (5): b = (2, 1) with variances 1 and 1/4, (4 + 4)/2 · (9 − 2 + 1)/9 = 32/9 on 2 and 8."""
     terms, b = parse_terms("1 + t + v"), np.array([7.0, 2.0, 1.0])
     covariance = np.diag([100.0, 1.0, 0.25])
-    found = robust_test(RobustFit(covariance, "hac", 9.0, 20.0, 0.5), terms, b)
+    F = (100.0, 2, 17)
+    found = robust_test(RobustFit(covariance, "hac", 9.0, 20.0, 0.5), terms, b, F, 0.95)
     assert pytest.approx(32 / 9, rel=1e-12) == found.F
     assert found.dof == (2, 8.0)
     assert found.p == pytest.approx((17 / 9) ** -4, rel=1e-9)  # of 2 and ν: (1 + 2 F/ν)^(−ν/2)
     assert found.t_dof == 9.0
     # fewer rows in s² is no estimate of a matrix: F on 2 and 9
-    plain = robust_test(RobustFit(covariance, "effective", 9.0, 20.0, 0.5), terms, b)
+    plain = robust_test(RobustFit(covariance, "effective", 9.0, 20.0, 0.5), terms, b, F, 0.95)
     assert (plain.F, plain.dof) == (pytest.approx(4.0), (2, 9.0))
     assert plain.p == pytest.approx((17 / 9) ** -4.5, rel=1e-9)
 
