@@ -108,7 +108,8 @@ def unit_of_outputs(
 
 def is_environment(name: str) -> bool:
     """Tell whether a column is about the surroundings by its name."""
-    return name in ("temperature", "time") or name.startswith("ambient") or name.endswith("_rate")
+    surroundings = ("temperature", "time", "head_deg")  # the last, of the head that turns the case
+    return name in surroundings or name.startswith("ambient") or name.endswith("_rate")
 
 
 def in_celsius(table: Table, units: Mapping[str, str], notes: list[str]) -> Table:

@@ -1,5 +1,6 @@
 """The pages of a tumble as text: coefficients, harmonics, hysteresis and the table."""
 
+import math
 from collections.abc import Mapping
 
 from multipos.files.numbers import number, table, uncertain
@@ -12,7 +13,6 @@ from multipos.verification.tumbling import Tumbles
 
 _Sections = list[tuple[str, str]]
 _MILLION = 1e6
-_FOUND = 1e-3  # chance of a table's errors where there are none
 
 
 def tumble_sections(found: Tumble) -> _Sections:
@@ -51,7 +51,7 @@ def tumbles_text(found: Tumbles) -> str:
         found.outputs, found.misalignment, found.misalignment_u, strict=True
     ):
         cells = [
-            "own axis" if u == 0.0 else "-" if value != value else uncertain(value, u)
+            "own axis" if u == 0.0 else "-" if value != value else _valued(value, u)
             for value, u in zip((_MILLION * values).tolist(), (_MILLION * us).tolist(), strict=True)
         ]
         rows.append([name, *cells])
@@ -84,7 +84,7 @@ def _coefficients_of_all(found: Tumbles) -> str:
             cells += _customary_cells(entry)
         rows.append([name, unit, *cells])
     k1 = [one["K1"] for one in found.outputs.values()]
-    scale = [name for entry in k1 for name in (uncertain(entry.value, entry.u), number(entry.U, 2))]
+    scale = [name for entry in k1 for name in (_valued(entry.value, entry.u), number(entry.U, 2))]
     rows.insert(1, ["K1", k1[0].unit, *scale])
     return table(header, rows)
 
@@ -93,8 +93,13 @@ def _customary_cells(entry: TumbleCoefficient | None) -> list[str]:
     if entry is None:
         return ["-", "-"]
     custom = entry.customary
-    value = uncertain(custom["value"], custom["u"]) if "value" in custom else "-"
+    value = _valued(custom["value"], custom["u"]) if "value" in custom else "-"
     return [value, number(custom["U"], 2)]
+
+
+def _valued(value: float, u: float) -> str:
+    """Return value(u), of a coefficient that leans on the table the value alone."""
+    return number(value, 4) if math.isnan(u) else uncertain(value, u)
 
 
 def _coefficient_rows(
@@ -103,11 +108,11 @@ def _coefficient_rows(
     rows = []
     for name, c in coefficients.items():
         custom = c.customary
-        value = uncertain(custom["value"], custom["u"]) if "value" in custom else "-"
+        value = _valued(custom["value"], custom["u"]) if "value" in custom else "-"
         rows.append(
             [
                 name,
-                uncertain(c.value, c.u),
+                _valued(c.value, c.u),
                 c.unit,
                 value,
                 number(custom["U"], 2),
@@ -167,7 +172,7 @@ def _beside_section(
     outputs: Mapping[str, Mapping[str, TumbleCoefficient]], found: TableErrors
 ) -> _Sections:
     """Return what the sensor is beside a table whose errors are beyond chance."""
-    if found.beside is None or not found.beside.p < _FOUND:
+    if found.beside is None or not found.beside.off:
         return []
     rows = [
         [*([name] if name else []), which, *_customary_cells(entry), entry.customary["unit"]]
@@ -181,7 +186,8 @@ def _beside_section(
         return [("Beside the table", text)]
     several = any(outputs)
     text += table(["output", *header] if several else header, rows)
-    return [("Beside the table", f"{text}\nwhat is not listed leans on the table's errors")]
+    leaning = "what is not listed leans on the table's errors and has no U: state the bench"
+    return [("Beside the table", f"{text}\n{leaning}")]
 
 
 def _harmonic_cells(h: Harmonic) -> list[str]:

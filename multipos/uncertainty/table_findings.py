@@ -6,6 +6,8 @@ from typing import Any
 from multipos.numerics.arrays import Array
 from multipos.results import Result
 
+_FOUND = 1e-3  # chance of a table's errors where there are none
+
 
 @dataclass(frozen=True, eq=False)
 class TableError(Result):
@@ -58,12 +60,18 @@ class BesideTable(Result):
     dof: float
     p: float
 
+    @property
+    def off(self) -> bool:
+        """Whether the errors of the table are beyond chance."""
+        return self.p < _FOUND
+
 
 @dataclass(frozen=True, eq=False)
 class TableErrors(Result):
     """What the rolls of a calibration tell of the table, and of the sensor's zero between them.
 
-    `errors` are of the angle, `shaft` is of the shaft.
+    `errors` are of the angle, `shaft` is of the shaft; a plane is a roll, or a mounting on a head
+    whose own angle is known, such as ``xy+0``, and ``head``.
     """
 
     errors: tuple[TableError, ...]

@@ -31,15 +31,15 @@ from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.harmonics import Roll, find_rolls
+from multipos.positions.harmonics import find_rolls
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
-from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
 from multipos.sensor.stating import build_model
+from multipos.uncertainty.bench_columns import Bench, separable
+from multipos.uncertainty.dividing_head import find_head, head_errors, said_of_head
 from multipos.uncertainty.table_findings import BesideTable, TableError, TableErrors, ZeroShift
-from multipos.uncertainty.table_motion import QUANTITIES, SHAFT, shaft_effects, table_effects
+from multipos.uncertainty.table_motion import QUANTITIES, SHAFT
 
 _SHIFTED = 1e-3  # chance of a zero shift where there is none
 _ROUNDING = 1e-12  # of the largest reading
@@ -62,7 +62,9 @@ def table_errors(calibration: Calibration, *beside: Calibration) -> TableErrors:
     """Estimate the errors of the turntable from the rolls of a calibration, together with it.
 
     Every quantity of the angle that the model leaves room for is estimated, with the parameters and
-    the zero shifts, in one weighted least-squares problem over all outputs.
+    the zero shifts, in one weighted least-squares problem over all outputs. Where the readings have
+    the angle of the head itself, `head_deg`, its circle is one for all mountings
+    (`multipos.uncertainty.dividing_head`).
 
     Parameters
     ----------
@@ -83,73 +85,15 @@ def table_errors(calibration: Calibration, *beside: Calibration) -> TableErrors:
     >>> [(error.quantity, error.value_deg is None) for error in found.errors[:3]]
     [('zero_offset', True), ('first_cos', False), ('first_sin', False)]
     """
+    mounted = find_head(calibration.readings)
     try:
-        return _estimate(_Bench((calibration, *beside)))
+        bench = Bench((calibration, *beside))
+        return head_errors(bench, mounted) if mounted else _estimate(bench)
     except RankError:  # beside a finished fit this says nothing, rather than end it
         return TableErrors((), (), 0.0)
 
 
-class _Bench:
-    """The sensor and the table of one or several calibrations of the same positions, as columns."""
-
-    def __init__(self, parts: tuple[Calibration, ...]) -> None:
-        self.parts, self.first = parts, parts[0]
-        self.models = tuple(part.model for part in parts)
-        self.rolls = find_rolls(self.first.readings)
-        self.names = tuple(name for model in self.models for name in model.names)
-        self.keys = tuple((out, str(term)) for model in self.models for out, term in model.keys)
-        self.outputs = tuple(output for model in self.models for output in model.outputs)
-        self.values = np.concatenate([_response(part) for part in parts], axis=1)
-        self.weight = np.tile(
-            np.concatenate([_precision(part) for part in parts]), len(self.first.readings)
-        )
-        slopes = [
-            part.model.linear_part(part.parameters, part.mean_environment)[:, 1:] for part in parts
-        ]
-        axes = [axis for model in self.models for axis in model.axes]
-        own = np.array([[float(axis == name) for name in COMPONENTS] for axis in axes])
-        linear = np.concatenate(slopes)
-        self.sensor = self.design(self.models)
-        self.shifts = _shifts(self.outputs, len(self.first.readings), self.rolls)
-        # What can be told is a matter of structure: small cross terms must not seem to tell it.
-        self.effect, self.nominal = (
-            table_effects(self.first, self.rolls, m) for m in (linear, own)
-        )
-        self.shaft, self.shaft_nominal = (
-            shaft_effects(self.first, self.rolls, m) for m in (linear, own)
-        )
-
-    def design(self, models: Sequence[Model]) -> Array:
-        """Return the design of models over all outputs (n M, p), output running fastest."""
-        parts = [_slopes(m, part) for m, part in zip(models, self.parts, strict=True)]
-        n, m, p = len(self.first.readings), len(self.outputs), sum(part.shape[2] for part in parts)
-        whole, row, column = np.zeros((n, m, p)), 0, 0
-        for part in parts:
-            rows, columns = part.shape[1:]
-            whole[:, row : row + rows, column : column + columns] = part
-            row, column = row + rows, column + columns
-        return whole.reshape(n * m, p)
-
-
-def _slopes(model: Model, calibration: Calibration) -> Array:
-    """Return the derivative of readings by the parameters of a model (n, M, p)."""
-    own = model is calibration.model
-    parameters = calibration.parameters if own else np.zeros(len(model.keys))
-    return parameter_jacobian(
-        model, parameters, calibration.reference, calibration.readings.environment
-    )
-
-
-def _response(calibration: Calibration) -> Array:
-    """Return the readings (n, M) as a linear model has them."""
-    c = calibration
-    if not isinstance(c.model, ExpressionModel):
-        return c.readings.values
-    # about its solution, where it is linear
-    return np.asarray(c.residuals + _slopes(c.model, c) @ c.parameters)
-
-
-def _estimate(bench: _Bench) -> TableErrors:
+def _estimate(bench: Bench) -> TableErrors:
     shifts, kept, design = _told_apart(bench.sensor, bench.shifts, bench.nominal, bench.effect)
     if not (kept or shifts) or len(design) <= design.shape[1]:
         return TableErrors(_described(bench, {}), (), 0.0, _shaft_described(bench, {}))
@@ -174,11 +118,11 @@ def _estimate(bench: _Bench) -> TableErrors:
 
 
 def _beside(
-    bench: _Bench, design: Array
+    bench: Bench, design: Array
 ) -> tuple[BesideTable | None, dict[int, tuple[float, float, float]]]:
     """Return the sensor beside every error, and the errors of the shaft that can be told."""
-    free = _separable(design, bench.shaft_nominal)
-    free = [free[i] for i in _separable(design, bench.shaft[:, free])]
+    free = separable(design, bench.shaft_nominal)
+    free = [free[i] for i in separable(design, bench.shaft[:, free])]
     whole = np.column_stack([design, bench.shaft[:, free]])
     n, columns = whole.shape
     if n <= columns:
@@ -212,11 +156,11 @@ def _told_apart(
     sensor: Array, shifts: Mapping[tuple[str, str], Array], nominal: Array, effect: Array
 ) -> tuple[dict[tuple[str, str], Array], list[int], Array]:
     """Return the zero shifts and columns of `effect` that can be told, and the design of all."""
-    free = _separable(sensor, np.column_stack([*shifts.values(), nominal]))
+    free = separable(sensor, np.column_stack([*shifts.values(), nominal]))
     told = {key: shifts[key] for i, key in enumerate(shifts) if i in free}
     design = np.column_stack([sensor, *told.values()])
     kept = [i - len(shifts) for i in free if i >= len(shifts)]
-    kept = [kept[i] for i in _separable(design, effect[:, kept])]  # nor may small terms hide it
+    kept = [kept[i] for i in separable(design, effect[:, kept])]  # nor may small terms hide it
     return told, kept, np.column_stack([design, effect[:, kept]])
 
 
@@ -230,6 +174,7 @@ def roll_warnings(calibration: Calibration) -> list[str]:
         for roll in rolls
         if not roll.spans_a_turn
     ]
+    said += said_of_head(calibration.readings)
     if len(rolls) < 2:
         return said
     for shift in table_errors(calibration).zero_shifts:
@@ -242,42 +187,10 @@ def roll_warnings(calibration: Calibration) -> list[str]:
     return said
 
 
-def _shifts(
-    outputs: Sequence[str], n: int, rolls: tuple[Roll, ...]
-) -> dict[tuple[str, str], Array]:
-    """Return the columns (n M,) of a zero shift of each output on each roll after the first."""
-    columns = {}
-    for roll in rolls[1:]:
-        for place, name in enumerate(outputs):
-            member = np.zeros((n, len(outputs)))
-            member[roll.rows, place] = 1.0
-            columns[roll.plane, name] = member.ravel()
-    return columns
-
-
-def _precision(calibration: Calibration) -> Array:
-    """Return the inverse standard deviation of each output (M,), one where none is known."""
-    sd = calibration.residual_sd
-    usable = np.isfinite(sd).all() and (sd > 0.0).all()
-    return 1.0 / sd if usable else np.ones(len(sd))
-
-
-def _separable(design: Array, effects: Array) -> list[int]:
-    """Return the columns of `effects` that the design does not explain, the earlier first."""
-    kept: list[int] = []
-    for column in range(effects.shape[1]):
-        trial = np.column_stack([design, effects[:, [*kept, column]]])
-        if np.abs(effects[:, column]).max() > FLOOR and (
-            separability(trial, floor=FLOOR).rank == trial.shape[1]
-        ):
-            kept.append(column)
-    return kept
-
-
 _Values = Mapping[int, tuple[float, float, float]]
 
 
-def _described(bench: _Bench, values: _Values) -> tuple[TableError, ...]:
+def _described(bench: Bench, values: _Values) -> tuple[TableError, ...]:
     """Return every quantity with its value where the model and the positions can tell it."""
     names = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in QUANTITIES]
     hidden = _confounded(bench, bench.models, bench.nominal, names)
@@ -287,7 +200,7 @@ def _described(bench: _Bench, values: _Values) -> tuple[TableError, ...]:
     return _named(bench, QUANTITIES, told, same, names)
 
 
-def _shaft_described(bench: _Bench, values: _Values) -> tuple[TableError, ...]:
+def _shaft_described(bench: Bench, values: _Values) -> tuple[TableError, ...]:
     """Return the quantities of the shaft that the outputs feel, as `_described` does."""
     table = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in QUANTITIES]
     names = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in SHAFT]
@@ -300,7 +213,7 @@ def _shaft_described(bench: _Bench, values: _Values) -> tuple[TableError, ...]:
 
 
 def _named(
-    bench: _Bench,
+    bench: Bench,
     quantities: Sequence[str],
     told: _Values,
     same: Mapping[str, tuple[str, ...]],
@@ -322,7 +235,7 @@ def _fullest(model: Model) -> Model:
 
 
 def _confounded(
-    bench: _Bench, models: Sequence[Model], nominal: Array, names: list[str]
+    bench: Bench, models: Sequence[Model], nominal: Array, names: list[str]
 ) -> dict[str, tuple[str, ...]]:
     """Return for each quantity what together does the same as it to the readings, by name."""
     base = [bench.design(models), *bench.shifts.values()]

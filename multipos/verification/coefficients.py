@@ -18,8 +18,8 @@ Source: the model equation of IEEE Std 1293 as the project's formats reference w
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -187,13 +187,34 @@ def coefficients_beside(
         np.full(len(rows), found.dof),
         axis,
     )
-    free = {str(term) for (_, term), row in zip(model.keys, rows, strict=True) if found.told[row]}
-    scale = _term("K1", axis)
+    free = {name for name in every if found.told[rows[model.index(output, _term(name, axis))]]}
     return {
         name: entry
         for name, entry in every.items()
-        if _term(name, axis) in free and (name == "K0" or scale in free)
+        if name in free and (name == "K0" or "K1" in free)
     }
+
+
+def those_that_hold(
+    plain: dict[str, TumbleCoefficient],
+    beside: Mapping[str, TumbleCoefficient],
+    found: BesideTable | None,
+    *,
+    stated: bool,
+) -> dict[str, TumbleCoefficient]:
+    """Return the coefficients with no U that the table's errors would make too small.
+
+    Where these are beyond chance, and the bench was not stated, a coefficient that can be told
+    beside them is the one estimated so; of the others, which lean on them, u and U are NaN.
+    """
+    if found is None or stated or not found.off:
+        return plain
+    return {name: beside.get(name) or _leaning(entry) for name, entry in plain.items()}
+
+
+def _leaning(entry: TumbleCoefficient) -> TumbleCoefficient:
+    custom = {**entry.customary, "u": math.nan, "U": math.nan}
+    return replace(entry, u=math.nan, U=math.nan, customary=custom)
 
 
 def ratios_to_k1(

@@ -30,6 +30,7 @@ from multipos.results import Drawn, Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model
 from multipos.sensor.tilt import reading_noise
+from multipos.uncertainty.dividing_head import find_head
 from multipos.uncertainty.table_findings import TableErrors
 from multipos.uncertainty.turntable import table_errors
 from multipos.verification.coefficients import (
@@ -39,6 +40,7 @@ from multipos.verification.coefficients import (
     fitted_coefficients,
     formula_of,
     kept_coefficients,
+    those_that_hold,
     weakly_told,
 )
 from multipos.verification.hysteresis import Hysteresis, find_hysteresis, passes
@@ -54,7 +56,8 @@ class Tumble(Result, Drawn):
     Attributes
     ----------
     coefficients : dict of str to TumbleCoefficient
-        Those that the points can tell, in the order of `COEFFICIENTS`.
+        Those that the points can tell, in the order of `COEFFICIENTS`; u and U are NaN of those
+        that lean on errors of the table which are beyond chance.
     calibration : Calibration
     rolls : tuple of Roll
     harmonics, residual_harmonics : tuples of Harmonic
@@ -165,8 +168,12 @@ def tumble_output(
     )
     sd = float(reading_noise(calibration)[0])
     table = table_errors(calibration)
+    beside: dict[str, TumbleCoefficient] = {}
+    if table.beside is not None:
+        beside = coefficients_beside(calibration, axis, table.beside)
+    stated = calibration.readings.covariance is not None
     return Tumble(
-        coefficients=coefficients,
+        coefficients=those_that_hold(coefficients, beside, table.beside, stated=stated),
         calibration=calibration,
         rolls=rolls,
         harmonics=series(rolls, signal, sd if sd > rounding else None),
@@ -177,12 +184,18 @@ def tumble_output(
         weak=weakly_told(calibration, axis),
         warnings=(*calibration.diagnostics.warnings, *repeated, *strange_harmonics(residual)),
         hysteresis=find_hysteresis(
-            rolls, signal / coefficients["K1"].value, calibration.confidence
+            _mounted_once(calibration.readings, rolls),
+            signal / coefficients["K1"].value,
+            calibration.confidence,
         ),
-        beside_table={}
-        if table.beside is None
-        else coefficients_beside(calibration, axis, table.beside),
+        beside_table=beside,
     )
+
+
+def _mounted_once(readings: Readings, rolls: tuple[Roll, ...]) -> tuple[Roll, ...]:
+    """Return the rolls that were not taken in several mountings, which differ by more."""
+    axes = [one.roll.axis for one in find_head(readings)]
+    return tuple(roll for roll in rolls if axes.count(roll.axis) < 2)
 
 
 def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[str]:

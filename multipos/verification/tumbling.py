@@ -28,9 +28,15 @@ from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
 from multipos.results import Drawn, Result
 from multipos.sensor.stating import default_axes
-from multipos.uncertainty.table_findings import TableErrors
+from multipos.uncertainty.table_findings import BesideTable, TableErrors
 from multipos.uncertainty.turntable import table_errors
-from multipos.verification.coefficients import TumbleCoefficient, coefficients_beside, roles
+from multipos.verification.coefficients import (
+    TumbleCoefficient,
+    coefficients_beside,
+    fitted_coefficients,
+    roles,
+    those_that_hold,
+)
 from multipos.verification.single_axis import SCHEMA, Tumble, tumble_output
 
 
@@ -233,6 +239,10 @@ def _together(found: dict[str, Tumble], axes: tuple[str, ...]) -> Tumbles:
             name: coefficients_beside(one.calibration, axis, table.beside)
             for (name, one), axis in zip(found.items(), axes, strict=True)
         }
+        found = {
+            name: _beside_all(one, axis, beside[name], table.beside)
+            for (name, one), axis in zip(found.items(), axes, strict=True)
+        }
     value, u = np.full((len(axes), 3), np.nan), np.full((len(axes), 3), np.nan)
     for row, (one, axis) in enumerate(zip(found.values(), axes, strict=True)):
         i, p, o = (COMPONENTS.index(role) for role in roles(axis).values())
@@ -242,3 +252,12 @@ def _together(found: dict[str, Tumble], axes: tuple[str, ...]) -> Tumbles:
                 value[row, column] = sign * one[name].value
                 u[row, column] = one[name].u
     return Tumbles(found, axes, table, beside, value, u)
+
+
+def _beside_all(
+    one: Tumble, axis: str, beside: dict[str, TumbleCoefficient], found: BesideTable
+) -> Tumble:
+    """Return the tumble of an output with what all outputs together tell of the table."""
+    plain = fitted_coefficients(one.calibration, axis)
+    stated = one.calibration.readings.covariance is not None
+    return replace(one, coefficients=those_that_hold(plain, beside, found, stated=stated))

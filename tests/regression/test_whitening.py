@@ -83,10 +83,10 @@ def test_plausible_laws_are_those_as_likely_as_the_likeliest():
     laws = find_noise(X, y, order).plausible
     found = [likelihood(law) for law in laws]
     np.testing.assert_allclose(found, sorted(found, reverse=True), rtol=1e-12)
-    assert found[0] - found[-1] <= 1.0
+    assert found[0] - found[-1] <= 1.35
     assert len(found) > 10  # sixty rows leave much open
     for rho, theta in ((0.997, 0.0), (0.15, 0.0)):  # of the grid, but no likely ones
-        assert (likelihood(Law(rho, theta, np.empty(0))) < found[0] - 1.0) == (
+        assert (likelihood(Law(rho, theta, np.empty(0))) < found[0] - 1.35) == (
             not any(math.isclose(law.rho, rho) and law.theta == theta for law in laws)
         )
 

@@ -13,6 +13,7 @@ from multipos import cli
 from multipos.errors import RankError
 from multipos.positions.scheme import read_scheme
 from multipos.reports.tumble_text import tumbles_text
+from multipos.verification.coefficients import fitted_coefficients
 from multipos.verification.hysteresis import passes
 
 
@@ -145,11 +146,17 @@ def test_a_table_that_is_off_is_told_from_the_sensor():
     found = mp.tumble(triad(stood, sd=1e-6), scheme=scheme, unit="V")
     assert found.table_errors.beside.p < 1e-6
     for name, one in found.outputs.items():
-        plain, beside = one["K1"], found.beside_table[name]["K1"]
+        plain = fitted_coefficients(one.calibration, name[1])["K1"]
+        beside = found.beside_table[name]["K1"]
         # of y the errors of its two rolls cancel; x is along cos t in both of its own
         assert name == "ay" or abs(plain.value - TRUTH["K1"]) > 2 * beside.U
         assert abs(beside.value - TRUTH["K1"]) < 2 * beside.U
-        assert not {"K0", "K2", "delta_o"} & set(found.beside_table[name])
+        leaning = {"K0", "K2", "delta_o"}
+        assert not leaning & set(found.beside_table[name])
+        # what is given has a U that holds, or none
+        assert one["K1"] == beside
+        assert all(np.isnan(one[key].u) and np.isnan(one[key].U) for key in leaning)
+        assert one["K0"].value == fitted_coefficients(one.calibration, name[1])["K0"].value
     errors = {(e.plane, e.quantity): e for e in found.table_errors.errors}
     for plane in ("xy", "xz", "yz"):
         error = errors[plane, "second_sin"]
