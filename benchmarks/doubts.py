@@ -29,9 +29,17 @@ import multipos as mp
 
 G = 9.80665
 TRIADS = (
-    "faces-6", "song-qin-6", "corners-8", "edges-12", "icosahedron-12", "faces-corners-14",
-    "faces-edges-18", "dodecahedron-20", "all-26", "dual-axis-48",
-)  # fmt: skip
+    "faces-6",
+    "song-qin-6",
+    "corners-8",
+    "edges-12",
+    "icosahedron-12",
+    "faces-corners-14",
+    "faces-edges-18",
+    "dodecahedron-20",
+    "all-26",
+    "dual-axis-48",
+)
 Array = np.ndarray[Any, Any]
 
 

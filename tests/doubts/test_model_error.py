@@ -61,10 +61,16 @@ def test_a_stated_noise_makes_one_test_of_all_outputs():
 
 @pytest.mark.parametrize(
     "how",
-    [{}, {"reading_sd": 1e-4}, {"orientation_sd": "auto"}, {"unknown_orientation": True},
-     {"robust": "huber"}, {"pool": True}],
+    [
+        {},
+        {"reading_sd": 1e-4},
+        {"orientation_sd": "auto"},
+        {"unknown_orientation": True},
+        {"robust": "huber"},
+        {"pool": True},
+    ],
     ids=["plain", "stated", "auto", "unknown", "robust", "pooled"],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("truth", ["own^2", "own^3", "own*other"])
 def test_a_missing_term_is_named_in_every_estimator(how, truth):
     c = mp.fit(readings("fibonacci-24", truth, 3), **how)
