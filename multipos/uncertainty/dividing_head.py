@@ -40,6 +40,7 @@ from multipos.uncertainty.table_motion import QUANTITIES, SHAFT, turn_of
 HEAD = "head_deg"
 _SAME = 1e-3  # [rad] by which angles of one mounting may differ, as files round them
 _FEWEST = 5  # rows of a mounting: three fit a head that turns twice as far
+_MOST = 24  # mountings of a roll
 _ROUNDING = 1e-12  # of the largest reading
 
 
@@ -104,13 +105,16 @@ def _wrap(angle: Array) -> Array:
 def _mountings(roll: Roll, head: Array) -> list[tuple[float, NDArray[np.intp]]]:
     """Return the sense and the places of the rows of each mounting of a roll.
 
-    Angles that half a turn apart fit two mountings go with their neighbours in the file.
+    Of a head that turns by itself a single row, which is no mounting.
+    Rows that fit two mountings, as at the start and half a turn on, go with their neighbours.
     """
     starts = {sense: roll.angle - sense * head for sense in (1.0, -1.0)}
     left = np.ones(len(head), dtype=bool)
     fits: list[tuple[float, NDArray[np.bool_]]] = []
     while left.any():
         row = int(np.argmax(left))
+        if len(fits) == _MOST:
+            return [(1.0, np.array([row]))]
         both = [(s, np.abs(_wrap(start - start[row])) < _SAME) for s, start in starts.items()]
         best = max(both, key=lambda one: int((one[1] & left).sum()))
         fits.append(best)
@@ -119,9 +123,10 @@ def _mountings(roll: Roll, head: Array) -> list[tuple[float, NDArray[np.intp]]]:
     clear = np.flatnonzero(fitting.sum(axis=0) == 1)
     place = np.argmax(fitting, axis=0)
     for row in np.flatnonzero(fitting.sum(axis=0) > 1).tolist():
-        near = [k for k in clear.tolist() if fitting[place[k], row]]
-        if near:
-            place[row] = place[min(near, key=lambda k: (abs(k - row), k < row))]
+        near = clear[fitting[place[clear], row]]
+        if len(near):
+            far = 2 * np.abs(near - row) + (near < row)  # of two as near, the one that follows
+            place[row] = place[near[np.argmin(far)]]
     found = [(sense, np.flatnonzero(place == i)) for i, (sense, _) in enumerate(fits)]
     return [one for one in found if len(one[1])]
 

@@ -72,6 +72,9 @@ def test_a_head_that_does_not_turn_with_the_case_is_said():
     twice = replace(data, environment={"head_deg": 2.0 * read})
     assert find_head(twice) == ()
     assert "does not turn with" in said_of_head(twice)[0]
+    wild = replace(data, environment={"head_deg": np.cumsum(np.arange(48.0) ** 2)})
+    assert find_head(wild) == ()
+    assert "does not turn with" in said_of_head(wild)[0]
     missing = replace(data, environment={"head_deg": np.where(read == 30.0, np.nan, read)})
     assert find_head(missing) == ()
     assert "have no `head_deg`" in said_of_head(missing)[0]
