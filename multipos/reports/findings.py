@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from multipos.doubts.model_error import not_stated
+from multipos.doubts.shown_sizes import shown_sizes
 from multipos.files.numbers import number, uncertain
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
@@ -261,6 +262,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
             terms=", ".join(hidden),
         )
         paragraphs[1:] = [paragraphs[1], without] if allowed else [without]
+        paragraphs += _suggested(c, hidden, tr)
     if c.model.inputs == COMPONENTS and not c.readings.forced.any():
         paragraphs.append(
             tr(
@@ -296,6 +298,22 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
             ),
         ),
     )
+
+
+def _suggested(c: Calibration, hidden: Sequence[str], tr: Translator) -> list[str]:
+    """Return what sizes hidden terms could be stated with, from those that the positions show."""
+    shown = shown_sizes(c)
+    if not shown:
+        return []
+    largest = max(shown.values())
+    return [
+        tr(
+            "Of higher order these positions do show {terms}, with what noise leaves open. If the "
+            "hidden ones are no larger, a budget states them so: [unseen] {lines}.",
+            terms=", ".join(f"{name} ({number(size, 2)} g)" for name, size in shown.items()),
+            lines=", ".join(f'"{name}" = {number(largest, 2)}' for name in hidden),
+        )
+    ]
 
 
 def _sphere_rows(
