@@ -24,7 +24,7 @@ _PUBLIC = {
     "Captured": "capturing.running",
     "Check": "verification.verdicts",
     "ConvergenceError": "errors",
-    "Doubt": "sensor.doubt",
+    "Doubt": "doubt",
     "Fleet": "fleets.fleet",
     "Model": "sensor.model",
     "MultiposError": "errors",
@@ -91,6 +91,7 @@ if TYPE_CHECKING:
     from multipos.designs.assessment import schemes as schemes
     from multipos.designs.designing import design as design
     from multipos.designs.prospects import worth as worth
+    from multipos.doubt import Doubt as Doubt
     from multipos.doubts.joint_tests import judge_terms_jointly as judge_terms_jointly
     from multipos.errors import CalibrationWarning as CalibrationWarning
     from multipos.errors import ConvergenceError as ConvergenceError
@@ -116,7 +117,6 @@ if TYPE_CHECKING:
     from multipos.regression.several import Regressions as Regressions
     from multipos.reports.documents import report as report
     from multipos.sensor.calibration import Calibration as Calibration
-    from multipos.sensor.doubt import Doubt as Doubt
     from multipos.sensor.loading import load as load
     from multipos.sensor.model import Model as Model
     from multipos.sensor.simulation import simulate as simulate

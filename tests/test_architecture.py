@@ -18,6 +18,7 @@ ORDER = (
     ("results",),
     ("numerics",),
     ("files",),
+    ("doubt",),
     ("positions", "regression"),
     ("logs", "sensor"),
     ("estimation",),

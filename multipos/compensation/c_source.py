@@ -15,13 +15,13 @@ from multipos.compensation.c_body import function_body, literal
 from multipos.compensation.c_expression import expression_body
 from multipos.compensation.c_steps import environment_range
 from multipos.compensation.c_tilt import declaration, tilt_function, tilt_header, tilt_signature
+from multipos.doubt import accepted
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import visible
 from multipos.files.numbers import number, table, uncertain
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import accepted
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.tilt import at_rest, tilt_at_rest

@@ -30,13 +30,13 @@ from multipos.compensation.target import (
     Wish,
     refuse_strange,
 )
+from multipos.doubt import accepted
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import visible
 from multipos.files.trees import to_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import accepted
 
 _LARGEST_ID = 2**31 - 1  # autopilots keep it as a whole number of 32 bits with a sign
 _SAME = 1e-6  # how far the forces of a file may be from those of its law [g]

@@ -14,9 +14,9 @@ from multipos.compensation.target_inav import INAV
 from multipos.compensation.target_kalibr import KALIBR
 from multipos.compensation.target_px4 import PX4
 from multipos.compensation.target_ros import ROS
+from multipos.doubt import refuse_implausible
 from multipos.errors import UsageError
 from multipos.files.lists import Names
-from multipos.sensor.doubt import refuse_implausible
 from multipos.sensor.stability import Stability
 from multipos.sensor.stability_file import load_stability
 

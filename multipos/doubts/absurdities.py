@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from multipos.doubt import Doubt
 from multipos.doubts.belief import ABSURD, as_good_as_best, explains, is_absurd
 from multipos.doubts.directions import (
     CLEAR,
@@ -27,7 +28,6 @@ from multipos.files.lists import quoted
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt
 from multipos.sensor.found import Estimator
 
 _SUSPICIOUS = 0.02  # residual sd as a share of the signal, or terms beyond the linear ones

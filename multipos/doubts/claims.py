@@ -35,6 +35,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from multipos.doubt import Doubt
 from multipos.doubts.score_tests import significant
 from multipos.estimation.gains import about_solution
 from multipos.estimation.known import DENIED
@@ -44,7 +45,6 @@ from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.stated_noise import diagonal
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian

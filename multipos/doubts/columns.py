@@ -23,12 +23,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.doubt import Doubt
 from multipos.doubts.linear_view import listed_reference
 from multipos.files.lists import quoted
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt
 
 _SPAN = 0.5  # of the own reference [g], below which an output may well stand still
 _KELVIN = (200.0, 400.0)

@@ -15,12 +15,12 @@ from itertools import permutations
 
 import numpy as np
 
+from multipos.doubt import Doubt
 from multipos.files.lists import quoted
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import align, rotation_vector
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt
 
 CLEAR = 0.75  # cosine of an output's direction with its own axis, 41°
 _SLANTED = 0.9  # cosine, 26°: beyond it a sensor was turned, not merely mounted badly

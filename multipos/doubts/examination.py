@@ -9,6 +9,7 @@ are none of these.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from multipos.doubt import Doubt, besides, implausible
 from multipos.doubts.absurdities import explained
 from multipos.doubts.claims import denied_noise, placement, unequal_noise
 from multipos.doubts.columns import (
@@ -25,7 +26,6 @@ from multipos.doubts.residuals import lack_of_fit, outlier, time_correlated
 from multipos.doubts.scales import gravity
 from multipos.doubts.score_tests import judge_model
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt, besides, implausible
 
 Question = Callable[[Calibration], Doubt | None]
 

@@ -9,11 +9,11 @@ be. Terms are named one after the other, each tested beside those that were name
 
 from collections.abc import Sequence
 
+from multipos.doubt import Doubt
 from multipos.doubts.candidates import formula_with, lacking
 from multipos.doubts.over_temperature import COLUMN, zero_per_soak
 from multipos.doubts.score_tests import judge_model, significant
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.term_tests import ModelTest
 from multipos.uncertainty.unseen import unseen_sizes

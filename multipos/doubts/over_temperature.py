@@ -19,12 +19,12 @@ zero of its own for each soak explains the other, so it is asked first.
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.doubt import Doubt
 from multipos.doubts.candidates import Kind, lacking
 from multipos.doubts.projections import left_of, seen_rows
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.term_tests import ModelTest
 

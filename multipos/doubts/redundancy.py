@@ -10,9 +10,9 @@ factor that U leaves open by a fifth is no result, however it came about.
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.doubt import Doubt
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import Model
 

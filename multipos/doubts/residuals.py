@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
+from multipos.doubt import Doubt
 from multipos.doubts.columns import repeated_rows, resolution
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt
 
 _LEVEL = 0.01  # at which repeats deny the model, all outputs together
 _DRIFTS = 3.7  # standard deviations, one in ten thousand

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from multipos.doubt import Doubt
 from multipos.doubts.directions import is_triad
 from multipos.doubts.repairs import FACTORS
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt
 from multipos.units import STANDARD_GRAVITY
 
 _ONE_G = {

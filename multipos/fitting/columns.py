@@ -24,7 +24,12 @@ from multipos.numerics.selection import thresholds
 from multipos.numerics.subsets import CRITERIA, SubsetCriterion
 from multipos.numerics.terms import largest_value
 from multipos.regression.candidates import read_candidates
-from multipos.regression.cautions import jumps_said, order_said, state_cautions
+from multipos.regression.cautions import (
+    doubt_segments,
+    jumps_said,
+    order_said,
+    state_cautions,
+)
 from multipos.regression.cutting import Cut, fit_cut, settle_edges
 from multipos.regression.hysteresis import compare_branches
 from multipos.regression.junctions import Junction, find_junctions
@@ -185,7 +190,13 @@ def regress(
         run=run,
         source=visible(source) if sha256 else None,
         sha256=sha256,
-        warnings=(*read.notes, *order_said(read, result), *said, *result.warnings),
+        warnings=(
+            *(doubt.text for doubt in result.doubts),
+            *read.notes,
+            *order_said(read, result),
+            *said,
+            *result.warnings,
+        ),
     )
 
 
@@ -235,6 +246,7 @@ def _describe(
         dropped=read.dropped,
         hysteresis=hysteresis,
         cross_validation=validation,
+        doubts=doubt_segments(segments),
         warnings=(
             *state_cautions(plan, segments, hysteresis, validation),
             *jumps_said(cut.variable, junctions),

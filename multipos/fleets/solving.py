@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.doubt import implausible
 from multipos.doubts.redundancy import are_poorly_known
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates, SharedDesign, estimate_batch, share_design
@@ -28,7 +29,6 @@ from multipos.fleets.screening import find_suspects
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import implausible
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Gravity

@@ -1,8 +1,9 @@
 """What a reader should know before believing a regression: what was chosen, jumps, too few rows."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from multipos.doubt import Doubt
 from multipos.regression.junctions import Junction
 from multipos.regression.observations import Observations
 from multipos.regression.piecewise import Plan
@@ -38,10 +39,33 @@ def state_cautions(
             if p == p
             else "too few independent rows to tell heating from cooling: one model for both"
         )
-    for number, segment in enumerate(segments, start=1):
-        where = f"segment {number}" if len(segments) > 1 else "the model"
+    for where, segment in _named(segments):
         said += _segment_warnings(plan, segment, where)
     return said
+
+
+def doubt_segments(segments: Sequence[Segment]) -> tuple[Doubt, ...]:
+    """Return the doubts about a regression: nothing to test it with, or rows that are not apart."""
+    found = []
+    for where, segment in _named(segments):
+        robust = segment.robust
+        if segment.dof[0] > 0 and segment.dof[1] == 0:
+            text = f"{where}: as many terms as rows, nothing is left to test it with"
+            found.append(Doubt("no-redundancy", "caution", text))
+        apart = robust is None or robust.kind == "cluster" or robust.n_effective == segment.n
+        if robust is not None and not apart:
+            text = (
+                f"{where}: neighbouring rows are correlated ({robust.lag_one:.2f}); {segment.n} "
+                f"rows are worth about {robust.n_effective:.3g}, see F_robust"
+            )
+            found.append(Doubt("time-correlated", "caution", text))
+    return tuple(found)
+
+
+def _named(segments: Sequence[Segment]) -> Iterator[tuple[str, Segment]]:
+    """Yield segments with what they are called."""
+    for number, segment in enumerate(segments, start=1):
+        yield f"segment {number}" if len(segments) > 1 else "the model", segment
 
 
 def jumps_said(variable: str | None, junctions: Sequence[Junction]) -> tuple[str, ...]:
@@ -62,20 +86,13 @@ def _segment_warnings(plan: Plan, segment: Segment, where: str) -> list[str]:
     k, nu = segment.dof
     if k == 0:
         said.append(f"{where}: no term is supported by the data, the model is the mean alone")
-    elif nu == 0:
-        said.append(f"{where}: as many terms as rows, nothing is left to test it with")
-    elif not segment.significant:
+    elif nu > 0 and not segment.significant:
         said.append(f"{where} means nothing: F = {segment.F:.3g} is below {segment.F_critical:.4g}")
     if segment.collinear:
         said.append(
             f"{where}: {', '.join(segment.collinear)} cannot be told from the terms in the model"
         )
     robust = segment.robust
-    if robust is not None and robust.kind != "cluster" and robust.n_effective < segment.n:
-        said.append(
-            f"{where}: neighbouring rows are correlated ({robust.lag_one:.2f}); {segment.n} rows "
-            f"are worth about {robust.n_effective:.3g}, see F_robust"
-        )
     if robust is not None and segment.significant and not robust.p < 1.0 - plan.confidence:
         said.append(f"{where}: significant by F, not by F_robust (p = {robust.p:.2g})")
         if robust.kind != "cluster" and robust.n_effective == segment.n:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
+from multipos.doubt import DOUBTS, read_doubt
 from multipos.errors import MultiposError
 from multipos.files.records import (
     ANY_NUMBER,
@@ -80,6 +81,7 @@ REGRESSION = Fields(
     },
     {
         "causal": Flag(),
+        "doubts": DOUBTS,
         "run": Maybe(NAME),
         "jumps": Listed(
             Fields(
@@ -126,6 +128,7 @@ def regression_dict(r: Regression) -> dict[str, Any]:
         "segments": [segment_to_dict(segment) for segment in r.segments],
         "hysteresis": r.hysteresis,
         "cross_validation": r.cross_validation,
+        "doubts": [doubt.to_dict() for doubt in r.doubts],
         "warnings": r.warnings,
     }
     result: dict[str, Any] = plain(content)
@@ -201,6 +204,7 @@ def _from_dict(c: Mapping[str, Any]) -> Regression:
         thresholds=c["thresholds"],
         causal=c.get("causal", False),
         run=c.get("run"),
+        doubts=tuple(map(read_doubt, c.get("doubts", ()))),
         junctions=tuple(_junction(entry) for entry in c.get("jumps", ())),
     )
     _check_cuts(regression)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from multipos.doubt import Doubt
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
@@ -57,6 +58,8 @@ class Regression(Result):
     n, dropped : int
     hysteresis, cross_validation : mapping or None
     warnings : tuple of str
+    doubts : tuple of Doubt
+        The texts of these are the first warnings.
     source, sha256, created, version : str or None
 
     Examples
@@ -97,6 +100,7 @@ class Regression(Result):
     causal: bool = False
     run: str | None = None
     junctions: tuple[Junction, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
     def segment_of(
         self, columns: Mapping[str, Array], run: NDArray[np.intp] | None = None

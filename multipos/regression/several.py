@@ -2,9 +2,10 @@
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from multipos.doubt import Doubt
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.regression.result import Regression
@@ -46,6 +47,15 @@ class Regressions(Result, Mapping[str, Regression]):
     def warnings(self) -> tuple[str, ...]:
         """What there is to say, each with its response."""
         return tuple(f"{name}: {said}" for name, r in self.items() for said in r.warnings)
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """The doubts about each, with its response before the text."""
+        return tuple(
+            replace(doubt, text=f"{name}: {doubt.text}")
+            for name, r in self.items()
+            for doubt in r.doubts
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry, keys as in the formats reference."""

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from multipos.doubt import NOT_FIT, implausible
 from multipos.errors import MultiposError
 from multipos.files.trees import read_toml
 from multipos.reports.evidence import (
@@ -42,7 +43,6 @@ from multipos.reports.result import (
 from multipos.reports.temperature_evidence import temperature_sections
 from multipos.reports.translations import Language, Translator
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import NOT_FIT, implausible
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.turntable import has_rolls

@@ -9,6 +9,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from multipos.doubt import DOUBTS, NOT_FIT
 from multipos.errors import MultiposError
 from multipos.files.numbers import number, uncertain
 from multipos.files.records import (
@@ -29,7 +30,6 @@ from multipos.plots.runs import draw_values
 from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.page import Figure, PageTable, Section, draw_svg
 from multipos.reports.translations import Language, Translator
-from multipos.sensor.doubt import DOUBTS, NOT_FIT
 
 _RUNS = Listed(Fields({"file": Maybe(ANY_TEXT), "created": Maybe(ANY_TEXT)}), 2)
 _VALUES = Listed(Maybe(ANY_NUMBER), 2)

@@ -16,6 +16,7 @@ from typing import Any
 from multipos.designs.assessment import Schemes, scheme_rows, schemes_text
 from multipos.designs.prospects import Worth, worth_text
 from multipos.designs.result import Design, design_text
+from multipos.doubt import NOT_FIT, Doubt, implausible
 from multipos.errors import UsageError
 from multipos.files.characters import visible
 from multipos.files.numbers import number
@@ -35,7 +36,6 @@ from multipos.reports.sheets import check_sheets, check_text, run_conclusions
 from multipos.reports.tumble_text import tumble_text, tumbles_text
 from multipos.results import Columns, Result
 from multipos.sensor.calibration import Calibration, parameter_rows
-from multipos.sensor.doubt import NOT_FIT, Doubt, implausible
 from multipos.sensor.stability import Stability
 from multipos.sensor.temperature import Curve
 from multipos.uncertainty.propagation import Evaluation

@@ -8,11 +8,11 @@ turntable, the residuals of every position, and how the result was checked.
 import math
 from collections.abc import Iterable
 
+from multipos.doubt import NOT_FIT, implausible
 from multipos.files.numbers import largest_rows, number, table
 from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sheets import installation_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration, parameter_rows
-from multipos.sensor.doubt import NOT_FIT, implausible
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.turntable import has_rolls, table_errors
 

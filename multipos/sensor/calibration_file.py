@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from multipos.doubt import DOUBTS
 from multipos.files.records import (
     ANY_NUMBER,
     ANY_TEXT,
@@ -38,7 +39,6 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import DOUBTS
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import GAUGES, ROLL_GAUGES
 from multipos.sensor.own_models import expression_dict

@@ -23,11 +23,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from multipos.doubt import Doubt, besides
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_tail, f_tail, t_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result
-from multipos.sensor.doubt import Doubt, besides
 from multipos.sensor.model import Model
 from multipos.sensor.term_tests import ModelTest
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from multipos.doubt import read_doubt
 from multipos.errors import MultiposError
 from multipos.files.records import require, require_covariance
 from multipos.files.trees import read_json
@@ -23,7 +24,6 @@ from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration, Status
 from multipos.sensor.calibration_file import CALIBRATION, SCHEMA
 from multipos.sensor.diagnostics import Claim, Diagnostics
-from multipos.sensor.doubt import Doubt
 from multipos.sensor.found import (
     Chosen,
     Component,
@@ -187,16 +187,11 @@ def _diagnostics(found: Mapping[str, Any]) -> Diagnostics:
         outliers=tuple(found["outliers"]),
         unidentifiable=tuple(found["unidentifiable"]),
         warnings=tuple(found["warnings"]),
-        doubts=tuple(map(_doubt, found.get("doubts", ()))),
+        doubts=tuple(map(read_doubt, found.get("doubts", ()))),
         model_tests=tuple(map(model_test_from_dict, found.get("model_tests", ()))),
         hidden=tuple(found.get("hidden", ())),
         claim=Claim(**claim) if (claim := found.get("claim")) else None,
     )
-
-
-def _doubt(said: Mapping[str, Any]) -> Doubt:
-    rows, outputs = tuple(said["rows"]), tuple(said["outputs"])
-    return Doubt(said["code"], said["severity"], said["text"], rows, outputs)
 
 
 def _found(content: Mapping[str, Any]) -> dict[str, Any]:

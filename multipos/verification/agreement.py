@@ -39,13 +39,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from multipos.doubt import Doubt, implausible
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.rotations import rotation_matrix
 from multipos.positions.readings import Readings
 from multipos.results import Keyed
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt, implausible
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.unseen import unseen_moves
 from multipos.verification.consistency import Words, is_apart, judge_together

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from multipos.doubt import DOUBTS, read_doubt
 from multipos.errors import MultiposError
 from multipos.files.records import (
     ANY_NUMBER,
@@ -36,7 +37,6 @@ from multipos.files.records import (
 from multipos.files.trees import read_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.sensor.doubt import DOUBTS, Doubt
 from multipos.verification.agreement import Agreement
 from multipos.verification.verdicts import Check, judge_errors, worst
 
@@ -195,7 +195,7 @@ def _from_dict(c: Mapping[str, Any]) -> Check:
         calibration=c["calibration"],
         U_family=column("U_family") if all("U_family" in row for row in c["positions"]) else None,
         consistency=_agreement(c.get("consistency")),
-        doubts=tuple(map(_doubt, c.get("doubts", ()))),
+        doubts=tuple(map(read_doubt, c.get("doubts", ()))),
     )
 
 
@@ -210,7 +210,3 @@ def _agreement(c: Mapping[str, Any] | None) -> Agreement | None:
     elif c["dof"] is not None:
         dof = float(c["dof"])
     return Agreement(statistic, dof, p, c["test"])
-
-
-def _doubt(c: Mapping[str, Any]) -> Doubt:
-    return Doubt(c["code"], c["severity"], c["text"], tuple(c["rows"]), tuple(c["outputs"]))

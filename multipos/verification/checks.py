@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from multipos.doubt import Doubt, implausible
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.tables import Source
 from multipos.fitting.readings import fit
@@ -33,7 +34,6 @@ from multipos.positions.scheme import Scheme
 from multipos.regression.result import Regression
 from multipos.regression.several import Regressions
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt, implausible
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.nominal import Nominal, read_nominal
 from multipos.sensor.tilt import true_tilt

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from multipos.doubt import Doubt, besides
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import spread
 from multipos.files.numbers import number, table, uncertain
@@ -32,7 +33,6 @@ from multipos.regression.result import Regression
 from multipos.regression.several import Regressions, all_of
 from multipos.results import Drawn, Result, data_frame
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt, besides
 from multipos.sensor.loading import load
 from multipos.verification.combining import combine_sessions
 from multipos.verification.consistency import Judgement, judge_repeats

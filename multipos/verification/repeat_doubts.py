@@ -20,10 +20,10 @@ from itertools import combinations
 
 import numpy as np
 
+from multipos.doubt import Doubt, implausible
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.doubt import Doubt, implausible
 
 _SCALE = 0.02  # of a scale factor
 _ANGLE = math.radians(1.0)  # between outputs

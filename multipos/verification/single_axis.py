@@ -5,11 +5,14 @@ Least squares give the coefficients of `multipos.verification.coefficients`. The
 of a turn, and its residual harmonics are the test of table and model: what no term explains.
 """
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from multipos.doubt import Doubt, besides
 from multipos.errors import RankError
 from multipos.fitting.readings import fit
 from multipos.numerics.arrays import Array
@@ -46,6 +49,7 @@ from multipos.verification.coefficients import (
 from multipos.verification.hysteresis import Hysteresis, find_hysteresis, passes
 
 SCHEMA = "multipos/tumble/1"
+_LEANING = 0.1  # rad, by which an input axis that is placed by hand lies from where it should
 _ROUNDING = 1e-12  # residuals below this part of the largest reading are rounding
 
 
@@ -69,6 +73,8 @@ class Tumble(Result, Drawn):
     unidentifiable, weak, warnings : tuples of str
     hysteresis : dict of plane to Hysteresis
         Of the rolls that were passed forward and backward.
+    doubts : tuple of Doubt
+        Of the calibration, and of the plane; their texts are the first warnings.
     beside_table : dict of str to TumbleCoefficient
         Those coefficients that no error of the table does the same as, estimated beside all.
 
@@ -99,6 +105,7 @@ class Tumble(Result, Drawn):
     warnings: tuple[str, ...]
     hysteresis: dict[str, Hysteresis]
     beside_table: dict[str, TumbleCoefficient]
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def taken_as_zero(self) -> tuple[str, ...]:
@@ -125,6 +132,7 @@ class Tumble(Result, Drawn):
             "unidentifiable": self.unidentifiable,
             "taken_as_zero": self.taken_as_zero,
             "weak": self.weak,
+            "doubts": [doubt.to_dict() for doubt in self.doubts],
             "warnings": self.warnings,
             "calibration": self.calibration.to_dict(),
         }
@@ -172,6 +180,7 @@ def tumble_output(
     if table.beside is not None:
         beside = coefficients_beside(calibration, axis, table.beside)
     stated = calibration.readings.covariance is not None
+    doubts = (*calibration.diagnostics.doubts, *_of_plane(coefficients, calibration))
     return Tumble(
         coefficients=those_that_hold(coefficients, beside, table.beside, stated=stated),
         calibration=calibration,
@@ -182,7 +191,13 @@ def tumble_output(
         table_errors=table,
         unidentifiable=unidentifiable,
         weak=weakly_told(calibration, axis),
-        warnings=(*calibration.diagnostics.warnings, *repeated, *strange_harmonics(residual)),
+        doubts=doubts,
+        warnings=(
+            *(doubt.text for doubt in doubts),
+            *besides(calibration.diagnostics.warnings, doubts),
+            *repeated,
+            *strange_harmonics(residual),
+        ),
         hysteresis=find_hysteresis(
             _mounted_once(calibration.readings, rolls),
             signal / coefficients["K1"].value,
@@ -196,6 +211,23 @@ def _mounted_once(readings: Readings, rolls: tuple[Roll, ...]) -> tuple[Roll, ..
     """Return the rolls that were not taken in several mountings, which differ by more."""
     axes = [one.roll.axis for one in find_head(readings)]
     return tuple(roll for roll in rolls if axes.count(roll.axis) < 2)
+
+
+def _of_plane(found: Mapping[str, TumbleCoefficient], c: Calibration) -> tuple[Doubt, ...]:
+    """Doubt the plane where the input axis leans too far for the coefficients to be its own."""
+    if {"no-signal", "turned"} & {doubt.code for doubt in c.diagnostics.doubts}:
+        return ()  # the same, said already
+    sizes = [abs(found[name].value) for name in ("delta_o", "delta_p") if name in found]
+    lean = math.hypot(*sizes)
+    if not lean > _LEANING:
+        return ()
+    axis, degrees = c.model.axes[0], math.degrees(math.atan(lean))
+    text = (
+        f"the input axis of {c.outputs[0]} leans by {degrees:.3g} degrees from {axis}: K1 and the "
+        f"terms of higher order are those along {axis} and not its own; look at roll_axis, at "
+        "where the angle is zero, and at --axes"
+    )
+    return (Doubt("wrong-plane", "caution", text, outputs=c.outputs),)
 
 
 def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[str]:

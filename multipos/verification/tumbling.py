@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from multipos.doubt import Doubt
 from multipos.errors import UsageError
 from multipos.files.lists import Names, split_names
 from multipos.files.tables import Source
@@ -91,6 +92,11 @@ class Tumbles(Result, Drawn):
             for name, text in every
         )
         return tuple(dict.fromkeys(named))
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """The doubts about every output."""
+        return tuple(doubt for found in self.outputs.values() for doubt in found.doubts)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""

@@ -31,12 +31,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.doubt import Doubt
 from multipos.errors import UsageError
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.results import Drawn, Result, data_frame
-from multipos.sensor.doubt import Doubt
 from multipos.verification.agreement import Agreement
 
 VERDICTS = ("pass", "undecided", "fail")  # from best to worst

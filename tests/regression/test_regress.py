@@ -645,3 +645,31 @@ def test_a_regression_of_a_file_called_anything_is_read_back(tmp_path):
     path.write_text("y,t\n1,0\n2,1\n3.5,2\n4,3\n")
     mp.regress(path, response="y", variables="t").save(tmp_path / "r.json")
     assert mp.load_regression(tmp_path / "r.json").source.endswith(r"\u001b[31m.csv")
+
+
+def test_rows_that_are_not_apart_are_a_doubt_first_of_what_is_said(tmp_path):
+    """Rows with AR(.9) noise, no time column: their doubt is kept by the file, and by several."""
+    rng = np.random.default_rng(4)
+    noise = np.empty(200)
+    noise[0] = rng.standard_normal()
+    for i in range(1, 200):
+        noise[i] = 0.9 * noise[i - 1] + rng.standard_normal()
+    table = {"T": np.linspace(0.0, 50.0, 200), "y": noise, "z": noise + 1.0}
+    found = mp.regress(table, response="y", variables="T")
+    (doubt,) = found.doubts
+    assert (doubt.code, doubt.severity) == ("time-correlated", "caution")
+    assert found.warnings[0] == doubt.text
+    assert found.warnings.count(doubt.text) == 1
+    found.save(tmp_path / "reg.json")
+    assert mp.load_regression(tmp_path / "reg.json").doubts == (doubt,)
+    both = mp.regress(table, response="y,z", variables="T")
+    assert both.doubts[0].text == f"y: {doubt.text}"
+    white = {"T": table["T"], "y": rng.standard_normal(200)}
+    assert mp.regress(white, response="y", variables="T").doubts == ()
+
+
+def test_as_many_terms_as_rows_is_a_doubt():
+    table = {"T": [0.0, 1.0], "y": [1.0, 3.0]}
+    assert [d.code for d in mp.regress(table, response="y", variables="T").doubts] == [
+        "no-redundancy"
+    ]

@@ -340,3 +340,18 @@ def test_more_than_one_output_or_axis(capsys, tmp_path):
     three = [*arguments, "--axes", "x,z"]  # this roll leaves z level
     fails(capsys, three, 1, "cannot tell K0 from K1 of B", "leave the output out")
     fails(capsys, [*arguments, "--outputs", "A", "--model", "1 + y"], 2, "no term x")
+
+
+@pytest.mark.parametrize(
+    ("lean", "told"), [(2.0, []), (20.0, ["wrong-plane"]), (90.0, ["no-signal"])]
+)
+def test_an_input_axis_that_leans_from_where_it_is_said_to_be(lean, told):
+    angle = np.arange(0.0, 360.0, 30.0)
+    volt = 0.01 + 2.5 * np.cos(np.radians(angle - lean))
+    volt += 1e-4 * np.random.default_rng(1).standard_normal(12)
+    found = mp.tumble({"roll_axis": ["z"] * 12, "angle_deg": angle, "volt": volt}, unit="V")
+    assert [doubt.code for doubt in found.doubts] == told
+    assert found.to_dict()["doubts"] == [doubt.to_dict() for doubt in found.doubts]
+    assert list(found.warnings[: len(told)]) == [doubt.text for doubt in found.doubts]
+    if lean == 20.0:
+        assert "leans by 20 degrees from x" in found.doubts[0].text

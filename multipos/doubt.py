@@ -1,13 +1,13 @@
-"""A doubt: something in a finished calibration that does not look right.
+"""A doubt: something in a finished calibration, or another result, that does not look right.
 
 `implausible` means that no sensor on earth gives such readings at such positions, or that what is
 given contradicts itself: the calibration is not fit for use. A `caution` is for who knows better.
 What is looked for stands in `multipos.doubts`; here is what a finding is, and its form in files.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from multipos.errors import MultiposError
 from multipos.files.records import ANY_TEXT, TEXTS, Fields, Listed, Text
@@ -61,6 +61,12 @@ class Doubt(Keyed):
     def implausible(self) -> bool:
         """Whether the calibration is not fit for use."""
         return self.severity == "implausible"
+
+
+def read_doubt(content: Mapping[str, Any]) -> Doubt:
+    """Return a doubt as a file holds it."""
+    rows, outputs = tuple(content["rows"]), tuple(content["outputs"])
+    return Doubt(content["code"], content["severity"], content["text"], rows, outputs)
 
 
 def implausible(doubts: Iterable[Doubt]) -> tuple[Doubt, ...]:
