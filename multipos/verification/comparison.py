@@ -240,7 +240,7 @@ def _compare(
         judged = Judgement.of_methods(found, values)
     else:
         judged = judge_repeats(found, values, 1.0 - confidence)
-    doubts = () if same else doubt_repeats(found, files)
+    doubts = () if same else doubt_repeats(found)
     warnings = [*(doubt.text for doubt in doubts), *judged.warnings]
     if len(found) < _LEAST and not same:
         warnings.append(

@@ -30,30 +30,28 @@ _ANGLE = math.radians(1.0)  # between outputs
 _ZERO = 0.1  # [g]
 
 
-def doubt_repeats(found: Sequence[Calibration], files: Sequence[str]) -> tuple[Doubt, ...]:
+def doubt_repeats(found: Sequence[Calibration]) -> tuple[Doubt, ...]:
     """Return the doubts about repeats, those about the calibrations themselves first.
 
     Parameters
     ----------
     found : sequence of R Calibration
-        Of one model, outputs and unit.
-    files : sequence of R str
-        What they are called.
+        Of one model, outputs and unit; told by their numbers, for files may be renamed.
     """
     carried = [
-        Doubt(doubt.code, doubt.severity, f"{file}: {doubt.text}", doubt.rows, doubt.outputs)
-        for c, file in zip(found, files, strict=True)
+        Doubt(doubt.code, doubt.severity, f"run {i}: {doubt.text}", doubt.rows, doubt.outputs)
+        for i, c in enumerate(found, start=1)
         for doubt in implausible(c.diagnostics.doubts)
     ]
-    own = (_repeated_run(found, files), _different_sensors(found, files))
+    own = (_repeated_run(found), _different_sensors(found))
     return (*carried, *(doubt for doubt in own if doubt is not None))
 
 
-def _repeated_run(found: Sequence[Calibration], files: Sequence[str]) -> Doubt | None:
+def _repeated_run(found: Sequence[Calibration]) -> Doubt | None:
     """Find runs whose readings are those of another."""
     pairs = [
-        f"{second} and {first}"
-        for (first, a), (second, b) in combinations(zip(files, found, strict=True), 2)
+        f"runs {i} and {j}"
+        for (i, a), (j, b) in combinations(enumerate(found, start=1), 2)
         if np.array_equal(a.readings.values, b.readings.values)
     ]
     if not pairs:
@@ -66,7 +64,7 @@ def _repeated_run(found: Sequence[Calibration], files: Sequence[str]) -> Doubt |
     )
 
 
-def _different_sensors(found: Sequence[Calibration], files: Sequence[str]) -> Doubt | None:
+def _different_sensors(found: Sequence[Calibration]) -> Doubt | None:
     """Find the two runs that are least those of one sensor, by eq. (1)."""
     worst, said, pair = 1.0, "", (0, 0)
     for i, j in combinations(range(len(found)), 2):
@@ -78,7 +76,7 @@ def _different_sensors(found: Sequence[Calibration], files: Sequence[str]) -> Do
     return Doubt(
         "different-sensors",
         "caution",
-        f"{files[pair[1]]} and {files[pair[0]]} look like two sensors and not one: {said}, which "
+        f"runs {pair[0] + 1} and {pair[1] + 1} look like two sensors and not one: {said}, which "
         "no sensor drifts; look at which unit each file is of, and at order and unit of its "
         "columns",
     )

@@ -467,7 +467,7 @@ def test_what_differs_most_between_two_sensors_is_said_first_of_all():
     (doubt,) = told.doubts
     assert (doubt.code, doubt.severity) == ("different-sensors", "caution")
     assert "ay responds 1.099 times" in doubt.text
-    assert comparison_text(told).startswith("caution: calibration 2 and calibration 1 look like")
+    assert comparison_text(told).startswith("caution: runs 1 and 2 look like")
     assert comparison_text(told).count(doubt.text) == 1
     assert told.to_dict()["doubts"] == [doubt.to_dict()]
     assert told.warnings[0] == doubt.text
@@ -479,7 +479,7 @@ def test_a_run_given_twice_is_no_repeat():
     assert codes(mp.compare(first, second)) == []
     told = mp.compare(first, second, first)
     assert codes(told) == ["repeated-runs"]
-    assert "calibration 3 and calibration 1" in told.doubts[0].text
+    assert "runs 1 and 3" in told.doubts[0].text
 
 
 def test_what_makes_a_calibration_unfit_is_said_of_the_comparison(tmp_path):
@@ -487,7 +487,7 @@ def test_what_makes_a_calibration_unfit_is_said_of_the_comparison(tmp_path):
     good = run_of(np.zeros(3), np.eye(3), rng)
     told = mp.compare(good, run_of(np.zeros(3), np.diag([1.0, -1.0, 1.0]), rng))
     assert codes(told)[0] == "sign"
-    assert told.doubts[0].text.startswith("calibration 2: 'ay' falls")
+    assert told.doubts[0].text.startswith("run 2: 'ay' falls")
     page = tmp_path / "compared.md"
     mp.report(told, page)
     assert "not fit for use" in page.read_text("utf-8")
