@@ -50,17 +50,18 @@ def doubt_repeats(found: Sequence[Calibration]) -> tuple[Doubt, ...]:
 def _repeated_run(found: Sequence[Calibration]) -> Doubt | None:
     """Find runs whose readings are those of another."""
     pairs = [
-        f"runs {i} and {j}"
+        (i, j)
         for (i, a), (j, b) in combinations(enumerate(found, start=1), 2)
         if np.array_equal(a.readings.values, b.readings.values)
     ]
     if not pairs:
         return None
+    first, second = pairs[0]
     return Doubt(
         "repeated-runs",
         "caution",
-        f"the readings of {pairs[0]} are the same to the last digit: a run that is given twice is "
-        "no repeat, and makes runs agree that may not; leave it out",
+        f"the readings of runs {first} and {second} are the same to the last digit: a run that is "
+        "given twice is no repeat, and makes runs agree that may not; leave it out",
     )
 
 
