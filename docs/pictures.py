@@ -25,6 +25,7 @@ HEAD = """# Gallery
 
 Every picture of these pages with the command or the lines that drew it. The pages give the
 readings, and the tests run them; `python docs/pictures.py` draws all again.
+[A notebook](notebook.ipynb) goes the whole way from a log to C, with what every cell gives.
 """
 
 

@@ -202,9 +202,11 @@ def fourier_residuals(calibration: Calibration) -> list[dict[str, Any]]:
         first, second = (i for i in range(3) if i != along)
         sign = c.sign
         angle = np.arctan2(sign * c.reference[rows, second], sign * c.reference[rows, first])
-        if len(np.unique(np.round(angle, 9))) < _FEWEST:
+        # Of the distinct ones: rolls share faces, and −180° is 180°.
+        distinct = len(np.unique(np.round(np.exp(1j * angle), 9)))
+        if distinct < _FEWEST:
             continue
-        orders = range(1, min(_ORDERS, (len(rows) - 1) // 2) + 1)
+        orders = range(1, min(_ORDERS, (distinct - 1) // 2) + 1)
         for column, output in enumerate(c.outputs):
             s2 = float(c.residual_sd[column]) ** 2
             entries = []

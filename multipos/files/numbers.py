@@ -13,6 +13,11 @@ from multipos.files.characters import visible
 
 _MOST_ROWS, _LARGEST_ROWS = 100, 20  # of a table: beyond the former only so many are shown
 _SHORTEST = -5  # decimal exponents below this are written as such
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_RATIO = 0.01  # ratios below are read in ppm
+_RARE = 1e-4
+_PREFIXES = {"k": 3, "": 0, "m": -3, "µ": -6, "n": -9}
+_SMALLEST = {"g": -6, "V": -9, "A": -9, "rad": -6, "m": -6}  # exponents that people still read
 
 
 def uncertain(value: float, u: float) -> str:
@@ -41,24 +46,83 @@ def beside(value: float, u: float, U: float) -> tuple[str, str]:
 
     Two digits of u decide; without a usable one ten digits are shown, and no U.
     """
-    if not (math.isfinite(value) and math.isfinite(u) and u > 0.0):
+    decimals = decimals_of(u)
+    if decimals is None or not math.isfinite(value):
         return f"{value:.10g}", "-"
-    decimals = max(0, 1 - math.floor(math.log10(u)))
     shown = f"{U:.{decimals}f}" if math.isfinite(U) else "-"
     return f"{value + 0.0:.{decimals}f}", shown
 
 
-def readable_g(size: float) -> tuple[float, str]:
-    """Return the unit that people read an acceleration of so many g in, and its factor."""
-    if not size > 0.0 or size >= 1.0:
-        return 1.0, "g"
-    return (1e3, "mg") if size >= 1e-3 else (1e6, "µg")
+def readable_unit(size: float, unit: str) -> tuple[float, str]:
+    """Return the unit that people read a quantity of this size in, and its factor.
+
+    A prefix before g, V, A, rad and m/s², ppm for small ratios, ° for degrees: (1e3, 'mg/°C') for
+    .02 g/degC. Any other unit stays.
+    """
+    factor, shown = _scaled_unit(size, unit)
+    return factor, pretty_unit(shown)
 
 
-def in_g(size: float) -> str:
-    """Return a size [g] to three digits in a unit that people read."""
-    factor, unit = readable_g(size)
-    return f"{float(f'{size * factor:.3g}'):g} {unit}"
+def pretty_unit(unit: str) -> str:
+    """Return a unit as it is printed: V/g² and not V/g^2, °C and not degC."""
+    unit = re.sub(r"\bdeg(C?)\b", r"°\1", unit)
+    return re.sub(r"(?<=[A-Za-z])\^(\d)(?!\d)", lambda m: m[1].translate(SUPERSCRIPT), unit)
+
+
+def _scaled_unit(size: float, unit: str) -> tuple[float, str]:
+    head, slash, per = unit.partition("/")
+    if unit == "1" or (head, per.partition("/")[0]) == ("g", "g"):
+        rest = per.partition("/")[2]
+        below = f"/{rest}" if rest else ""
+        small = 0.0 < size < _RATIO
+        return (1e6, f"ppm{below}") if small else (1.0, f"1{below}")
+    found = re.fullmatch("([kmuµn]?)(g|V|A|rad)", head)
+    own, base = (found[1], found[2]) if found else ("", head)
+    if base not in _SMALLEST or (base == "m" and not per.startswith("s^2")):
+        return 1.0, unit
+    exponent = shown = _PREFIXES["µ" if own == "u" else own]
+    while 0.0 < size * 10.0 ** (exponent - shown) < 1.0 and shown > _SMALLEST[base]:
+        shown -= 3
+    prefix = next(name for name, power in _PREFIXES.items() if power == shown)
+    return 10.0 ** (exponent - shown), f"{prefix}{base}{slash}{per}"
+
+
+def in_unit(size: float, unit: str) -> str:
+    """Return a size to three digits in a unit that people read: 2 mg."""
+    factor, shown = readable_unit(abs(size), unit)
+    said = f"{float(f'{size * factor:.3g}'):g}"
+    return f"{said}°" if shown == "°" else f"{said} {shown}".rstrip()
+
+
+def plain_number(value: float | None, digits: int = 3) -> str:
+    """Return a number to so many digits without exponent; nothing where there is none."""
+    if value is None or not math.isfinite(value) or value == 0.0:
+        return number(value)
+    rounded = float(f"{value:.{digits - 1}e}")
+    exponent = math.floor(math.log10(abs(rounded)))
+    if not _SHORTEST <= exponent <= -2 * _SHORTEST:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{max(0, digits - 1 - exponent)}f}"
+
+
+def chance(p: float | None) -> str:
+    """Return a probability to two digits; below one in ten thousand only that it is."""
+    if p is not None and 0.0 <= p < _RARE:
+        return f"<{_RARE:.4f}"
+    return plain_number(p, 2)
+
+
+def p_in_words(p: float | None) -> str:
+    """Return a probability as a text says it: p = 0.05, p < 0.0001."""
+    said = chance(p)
+    return f"p < {said[1:]}" if said.startswith("<") else f"p = {said}"
+
+
+def decimals_of(u: float) -> int | None:
+    """Return the decimals that two digits of an uncertainty need; None where it has none."""
+    if not (math.isfinite(u) and u > 0.0):
+        return None
+    return max(0, 1 - math.floor(math.log10(float(f"{u:.1e}"))))
 
 
 def number(value: float | None, digits: int = 4) -> str:

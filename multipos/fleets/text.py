@@ -3,7 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from multipos.files.numbers import number, table, uncertain
+from multipos.files.numbers import (
+    chance,
+    decimals_of,
+    number,
+    plain_number,
+    readable_unit,
+    table,
+    uncertain,
+)
 
 _SHOWN = 10  # outliers, causes and moves that are listed
 
@@ -52,17 +60,25 @@ def parameter_rows(found: Mapping[str, Any]) -> Rows:
     rows = [
         (
             each["name"],
-            each["unit"],
-            number(each["mean"], 5),
-            number(each["sd"], 3),
-            number(each["sd_true"], 3),
-            number(each["lsl"]),
-            number(each["usl"]),
+            *_spread(each),
             *(_interval(each[key]) for key in ("cpk", "ppk", "ppk_true")),
         )
         for each in found["parameters"]
     ]
     return header, rows
+
+
+def _spread(each: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return unit, mean, both sds and both limits of a parameter, in a unit that people read."""
+    factor, unit = readable_unit(max(abs(each["mean"] or 0.0), each["sd"] or 0.0), each["unit"])
+    mean, *others = (
+        None if each[key] is None else factor * each[key]
+        for key in ("mean", "sd", "sd_true", "lsl", "usl")
+    )
+    decimals = decimals_of(others[0] or 0.0)
+    told = plain_number(mean) if mean is None or decimals is None else f"{mean:.{decimals + 1}f}"
+    sd, sd_true, low, high = others
+    return unit, told, plain_number(sd), plain_number(sd_true), number(low), number(high)
 
 
 def _interval(figure: Mapping[str, float] | None) -> str:
@@ -79,7 +95,7 @@ def station_rows(found: Mapping[str, Any]) -> Rows:
     header = (
         "station",
         "units",
-        *(f"level {axis} [deg]" for axis in turned),
+        *(f"level {axis} [°]" for axis in turned),
         *(f"shift {output}" for output in shifted),
     )
     rows = [
@@ -112,7 +128,7 @@ def outlier_rows(found: Mapping[str, Any]) -> Rows:
             each["unit"],
             each["station"] or "-",
             number(each["statistic"]),
-            number(each["p"], 2),
+            chance(each["p"]),
             ", ".join(f"{p['name']} {p['deviation']:+.1f}" for p in each["parameters"]),
         )
         for each in found["outliers"]
@@ -130,7 +146,7 @@ def drift_rows(found: Mapping[str, Any]) -> Rows:
             each["kind"],
             uncertain(each["value"], each["u"]),
             each["from_unit"],
-            number(each["p"], 2),
+            chance(each["p"]),
         )
         for each in found["drift"]
     ]

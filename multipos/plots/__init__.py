@@ -13,7 +13,9 @@ from multipos.plots.calibration import (
     draw_errors,
     draw_leverage,
     draw_residuals,
+    draw_size_residuals,
     nominal_error,
+    size_residuals,
     variance_shares,
 )
 from multipos.plots.check import check_figure, draw_check
@@ -54,6 +56,7 @@ __all__ = [
     "draw_runs",
     "draw_scheme",
     "draw_signal",
+    "draw_size_residuals",
     "draw_zero",
     "new_figure",
     "nominal_error",
@@ -61,6 +64,7 @@ __all__ = [
     "render",
     "runs_figure",
     "schemes_figure",
+    "size_residuals",
     "stability_figure",
     "to_svg",
     "tumble_figure",

@@ -1,5 +1,7 @@
 """Figures of a calibration: residuals, positions, budget, correlation."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,8 +10,18 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.plots.hemispheres import draw_directions, draw_frame, draw_map, everywhere
-from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, scale_by_powers, write
+from multipos.plots.style import (
+    COLOURS,
+    HATCHES,
+    MARKERS,
+    name_axis,
+    name_series,
+    scale_by_powers,
+    write,
+)
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
+from multipos.sensor.inverse import sensitivities
 from multipos.sensor.nominal import nominal_force
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import vector_uncertainty
@@ -39,9 +51,45 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
         at, c.residuals[:, column], MARKERS[column % 8], color=COLOURS[column % 6], label=output
     )
     _name_positions(axes, c.readings.labels)
-    axes.set_ylabel(f"{output} [{c.model.unit}]")
-    axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+    name_axis(axes.yaxis, output, c.model.unit)
     name_series(axes, 2)
+
+
+def size_residuals(calibration: Calibration) -> tuple[Array, Array]:
+    """Return by how much the size of each compensated force is off, and its sd, (n,) [g].
+
+    That is all an orientation that is unknown leaves of a position: the residual along the normal
+    of the surface of readings at |f| = 1 g, which is w·r with w = u'S⁻¹ of the up vector u and the
+    sensitivity S at it. Its variance is Σ w²σ² (1 − h), h the leverage of the position.
+    """
+    c = calibration
+    inverse, _ = sensitivities(c.model, c.parameters, c.reference, c.readings.environment)
+    w = np.einsum("ni,nij->nj", directions(c.reference), inverse)
+    left = np.maximum(1.0 - c.diagnostics.leverage.sum(axis=1), 0.0)
+    sd = np.sqrt(np.sum((w * c.sd_of_readings) ** 2, axis=1) * left)
+    return np.sum(w * c.residuals, axis=1), sd
+
+
+def draw_size_residuals(calibration: Calibration, axes: "Axes") -> None:
+    """Draw `size_residuals` at every position, with ±2 standard deviations of each."""
+    c = calibration
+    error, sd = size_residuals(c)
+    at = np.arange(len(error))
+    axes.axhline(0.0, color="#000000", linewidth=0.6)
+    if np.isfinite(sd).all():
+        axes.vlines(at, -2.0 * sd, 2.0 * sd, color=COLOURS[5], linewidth=5.0, label="±2 sd")
+    axes.plot(at, error, MARKERS[0], color=COLOURS[0], label="size of the force")
+    _name_positions(axes, c.readings.labels)
+    name_axis(axes.yaxis, "size of the force", "g")
+    name_series(axes, 2)
+
+
+def residual_panels(calibration: Calibration) -> "list[Callable[[Axes], None]]":
+    """Return what draws the residuals: a panel for each output, or what a position has."""
+    c = calibration
+    if c.estimator is Estimator.UNKNOWN:
+        return [partial(draw_size_residuals, c)]
+    return [partial(draw_residuals, c, output=output) for output in c.outputs]
 
 
 def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
@@ -97,8 +145,8 @@ def draw_errors(calibration: Calibration, axes: "Axes") -> None:
     tiny = 1e-3 * max(float(np.nanmax(before)), 1e-12)
     axes.plot(at, np.maximum(before, tiny), MARKERS[1], color=COLOURS[1], label="before")
     axes.plot(at, np.maximum(after, tiny * 1e-3), MARKERS[0], color=COLOURS[0], label="after")
-    scale_by_powers(axes, "y")
-    axes.set_ylabel("error [g]")
+    scale_by_powers(axes, "y", "g")
+    axes.set_ylabel("error")
     _name_positions(axes, c.readings.labels)
     name_series(axes, 2)
 

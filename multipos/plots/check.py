@@ -4,8 +4,16 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from multipos.files.numbers import in_unit, pretty_unit
 from multipos.numerics.arrays import Array
-from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, scale_by_powers
+from multipos.plots.style import (
+    COLOURS,
+    MARKERS,
+    name_axis,
+    name_series,
+    new_figure,
+    scale_by_powers,
+)
 from multipos.verification.verdicts import Check
 
 if TYPE_CHECKING:
@@ -62,18 +70,22 @@ def draw_check(
         and found.limit is not None
         and np.nanmax(np.abs(before)) > (_WIDE * found.limit)
     ):  # else the limits would be one line
-        scale_by_powers(axes, "y", linthresh=2.0 * found.limit)
+        scale_by_powers(axes, "y", found.unit, linthresh=2.0 * found.limit)
     axes.margins(0.06)
-    unit = f" [{found.unit}]" if found.unit else ""
+    unit = f" [{pretty_unit(found.unit)}]" if found.unit else ""
     axes.set_xlabel(found.against or f"{found.quantity} of {axis}{unit}")
-    axes.set_ylabel(f"{axis if found.against else 'error'}{unit}")
+    word = axis if found.against else "error"
+    if axes.get_yscale() == "linear":
+        name_axis(axes.yaxis, word, found.unit)
+    else:
+        axes.set_ylabel(word)
     name_series(axes, 3)
 
 
 def _draw_limit(found: Check, axes: "Axes") -> None:
     if found.limit is None:
         return
-    said = f"limit ±{found.limit:g} {found.unit}".rstrip()
+    said = f"limit ±{in_unit(found.limit, found.unit)}"
     for height, label in ((-found.limit, None), (found.limit, said)):
         axes.axhline(height, color="#555555", linestyle="--", linewidth=0.8, label=label)
 
@@ -94,13 +106,17 @@ def set_beside(known: Array) -> Array:
     return placed
 
 
-def check_figure(found: Check) -> "Figure":
-    """Return the errors of every axis; before and after apart, where one would hide the other."""
+def errors_apart(found: Check) -> bool:
+    """Tell whether errors before would hide those after on one and the same scale."""
     used = found.counted
     left = float(np.nanmax((np.abs(found.after) + found.U)[used], initial=found.limit or 0.0))
-    apart = float(np.nanmax(np.abs(found.before[used]), initial=0.0)) > _APART * left
+    return float(np.nanmax(np.abs(found.before[used]), initial=0.0)) > _APART * left
+
+
+def check_figure(found: Check) -> "Figure":
+    """Return the errors of every axis; before and after apart, where one would hide the other."""
     drawn: tuple[Literal["both", "before", "after"], ...]
-    drawn = ("before", "after") if apart else ("both",)
+    drawn = ("before", "after") if errors_apart(found) else ("both",)
     figure, axes = new_figure(len(drawn) * len(found.axes))
     panels = [(axis, when) for axis in found.axes for when in drawn]
     for (axis, when), one in zip(panels, axes, strict=True):

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from multipos.plots.calibration import draw_residuals
+from multipos.plots.calibration import residual_panels
 from multipos.plots.style import new_figure
 from multipos.plots.temperature import draw_curve
 from multipos.sensor.calibration import Calibration
@@ -28,9 +28,10 @@ def calibration_figure(calibration: Calibration) -> "Figure":
     """Return the residuals of every output, and below them what changes over temperature."""
     c = calibration
     curves = temperature_curves(c)
-    figure, axes = new_figure(len(c.outputs) + len(curves))
-    for output, one in zip(c.outputs, axes, strict=False):
-        draw_residuals(c, one, output=output)
-    for curve, one in zip(curves, axes[len(c.outputs) :], strict=True):
+    panels = residual_panels(c)
+    figure, axes = new_figure(len(panels) + len(curves))
+    for draw, one in zip(panels, axes, strict=False):
+        draw(one)
+    for curve, one in zip(curves, axes[len(panels) :], strict=True):
         draw_curve(curve, one)
     return figure

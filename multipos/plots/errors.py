@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.files.numbers import in_g
+from multipos.files.numbers import in_unit
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
@@ -49,7 +49,9 @@ def draw_error_sphere(calibration: Calibration, axes: "Axes") -> None:
             at = _flat(up[on], side) + np.array([centre, 0.0])
             _draw_arrows(axes, at, _moved(up[on], across[on] * scale, side), COLOURS[1 - i])
             _draw_rings(axes, at, along[on] * scale, COLOURS[1 - i])
-        write(axes, middle, -1.5, f"{when}: largest {in_g(largest)}", ha="center", va="center")
+        write(
+            axes, middle, -1.5, f"{when}: largest {in_unit(largest, 'g')}", ha="center", va="center"
+        )
     axes.set_aspect("equal")
     axes.set_xlim(-5.1, 5.3)
     axes.set_ylim(-1.65, 1.35)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multipos.plots.style import COLOURS, MARKERS, name_series
+from multipos.plots.style import COLOURS, MARKERS, name_axis, name_series
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,6 +20,7 @@ def draw_causes(causes: Mapping[str, int], axes: "Axes") -> None:
     axes.barh(places, [count for _, count in shown], color=COLOURS[0], height=0.7)
     axes.set_yticks(places, [cause for cause, _ in shown])
     axes.invert_yaxis()
+    axes.locator_params(axis="x", integer=True)
     axes.set_xlabel("units")
 
 
@@ -35,7 +36,7 @@ def draw_histogram(parameter: Mapping[str, Any], axes: "Axes") -> None:
             low, high = min(low, parameter[side]), max(high, parameter[side])
     margin = 0.02 * (high - low)
     axes.set_xlim(low - margin, high + margin)
-    axes.set_xlabel(f"{parameter['name']} [{parameter['unit']}]")
+    name_axis(axes.xaxis, parameter["name"], parameter["unit"])
     axes.set_ylabel("units")
 
 
@@ -56,5 +57,5 @@ def draw_chart(parameter: Mapping[str, Any], axes: "Axes") -> None:
                 line["control"][side], color=COLOURS[series % 6], linestyle=":", linewidth=0.8
             )
     axes.set_xlabel("share of the line's units")
-    axes.set_ylabel(f"{parameter['name']} [{parameter['unit']}]")
+    name_axis(axes.yaxis, parameter["name"], parameter["unit"])
     name_series(axes, 3)

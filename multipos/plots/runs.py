@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multipos.numerics.terms import CONSTANT
-from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure
+from multipos.plots.style import COLOURS, MARKERS, name_axis, name_series, new_figure
 from multipos.verification.comparison import Comparison
 from multipos.verification.regression_comparison import RegressionComparison
 
@@ -42,11 +42,15 @@ def draw_runs(comparison: Comparison, axes: "Axes", *, term: str = "1") -> None:
             linewidth=0.9,
             label=model.names[i],
         )
+    _dress(axes, len(runs), model.units[wanted[0]] if wanted else model.unit)
+
+
+def _dress(axes: "Axes", runs: int, unit: str) -> None:
+    """Name the runs, the axes and the series of values less their mean."""
     axes.axhline(0.0, color="#000000", linewidth=0.6)
-    axes.set_xticks(runs)
+    axes.set_xticks(range(1, runs + 1))
     axes.set_xlabel("run")
-    axes.set_ylabel(f"less its mean [{model.units[wanted[0]] if wanted else model.unit}]")
-    axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+    name_axis(axes.yaxis, "less its mean", unit)
     name_series(axes, 3)
 
 
@@ -63,12 +67,7 @@ def draw_values(values: Mapping[str, Sequence[float]], axes: "Axes", *, unit: st
             linewidth=0.9,
             label=name,
         )
-    axes.axhline(0.0, color="#000000", linewidth=0.6)
-    axes.set_xticks(range(1, count + 1))
-    axes.set_xlabel("run")
-    axes.set_ylabel(f"less its mean [{unit}]")
-    axes.ticklabel_format(axis="y", scilimits=(-3, 4))
-    name_series(axes, 3)
+    _dress(axes, count, unit)
 
 
 def runs_figure(comparison: Comparison) -> "Figure":

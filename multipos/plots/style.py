@@ -10,9 +10,13 @@ decided here: sizes and colours when the axes are made, type and ids when the fi
 """
 
 import re
+from collections.abc import Sequence
 from functools import cache
+from itertools import pairwise
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
+
+from multipos.files.numbers import SUPERSCRIPT, in_unit, readable_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,8 +32,8 @@ _SIZE = 9.0  # of type, in points
 _FONT = "DejaVu Sans"  # comes with Matplotlib, so that a figure is measured alike everywhere
 _FONTS = f"'{_FONT}', 'Bitstream Vera Sans', Verdana, Geneva, Arial, Helvetica, sans-serif"
 _HATCH_WIDTH = 0.6
+_MOST_DECIMALS = 9  # along an axis
 _DPI = 200  # dots per inch of a .png
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 # Matplotlib is not thread-safe, says its manual, and asks those who use threads to draw one after
 # the other. Making a figure needs no lock, as each has its own artists.
@@ -144,17 +148,27 @@ def write_title(axes: "Axes", text: str) -> None:
     axes.set_title(text, loc="left", fontsize=_SIZE, color=_INK, fontweight="normal", pad=6.0)
 
 
-def scale_by_powers(axes: "Axes", which: Literal["x", "y"], **beyond: float) -> None:
-    """Make an axis logarithmic, or so beyond a threshold `linthresh`, labelled 10⁻³."""
+def scale_by_powers(
+    axes: "Axes", which: Literal["x", "y"], unit: str = "", **beyond: float
+) -> None:
+    """Make an axis logarithmic, or so beyond a threshold `linthresh`, labelled 10⁻³ or 1 mg."""
     kind = "symlog" if beyond else "log"
     if which == "x":
         axes.set_xscale(kind, **beyond)
     else:
         axes.set_yscale(kind, **beyond)
     axis = axes.xaxis if which == "x" else axes.yaxis
-    axis.set_major_formatter(_powers()())
+    axis.set_major_formatter(_powers()(unit))
     if not beyond:
-        axis.set_minor_formatter(_powers()())
+        axis.set_minor_formatter(_powers()(unit))
+
+
+def name_axis(axis: "Axis", word: str, unit: str) -> None:
+    """Name an axis after all is drawn on it, its numbers in a unit that people read."""
+    low, high = axis.get_view_interval()
+    factor, shown = readable_unit(max(abs(low), abs(high)), unit)
+    axis.set_major_formatter(_scaled()(factor))
+    axis.set_label_text(f"{word} [{shown}]" if shown else word)
 
 
 def dress_axis(axis: "Axis") -> None:
@@ -324,11 +338,42 @@ def _numbers() -> Any:
             self._usetex = False
             self.set_powerlimits((-5, 6))
 
+        def get_offset(self) -> str:
+            """Return what all numbers are to be multiplied by: ×10⁻³."""
+            text = super().get_offset().replace("−", "-")
+            return re.sub(r"e\+?(-?\d+)", lambda m: f"×10{m[1].translate(SUPERSCRIPT)}", text)
+
         @staticmethod
         def fix_minus(s: str) -> str:
             return s.replace("-", "−")
 
     return Numbers
+
+
+@cache
+def _scaled() -> Any:
+    """Return the class that writes the numbers along an axis times a factor."""
+    from matplotlib.ticker import Formatter
+
+    class Scaled(Formatter):
+        def __init__(self, factor: float) -> None:
+            self._factor, self._form = factor, "g"
+
+        def format_ticks(self, values: Any) -> list[str]:
+            shown = sorted(self._factor * float(x) for x in values)
+            step = min((b - a for a, b in pairwise(shown) if b > a), default=0.0)
+            fits = (d for d in range(_MOST_DECIMALS) if _on_grid(shown, 10.0**-d, step))
+            self._form = f".{next(fits, _MOST_DECIMALS)}f" if step > 0.0 else ".4g"
+            return [self(x) for x in values]
+
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{self._factor * x + 0.0:{self._form}}".replace("-", "−")
+
+    return Scaled
+
+
+def _on_grid(values: Sequence[float], grid: float, step: float) -> bool:
+    return all(abs(value - round(value / grid) * grid) < 1e-3 * step for value in values)
 
 
 @cache
@@ -339,12 +384,19 @@ def _powers() -> Any:
     from matplotlib.ticker import LogFormatter
 
     class Powers(LogFormatter):
+        def __init__(self, unit: str) -> None:
+            super().__init__()
+            self._unit = unit
+
         def __call__(self, x: float, pos: int | None = None) -> str:
             if x == 0.0 or not super().__call__(x, pos):  # which of them are labelled
                 return "0" if x == 0.0 else ""
+            sign = "−" if x < 0.0 else ""
+            if self._unit:
+                return sign + in_unit(abs(x), self._unit)
             exponent = floor(log10(abs(x)) + 1e-9)
             digits = round(abs(x) / 10.0**exponent)
-            sign, times = "−" if x < 0.0 else "", "" if digits == 1 else f"{digits}×"
-            return f"{sign}{times}10{str(exponent).translate(_SUPERSCRIPT)}"
+            times = "" if digits == 1 else f"{digits}×"
+            return f"{sign}{times}10{str(exponent).translate(SUPERSCRIPT)}"
 
     return Powers

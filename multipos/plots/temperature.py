@@ -9,6 +9,7 @@ from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.selection import Step
 from multipos.plots.style import (
     COLOURS,
+    name_axis,
     name_series,
     new_figure,
     scale_by_powers,
@@ -91,7 +92,8 @@ def draw_curve(curve: Curve, axes: "Axes") -> None:
             label="U, one temperature" if sign > 0.0 else None,
         )
     axes.plot(t, curve.value, color=COLOURS[0], linewidth=1.2, label=curve.name)
-    axes.set(xlabel="temperature", ylabel=f"{curve.name} [{curve.unit}]")
+    axes.set_xlabel("temperature")
+    name_axis(axes.yaxis, curve.name, curve.unit)
     name_series(axes, 3)
 
 

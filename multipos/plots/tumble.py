@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multipos.doubts.criticism import fourier_residuals
-from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_series, new_figure
+from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_axis, name_series, new_figure
 from multipos.positions.harmonics import Harmonic, Roll, find_rolls, series
 from multipos.sensor.calibration import Calibration
 from multipos.verification.single_axis import Tumble
@@ -53,8 +53,8 @@ def _draw_signal(
             label=f"plane {roll.plane}",
         )
     axes.set_xticks(range(0, 361, 45))
-    axes.set_xlabel("angle [deg]")
-    axes.set_ylabel(f"{output} [{calibration.model.unit}]")
+    axes.set_xlabel("angle [°]")
+    name_axis(axes.yaxis, output, calibration.model.unit)
     name_series(axes, 3)
 
 
@@ -76,8 +76,7 @@ def draw_harmonics(calibration: Calibration, axes: "Axes", *, output: str) -> No
         )
         axes.set_xticks(place)
     axes.set_xlabel("order")
-    axes.set_ylabel(f"{output} [{calibration.model.unit}]")
-    axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+    name_axis(axes.yaxis, output, calibration.model.unit)
     name_series(axes, 3)
 
 
@@ -104,7 +103,7 @@ def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
                     "*", (x, h.amplitude), ha="center", va="bottom", fontsize=9.0, color="#000000"
                 )
     axes.set_xlabel("order")
-    axes.set_ylabel(f"left by the model [{found.calibration.model.unit}]")
+    name_axis(axes.yaxis, "left by the model", found.calibration.model.unit)
     name_series(axes, 3)
 
 

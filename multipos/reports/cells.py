@@ -1,6 +1,6 @@
-"""Numbers in a page: aligned at the point, with a minus sign, without powers of ten in letters.
+"""Numbers in a report: aligned at the point, with a minus sign, without powers of ten in letters.
 
-Markdown and plain text have the cells as they are, for people copy them into programs.
+Whatever the form of the report; programs read JSON and XML.
 """
 
 import re
@@ -12,14 +12,19 @@ _FIGURE, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point
 _PLAIN = re.compile(r"[-+]?\d+(?P<rest>(?:\.\d+)?)(?:\(\d+\))?")
 _POWER = re.compile(r"(?<![\w.])([-+]?\d+(?:\.\d+)?(?:\(\d+\))?)e([-+]?\d+)(?![\w.])")
 _UNIT = re.compile(r"(/[A-Za-z]+)\^(\d)(?!\d)")  # of a unit; a formula stays as it is typed
+_MINUS = re.compile(r"(^|[\[( ])-(?=\d)")  # elsewhere it may be a date or a name
+_CELSIUS = re.compile(r"(?<=[/\[])degC\b")
+_DEGREES = re.compile(r"(?<=\[)deg(?=\])|^deg$")
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def aligned_rows(grid: PageTable) -> list[list[str]]:
-    """Return the rows of a table as a page shows them."""
+def aligned_rows(grid: PageTable, figure: str = _FIGURE, point: str = _POINT) -> list[list[str]]:
+    """Return the rows of a table, filled up by spaces as wide as a figure and as a point."""
     columns = [list(column) for column in zip(*grid.rows, strict=True)]
     shown = [
-        [readable(cell) for cell in column] if place < grid.left else _aligned(column)
+        [readable(cell) for cell in column]
+        if place < grid.left
+        else _aligned(column, figure, point)
         for place, column in enumerate(columns)
     ]
     return [list(row) for row in zip(*shown, strict=True)]
@@ -28,20 +33,21 @@ def aligned_rows(grid: PageTable) -> list[list[str]]:
 def readable(text: str) -> str:
     """Return a cell with powers, units and infinity as people write them."""
     text = _POWER.sub(lambda m: f"{m[1]}×10{str(int(m[2])).translate(_SUPERSCRIPT)}", text)
+    text = _DEGREES.sub("°", _CELSIUS.sub("°C", text))
     text = _UNIT.sub(lambda m: m[1] + m[2].translate(_SUPERSCRIPT), text)
     if text == "inf":
         return "∞"
-    return f"−{text[1:]}" if re.match(r"-\d", text) else text
+    return _MINUS.sub(r"\1−", text)
 
 
-def _aligned(column: Sequence[str]) -> list[str]:
+def _aligned(column: Sequence[str], figure: str, space: str) -> list[str]:
     """Return a column of numbers, each filled up on the right to the longest behind its point."""
     found = [_PLAIN.fullmatch(cell) for cell in column]
     longest = max((len(match["rest"]) for match in found if match), default=0)
     cells = []
     for cell, match in zip(column, found, strict=True):
         behind = len(match["rest"]) if match else longest
-        fill = _FIGURE * (longest - max(behind, 1)) if longest > behind else ""
-        point = _POINT if longest and match and not match["rest"] else ""
+        fill = figure * (longest - max(behind, 1)) if longest > behind else ""
+        point = space if longest and match and not match["rest"] else ""
         cells.append(readable(cell) + point + fill)
     return cells

@@ -17,6 +17,7 @@ import numpy as np
 
 from multipos.doubt import NOT_FIT, implausible
 from multipos.errors import MultiposError
+from multipos.files.numbers import in_unit
 from multipos.files.trees import read_toml
 from multipos.reports.evidence import (
     check_section,
@@ -40,6 +41,7 @@ from multipos.reports.result import (
     result_section,
     signature_section,
 )
+from multipos.reports.sessions import sessions_section
 from multipos.reports.temperature_evidence import temperature_sections
 from multipos.reports.translations import Language, Translator
 from multipos.sensor.calibration import Calibration
@@ -237,6 +239,7 @@ def build_content(
         result=result_section(c, budget, check, tr, forces=forces),
         sections=(
             parameters_section(c, tr),
+            *(() if c.sessions is None else (sessions_section(c, c.sessions, tr),)),
             sensor_section(c, budget, tr),
             budget_section(c, budget, tr),
             *((sphere_section(c, tr),) if forces else ()),
@@ -261,7 +264,7 @@ def _method(c: Calibration, tr: Translator) -> Section:
     gravity = (
         tr("local, one g")
         if c.gravity is None
-        else (f"{c.gravity.value:.10g} m/s^2, u = {c.gravity.u:.3g} m/s^2")
+        else (f"{c.gravity.value:.10g} m/s^2, u = {in_unit(c.gravity.u, 'm/s^2')}")
     )
     rows: list[tuple[str, str]] = [
         (tr("Readings"), c.readings.source or tr("from memory")),

@@ -9,9 +9,19 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from multipos.doubt import DOUBTS, NOT_FIT
 from multipos.errors import MultiposError
-from multipos.files.numbers import number, uncertain
+from multipos.files.numbers import (
+    chance,
+    decimals_of,
+    number,
+    p_in_words,
+    plain_number,
+    readable_unit,
+    uncertain,
+)
 from multipos.files.records import (
     ANY_NUMBER,
     ANY_TEXT,
@@ -29,7 +39,9 @@ from multipos.files.trees import read_json_value
 from multipos.plots.runs import draw_values
 from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.page import Figure, PageTable, Section, draw_svg
+from multipos.reports.sessions import sessions_section
 from multipos.reports.translations import Language, Translator
+from multipos.sensor.loading import from_dict
 
 _RUNS = Listed(Fields({"file": Maybe(ANY_TEXT), "created": Maybe(ANY_TEXT)}), 2)
 _VALUES = Listed(Maybe(ANY_NUMBER), 2)
@@ -131,7 +143,9 @@ def comparison_content(
     of_regressions = "regressions" in found
     runs = found["regressions" if of_regressions else "calibrations"]
     sections = (
-        [_terms(found, tr)] if of_regressions else [_parameters(found, tr), _stability(found, tr)]
+        [_terms(found, tr)]
+        if of_regressions
+        else [_parameters(found, tr), *_combined(found, tr), _stability(found, tr)]
     )
     return Content(
         language=language,
@@ -157,7 +171,7 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
         return Section(tr("Result"), tuple(paragraphs))
     if found["p"] is not None:
         paragraphs.append(
-            f"{tr(found['test'])}: {number(found['statistic'])}, p = {number(found['p'], 3)}"
+            f"{tr(found['test'])}: {number(found['statistic'])}, {p_in_words(found['p'])}"
         )
     moved = [entry["name"] for entry in found["parameters"] if entry["moved"]]
     if moved:
@@ -201,12 +215,9 @@ def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
     rows = tuple(
         (
             entry["name"],
-            entry["unit"],
-            *(number(value, 7) for value in entry["values"]),
-            uncertain(_or_nan(entry["mean"]), _or_nan(entry["sd"])),
-            number(entry["drift"], 2),
-            number(entry["drift_p"], 2),
-            number(entry["p"], 2),
+            *_values_of(entry),
+            chance(entry["drift_p"]),
+            chance(entry["p"]),
             tr("moved") if entry["moved"] else "",
         )
         for entry in found["parameters"]
@@ -219,9 +230,37 @@ def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
     return Section(tr("Parameters"), (told,), tables=(table,))
 
 
+def _values_of(entry: Mapping[str, Any]) -> list[str]:
+    """Return unit, values, mean and sd, and drift of a parameter, in a unit that people read."""
+    values = np.array([_or_nan(value) for value in entry["values"]])
+    told = values[np.isfinite(values)]
+    factor, unit = readable_unit(float(np.abs(told).max(initial=0.0)), entry["unit"])
+    sd = factor * _or_nan(entry["sd"])
+    decimals = decimals_of(sd)
+    form = ".7g" if decimals is None else f".{decimals + 1}f"
+    cells = ["-" if np.isnan(value) else f"{value:{form}}" for value in factor * values]
+    drift = None if entry["drift"] is None else factor * entry["drift"]
+    mean = uncertain(factor * _or_nan(entry["mean"]), sd)
+    return [unit, *cells, mean, plain_number(drift, 2)]
+
+
+def _combined(found: Mapping[str, Any], tr: Translator) -> list[Section]:
+    """Return the one calibration of all sessions, or how it is made."""
+    if "combined" not in found:
+        told = tr("multipos compare … --combine -o CAL.json makes one calibration of all runs.")
+        return [Section(tr("Combined sessions"), (told,))]
+    combined = from_dict(found["combined"], "the combined calibration")
+    return [] if combined.sessions is None else [sessions_section(combined, combined.sessions, tr)]
+
+
 def _stability(found: Mapping[str, Any], tr: Translator) -> Section:
     unit = next((e["unit"] for e in found["parameters"] if e["term"] == "1"), "")
-    rows = tuple((output, number(sd, 3)) for output, sd in found["bias_stability"].items())
+    told_of = [sd for sd in found["bias_stability"].values() if sd is not None]
+    factor, unit = readable_unit(max(told_of, default=0.0), unit)
+    rows = tuple(
+        (output, plain_number(None if sd is None else factor * sd))
+        for output, sd in found["bias_stability"].items()
+    )
     told = tr("Standard deviation of the repeated biases, from switch-on to switch-on.")
     table = PageTable(tr("Bias stability"), (tr("Output"), f"sd [{unit}]"), rows)
     return Section(tr("Bias stability"), (told,), tables=(table,))
@@ -235,7 +274,7 @@ def _terms(found: Mapping[str, Any], tr: Translator) -> Section:
             entry["term"],
             *(number(value, 5) for value in entry["values"]),
             number(entry["sd"], 2),
-            number(entry["p"], 2),
+            chance(entry["p"]),
         )
         for entry in found["terms"]
     )

@@ -106,6 +106,7 @@ def pdf_report(content: Content) -> bytes:
     page = html_report(content)
     for i, colour in enumerate(COLOURS[:7], start=1):  # WeasyPrint has no variables in figures
         page = page.replace(f"var(--c{i})", colour)
+    page = page.replace("stroke: var(--paper)", "stroke: #ffffff")
     return paper_report(page.replace("currentColor", "#000000"))
 
 
@@ -219,23 +220,29 @@ _FORMS: dict[str, Callable[[Content], str | bytes]] = {
 
 
 def _markdown_section(section: Section) -> list[str]:
-    parts = [f"## {section.title}", *map(markdown_line, section.paragraphs)]
+    parts = [f"## {section.title}"]
+    parts += [markdown_line(readable(paragraph)) for paragraph in section.paragraphs]
     for grid in section.tables:
-        caption = markdown_text(grid.caption)
-        parts.append(f"**{caption}**\n\n{markdown_table(grid.header, grid.rows)}")
+        caption = markdown_text(readable(grid.caption))
+        shown = markdown_table(
+            list(map(readable, grid.header)), aligned_rows(grid, "", ""), left=grid.left
+        )
+        parts.append(f"**{caption}**\n\n{shown}")
     return parts
 
 
 def _plain_section(section: Section) -> list[str]:
     parts = [_underlined(section.title, "-")]
-    parts += [textwrap.fill(visible(paragraph), 96) for paragraph in section.paragraphs]
-    return parts + [f"{visible(grid.caption)}\n{_aligned(grid)}" for grid in section.tables]
+    parts += [textwrap.fill(visible(readable(paragraph)), 96) for paragraph in section.paragraphs]
+    return parts + [
+        f"{visible(readable(grid.caption))}\n{_aligned(grid)}" for grid in section.tables
+    ]
 
 
 def _front(content: Content) -> list[tuple[str, list[str]]]:
     """Return warnings and administrative data as lines; what is not stated in one."""
     words = content.words
-    said = list(content.warnings) or [words["There is nothing to warn of."]]
+    said = list(map(readable, content.warnings)) or [words["There is nothing to warn of."]]
     fields = [f"{label}: {text}" for label, text in content.fields if text]
     open_fields = [label for label, text in content.fields if not text]
     if open_fields:
@@ -276,7 +283,8 @@ def _columns(text: str) -> int:
 
 
 def _aligned(grid: PageTable) -> str:
-    cells = [[visible(cell) for cell in row] for row in (grid.header, *grid.rows)]
+    shown = [list(map(readable, grid.header)), *aligned_rows(grid, " ", " ")]
+    cells = [list(map(visible, row)) for row in shown]
     widths = [max(_columns(row[i]) for row in cells) for i in range(len(grid.header))]
     lines = []
     for row in cells:

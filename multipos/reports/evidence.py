@@ -6,28 +6,30 @@ import numpy as np
 
 from multipos.doubts.criticism import fourier_residuals
 from multipos.errors import MultiposError
-from multipos.files.numbers import number
+from multipos.files.numbers import in_unit, number, plain_number
 from multipos.numerics.rotations import directions
 from multipos.plots.calibration import (
     compensated_error,
     draw_correlation,
     draw_errors,
     draw_leverage,
-    draw_residuals,
     nominal_error,
+    residual_panels,
+    size_residuals,
 )
-from multipos.plots.check import draw_check
+from multipos.plots.check import draw_check, errors_apart
 from multipos.plots.tumble import draw_harmonics, draw_rolls
 from multipos.reports.page import Figure, PageTable, Section, draw_svg, largest_positions
+from multipos.reports.quantities import column
 from multipos.reports.result import readings_table
 from multipos.reports.sheets import (
     Sheet,
     check_sheets,
-    run_conclusions,
     table_error_sheets,
 )
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
 from multipos.uncertainty.turntable import table_errors
 from multipos.verification.verdicts import Check
 
@@ -36,42 +38,64 @@ _WIDE = 16  # parameters beyond which the correlation matrix is only a figure
 
 def residuals_section(c: Calibration, tr: Translator) -> Section:
     """Return the residuals of every position."""
+    panels = residual_panels(c)
 
     def draw(axes: Any) -> None:
-        for output, one in zip(c.outputs, axes, strict=True):
-            draw_residuals(c, one, output=output)
+        for panel, one in zip(panels, axes, strict=True):
+            panel(one)
 
     shown, suffix = largest_positions(tr, c.relative_residuals)
     names = c.readings.labels
-    rows = [
-        (names[row], *(f"{value:+.3e}" for value in c.residuals[row].tolist())) for row in shown
+    columns = [
+        column([*left, sd], c.model.unit, float(sd), signed=True)
+        for left, sd in zip(c.residuals[shown].T, c.residual_sd, strict=True)
     ]
+    rows = list(
+        zip([*(names[row] for row in shown), "s"], *(x.cells for x in columns), strict=True)
+    )
+    rows[-1] = ("s", *(cell.removeprefix("+") for cell in rows[-1][1:]))
+    header = [f"{o} [{x.unit}]" for o, x in zip(c.outputs, columns, strict=True)]
+    dof = [number(value) for value in c.dof.tolist()]
+    if c.estimator is Estimator.UNKNOWN:
+        sizes, sd = size_residuals(c)
+        told = column(sizes[shown], "g", float(sd.max()), signed=True)
+        header.append(f"{tr('size of the force')} [{told.unit}]")
+        rows = [(*row, cell) for row, cell in zip(rows, [*told.cells, ""], strict=True)]
+        dof.append("")
     paragraphs = [
         tr("Residual = reading − model. The bars are ±2 standard deviations of each residual.")
     ]
-    if not c.estimator.exact:
+    if c.estimator is Estimator.UNKNOWN:
+        paragraphs.append(
+            tr(
+                "No orientation is known, so a position has one number: by how much the size of "
+                "its compensated force is off. It is what the figure shows."
+            )
+        )
+    elif not c.estimator.exact:
         paragraphs.append(
             tr(
                 "The orientations were estimated with the parameters, so a residual shows only "
                 "what no turn of its position explains."
             )
         )
-    rows.append(("s", *(number(value, 3) for value in c.residual_sd.tolist())))
-    rows.append((tr("dof"), *(number(value) for value in c.dof.tolist())))
+    rows.append((tr("dof"), *dof))
     return Section(
         tr("Residuals"),
         tuple(paragraphs),
         (
             Figure(
                 tr("Residuals at every position"),
-                tr("One panel for each output; the numbers are in the table below."),
-                lambda: draw_svg(tr, len(c.outputs), 1.9, draw),
+                tr("One panel for each output; the numbers are in the table below.")
+                if len(panels) > 1
+                else tr("The numbers are in the table below."),
+                lambda: draw_svg(tr, len(panels), 1.9, draw),
             ),
         ),
         (
             PageTable(
                 tr("Residuals at every position") + suffix,
-                (tr("Position"), *(f"{output} [{c.model.unit}]" for output in c.outputs)),
+                (tr("Position"), *header),
                 tuple(rows),
             ),
         ),
@@ -83,13 +107,16 @@ def errors_section(c: Calibration, tr: Translator) -> Section:
     before, after = nominal_error(c), compensated_error(c)
     shown, suffix = largest_positions(tr, after)
     names = c.readings.labels
-    rows = [
-        (names[row], number(float(before[row]), 3), number(float(after[row]), 3)) for row in shown
+    ends = (np.max, lambda e: np.sqrt(np.mean(e**2)))
+    columns = [
+        column([*error[shown], *(float(size(error)) for size in ends)], "g")
+        for error in (before, after)
     ]
-    for name, size in (("largest", np.max), ("rms", lambda e: np.sqrt(np.mean(e**2)))):
-        rows.append((tr(name), number(float(size(before)), 3), number(float(size(after)), 3)))
+    said = [*(names[row] for row in shown), tr("largest"), tr("rms")]
+    rows = list(zip(said, *(x.cells for x in columns), strict=True))
+    heads = [f"{tr(w)} [{x.unit}]" for w, x in zip(("before", "after"), columns, strict=True)]
     lines = [
-        (output, number(found["without_model_percent"], 3), number(found["with_model_percent"], 3))
+        (output, *(plain_number(found[f"{w}_model_percent"], 2) for w in ("without", "with")))
         for output, found in c.linearity.items()
     ]
     return Section(
@@ -123,8 +150,8 @@ def errors_section(c: Calibration, tr: Translator) -> Section:
         ),
         (
             PageTable(
-                tr("Size of the error [g]") + suffix,
-                tuple(map(tr, ("Position", "before", "after"))),
+                tr("Size of the error") + suffix,
+                (tr("Position"), *heads),
                 tuple(rows),
             ),
             PageTable(
@@ -182,7 +209,7 @@ def correlation_section(c: Calibration, tr: Translator) -> Section:
     """Return the correlation of the parameters."""
     names = c.names
     rows = tuple(
-        (name, *(number(value, 2) if abs(value) >= 0.005 else "0" for value in row))
+        (name, *(f"{value:.2f}" if abs(value) >= 0.005 else "0" for value in row))
         for name, row in zip(names, c.correlation.tolist(), strict=True)
     )
     small = len(names) <= _WIDE
@@ -265,9 +292,11 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
             f"{c.created}; run check with this calibration."
         )
 
+    apart = errors_apart(found)
+
     def draw(axes: Any) -> None:
         for axis, one in zip(found.axes, axes, strict=True):
-            draw_check(found, one, axis=axis)
+            draw_check(found, one, axis=axis, when="after" if apart else "both")
 
     paragraphs = [
         tr(
@@ -283,15 +312,13 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
     if found.limit is not None:
         paragraphs.append(
             tr(
-                "Verdict against {limit} {unit}: {verdict}. It is pass where error and U together "
+                "Verdict against {limit}: {verdict}. It is pass where error and U together "
                 "stay within the limit, fail where the error less U is beyond it, else undecided; "
                 "the worst position counts.",
-                limit=f"{found.limit:g}",
-                unit=found.unit,
+                limit=in_unit(found.limit, found.unit),
                 verdict=tr(found.verdict or "-"),
             )
         )
-    paragraphs += map(tr.message, run_conclusions(found))
     return Section(
         tr("Independent check"),
         tuple(paragraphs),
@@ -299,10 +326,13 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
             Figure(
                 tr("Error against {what}", what=tr(found.quantity)),
                 tr(
-                    "One panel for each axis: open squares before, circles with U after, dashed "
-                    "lines the limit."
+                    "One panel for each axis: circles with U after compensation, dashed lines the "
+                    "limit. Before, errors are so large that they would hide these; see the table."
+                    if apart
+                    else "One panel for each axis: open squares before, circles with U after, "
+                    "dashed lines the limit."
                 ),
-                lambda: draw_svg(tr, len(found.axes), 2.4, draw),
+                lambda: draw_svg(tr, len(found.axes), 1.9, draw),
             ),
         ),
         tuple(_table_of(sheet, tr) for sheet in check_sheets(found)),

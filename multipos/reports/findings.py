@@ -6,14 +6,24 @@ import numpy as np
 
 from multipos.doubts.model_error import not_stated
 from multipos.doubts.shown_sizes import shown_sizes
-from multipos.files.numbers import number, uncertain
-from multipos.numerics.quantiles import coverage_factor
+from multipos.files.numbers import (
+    decimals_of,
+    number,
+    plain_number,
+    pretty_unit,
+    readable_unit,
+)
 from multipos.numerics.terms import COMPONENTS
 from multipos.plots.calibration import draw_budget, draw_coverage
 from multipos.reports.page import Figure, PageTable, Section, draw_svg
+from multipos.reports.quantities import (
+    derived_quantities,
+    leaning_quantities,
+    quantity_rows,
+    with_u,
+)
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration, Parameter
-from multipos.sensor.derived import intrinsic_gradient
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.budgets import KINDS
@@ -56,14 +66,14 @@ def _equation(c: Calibration, tr: Translator) -> str:
 def _parameter_table(c: Calibration, tr: Translator) -> PageTable:
     """Return every parameter; the column of symbols only where there are any."""
     rows = [_parameter_row(c[output, str(term)], tr) for output, term in c.model.keys]
-    header = ("Parameter", "Symbol", "Meaning", "Unit", "Value(u)", "u", "k", "U", "dof")
+    header = ("Parameter", "Symbol", "Meaning", "Value", "u", "U", "Unit", "k", "dof")
     symbols = any(row[1] for row in rows)
     keep = [i for i in range(len(header)) if symbols or i != 1]
     return PageTable(
         tr("Parameters with uncertainty"),
         tuple(tr(header[i]) for i in keep),
         tuple(tuple(row[i] for i in keep) for row in rows),
-        left=4 if symbols else 3,
+        left=3 if symbols else 2,
     )
 
 
@@ -72,72 +82,24 @@ def _parameter_row(p: Parameter, tr: Translator) -> tuple[str, ...]:
         p.name,
         p.symbol or "",
         tr.message(p.label),
-        p.unit,
-        uncertain(p.value, p.u),
-        number(p.u, 2),
-        number(p.k, 3),
-        number(p.U, 2),
+        *with_u(p.value, p.u, p.U, p.unit),
+        plain_number(p.k, 3),
         number(p.dof),
     )
 
 
 def sensor_section(c: Calibration, budget: Evaluation, tr: Translator) -> Section:
     """Return what the sensor is: sensitivities, offsets, angles, with U."""
-    rows = [*_intrinsic_rows(c, budget, tr), *_installation_rows(c, tr)]
+    rows = quantity_rows([*derived_quantities(c, budget, tr), *leaning_quantities(c, tr)])
     if not rows:
         return Section(tr("The sensor"), (tr("The model has too few linear terms for it."),))
-    header = tuple(map(tr, ("Quantity", "Unit", "Value(u)", "U", "k")))
+    header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
     return Section(
         tr("The sensor"),
         (tr("Quantities derived from the parameters, with their full covariance."),),
-        tables=(PageTable(tr("Sensitivity, offset and axes"), header, tuple(rows), left=2),),
+        tables=(PageTable(tr("Sensitivity, offset and axes"), header, tuple(rows)),),
         on_paper=False,
     )
-
-
-def _intrinsic_rows(c: Calibration, budget: Evaluation, tr: Translator) -> list[tuple[str, ...]]:
-    """Return sensitivities, offsets, angles between axes and mounting, of a triad."""
-    if c.intrinsic is None:
-        return []
-    values, gradient = intrinsic_gradient(c.model, c.parameters, c.mean_environment)
-    u, dof, _ = budget.combine(gradient)
-    sensitivity = f"{c.model.unit}/g"
-    names = [
-        *((tr("Sensitivity of {output}", output=o), sensitivity) for o in c.outputs),
-        *((tr("Offset of {output}", output=o), "g") for o in c.outputs),
-        *((tr("Angle between input axes {pair}", pair=p), "deg") for p in ("xy", "xz", "yz")),
-        *((tr("Mounting, rotation about {axis}", axis=a), "deg") for a in COMPONENTS),
-    ]
-    rows: list[tuple[str, ...]] = []
-    if c.model.gauge is not None:  # which has fixed the mounting
-        names = names[:-3]
-    for (name, unit), value, sd, nu in zip(
-        names, values.tolist(), u.tolist(), dof.tolist(), strict=False
-    ):
-        k = coverage_factor(c.confidence, nu)
-        shown = "1" if unit == "g/g" else unit
-        rows.append((name, shown, uncertain(value, sd), number(k * sd, 2), number(k, 3)))
-    return rows
-
-
-def _installation_rows(c: Calibration, tr: Translator) -> list[tuple[str, ...]]:
-    """Return how far each output leans to the others, in degrees and in milliradians."""
-    rows: list[tuple[str, ...]] = []
-    for pair, found in c.installation_deg.items():
-        in_mrad = {key: np.pi / 0.18 * size for key, size in found.items()}
-        if not found["u"]:  # the gauge has fixed it
-            continue
-        for unit, entry in (("deg", found), ("mrad", in_mrad)):
-            rows.append(
-                (
-                    tr("Output on {i} leans to {j}", i=pair[0], j=pair[1]),
-                    unit,
-                    uncertain(entry["value"], entry["u"]),
-                    number(entry["U"], 2),
-                    number(entry["U"] / entry["u"] if entry["u"] else None, 3),
-                )
-            )
-    return rows
 
 
 def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Section:
@@ -188,8 +150,7 @@ def _quantity_table(budget: Evaluation, tr: Translator) -> PageTable:
             tr(row.text),
             row.evaluation,
             tr(row.distribution),
-            number(row.u, 3),
-            row.unit,
+            *_scaled(row.u, row.unit),
             number(float(row.dof.min())),
             tr("yes") if row.common else tr("no"),
             _treatment(row, tr),
@@ -211,25 +172,42 @@ def _treatment(row: Row, tr: Translator) -> str:
 def _contribution_table(c: Calibration, budget: Evaluation, tr: Translator) -> PageTable:
     """Return what every quantity contributes to every parameter."""
     quantities = list(dict.fromkeys(row.quantity for row in budget.rows))
-    rows = [
-        (name, *(_contribution(budget, quantity, i) for quantity in quantities), number(c.u[i], 2))
-        for i, name in enumerate(budget.names)
-    ]
+    rows = []
+    for i, (name, unit) in enumerate(zip(budget.names, c.model.units, strict=True)):
+        factor, shown = readable_unit(float(c.u[i]), unit)
+        cells = [_contribution(budget, quantity, i, factor) for quantity in quantities]
+        rows.append((name, *cells, plain_number(factor * float(c.u[i]), 2), shown))
+    quantity_names = map(tr, quantities)
     return PageTable(
         tr("Contributions to the standard uncertainty of each parameter"),
-        (tr("Parameter"), *(tr(quantity) for quantity in quantities), tr("combined u")),
+        (tr("Parameter"), *quantity_names, tr("combined u"), tr("Unit")),
         tuple(rows),
     )
 
 
-def _contribution(budget: Evaluation, quantity: str, parameter: int) -> str:
-    """Return what a quantity contributes; in brackets what the scatter holds already."""
+def _scaled(size: float, unit: str) -> tuple[str, str]:
+    """Return a size to three digits, and the unit that people read it in."""
+    if not np.isfinite(size):
+        return "-", pretty_unit(unit)
+    factor, shown = readable_unit(size, unit)
+    return f"{float(f'{factor * size:.3g}'):g}", shown
+
+
+def _contribution(budget: Evaluation, quantity: str, parameter: int, factor: float) -> str:
+    """Return what a quantity contributes, in the unit of its row by `factor`.
+
+    To one digit more than the combined u; in brackets what the scatter holds already.
+    """
     rows = [row for row in budget.rows if row.quantity == quantity]
     size = float(np.sqrt(sum(max(row.covariance[parameter, parameter], 0.0) for row in rows)))
-    if not size > 1e-12 * float(np.sqrt(budget.covariance[parameter, parameter])):
+    combined = float(np.sqrt(budget.covariance[parameter, parameter]))
+    if not size > 1e-12 * combined:
         return "0"  # rounding
-    contained = any(row.contained[parameter] for row in rows)
-    return f"({number(size, 2)})" if contained else number(size, 2)
+    decimals = decimals_of(factor * combined)
+    told = plain_number(factor * size, 2)
+    if decimals is not None and size < combined:
+        told = f"{factor * size:.{decimals + 1}f}"
+    return f"({told})" if any(row.contained[parameter] for row in rows) else told
 
 
 def sphere_section(c: Calibration, tr: Translator) -> Section:
@@ -273,7 +251,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     if c.readings.forced.any():
         told = seen.in_words(sensed_axes(c.model))
         paragraphs.append(tr("Forces that were applied beside gravity: {range}.", range=told))
-    header = ("Quantity", "At", "Unit", "rms u", "worst u", "k", "U", "Worst direction")
+    header = ("Quantity", "At", "rms u", "worst u", "U", "Unit", "k", "Worst direction")
     return Section(
         tr("Compensated force and tilt"),
         tuple(paragraphs),
@@ -294,7 +272,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
                 tr("Worst case and rms over the sphere"),
                 tuple(map(tr, header)),
                 tuple(rows),
-                left=3,
+                left=2,
             ),
         ),
     )
@@ -327,15 +305,14 @@ def _sphere_rows(
         for what in ("force",) if size > 1.0 else found:
             text, unit = words[what]
             for axis, entry in found[what].items():
+                factor, shown = readable_unit(entry["U"], unit)
                 rows.append(
                     (
                         tr(text, axis=axis),
                         f"{size:g} g" + ("" if size <= seen else " *"),
-                        unit,
-                        number(entry["rms"], 2),
-                        number(entry["worst"], 2),
-                        number(entry["k"], 3),
-                        number(entry["U"], 2),
+                        *(plain_number(factor * entry[key], 2) for key in ("rms", "worst", "U")),
+                        shown,
+                        plain_number(entry["k"], 3),
                         ", ".join(f"{v / size:.2f}" for v in entry["at"]),
                     )
                 )

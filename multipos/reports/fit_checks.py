@@ -3,12 +3,23 @@
 Each doubt about a finished calibration is a table of it.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from multipos.doubts.criticism import find_influence, fourier_residuals, judge_terms
 from multipos.doubts.joint_tests import judge_terms_jointly
-from multipos.files.numbers import number
+from multipos.files.numbers import (
+    chance,
+    decimals_of,
+    in_unit,
+    number,
+    p_in_words,
+    plain_number,
+    readable_unit,
+)
 from multipos.reports.page import PageTable, Section, largest_positions
+from multipos.reports.quantities import column
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
@@ -18,7 +29,7 @@ from multipos.uncertainty.monte_carlo import MonteCarlo
 def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None) -> Section:
     """Return the checks of the fit."""
     rows: list[tuple[str, str]] = [
-        (tr("rms of what is left after compensation"), f"{c.rms:.3e} g"),
+        (tr("rms of what is left after compensation"), in_unit(c.rms, "g")),
         (tr("rank and parameters"), f"{c.diagnostics.rank} / {c.diagnostics.parameters}"),
         (tr("condition of the design"), number(c.diagnostics.condition, 3)),
     ]
@@ -28,7 +39,7 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
         rows.append(
             (
                 tr("lack of fit of {output} against repeats", output=output),
-                f"F = {number(_float(test['F']))}, p = {number(_float(test['p']), 3)}",
+                f"F = {number(_float(test['F']))}, {p_in_words(_float(test['p']))}",
             )
         )
     tables = [PageTable(tr("Checks of the fit"), (tr("Check"), tr("Result")), tuple(rows))]
@@ -46,7 +57,7 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
             )
         )
     if simulated is not None:
-        tables.append(_simulated(simulated, tr))
+        tables.append(_simulated(c, simulated, tr))
         paragraphs.append(
             tr(
                 "Monte Carlo draws every input quantity from its law, lets it act in full and "
@@ -66,7 +77,7 @@ def _joint_tests(c: Calibration, tr: Translator) -> list[PageTable]:
             t.terms,
             tr("in the model") if t.inside else tr("not in the model"),
             str(t),
-            number(t.p, 2),
+            chance(t.p),
         )
         for t in judge_terms_jointly(c)
     ]
@@ -76,18 +87,16 @@ def _joint_tests(c: Calibration, tr: Translator) -> list[PageTable]:
     )
 
 
-def _simulated(found: MonteCarlo, tr: Translator) -> PageTable:
+def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
     rows = [
         (
             name,
-            number(u, 3),
-            f"[{low:.7g}, {high:.7g}]",
-            f"[{first:.7g}, {last:.7g}]",
-            number(tolerance, 2),
+            *_simulated_cells(u, (low, high), (first, last), tolerance, unit),
             tr("yes") if valid else tr("no"),
         )
-        for name, u, (low, high), (first, last), tolerance, valid in zip(
+        for name, unit, u, (low, high), (first, last), tolerance, valid in zip(
             found.names,
+            c.model.units,
             found.u.tolist(),
             found.symmetric.tolist(),
             found.shortest.tolist(),
@@ -96,12 +105,32 @@ def _simulated(found: MonteCarlo, tr: Translator) -> PageTable:
             strict=True,
         )
     ]
-    header = ("Parameter", "u", "Symmetric interval", "Shortest interval", "Tolerance", "U valid")
+    header = (
+        *("Parameter", "u", "Symmetric interval", "Shortest interval", "Tolerance", "Unit"),
+        "U valid",
+    )
     return PageTable(
         tr("Monte Carlo, {trials} trials", trials=str(found.trials)),
         tuple(map(tr, header)),
         tuple(rows),
     )
+
+
+def _simulated_cells(
+    u: float,
+    symmetric: Sequence[float],
+    shortest: Sequence[float],
+    tolerance: float,
+    unit: str,
+) -> tuple[str, ...]:
+    """Return u, both intervals and the tolerance in one unit, and it."""
+    factor, shown = readable_unit(max(map(abs, symmetric)), unit)
+    decimals = decimals_of(factor * u)
+    form = ".7g" if decimals is None else f".{decimals}f"
+    intervals = [
+        f"[{factor * low:{form}}, {factor * high:{form}}]" for low, high in (symmetric, shortest)
+    ]
+    return plain_number(factor * u), *intervals, plain_number(factor * tolerance, 2), shown
 
 
 def _criticism(c: Calibration, tr: Translator) -> list[PageTable]:
@@ -117,7 +146,7 @@ def _single_terms(c: Calibration, tr: Translator) -> list[PageTable]:
             tr("in the model") if t.inside else tr("not in the model"),
             number(t.f),
             number(t.dof[1]),
-            number(t.p, 2),
+            chance(t.p),
             number(t.aicc),
         )
         for t in judge_terms(c)
@@ -130,34 +159,51 @@ def _influence(c: Calibration, tr: Translator) -> PageTable:
     found = find_influence(c)
     names = c.readings.labels
     shown, suffix = largest_positions(tr, np.abs(found.studentised).max(axis=1))
-    # r, D and e of an output stand side by side: (n, 3 M)
-    figures = np.stack([found.studentised, found.cook, found.left_out], axis=2)
-    cells = figures.reshape(len(names), -1)
-    rows = [(names[row], *(number(value, 3) for value in cells[row].tolist())) for row in shown]
-    columns = [f"{name} {output}" for output in c.outputs for name in ("r", "D", "e")]
+    columns: list[str] = []
+    cells: list[list[str]] = []
+    for i, output in enumerate(c.outputs):
+        left_out = column(found.left_out[shown, i], c.model.unit, float(c.residual_sd[i]))
+        columns += [f"r {output}", f"D {output}", f"e {output} [{left_out.unit}]"]
+        cells += [
+            [_two_decimals(size) for size in found.studentised[shown, i].tolist()],
+            [_two_decimals(size) for size in found.cook[shown, i].tolist()],
+            left_out.cells,
+        ]
+    rows = zip([names[row] for row in shown], *cells, strict=True)
     return PageTable(
         tr("Influence of each position: studentised residual r, Cook's D, leave-one-out error e")
         + suffix,
         (tr("Position"), *columns),
         tuple(rows),
+        on_paper=False,  # residuals, s and leverage stand there, and it follows from them
     )
 
 
+def _two_decimals(size: float) -> str:
+    return f"{size:.2f}" if np.isfinite(size) else number(size)
+
+
 def _waves(c: Calibration, tr: Translator) -> list[PageTable]:
+    found = fourier_residuals(c)
+    sizes = [w["amplitude"] for entry in found for w in entry["harmonics"]]
+    factor, unit = readable_unit(max(sizes, default=0.0), c.model.unit)
     rows = [
         (
             entry["roll"],
             entry["output"],
-            *(f"{number(w['amplitude'], 2)} ({number(w['p'], 2)})" for w in entry["harmonics"]),
+            *(
+                f"{plain_number(factor * w['amplitude'], 2)} ({chance(w['p'])})"
+                for w in entry["harmonics"]
+            ),
         )
-        for entry in fourier_residuals(c)
+        for entry in found
     ]
     if not rows:
         return []
     orders = [tr("order {n}", n=str(i)) for i in range(1, max(map(len, rows)) - 1)]
     return [
         PageTable(
-            tr("Residuals along each roll: amplitude (p)"),
+            tr("Residuals along each roll: amplitude (p)") + f" [{unit}]",
             (tr("Roll about"), tr("Output"), *orders),
             tuple(rows),
             2,

@@ -23,6 +23,7 @@ from multipos.reports.certificate import Content
 from multipos.reports.page import Figure, PageTable, Section, draw_svg
 from multipos.reports.translations import Translator
 
+_ROUNDING = 1e-9  # [deg]
 _SHOWN = 50  # units of a table; fleet.json has all
 _TOLD = (
     "Numbers of the line are those of units that were fitted and are fit for use.",
@@ -171,7 +172,10 @@ def _nests(found: Mapping[str, Any]) -> Section | None:
 
 
 def _angle(figure: Mapping[str, float] | None) -> str:
-    return "-" if figure is None else uncertain(figure["value"], figure["u"])
+    # A turn about what is up does not show: what stands there is rounding.
+    if figure is None or not figure["u"] > _ROUNDING:
+        return "-"
+    return uncertain(figure["value"], figure["u"])
 
 
 def _origin(found: Mapping[str, Any]) -> Section:

@@ -15,7 +15,7 @@ import numpy as np
 
 from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
 from multipos.errors import MultiposError
-from multipos.files.numbers import number, uncertain
+from multipos.files.numbers import chance, number, uncertain
 from multipos.files.pipes import is_folder, is_there
 from multipos.files.tables import Table, read_table
 from multipos.numerics.arrays import Array
@@ -224,7 +224,7 @@ def _terms(r: Regression, of: Titled, tr: Translator) -> Section:
                 c.term,
                 uncertain(c.value, c.u if c.u_robust is None else c.u_robust),
                 number(c.t if c.t_robust is None else c.t_robust),
-                number(c.p if c.p_robust is None else c.p_robust, 2),
+                chance(c.p if c.p_robust is None else c.p_robust),
             )
             for c in s.coefficients
         )
@@ -257,7 +257,7 @@ def _paths(r: Regression, of: Titled, tr: Translator) -> list[Section]:
                 str(step.step),
                 f"{'+' if step.action == 'add' else '−'} {step.term}",
                 number(step.F, 5),
-                number(step.p, 2),
+                chance(step.p),
                 "-" if step.runner_up is None else f"{step.runner_up.term} {step.runner_up.F:.4g}",
             )
             for step in s.path

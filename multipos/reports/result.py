@@ -5,20 +5,23 @@ supports, one picture of all errors before and after, and how far it holds.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from multipos.files.numbers import beside, in_g, number, readable_g
-from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.terms import COMPONENTS
+from multipos.files.numbers import decimals_of, in_unit
 from multipos.plots.calibration import compensated_error, nominal_error
 from multipos.plots.errors import draw_error_sphere
 from multipos.reports.page import Figure, PageTable, Section, draw_svg, largest_positions
+from multipos.reports.quantities import (
+    Quantity,
+    column,
+    derived_quantities,
+    leaning_quantities,
+    quantity_rows,
+)
 from multipos.reports.sheets import run_conclusions
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.derived import intrinsic_gradient
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import applied
@@ -33,17 +36,6 @@ EQUIPMENT = {
     "certificate": "Certificate",
 }
 _LINE = "________________"  # to be written on by hand
-
-
-class _Quantity(NamedTuple):
-    """A derived quantity with its uncertainty."""
-
-    name: str
-    unit: str
-    value: float
-    u: float
-    U: float
-    k: float
 
 
 def result_section(
@@ -68,12 +60,12 @@ def result_section(
         paragraphs.append(
             tr(
                 "Error at the positions, rms: {before} before, {after} after compensation.",
-                before=in_g(before),
-                after=in_g(after),
+                before=in_unit(before, "g"),
+                after=in_unit(after, "g"),
             )
         )
     paragraphs.append(_validity(c, tr))
-    rows = _rows(_quantities(c, budget, tr))
+    rows = quantity_rows(derived_quantities(c, budget, tr) or _of_few_axes(c, tr))
     header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
     caption = tr("Sensitivity, offset and axes, U with {percent} %", percent=_percent(c))
     return Section(
@@ -115,58 +107,12 @@ def _percent(c: Calibration) -> str:
     return f"{100.0 * c.confidence:g}"
 
 
-def _quantities(c: Calibration, budget: Evaluation, tr: Translator) -> list[_Quantity]:
-    """Return what the sensor is; without what the gauge fixed, and in one unit for angles."""
-    if c.intrinsic is None:
-        return _of_few_axes(c, tr)
-    values, gradient = intrinsic_gradient(c.model, c.parameters, c.mean_environment)
-    u, dof, _ = budget.combine(gradient)
-    names = [
-        *((tr("Sensitivity of {output}", output=o), f"{c.model.unit}/g") for o in c.outputs),
-        *((tr("Offset of {output}", output=o), "g") for o in c.outputs),
-        *((tr("Angle between input axes {pair}", pair=p), "deg") for p in ("xy", "xz", "yz")),
-        *((tr("Mounting, rotation about {axis}", axis=a), "deg") for a in COMPONENTS),
-    ]
-    known = len(names) - (3 if c.model.gauge is not None else 0)
-    found = zip(names, values.tolist(), u.tolist(), dof.tolist(), strict=True)
-    return [
-        _quantity(c, name, unit, value, sd, nu)
-        for (name, unit), value, sd, nu in list(found)[:known]
-    ]
-
-
-def _quantity(
-    c: Calibration, name: str, unit: str, value: float, u: float, dof: float
-) -> _Quantity:
-    k = coverage_factor(c.confidence, dof)
-    return _Quantity(name, unit, value, u, k * u, k)
-
-
-def _of_few_axes(c: Calibration, tr: Translator) -> list[_Quantity]:
-    """Return biases, own-axis scale factors and how the outputs lean, of one or two axes."""
+def _of_few_axes(c: Calibration, tr: Translator) -> list[Quantity]:
+    """Return scale factors, biases and how the outputs lean, of one or two axes."""
     wanted = [p for p in c.entries if p.name.startswith(("scale_", "bias_"))]
     wanted.sort(key=lambda p: not p.name.startswith("scale_"))
-    found = [_Quantity(tr.message(p.label), p.unit, p.value, p.u, p.U, p.k) for p in wanted]
-    for pair, angle in c.installation_deg.items():
-        if angle["u"]:
-            name = tr("Output on {i} leans to {j}", i=pair[0], j=pair[1])
-            k = angle["U"] / angle["u"]
-            found.append(_Quantity(name, "deg", angle["value"], angle["u"], angle["U"], k))
-    return found
-
-
-def _rows(found: Sequence[_Quantity]) -> list[tuple[str, ...]]:
-    """Return the rows of a table, forces in one unit that people read."""
-    largest = max((abs(q.value) + q.U for q in found if q.unit == "g"), default=0.0)
-    rows: list[tuple[str, ...]] = []
-    for q in found:
-        factor, unit = readable_g(largest) if q.unit == "g" else (1.0, _SHOWN.get(q.unit, q.unit))
-        shown = beside(factor * q.value, factor * q.u, factor * q.U)
-        rows.append((q.name, *shown, unit, number(q.k, 3)))
-    return rows
-
-
-_SHOWN = {"deg": "°", "g/g": "1"}
+    found = [Quantity(tr.message(p.label), p.unit, p.value, p.u, p.U, p.k) for p in wanted]
+    return found + leaning_quantities(c, tr)
 
 
 def readings_table(c: Calibration, tr: Translator) -> PageTable:
@@ -175,16 +121,13 @@ def readings_table(c: Calibration, tr: Translator) -> PageTable:
     r = c.readings
     columns: list[tuple[str, Sequence[str]]] = [(tr("Position"), r.labels)]
     for i, output in enumerate(c.outputs):
-        sd = c.residual_sd[i]
-        told = np.isfinite(sd) and sd > 0.0
-        decimals = max(0, 2 - int(np.floor(np.log10(sd)))) if told else -1
-        form = f".{decimals}f" if 0 <= decimals <= 12 else ".10g"
+        decimals = decimals_of(float(c.residual_sd[i]))
+        form = ".10g" if decimals is None or decimals > 12 else f".{decimals + 1}f"
         columns.append((f"{output} [{c.model.unit}]", [f"{v:{form}}" for v in r.values[:, i]]))
     if r.u is not None:
-        columns += [
-            (f"u {output}", [number(v, 2) for v in r.u[:, i].tolist()])
-            for i, output in enumerate(c.outputs)
-        ]
+        for i, output in enumerate(c.outputs):
+            stated = column(r.u[:, i], c.model.unit)
+            columns.append((f"u {output} [{stated.unit}]", stated.cells))
     if r.samples is not None:
         columns.append(("n", [f"{n:g}" for n in r.samples]))
     columns += [

@@ -8,9 +8,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multipos.files.numbers import largest_rows, number, table, uncertain
+from multipos.files.numbers import (
+    chance,
+    decimals_of,
+    in_unit,
+    largest_rows,
+    number,
+    plain_number,
+    readable_unit,
+    table,
+    uncertain,
+)
 from multipos.sensor.calibration import Calibration
-from multipos.uncertainty.table_findings import TableErrors
+from multipos.uncertainty.table_findings import TableErrors, ZeroShift
 from multipos.verification.agreement import agreement_in_words
 from multipos.verification.verdicts import VERDICTS, Check, worst
 
@@ -54,7 +64,7 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
                 error.plane,
                 error.quantity.replace("_", " "),
                 uncertain(error.value_deg or 0.0, error.u_deg or 0.0) if told else "cannot be told",
-                number(error.U_deg, 2),
+                plain_number(error.U_deg, 2),
                 ", ".join(error.confounded_with) or "nothing",
             ]
         )
@@ -65,7 +75,7 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
                     error.plane,
                     f"shaft {error.quantity.replace('_', ' ')}",
                     uncertain(error.value_deg, error.u_deg),
-                    number(error.U_deg, 2),
+                    plain_number(error.U_deg, 2),
                     "nothing",
                 ]
             )
@@ -76,16 +86,22 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
         [
             shift.plane,
             shift.output,
-            f"{uncertain(shift.value, shift.u)} {shift.unit}",
-            number(shift.U, 2),
-            f"{shift.p:.2g}",
+            *_shift_cells(shift),
+            chance(shift.p),
         ]
         for shift in found.zero_shifts
     ]
     if shifts:
-        header = ["roll", "zero of", "shift(u)", "U", "p"]
+        header = ["roll", "zero of", "shift(u)", "U", "unit", "p"]
         sections.append(Sheet("Zero between rolls", header, shifts))
     return sections
+
+
+def _shift_cells(shift: ZeroShift) -> tuple[str, str, str]:
+    """Return a shift with u, its U, and the unit of both."""
+    factor, unit = readable_unit(max(abs(shift.value), shift.U), shift.unit)
+    told = uncertain(factor * shift.value, factor * shift.u)
+    return told, plain_number(factor * shift.U, 2), unit
 
 
 def check_sheets(found: Check) -> list[Sheet]:
@@ -96,43 +112,83 @@ def check_sheets(found: Check) -> list[Sheet]:
 
 
 def _by_axis(found: Check) -> Sheet:
+    scales = _scales(found)
     header = [
         "axis",
-        f"max before [{found.unit}]",
-        "max after",
-        "rms before",
-        "rms after",
+        *_headers(scales, "max", "rms"),
         "linearity before [%]",
-        "after",
-        "largest U",
+        "after [%]",
+        f"largest U [{scales['after'][1]}]",
         "verdict",
     ]
     rows = []
     for axis in (*found.axes, None) if len(found.axes) > 1 else found.axes:
         s = found.summary(axis)
-        values = _before_and_after(s, "maximum", "rms", "linearity_percent")
+        linear = [plain_number(s[when]["linearity_percent"], 2) for when in scales]
         rows.append(
-            [axis or "all", *values, number(s["after"]["largest_U"], 2), s["verdict"] or "-"]
+            [
+                axis or "all",
+                *_scaled(s, scales),
+                *linear,
+                _longest(s, scales),
+                s["verdict"] or "-",
+            ]
         )
     return Sheet("Errors before and after compensation", header, rows)
 
 
-def _before_and_after(summary: dict[str, Any], *keys: str) -> list[str]:
-    return [number(summary[when][key]) for key in keys for when in ("before", "after")]
+_Scales = dict[str, tuple[float, str]]
+
+
+def _scales(found: Check) -> _Scales:
+    """Return factor and unit of errors before, and of errors and U after."""
+    sizes = {"before": np.abs(found.before), "after": np.maximum(np.abs(found.after), found.U)}
+    largest = {
+        when: float(np.max(size[found.counted & np.isfinite(size)], initial=0.0))
+        for when, size in sizes.items()
+    }
+    return {when: readable_unit(size, found.unit) for when, size in largest.items()}
+
+
+def _headers(scales: _Scales, *words: str) -> list[str]:
+    return [_united(f"{word} {when}", scales[when][1]) for word in words for when in scales]
+
+
+def _united(word: str, unit: str) -> str:
+    return f"{word} [{unit}]" if unit else word
+
+
+def _scaled(summary: dict[str, Any], scales: _Scales) -> list[str]:
+    """Return largest and rms error before and after, in their units."""
+    return [
+        plain_number(summary[when][key] * factor)
+        for key in ("maximum", "rms")
+        for when, (factor, _) in scales.items()
+    ]
+
+
+def _longest(summary: dict[str, Any], scales: _Scales) -> str:
+    return plain_number(summary["after"]["largest_U"] * scales["after"][0], 2)
 
 
 def _by_position(found: Check) -> Sheet:
+    scales = _scales(found)
+    (before, unit), (after, unit_after) = scales["before"], scales["after"]
     header = ["position"]
     for axis in found.axes:
-        header += [f"{axis} [{found.unit}]", "before", "after", "U"]
+        header += [_united(axis, readable_unit(1.0, found.unit)[1]), f"before [{unit}]"]
+        header += [f"after [{unit_after}]", "U"]
+    largest = after * np.max(np.where(np.isfinite(found.U), found.U, 0.0), axis=0)
+    digits = [decimals_of(U) for U in largest.tolist()]
     rows = []
     shown = largest_rows(np.abs(found.after).max(axis=1).tolist())
     for row in shown:
         cells = [found.positions[row]]
         for column in np.arange(len(found.axes)):
             cells += [f"{found.reference[row, column]:.6g}"]
-            cells += [_signed(found.before[row, column]), _signed(found.after[row, column])]
-            cells += [number(float(found.U[row, column]), 2)]
+            cells += [_signed(before * found.before[row, column])]
+            error, U = after * found.after[row, column], after * found.U[row, column]
+            cells += _error_cells(error, U, digits[column])
         rows.append([*cells, worst(found.verdicts[row]) or "-"])
     title = "Every position"
     if len(shown) < len(found.positions):
@@ -142,29 +198,25 @@ def _by_position(found: Check) -> Sheet:
 
 def _by_segment(found: Check) -> Sheet:
     """Return the summary of a regression's check: one row for each segment that has rows."""
-    unit = f" [{found.unit}]" if found.unit else ""
+    scales = _scales(found)
     header = [
         "segment",
         "rows",
-        f"max before{unit}",
-        "max after",
-        "rms before",
-        "rms after",
-        "largest U",
+        *_headers(scales, "max", "rms"),
+        _united("largest U", scales["after"][1]),
         "verdict",
     ]
     rows = []
     for name in (*(n for n, inside in found.segments.items() if inside.any()), None):
         s = found.summary(segment=name)
         counted = found.counted[:, 0] if name is None else found.counted[found.segments[name], 0]
-        values = _before_and_after(s, "maximum", "rms")
-        U = s["after"]["largest_U"]
+        told = np.isfinite(s["after"]["largest_U"])
         rows.append(
             [
                 name or "all",
                 str(int(counted.sum())),
-                *values,
-                number(U if np.isfinite(U) else None, 2),
+                *_scaled(s, scales),
+                _longest(s, scales) if told else "-",
                 s["verdict"] or "-",
             ]
         )
@@ -180,7 +232,7 @@ def check_text(found: Check) -> str:
         count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}
         counted = ", ".join(f"{count[name]} {name}" for name in VERDICTS)
         said.append(
-            f"{found.verdict} against {found.limit:g} {found.unit} with U "
+            f"{found.verdict} against {in_unit(found.limit, found.unit)} with U "
             f"({100 * found.confidence:g} %) as guard band: {counted}"
         )
     said += run_conclusions(found)
@@ -207,4 +259,12 @@ def run_conclusions(found: Check) -> list[str]:
 
 
 def _signed(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:+.3g}"
+    return "-" if np.isnan(value) else ("+" if value > 0.0 else "") + plain_number(value)
+
+
+def _error_cells(error: float, U: float, decimals: int | None) -> tuple[str, str]:
+    """Return an error and its U to the same digits, two of the largest U."""
+    if decimals is None or not (np.isfinite(error) and np.isfinite(U)):
+        return _signed(error), plain_number(U, 2)
+    rounded = round(error, decimals) + 0.0  # no sign at zero
+    return f"{'+' if rounded > 0.0 else ''}{rounded:.{decimals}f}", f"{U:.{decimals}f}"

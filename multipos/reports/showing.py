@@ -23,7 +23,7 @@ from multipos.files.numbers import number
 from multipos.fleets.fleet import Fleet
 from multipos.fleets.text import fleet_text
 from multipos.logs.averages import Averages, averages_text
-from multipos.plots.calibration import draw_budget, draw_errors, draw_residuals
+from multipos.plots.calibration import draw_budget, draw_errors, residual_panels
 from multipos.plots.check import draw_check
 from multipos.plots.runs import draw_runs
 from multipos.plots.schemes import draw_scheme
@@ -119,7 +119,7 @@ def _panels(found: Result) -> list[Callable[[Any], None]]:
     if isinstance(found, Calibration):
         if math.isfinite(found.rms):  # else an output does not respond
             return [partial(draw_errors, found)]
-        return [partial(draw_residuals, found, output=output) for output in found.outputs]
+        return residual_panels(found)
     if isinstance(found, Check):
         return [partial(draw_check, found, axis=axis) for axis in found.axes]
     if isinstance(found, Tumble):
@@ -135,8 +135,8 @@ def _panels(found: Result) -> list[Callable[[Any], None]]:
 _ONE_PANEL: dict[type, Callable[[Any, Any], None]] = {
     Comparison: draw_runs,
     Curve: draw_curve,
-    Evaluation: lambda found, axes: draw_budget(found, axes),
-    Scheme: lambda found, axes: draw_scheme(found, axes),
+    Evaluation: draw_budget,
+    Scheme: draw_scheme,
     Stability: draw_allan,
 }
 

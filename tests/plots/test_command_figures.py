@@ -28,7 +28,7 @@ def test_a_fit_draws_residuals_and_what_changes_over_temperature(
     model = "1 + x + y + z + temperature"
     assert main(["fit", "warm.csv", "--model", model, "--unit", "g", "-o", "fit.svg"]) == 0
     drawn = (tmp_path / "fit.svg").read_text()
-    assert "bias_ax [g]" in drawn
+    assert "bias_ax [mg]" in drawn
     assert "band, all temperatures" in drawn
     assert "scale_ax" not in drawn  # which does not change
     figure = plots.calibration_figure(mp.fit("warm.csv", model=model, unit="g"))

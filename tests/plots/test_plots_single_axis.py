@@ -43,7 +43,7 @@ def test_check_is_drawn_with_its_limits(axes):
     draw_check(found, axes, axis="x")
     heights = [line.get_ydata()[0] for line in axes.lines if len(line.get_ydata()) == 2]
     assert heights == [0.0, -0.05, 0.05]
-    assert "limit ±0.05 deg" in [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "limit ±0.05°" in [text.get_text() for text in axes.get_legend().get_texts()]
 
 
 def test_positions_of_one_angle_stand_beside_each_other():

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 import multipos as mp
 from multipos.cli import main
-from multipos.files.numbers import beside, in_g
+from multipos.files.numbers import beside, in_unit
 from multipos.plots.errors import draw_error_sphere
 from multipos.reports.cells import aligned_rows, readable
 from multipos.reports.certificate import build_content
@@ -128,7 +128,7 @@ def test_what_the_gauge_fixed_is_left_out(unknown):
 def test_numbers_in_a_page():
     assert beside(-0.0202347, 0.00017, 0.00035) == ("-0.02023", "0.00035")
     assert beside(1.0, 0.0, 0.0) == ("1", "-")
-    assert [in_g(size) for size in (0.0336, 2.5e-4, 1.25, 0.0)] == [
+    assert [in_unit(size, "g") for size in (0.0336, 2.5e-4, 1.25, 0.0)] == [
         "33.6 mg",
         "250 µg",
         "1.25 g",
@@ -159,7 +159,7 @@ def test_arrows_are_errors_across_and_rings_errors_along(cal):
     draw_error_sphere(cal, axes)
     texts = [text.get_text() for text in axes.texts]
     largest = np.linalg.norm(cal.compensate(values()) - UP, axis=1).max()
-    assert f"after: largest {in_g(largest)}" in texts
+    assert f"after: largest {in_unit(largest, 'g')}" in texts
     error = cal.compensate(values()) - UP
     worst = int(np.argmax(np.linalg.norm(error, axis=1)))
     along = float(error[worst] @ UP[worst])

@@ -12,8 +12,9 @@ import pytest
 import multipos as mp
 from multipos import plots
 from multipos.cli import main
-from multipos.files.numbers import markdown_text, uncertain
+from multipos.files.numbers import markdown_text, plain_number, uncertain
 from multipos.positions.scheme import read_scheme
+from multipos.reports.cells import readable
 from multipos.reports.certificate import LAB_FIELDS, build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report
 from multipos.reports.sheets import check_text
@@ -87,7 +88,7 @@ def test_the_page_stands_alone(pages, language):
     assert all(link.startswith(inside) for link in outline.links)
     assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"|base64,[^"]*', "", page)
     assert page.index('id="warnings"') < page.index('id="administrative"')
-    assert page.count("<figure>") == page.count("<figcaption>") == page.count("<svg ") == 9
+    assert page.count("<figure tabindex") == page.count("<figcaption>") == page.count("<svg ") == 9
     assert f'lang="{"zh-Hans" if language == "zh" else "en"}"' in page
 
 
@@ -105,27 +106,26 @@ def test_numbers_of_the_parameters_table(six):
     (table,) = build_content(six).sections[0].tables
     row = table.rows[0]
     p = six["ax", "1"]
-    assert row[:4] == ("bias_ax", "a_x0", "output of ax at zero specific force", "g")
-    assert row[4] == "-0.00079(52)"
-    assert (float(row[5]), float(row[6]), float(row[7])) == pytest.approx((p.u, p.k, p.U), rel=0.05)
+    assert row[:3] == ("bias_ax", "a_x0", "output of ax at zero specific force")
+    assert row[3:5] == ("-0.79", "0.52")
+    assert row[6] == "mg"
+    expected = (1e3 * p.u, 1e3 * p.U, p.k)
+    assert (float(row[4]), float(row[5]), float(row[7])) == pytest.approx(expected, rel=0.05)
     assert row[8] == "1"
 
 
 def test_numbers_of_the_sensor(six):
     (table,) = build_content(six).sections[1].tables
-    rows = {(row[0], row[1]): row for row in table.rows}
-    found = six.intrinsic
-    assert float(rows["Offset of ay", "g"][2].split("(")[0]) == pytest.approx(
-        found["offset"]["ay"]["value"], abs=1e-4
-    )
+    rows = {row[0]: row for row in table.rows}
+    offset = six.intrinsic["offset"]["ay"]
+    _, value, U, unit, k = rows["Offset of ay"]
+    assert (unit, k) == ("mg", "12.7")
+    assert float(value) == pytest.approx(1e3 * offset["value"], abs=0.1)
     # one degree of freedom: U = 12.7 u
-    assert float(rows["Offset of ay", "g"][3]) == pytest.approx(
-        12.706 * found["offset"]["ay"]["u"], rel=0.05
-    )
-    lean, mrad = rows["Output on x leans to y", "deg"], rows["Output on x leans to y", "mrad"]
-    value = six.installation_deg["xy"]["value"]
-    assert float(lean[2].split("(")[0]) == pytest.approx(value, rel=0.01)
-    assert float(mrad[2].split("(")[0]) == pytest.approx(value * np.pi / 0.18, rel=0.01)
+    assert float(U) == pytest.approx(12.706e3 * offset["u"], rel=0.05)
+    lean = rows["Output on x leans to y"]
+    assert lean[3] == "°"
+    assert float(lean[1]) == pytest.approx(six.installation_deg["xy"]["value"], rel=0.01)
 
 
 def test_numbers_of_the_budget(calibration):
@@ -138,14 +138,15 @@ def test_numbers_of_the_budget(calibration):
         "gain of the ADC or voltmeter",
         "orientation of each position",
     ]
-    assert lines.rows[3][3:5] == ("5e-06", "1")
+    assert lines.rows[3][3:5] == ("5", "ppm")
     assert lines.rows[4][7] == "in the scatter"
     i = calibration.names.index("scale_ax")
     row = contributions.rows[i]
     budget = {r.quantity: r.contribution[i] for r in evaluate_budget(calibration).rows[1:]}
-    assert float(row[2]) == pytest.approx(budget["gravity"], rel=0.05)
+    assert row[-1] == "ppm"
+    assert float(row[2]) == pytest.approx(1e6 * budget["gravity"], rel=0.05)
     assert row[5].startswith("(")
-    assert float(row[-1]) == pytest.approx(calibration.u[i], rel=0.05)
+    assert float(row[-2]) == pytest.approx(1e6 * calibration.u[i], rel=0.05)
     assert "periodic error of the dividing head" in section.paragraphs[1]
 
 
@@ -190,7 +191,7 @@ def test_markdown_and_text_say_what_the_page_says(calibration, tmp_path):
             for table in section.tables:
                 assert table.caption in text
                 for row in table.rows:
-                    assert all(show(cell) in text for cell in row)
+                    assert all(show(readable(cell)) in text for cell in row)
     assert "[to be filled in by the laboratory]" in text
 
 
@@ -317,7 +318,7 @@ def test_long_tables_show_their_largest_twenty(tmp_path, capsys):
     said = "(the 20 largest of 101; the calibration file has all)"
     assert [name.removesuffix(said) for name in tables] == [
         "Residuals at every position ",
-        "Size of the error [g] ",
+        "Size of the error ",
         "Up vector and leverage of every position ",
         "Readings as measured ",
         "Influence of each position: studentised residual r, Cook's D, leave-one-out error e ",
@@ -459,8 +460,8 @@ def test_rolls_are_in_the_report(pair):
         "Signal against angle",
         "Residual harmonics",
     ]
-    for figure in found.figures:
-        assert "Ux [V]" in figure.draw()
+    for figure, unit in zip(found.figures, ("V", "µV"), strict=True):
+        assert f"Ux [{unit}]" in figure.draw()
     rows = {row[:2]: row for row in found.tables[0].rows}
     errors = {(e.plane, e.quantity): e for e in mp.table_errors(pair).errors}
     value, u = errors["xz", "second_cos"].value_deg, errors["xz", "second_cos"].u_deg
@@ -517,14 +518,14 @@ def test_the_check_is_in_the_report(checked, ending, capsys):
     for said in (
         "Independent check",
         "run.csv",
-        "Verdict against 0.1 deg: pass",
-        "max before [deg]",
-        f"{found.summary('x')['after']['maximum']:.4g}",
+        "Verdict against 0.1°: pass",
+        "max before [°]",
+        plain_number(found.summary("x")["after"]["maximum"]),
         "Every position",
     ):
         assert said in re.sub(r"\s+", " ", text)
     if ending == "html":
-        assert "limit ±0.1 deg" in text
+        assert "limit ±0.1°" in text
     assert main([*argv, "--language", "zh", "-o", str(target)]) == 0
     assert "独立检验" in target.read_text("utf-8")
     assert "Independent check" not in target.read_text("utf-8")
@@ -572,7 +573,7 @@ def test_chinese_of_the_bench(pair, checked):
             assert a.description != b.description
         for a, b in zip(one.tables, two.tables, strict=True):
             same = set(a.header) & set(b.header)
-            assert same <= {"U", "p", "x [deg]", "y [deg]"}
+            assert same <= {"U", "p", "x [°]", "y [°]"}
 
 
 @needs_browser

@@ -397,6 +397,16 @@ def test_fourier_view_finds_an_index_error():
     assert views[1]["harmonics"][2]["p"] > 0.01
 
 
+def test_fourier_view_of_rolls_that_share_faces():
+    """Ten positions stand in a plane, at eight angles: three orders can be told, no fourth."""
+    scheme = "roll-x-8+roll-y-8+roll-z-8"
+    up = read_scheme(scheme).up
+    values = up + 1e-4 * np.random.default_rng(1).standard_normal(up.shape)
+    views = fourier_residuals(mp.fit(mp.Readings(values, unit="g"), scheme=scheme))
+    assert {tuple(h["order"] for h in view["harmonics"]) for view in views} == {(1, 2, 3)}
+    assert max(h["amplitude"] for view in views for h in view["harmonics"]) < 1e-3
+
+
 def test_criticism_needs_known_orientations():
     c = mp.fit(readings("fibonacci-24"), unknown_orientation=True)
     for question in (judge_terms, find_influence, fourier_residuals):

@@ -201,7 +201,7 @@ def test_json_and_text(tmp_path, capsys, calibration):
     assert row["verdict"] == "pass"
     assert cli.main([*arguments, "--limit-g", "0.002"]) == 0
     text = capsys.readouterr().out
-    assert "pass against 0.002 g with U (95 %) as guard band: 42 pass" in text
+    assert "pass against 2 mg with U (95 %) as guard band: 42 pass" in text
     assert text == check_text(mp.check(calibration, str(path), scheme=scheme, limit_g=0.002))
     assert cli.main([*arguments, "--nominal", "-0.1,1"]) == 0  # a list that begins with a minus
 

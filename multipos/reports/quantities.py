@@ -1,0 +1,124 @@
+"""Values with their uncertainty as cells: in a unit that people read, to the digits of u.
+
+A row has one unit, by the larger of value and U; a column of numbers of one unit has one as well.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from multipos.files.numbers import (
+    beside,
+    decimals_of,
+    number,
+    plain_number,
+    readable_unit,
+)
+from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.terms import COMPONENTS
+from multipos.reports.translations import Translator
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.derived import intrinsic_gradient
+from multipos.uncertainty.propagation import Evaluation
+
+
+class Quantity(NamedTuple):
+    """A quantity with its uncertainty."""
+
+    name: str
+    unit: str
+    value: float
+    u: float
+    U: float
+    k: float
+
+
+class Column(NamedTuple):
+    """Numbers of one unit as cells, and the unit."""
+
+    unit: str
+    cells: list[str]
+
+
+def derived_quantities(c: Calibration, budget: Evaluation, tr: Translator) -> list[Quantity]:
+    """Return sensitivities, offsets, angles between axes and mounting of a triad; else nothing.
+
+    What the gauge has fixed is left out.
+    """
+    if c.intrinsic is None:
+        return []
+    values, gradient = intrinsic_gradient(c.model, c.parameters, c.mean_environment)
+    u, dof, _ = budget.combine(gradient)
+    names = [
+        *((tr("Sensitivity of {output}", output=o), f"{c.model.unit}/g") for o in c.outputs),
+        *((tr("Offset of {output}", output=o), "g") for o in c.outputs),
+        *((tr("Angle between input axes {pair}", pair=p), "deg") for p in ("xy", "xz", "yz")),
+        *((tr("Mounting, rotation about {axis}", axis=a), "deg") for a in COMPONENTS),
+    ]
+    if c.model.gauge is not None:
+        names = names[:-3]
+    found = zip(names, values.tolist(), u.tolist(), dof.tolist(), strict=False)
+    quantities = []
+    for (name, unit), value, sd, nu in found:
+        k = coverage_factor(c.confidence, nu)
+        quantities.append(Quantity(name, unit, value, sd, k * sd, k))
+    return quantities
+
+
+def leaning_quantities(c: Calibration, tr: Translator) -> list[Quantity]:
+    """Return how far each output leans to the others; without what the gauge has fixed."""
+    return [
+        Quantity(
+            tr("Output on {i} leans to {j}", i=pair[0], j=pair[1]),
+            "deg",
+            angle["value"],
+            angle["u"],
+            angle["U"],
+            angle["U"] / angle["u"],
+        )
+        for pair, angle in c.installation_deg.items()
+        if angle["u"]
+    ]
+
+
+def quantity_rows(found: Sequence[Quantity]) -> list[tuple[str, ...]]:
+    """Return name, value, U, unit and k of each; all forces in one unit."""
+    largest = max((abs(q.value) + q.U for q in found if q.unit == "g"), default=0.0)
+    rows: list[tuple[str, ...]] = []
+    for q in found:
+        size = largest if q.unit == "g" else max(abs(q.value), q.U)
+        factor, unit = readable_unit(size, q.unit)
+        shown = beside(factor * q.value, factor * q.u, factor * q.U)
+        rows.append((q.name, *shown, unit, plain_number(q.k, 3)))
+    return rows
+
+
+def with_u(value: float, u: float, U: float, unit: str) -> tuple[str, str, str, str]:
+    """Return a value, its u and its U to the digits of u, and the unit of all three."""
+    factor, shown = readable_unit(float(np.nanmax([abs(value), U, 0.0], initial=0.0)), unit)
+    decimals = decimals_of(factor * u)
+    value_cell, U_cell = beside(factor * value, factor * u, factor * U)
+    return value_cell, "-" if decimals is None else f"{factor * u:.{decimals}f}", U_cell, shown
+
+
+def column(
+    values: Sequence[float] | Array, unit: str, u: float | None = None, *, signed: bool = False
+) -> Column:
+    """Return numbers as cells of one unit, to the digits of `u`, else to three."""
+    sizes = np.abs(np.asarray(values, dtype=np.float64))
+    factor, shown = readable_unit(float(np.max(sizes[np.isfinite(sizes)], initial=0.0)), unit)
+    decimals = None if u is None else decimals_of(factor * u)
+    cells = []
+    for value in (factor * np.asarray(values, dtype=np.float64)).tolist():
+        if not np.isfinite(value):
+            cells.append(number(value))
+        elif decimals is None:
+            sign = "+" if signed and value > 0.0 else ""
+            cells.append(sign + plain_number(value))
+        else:
+            rounded = round(value, decimals) + 0.0  # no sign at zero
+            sign = "+" if signed and rounded > 0.0 else ""
+            cells.append(f"{sign}{rounded:.{decimals}f}")
+    return Column(shown, cells)

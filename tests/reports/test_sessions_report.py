@@ -1,0 +1,69 @@
+"""What reports say of a calibration that was combined from sessions."""
+
+import json
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos.cli import main
+from multipos.reports.certificate import build_content
+from multipos.reports.comparisons import comparison_content
+from multipos.results import plain
+
+UP = mp.read_scheme("faces-edges-18").up
+
+
+@pytest.fixture(scope="module")
+def compared():
+    """Four sessions whose zeros differ by 2 mg, far more than the noise of each."""
+    rng = np.random.default_rng(3)
+    sessions = [
+        mp.fit(
+            mp.Readings(
+                UP + 2e-3 * rng.standard_normal(3) + 1e-4 * rng.standard_normal(UP.shape), up=UP
+            ),
+            unit="g",
+        )
+        for _ in range(4)
+    ]
+    return mp.compare(sessions, combine=True)
+
+
+def table_of(content):
+    (section,) = (part for part in content.sections if part.title == "Combined sessions")
+    return section, {row[0]: row for row in section.tables[0].rows}
+
+
+def test_a_combined_calibration_says_of_what_and_what_u_holds(compared):
+    section, rows = table_of(build_content(compared.combined))
+    assert section.paragraphs[0].startswith("4 sessions were combined: ")
+    assert "on 3 degrees of freedom" in section.paragraphs[1]
+    zeros = np.array([c["bias_ax"].value for c in compared.calibrations])
+    _, value, u, U, unit, k, spread = rows["bias_ax"]
+    assert (unit, k) == ("mg", "3.18")  # Student's t at 3 degrees of freedom
+    sd = 1e3 * zeros.std(ddof=1)
+    assert float(value) == pytest.approx(1e3 * zeros.mean(), abs=0.02 * sd)
+    assert float(spread) == pytest.approx(sd, rel=0.05)
+    assert float(u) == pytest.approx(np.sqrt(1.25) * sd, rel=0.05)  # (1 + 1/4) S
+    assert float(U) == pytest.approx(3.182 * np.sqrt(1.25) * sd, rel=0.05)
+    assert not any(
+        part.title == "Combined sessions"
+        for part in build_content(compared.calibrations[0]).sections
+    )
+
+
+def test_the_report_of_repeats_names_the_combined_one(compared, tmp_path):
+    content = comparison_content(plain(compared.to_dict()))
+    assert table_of(content)[1] == table_of(build_content(compared.combined))[1]
+    (tmp_path / "compared.json").write_text(json.dumps(plain(compared.to_dict())), encoding="utf-8")
+    target = tmp_path / "r.txt"
+    assert main(["report", str(tmp_path / "compared.json"), "-o", str(target)]) == 0
+    assert "4 sessions were combined" in target.read_text("utf-8")
+    alone = mp.compare(compared.calibrations)
+    (said,) = (
+        part
+        for part in comparison_content(plain(alone.to_dict()), language="zh").sections
+        if part.title == "合并的各次校准"
+    )
+    assert "--combine" in said.paragraphs[0]
