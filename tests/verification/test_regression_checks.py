@@ -260,7 +260,7 @@ def test_check_draws_the_errors(files, capsys):
     assert status == 0
     assert out.startswith("Errors before and after correction")
     said = words(figure)
-    for text in ("temperature", "error [g]", "before", "after, with U", "limit ±0.005 g"):
+    for text in ("temperature", "error [mg]", "before", "after, with U", "limit ±5 mg"):
         assert text in said
 
 
@@ -302,7 +302,7 @@ def test_tumble_draws_signal_and_harmonics(tmp_path, capsys):
     figure = tmp_path / "t.svg"
     status, out, _ = run(capsys, "tumble", data, "--scheme", "tumble-12", "-o", figure)
     assert (status, out[:6]) == (0, "Tumble")
-    assert {"angle [deg]", "order", "plane xy"} <= set(words(figure))
+    assert {"angle [°]", "order", "plane xy"} <= set(words(figure))
 
 
 def test_options_of_a_calibration_are_refused_in_python_too():
