@@ -255,18 +255,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     return Section(
         tr("Compensated force and tilt"),
         tuple(paragraphs),
-        (
-            Figure(
-                tr("Positions, and how well they determine force over the sphere"),
-                tr(
-                    "Both hemispheres in equal areas, seen from above; circles are positions, a "
-                    "number counts repeats, squares are known forces. The colour is the standard "
-                    "uncertainty of compensated force as a vector, from the parameters."
-                ),
-                lambda: draw_svg(tr, 1, 2.6, lambda axes: draw_coverage(c, axes[0])),
-                on_paper=False,
-            ),
-        ),
+        (_map_of_force(c, tr),),
         (
             PageTable(
                 tr("Worst case and rms over the sphere"),
@@ -275,6 +264,19 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
                 left=2,
             ),
         ),
+    )
+
+
+def _map_of_force(c: Calibration, tr: Translator) -> Figure:
+    return Figure(
+        tr("Positions, and how well they determine force over the sphere"),
+        tr(
+            "Both hemispheres in equal areas, seen from above; circles are positions, a "
+            "number counts repeats, squares are known forces. The colour is the standard "
+            "uncertainty of compensated force as a vector, from the parameters."
+        ),
+        lambda: draw_svg(tr, 1, 2.6, lambda axes: draw_coverage(c, axes[0])),
+        on_paper=False,
     )
 
 
