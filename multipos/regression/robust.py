@@ -104,10 +104,10 @@ def _by_plausible_laws(X: Array, data: Data) -> tuple[General, ...]:
     """Return the fit to rows made independent by each plausible law of their noise."""
     if data.order is None or data.noise is None:
         return ()
-    found = []
+    both, found = np.column_stack([X, data.response]), []
     for law in data.noise.plausible:
-        white = Whitening(data.order, law)
-        fit = solve(white(X), white(data.response))
+        white = Whitening(data.order, law)(both)
+        fit = solve(white[:, :-1], white[:, -1])
         dof = fit.dof - runs_lost(data)
         if dof > 0:
             found.append(General(fit.coefficients, fit.cofactor * (float(fit.rss) / dof), dof))

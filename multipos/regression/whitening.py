@@ -35,7 +35,6 @@ p over a confidence set of what else is unknown).
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 from math import log
 from typing import NamedTuple
 
@@ -43,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
+from multipos.numerics.recursions import recur
 from multipos.regression.correlation import TimeOrder
 
 _FAST = np.arange(0.0, 0.8, 0.15)  # ρ of the grid, and the shares of θ in it
@@ -196,16 +196,13 @@ def _first_variance(rho: float, theta: float) -> float:
 
 def _filtered(z: Array, age: NDArray[np.intp], rho: float, theta: float) -> Array:
     """Return rows in the order of time by eq. (2), run by run."""
-    from scipy.signal import lfilter
-
     r = _first_variance(rho, theta)
-    white = np.empty_like(z)
-    begins = np.flatnonzero(age == 0)
-    for start, end in pairwise([*begins.tolist(), len(z)]):
-        part = z[start:end]
-        memory = part[:1] * (1.0 / r - 1.0)
-        white[start:end] = lfilter([1.0, -rho], [1.0, -theta], part, axis=0, zi=memory)[0]
-        white[start] = part[0] / np.sqrt(r)
+    first = age == 0
+    white = z.copy()
+    white[1:] -= rho * z[:-1]
+    white[first] = z[first] / r  # what the second row of a run remembers
+    white = recur(white, theta, first)
+    white[first] = z[first] / np.sqrt(r)
     return white
 
 

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from multipos.errors import UsageError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import LARGEST, Array
+from multipos.numerics.recursions import recur
 from multipos.positions.forces import FORCE, known_rows
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Columns
@@ -247,13 +248,11 @@ def _noise(rows: int, outputs: int, memory: float, rng: np.random.Generator) -> 
     white = rng.normal(size=(rows, outputs))
     if memory <= 0.0:
         return white
-    from scipy.signal import lfilter
-
     keep = math.exp(-1.0 / memory)
     fresh = math.sqrt(-math.expm1(-2.0 / memory))
     # The first sample has the full standard deviation, so that the noise is stationary.
     white[1:] *= fresh
-    return np.asarray(lfilter([1.0], [1.0, -keep], white, axis=0))
+    return recur(white, keep)
 
 
 def _sd(calibration: Calibration, given: ArrayLike, option: str) -> Array:

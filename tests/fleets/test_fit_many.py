@@ -84,7 +84,9 @@ def test_noise_unit_and_scheme_do_not_matter(seed, noise, size, scheme, model):
     for axis in "xyz":
         table[f"a{axis}"] = size * table[f"a{axis}"]
     found = mp.fit_many(table, unit_column="unit", station_column="station", model=model)
-    assert worst_difference(found, table, model=model) < 1e-10
+    # residuals of readings of about 1 g are rounded to this share of the noise
+    rounding = 4.0 * np.finfo(float).eps / noise
+    assert worst_difference(found, table, model=model) < 1e-10 + rounding
 
 
 def test_units_may_be_ragged_and_their_rows_anywhere():
