@@ -118,6 +118,12 @@ def p_in_words(p: float | None) -> str:
     return f"p < {said[1:]}" if said.startswith("<") else f"p = {said}"
 
 
+def fixed(value: float, decimals: int, *, signed: bool = False) -> str:
+    """Return a number to so many decimals, zero without a sign; others with one where asked."""
+    rounded = round(value, decimals) + 0.0
+    return f"{'+' if signed and rounded > 0.0 else ''}{rounded:.{decimals}f}"
+
+
 def decimals_of(u: float) -> int | None:
     """Return the decimals that two digits of an uncertainty need; None where it has none."""
     if not (math.isfinite(u) and u > 0.0):

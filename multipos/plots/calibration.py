@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from multipos.files.numbers import readable_unit
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS, linear_term
@@ -103,8 +104,8 @@ def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
     up = c.sign * directions(c.reference)
     if np.isfinite(c.rms) and np.isfinite(c.u).all():
         u = vector_uncertainty(c, c.sign * everywhere())
-        power, unit = (6.0, "µg") if u.max() < 1e-3 else (3.0, "mg")
-        draw_map(10.0**power * u, f"u of force [{unit}]", axes)
+        factor, unit = readable_unit(float(u.max()), "g")
+        draw_map(factor * u, f"u of force [{unit}]", axes)
     draw_frame(axes)
     forced = c.readings.forced
     for rows, marker in ((~forced, "o"), (forced, "s")):

@@ -9,6 +9,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
 from multipos.plots.calibration import nominal_errors
+from multipos.plots.hemispheres import flat
 from multipos.plots.style import COLOURS, write
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
@@ -46,7 +47,7 @@ def draw_error_sphere(calibration: Calibration, axes: "Axes") -> None:
             centre = middle - side * _APART
             _draw_half(axes, side, centre)
             on = (side * up[:, 2] >= -1e-12) & shown
-            at = _flat(up[on], side) + np.array([centre, 0.0])
+            at = flat(up[on], side) + np.array([centre, 0.0])
             _draw_arrows(axes, at, _moved(up[on], across[on] * scale, side), COLOURS[1 - i])
             _draw_rings(axes, at, along[on] * scale, COLOURS[1 - i])
         write(
@@ -98,17 +99,10 @@ def _draw_half(axes: "Axes", side: float, centre: float) -> None:
         write(axes, centre + px, py, name, ha="center", va="center", fontsize=7)
 
 
-def _flat(up: Array, side: float) -> Array:
-    """Return the equal-area map of unit vectors (n, 3) on one half of the sphere (n, 2)."""
-    height = np.clip(side * up[:, 2], -1.0, 1.0)
-    # sqrt(1 − h)/sqrt(1 − h²), which is finite at the pole
-    return np.asarray(up[:, :2] / np.sqrt(np.maximum(1.0 + height, 1e-12))[:, None])
-
-
 def _moved(up: Array, step: Array, side: float) -> Array:
     """Return a step (n, 3) across `up` in the map (n, 2), its direction kept and its length too."""
     small = 1e-4 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
-    moved = _flat(directions(up + small * step), side) - _flat(up, side)
+    moved = flat(directions(up + small * step), side) - flat(up, side)
     length = np.linalg.norm(moved, axis=1, keepdims=True)
     return np.asarray(
         moved / np.maximum(length, 1e-12) * np.linalg.norm(step, axis=1, keepdims=True)

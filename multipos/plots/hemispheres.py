@@ -67,25 +67,30 @@ def draw_frame(axes: "Axes") -> None:
     axes.set_axis_off()
 
 
+def flat(up: Array, side: float) -> Array:
+    """Return the map (n, 2) of unit vectors (n, 3) on one hemisphere, 1 up and −1 down."""
+    height = np.clip(side * up[:, 2], -1.0, 1.0)
+    # sqrt(1 − h)/sqrt(1 − h²), which is finite at the pole
+    return np.asarray(up[:, :2] / np.sqrt(np.maximum(1.0 + height, 1e-12))[:, None])
+
+
 def draw_directions(up: Array, axes: "Axes", marker: str = "o") -> None:
     """Draw unit vectors (n, 3); a number counts repeats, and what lies on the rim lies on both."""
     places, counts = np.unique(np.round(up, 6), axis=0, return_counts=True)
-    for (x, y, z), count in zip(places.tolist(), counts.tolist(), strict=True):
-        for side in [0] * (z > -1e-6) + [1] * (z < 1e-6):
-            shrink = 1.0 / np.sqrt(1.0 + abs(z))
-            place = x * shrink + side * _APART, y * shrink
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        on = sign * places[:, 2] > -1e-6
+        at = flat(places[on], sign) + np.array([side * _APART, 0.0])
+        for place, count in zip(at.tolist(), counts[on].tolist(), strict=True):
+            size = 6.0 if count == 1 else 11.0
             axes.plot(
-                *place,
-                marker,
-                color=_PAPER,
-                markeredgecolor=_INK,
-                clip_on=False,
-                markersize=6.0 if count == 1 else 11.0,
+                *place, marker, color=_PAPER, markeredgecolor=_INK, clip_on=False, markersize=size
             )
             if count > 1:
+                x, y = place
                 write(
                     axes,
-                    *place,
+                    x,
+                    y,
                     str(count),
                     ha="center",
                     va="center_baseline",

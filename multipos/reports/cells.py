@@ -6,6 +6,7 @@ Whatever the form of the report; programs read JSON and XML.
 import re
 from collections.abc import Sequence
 
+from multipos.files.numbers import SUPERSCRIPT
 from multipos.reports.page import PageTable
 
 _FIGURE, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point
@@ -15,7 +16,6 @@ _UNIT = re.compile(r"(/[A-Za-z]+)\^(\d)(?!\d)")  # of a unit; a formula stays as
 _MINUS = re.compile(r"(^|[\[( ])-(?=\d)")  # elsewhere it may be a date or a name
 _CELSIUS = re.compile(r"(?<=[/\[])degC\b")
 _DEGREES = re.compile(r"(?<=\[)deg(?=\])|^deg$")
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def aligned_rows(grid: PageTable, figure: str = _FIGURE, point: str = _POINT) -> list[list[str]]:
@@ -32,9 +32,9 @@ def aligned_rows(grid: PageTable, figure: str = _FIGURE, point: str = _POINT) ->
 
 def readable(text: str) -> str:
     """Return a cell with powers, units and infinity as people write them."""
-    text = _POWER.sub(lambda m: f"{m[1]}×10{str(int(m[2])).translate(_SUPERSCRIPT)}", text)
+    text = _POWER.sub(lambda m: f"{m[1]}×10{str(int(m[2])).translate(SUPERSCRIPT)}", text)
     text = _DEGREES.sub("°", _CELSIUS.sub("°C", text))
-    text = _UNIT.sub(lambda m: m[1] + m[2].translate(_SUPERSCRIPT), text)
+    text = _UNIT.sub(lambda m: m[1] + m[2].translate(SUPERSCRIPT), text)
     if text == "inf":
         return "∞"
     return _MINUS.sub(r"\1−", text)

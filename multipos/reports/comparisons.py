@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.doubt import DOUBTS, NOT_FIT
+from multipos.doubt import DOUBTS, NOT_FIT, implausible, read_doubt
 from multipos.errors import MultiposError
 from multipos.files.numbers import (
     chance,
@@ -151,7 +151,7 @@ def comparison_content(
         language=language,
         title=tr("Report of repeated calibrations"),
         subtitle=tr("{count} runs of one unit", count=str(len(runs))),
-        verdict=tr(NOT_FIT) if any(map(_is_implausible, found.get("doubts", ()))) else None,
+        verdict=tr(NOT_FIT) if implausible(map(read_doubt, found.get("doubts", ()))) else None,
         warnings=tuple(map(tr.message, found["warnings"])),
         fields=lab_fields(said, tr),
         sections=(*sections, _origin(runs, tr)),
@@ -192,10 +192,6 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
         ),
     )
     return Section(tr("Result"), tuple(paragraphs), (picture,) if biases else ())
-
-
-def _is_implausible(doubt: Mapping[str, Any]) -> bool:
-    return bool(doubt["severity"] == "implausible")
 
 
 def _less_mean(values: Sequence[float | None]) -> list[float]:

@@ -11,6 +11,7 @@ import numpy as np
 from multipos.files.numbers import (
     beside,
     decimals_of,
+    fixed,
     number,
     plain_number,
     readable_unit,
@@ -118,7 +119,5 @@ def column(
             sign = "+" if signed and value > 0.0 else ""
             cells.append(sign + plain_number(value))
         else:
-            rounded = round(value, decimals) + 0.0  # no sign at zero
-            sign = "+" if signed and rounded > 0.0 else ""
-            cells.append(f"{sign}{rounded:.{decimals}f}")
+            cells.append(fixed(value, decimals, signed=signed))
     return Column(shown, cells)

@@ -11,6 +11,7 @@ import numpy as np
 from multipos.files.numbers import (
     chance,
     decimals_of,
+    fixed,
     in_unit,
     largest_rows,
     number,
@@ -266,5 +267,4 @@ def _error_cells(error: float, U: float, decimals: int | None) -> tuple[str, str
     """Return an error and its U to the same digits, two of the largest U."""
     if decimals is None or not (np.isfinite(error) and np.isfinite(U)):
         return _signed(error), plain_number(U, 2)
-    rounded = round(error, decimals) + 0.0  # no sign at zero
-    return f"{'+' if rounded > 0.0 else ''}{rounded:.{decimals}f}", f"{U:.{decimals}f}"
+    return fixed(error, decimals, signed=True), f"{U:.{decimals}f}"

@@ -3,9 +3,12 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
+from multipos.numerics.least_squares import solve
+from multipos.numerics.quantiles import coverage_factor, f_tail
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
@@ -13,7 +16,10 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
+from multipos.uncertainty.table_findings import BesideTable
 from multipos.uncertainty.table_motion import shaft_effects, table_effects
+
+_ROUNDING = 1e-12  # of the largest reading
 
 
 class Bench:
@@ -106,3 +112,35 @@ def separable(design: Array, effects: Array) -> list[int]:
         ):
             kept.append(column)
     return kept
+
+
+Sizes = dict[int, tuple[float, float, float]]  # value, u and U of columns by their place
+
+
+def solve_beside(bench: Bench, design: Array, told: NDArray[np.bool_]) -> tuple[BesideTable, Sizes]:
+    """Return the sensor beside errors of the table, and every column of the design with its U.
+
+    Parameters
+    ----------
+    bench : Bench
+    design : (n M, q) array
+        The p columns of the sensor first, then those of the errors, fewer than there are rows.
+    told : (p,) array of bool
+        Which parameters no error does the same as.
+    """
+    p, more = len(bench.keys), design.shape[1] - len(bench.keys)
+    values = bench.values.ravel() * bench.weight
+    found = solve(design * bench.weight[:, None], values)
+    alone = solve(bench.sensor * bench.weight[:, None], values)
+    dof = float(found.dof)
+    variance = float(found.rss) / dof
+    covariance = found.cofactor * variance
+    gain = max(float(alone.rss) - float(found.rss), 0.0) / more
+    floor = (_ROUNDING * float(np.abs(values).max())) ** 2  # of residuals that are rounding alone
+    chance = f_tail(gain / variance, more, dof) if variance > floor else 1.0
+    u = np.sqrt(np.diag(covariance))
+    k = coverage_factor(bench.first.confidence, dof)
+    sizes = {i: (float(found.coefficients[i]), float(u[i]), k * float(u[i])) for i in range(len(u))}
+    flags = tuple(map(bool, told.tolist()))
+    coefficients = found.coefficients[:p]
+    return BesideTable(bench.keys, coefficients, covariance[:p, :p], flags, dof, chance), sizes

@@ -18,6 +18,7 @@ it does not turn. What stays are the misalignments, for which the e_0 of each mo
 Level and wobble of the shaft, eq. (3) there, are of each mounting.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -26,22 +27,19 @@ from numpy.typing import NDArray
 
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import solve
-from multipos.numerics.quantiles import coverage_factor, f_tail
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
 from multipos.positions.readings import Readings
 from multipos.sensor.tilt import magnitude_of
-from multipos.uncertainty.bench_columns import Bench, separable
-from multipos.uncertainty.table_findings import BesideTable, TableError, TableErrors
+from multipos.uncertainty.bench_columns import Bench, Sizes, separable, solve_beside
+from multipos.uncertainty.table_findings import TableError, TableErrors
 from multipos.uncertainty.table_motion import QUANTITIES, SHAFT, turn_of
 
 HEAD = "head_deg"
 _SAME = 1e-3  # [rad] by which angles of one mounting may differ, as files round them
 _FEWEST = 5  # rows of a mounting: three fit a head that turns twice as far
 _MOST = 24  # mountings of a roll
-_ROUNDING = 1e-12  # of the largest reading
 
 
 class Mounting(NamedTuple):
@@ -63,13 +61,18 @@ class Mounting(NamedTuple):
 
 def find_head(readings: Readings) -> tuple[Mounting, ...]:
     """Return the mountings of rolls whose head is read; none where its angle fits no rolls."""
-    return () if said_of_head(readings) else tuple(_mounted(readings))
+    mounted = tuple(_mounted(readings))
+    return () if _unused(mounted) else mounted
 
 
 def said_of_head(readings: Readings) -> list[str]:
     """Say where the angle of the head is missing, or turns otherwise than the roll."""
+    return _unused(_mounted(readings))
+
+
+def _unused(mounted: Iterable[Mounting]) -> list[str]:
     said = []
-    for one in _mounted(readings):
+    for one in mounted:
         row = int(one.roll.rows[0]) + 1
         if not np.isfinite(one.head).all():
             said.append(f"some readings of the roll about {one.roll.axis} have no `{HEAD}`: unused")
@@ -140,29 +143,13 @@ def head_errors(bench: Bench, mounted: tuple[Mounting, ...]) -> TableErrors:
     design = np.column_stack([bench.sensor, columns[:, free]])
     null = separability(np.column_stack([bench.sensor, nominal]), floor=FLOOR).null
     told = (null == 0.0).all(axis=1)
-    p, more = len(bench.keys), len(free)
-    values: dict[int, tuple[float, float, float]] = {}
-    beside, dof = None, 0.0
-    if more and len(design) > design.shape[1]:
-        response = bench.values.ravel() * bench.weight
-        found = solve(design * bench.weight[:, None], response)
-        alone = solve(bench.sensor * bench.weight[:, None], response)
-        dof = float(found.dof)
-        variance = float(found.rss) / dof
-        gain = max(float(alone.rss) - float(found.rss), 0.0) / more
-        floor = (_ROUNDING * float(np.abs(response).max())) ** 2  # of residuals of rounding alone
-        chance = f_tail(gain / variance, more, dof) if variance > floor else 1.0
-        covariance = found.cofactor * variance
-        flags = tuple(bool(flag) for flag in told[:p].tolist())
-        beside = BesideTable(
-            bench.keys, found.coefficients[:p], covariance[:p, :p], flags, dof, chance
-        )
-        u = np.sqrt(np.diag(covariance))
-        k = coverage_factor(bench.first.confidence, dof)
-        for place, column in enumerate(free, start=p):
-            if told[p + column]:
-                one = float(u[place])
-                values[column] = (float(found.coefficients[place]), one, k * one)
+    p = len(bench.keys)
+    values: Sizes = {}
+    beside = None
+    if free and len(design) > design.shape[1]:
+        beside, sizes = solve_beside(bench, design, told[:p])
+        places = enumerate(free, start=p)
+        values = {column: sizes[place] for place, column in places if told[p + column]}
     every = [*bench.names, *(f"{quantity} in {plane}" for plane, quantity in names)]
     errors = []
     for column, (plane, quantity) in enumerate(names):
@@ -177,7 +164,7 @@ def head_errors(bench: Bench, mounted: tuple[Mounting, ...]) -> TableErrors:
     felt = np.abs(nominal).max(axis=0, initial=0.0) > FLOOR
     angle = tuple(error for error in errors if error.quantity in QUANTITIES)
     shaft = tuple(e for e, seen in zip(errors, felt, strict=True) if seen and e.quantity in SHAFT)
-    return TableErrors(angle, (), dof, shaft, beside)
+    return TableErrors(angle, (), 0.0 if beside is None else beside.dof, shaft, beside)
 
 
 def _columns(

@@ -28,7 +28,7 @@ from multipos.errors import RankError
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
-from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
+from multipos.numerics.quantiles import coverage_factor, t_tail
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import find_rolls
@@ -36,13 +36,12 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import Model
 from multipos.sensor.stating import build_model
-from multipos.uncertainty.bench_columns import Bench, separable
+from multipos.uncertainty.bench_columns import Bench, Sizes, separable, solve_beside
 from multipos.uncertainty.dividing_head import find_head, head_errors, said_of_head
 from multipos.uncertainty.table_findings import BesideTable, TableError, TableErrors, ZeroShift
 from multipos.uncertainty.table_motion import QUANTITIES, SHAFT
 
 _SHIFTED = 1e-3  # chance of a zero shift where there is none
-_ROUNDING = 1e-12  # of the largest reading
 
 
 def has_rolls(calibration: Calibration) -> bool:
@@ -117,39 +116,19 @@ def _estimate(bench: Bench) -> TableErrors:
     return TableErrors(errors, tuple(zero_shifts), dof, _shaft_described(bench, shaft), beside)
 
 
-def _beside(
-    bench: Bench, design: Array
-) -> tuple[BesideTable | None, dict[int, tuple[float, float, float]]]:
+def _beside(bench: Bench, design: Array) -> tuple[BesideTable | None, Sizes]:
     """Return the sensor beside every error, and the errors of the shaft that can be told."""
     free = separable(design, bench.shaft_nominal)
     free = [free[i] for i in separable(design, bench.shaft[:, free])]
     whole = np.column_stack([design, bench.shaft[:, free]])
-    n, columns = whole.shape
-    if n <= columns:
+    if len(whole) <= whole.shape[1]:
         return None, {}
-    weight, p = bench.weight, len(bench.keys)
-    values = bench.values.ravel() * weight
-    found = solve(whole * weight[:, None], values)
-    alone = solve(bench.sensor * weight[:, None], values)
-    dof, more = float(found.dof), columns - p
-    variance = float(found.rss) / dof
-    covariance = found.cofactor * variance
-    gain = max(float(alone.rss) - float(found.rss), 0.0) / more
-    floor = (_ROUNDING * float(np.abs(values).max())) ** 2  # of residuals that are rounding alone
-    chance = f_tail(gain / variance, more, dof) if variance > floor else 1.0
     everything = np.column_stack(
         [bench.sensor, *bench.shifts.values(), bench.nominal, bench.shaft_nominal]
     )
     null = separability(everything, floor=FLOOR).null
-    told = tuple(bool(flag) for flag in (null[:p] == 0.0).all(axis=1).tolist())
-    u = np.sqrt(np.diag(covariance))
-    k = coverage_factor(bench.first.confidence, dof)
-    shaft = {
-        column: (float(found.coefficients[place]), float(u[place]), k * float(u[place]))
-        for place, column in enumerate(free, start=design.shape[1])
-    }
-    kept = BesideTable(bench.keys, found.coefficients[:p], covariance[:p, :p], told, dof, chance)
-    return kept, shaft
+    kept, sizes = solve_beside(bench, whole, (null[: len(bench.keys)] == 0.0).all(axis=1))
+    return kept, {column: sizes[i] for i, column in enumerate(free, start=design.shape[1])}
 
 
 def _told_apart(
@@ -187,10 +166,7 @@ def roll_warnings(calibration: Calibration) -> list[str]:
     return said
 
 
-_Values = Mapping[int, tuple[float, float, float]]
-
-
-def _described(bench: Bench, values: _Values) -> tuple[TableError, ...]:
+def _described(bench: Bench, values: Sizes) -> tuple[TableError, ...]:
     """Return every quantity with its value where the model and the positions can tell it."""
     names = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in QUANTITIES]
     hidden = _confounded(bench, bench.models, bench.nominal, names)
@@ -200,7 +176,7 @@ def _described(bench: Bench, values: _Values) -> tuple[TableError, ...]:
     return _named(bench, QUANTITIES, told, same, names)
 
 
-def _shaft_described(bench: Bench, values: _Values) -> tuple[TableError, ...]:
+def _shaft_described(bench: Bench, values: Sizes) -> tuple[TableError, ...]:
     """Return the quantities of the shaft that the outputs feel, as `_described` does."""
     table = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in QUANTITIES]
     names = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in SHAFT]
@@ -215,7 +191,7 @@ def _shaft_described(bench: Bench, values: _Values) -> tuple[TableError, ...]:
 def _named(
     bench: Bench,
     quantities: Sequence[str],
-    told: _Values,
+    told: Sizes,
     same: Mapping[str, tuple[str, ...]],
     names: Sequence[str],
 ) -> tuple[TableError, ...]:
