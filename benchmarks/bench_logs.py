@@ -13,7 +13,7 @@ import multipos as mp
 from benchmarks.bench_startup import write_session
 from benchmarks.timing import Ratio, paired_ratio
 from multipos.compensation.applied_logs import apply_log
-from multipos.compensation.targets import export
+from multipos.exports.targets import export
 from multipos.files.whole import write_text
 from multipos.logs.averaging import average
 from multipos.logs.opening import open_log

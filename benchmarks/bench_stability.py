@@ -5,7 +5,7 @@ import numpy as np
 
 import multipos as mp
 from benchmarks.timing import Ratio, paired_ratio
-from multipos.numerics.allan import Phases, octaves
+from multipos.bias_stability.allan import Phases, octaves
 
 ROWS = 10_000_000
 RATE = 1000.0

@@ -33,7 +33,7 @@ _PUBLIC = {
     "Regression": "regression.result",
     "Regressions": "regression.several",
     "Scheme": "positions.scheme",
-    "Stability": "sensor.stability",
+    "Stability": "bias_stability.result",
     "Tumble": "verification.single_axis",
     "Tumbles": "verification.tumbling",
     "UsageError": "errors",
@@ -48,7 +48,7 @@ _PUBLIC = {
     "design": "designs.designing",
     "evaluate_budget": "uncertainty.propagation",
     "evaluate_sphere": "uncertainty.validity",
-    "export": "compensation.targets",
+    "export": "exports.targets",
     "fit": "fitting.readings",
     "fit_many": "fleets.fitting",
     "fleet": "fleets.fleet",
@@ -56,7 +56,7 @@ _PUBLIC = {
     "load": "sensor.loading",
     "load_check": "verification.check_file",
     "load_regression": "regression.regression_file",
-    "load_stability": "sensor.stability_file",
+    "load_stability": "bias_stability.stability_file",
     "normal_gravity": "units",
     "over_temperature": "sensor.temperature",
     "profile_interval": "uncertainty.profiles",
@@ -69,12 +69,12 @@ _PUBLIC = {
     "simulate": "sensor.simulation",
     "simulate_budget": "uncertainty.monte_carlo",
     "simulate_log": "sensor.simulation",
-    "stability": "verification.static_stability",
+    "stability": "bias_stability.finding",
     "state_bench": "uncertainty.stated_bench",
     "state_budget": "uncertainty.propagation",
     "table_errors": "uncertainty.turntable",
     "tumble": "verification.tumbling",
-    "verify_export": "compensation.reading_back",
+    "verify_export": "exports.reading_back",
     "worth": "designs.prospects",
     "write_table": "files.tables",
 }
@@ -82,12 +82,13 @@ _PUBLIC = {
 __all__ = sorted([*_PUBLIC, "__version__"])
 
 if TYPE_CHECKING:
+    from multipos.bias_stability.finding import stability as stability
+    from multipos.bias_stability.result import Stability as Stability
+    from multipos.bias_stability.stability_file import load_stability as load_stability
     from multipos.capturing.running import Captured as Captured
     from multipos.capturing.running import capture as capture
     from multipos.compensation.applying import apply as apply
     from multipos.compensation.correction import correct as correct
-    from multipos.compensation.reading_back import verify_export as verify_export
-    from multipos.compensation.targets import export as export
     from multipos.designs.assessment import schemes as schemes
     from multipos.designs.designing import design as design
     from multipos.designs.prospects import worth as worth
@@ -98,6 +99,8 @@ if TYPE_CHECKING:
     from multipos.errors import MultiposError as MultiposError
     from multipos.errors import RankError as RankError
     from multipos.errors import UsageError as UsageError
+    from multipos.exports.reading_back import verify_export as verify_export
+    from multipos.exports.targets import export as export
     from multipos.files.tables import read_table as read_table
     from multipos.files.tables import write_table as write_table
     from multipos.fitting.columns import regress as regress
@@ -121,8 +124,6 @@ if TYPE_CHECKING:
     from multipos.sensor.model import Model as Model
     from multipos.sensor.simulation import simulate as simulate
     from multipos.sensor.simulation import simulate_log as simulate_log
-    from multipos.sensor.stability import Stability as Stability
-    from multipos.sensor.stability_file import load_stability as load_stability
     from multipos.sensor.temperature import over_temperature as over_temperature
     from multipos.song_qin import demo as demo
     from multipos.uncertainty.monte_carlo import simulate_budget as simulate_budget
@@ -137,7 +138,6 @@ if TYPE_CHECKING:
     from multipos.verification.checks import check as check
     from multipos.verification.comparison import compare as compare
     from multipos.verification.single_axis import Tumble as Tumble
-    from multipos.verification.static_stability import stability as stability
     from multipos.verification.tumbling import Tumbles as Tumbles
     from multipos.verification.tumbling import tumble as tumble
     from multipos.verification.verdicts import Check as Check

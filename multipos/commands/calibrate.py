@@ -11,9 +11,9 @@ from multipos.commands.average import add_log_options, add_logs
 from multipos.commands.export import add_export_options, export_options
 from multipos.commands.fit import add_fit_options
 from multipos.commands.options import file_progress
-from multipos.compensation.target import Exported, Target, self_test
-from multipos.compensation.targets import TARGETS, beside, export, named_target
 from multipos.errors import MultiposError, UsageError
+from multipos.exports.target import Exported, Target, self_test
+from multipos.exports.targets import TARGETS, beside, export, named_target
 from multipos.files.trees import to_json
 from multipos.fitting.logs import fit_rests
 from multipos.logs.averages import averages_text

@@ -18,9 +18,9 @@ from multipos.commands.calibrate import check_targets, make_exports
 from multipos.commands.export import add_export_options, export_options
 from multipos.commands.fit import add_fit_options
 from multipos.commands.options import add_reading, warn
-from multipos.compensation.target import Exported
-from multipos.compensation.targets import TARGETS
 from multipos.errors import UsageError
+from multipos.exports.target import Exported
+from multipos.exports.targets import TARGETS
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json, to_json_line
 from multipos.logs.averages import averages_text

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from multipos.commands.answers import STDOUT, Answer, Output
-from multipos.compensation.parts import load_parts
-from multipos.compensation.target import self_test
-from multipos.compensation.targets import TARGETS, export, named_target
+from multipos.exports.parts import load_parts
+from multipos.exports.target import self_test
+from multipos.exports.targets import TARGETS, export, named_target
 from multipos.files.trees import to_json
 
 

@@ -80,6 +80,10 @@ def _check_place(folder: Path, tables: Sequence[str]) -> None:
     try:
         taken = not stat.S_ISDIR(folder.stat().st_mode)
     except FileNotFoundError:
+        if folder.is_symlink():
+            raise MultiposError(
+                f"{folder}: a link to a folder that is not there; give another with -o."
+            ) from None
         return
     except OSError as error:
         raise MultiposError(
@@ -92,13 +96,14 @@ def _check_place(folder: Path, tables: Sequence[str]) -> None:
 @contextmanager
 def _kept_if_stopped(folder: Path) -> Iterator[Path]:
     """Yield where finished tasks are kept; they stay where the run is stopped, and only then."""
-    kept = progress_folder(folder)
+    kept, was_there = progress_folder(folder), folder.exists()
     try:
         yield kept
     except Exception:
         rmtree(kept, ignore_errors=True)
-        with suppress(OSError):  # it may hold files of an earlier run
-            folder.rmdir()
+        if not was_there:
+            with suppress(OSError):
+                folder.rmdir()
         raise
 
 

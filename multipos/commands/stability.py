@@ -2,14 +2,14 @@
 
 import argparse
 
+from multipos.bias_stability.finding import stability
+from multipos.bias_stability.text import stability_text
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_reading, file_progress, names
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
 from multipos.logs.readers import formats_read
 from multipos.plots.stability import stability_figure
-from multipos.verification.stability_text import stability_text
-from multipos.verification.static_stability import stability
 
 INPUTS = ("logs", "calibration")
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "table", "figure"))

@@ -3,8 +3,8 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.compensation.parts import load_parts
-from multipos.compensation.reading_back import verify_export
+from multipos.exports.parts import load_parts
+from multipos.exports.reading_back import verify_export
 from multipos.files.trees import to_json
 
 INPUTS = ("file", "calibration", "data")

@@ -1,4 +1,4 @@
-"""What a calibration is for: compensated columns, C, flight controllers, and reading back.
+"""What a calibration is for: force from raw readings with its U, and corrected columns.
 
-Open `applying` first for tables and `targets` for exports, whose targets are a file each.
+Open `applying` first.
 """

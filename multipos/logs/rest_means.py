@@ -19,9 +19,9 @@ of which ν − 1 are the degrees of freedom of u: n − 1 of white noise, half 
 remember much.
 
 No autoregression is flicker noise or a random walk, whose means do not settle. They are known by
-the Allan variances (`multipos.numerics.allan`) over m = b/64 … b/4 batches, a weighted line in
-ln σ²(m) of slope −1 for white noise, 0 for flicker, 1 for a walk (each known to about 0.2). A rest
-wanders where that slope is above −.45 although σ² does not rise up to b/64 either, as it does
+the Allan variances (`multipos.bias_stability.allan`) over m = b/64 … b/4 batches, a weighted line
+in ln σ²(m) of slope −1 for white noise, 0 for flicker, 1 for a walk (each known to about 0.2). A
+rest wanders where that slope is above −.45 although σ² does not rise up to b/64 either, as it does
 where the noise has only a short memory, or where it rises by more than .6 to the end. Neighbouring
 means then differ by √2 σ(b) of that line, and those of a session sixteen rests long by
 

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.numerics.allan import FLICKER
+from multipos.bias_stability.allan import FLICKER
+from multipos.bias_stability.result import MICRO_G, Stability
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, scale_by_powers, write
-from multipos.sensor.stability import MICRO_G, Stability
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

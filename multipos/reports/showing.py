@@ -13,6 +13,8 @@ from hashlib import sha256
 from html import escape
 from typing import Any
 
+from multipos.bias_stability.result import Stability
+from multipos.bias_stability.text import stability_text
 from multipos.designs.assessment import Schemes, scheme_rows, schemes_text
 from multipos.designs.prospects import Worth, worth_text
 from multipos.designs.result import Design, design_text
@@ -36,12 +38,10 @@ from multipos.reports.sheets import check_sheets, check_text, run_conclusions
 from multipos.reports.tumble_text import tumble_text, tumbles_text
 from multipos.results import Columns, Result
 from multipos.sensor.calibration import Calibration, parameter_rows
-from multipos.sensor.stability import Stability
 from multipos.sensor.temperature import Curve
 from multipos.uncertainty.propagation import Evaluation
 from multipos.verification.comparison import Comparison, comparison_text
 from multipos.verification.single_axis import Tumble
-from multipos.verification.stability_text import stability_text
 from multipos.verification.tumbling import Tumbles
 from multipos.verification.verdicts import Check
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from multipos.bias_stability.stability_file import load_stability
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.stability_file import load_stability
 
 _SIZE = "u_"  # as in readings: the standard uncertainty of the output that follows
 _FORCES = tuple(f"f_{axis}" for axis in COMPONENTS)

@@ -10,11 +10,11 @@ from test_exporters import SANITIZERS, WARNINGS, made
 
 import multipos as mp
 from multipos.cli import main
-from multipos.compensation.c_correction import declarations
-from multipos.compensation.parts import Correction
-from multipos.compensation.replay import Drive, expected_rows, fitted_rows
-from multipos.compensation.target_correction import _MAIN
 from multipos.errors import MultiposError, UsageError
+from multipos.exports.c_correction import declarations
+from multipos.exports.parts import Correction
+from multipos.exports.replay import Drive, expected_rows, fitted_rows
+from multipos.exports.target_correction import _MAIN
 from multipos.regression.rates import causal_rate
 
 ROWS = 100_000

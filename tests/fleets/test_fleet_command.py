@@ -227,6 +227,20 @@ def test_the_folder_that_is_read_is_not_written(tmp_path, table, capsys):
     assert main(["fleet", table, *APART, "-o", str(there)]) == 1
     assert "a file of this name is there" in capsys.readouterr().err
     assert there.read_text() == "kept"
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "nowhere")
+    assert main(["fleet", table, *APART, "-o", str(link)]) == 1
+    assert "a link to a folder that is not there" in capsys.readouterr().err
+    assert link.is_symlink()
+
+
+def test_a_folder_that_was_there_stays_where_the_run_fails(tmp_path, capsys):
+    there, read = tmp_path / "there", tmp_path / "read"
+    there.mkdir()
+    read.mkdir()
+    assert main(["fleet", str(read), *APART, "-o", str(there)]) == 1
+    assert "no .csv or .parquet files" in capsys.readouterr().err
+    assert list(there.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,340 @@
+"""The model's inverse as lines of C.
+
+A linear model is one matrix product, f = T (raw − o). Anything else is solved by a fixed number
+of steps (`multipos.exports.c_steps`) of
+
+    f <- P (d - n(f, e)),    d = raw - o,    P = K0^+,                                     (1)
+
+where o and K0 are bias and linear coefficients in the middle of the calibrated environment and n
+all the rest of the model. With more outputs than axes the step is taken along J', J = dh/df, so
+that the least-squares answer is met: f <- f + (K0'K0)⁻¹ J' (d − K0 f − n).
+
+Single precision subtracts a bias in two parts, the second being what the first cannot hold.
+"""
+
+import math
+import re
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.exports.c_steps import environment_range, needed_steps, steps_in_words
+from multipos.numerics.arrays import Array
+from multipos.numerics.factors import FUNCTIONS, Code, Factor
+from multipos.numerics.terms import COMPONENTS, CONSTANT, Term, linear_term
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.inverse import sensed_axes
+
+# Output, product of force components, and its coefficient: a number times a named constant.
+_RestTerm = tuple[int, Term, tuple[float, str]]
+
+
+def function_body(calibration: Calibration, *, single: bool) -> tuple[str, str]:
+    """Return the body of the function, and in words how it computes.
+
+    Raises
+    ------
+    MultiposError
+        The steps of eq. (1) would not converge.
+    """
+    writer = _Writer(calibration, single)
+    return writer.linear() if writer.is_linear else writer.polynomial()
+
+
+def literal(value: float, single: bool) -> str:
+    """Return a number as C reads it back, to the last digit.
+
+    Raises
+    ------
+    MultiposError
+        The precision cannot hold it.
+    """
+    with np.errstate(over="ignore"):
+        held = np.float32(value) if single else np.float64(value)
+    if not np.isfinite(held):
+        raise MultiposError(
+            f"a number of the C file would be {value:.3g}, beyond "
+            f"{'single' if single else 'double'} precision; fit readings in a unit nearer to "
+            f"their size{', or leave out --float' if single else ''}."
+        )
+    return f"{held!s}f" if single else repr(float(held))
+
+
+class _Writer:
+    """Turn the model into lines of C."""
+
+    def __init__(self, calibration: Calibration, single: bool) -> None:
+        self._calibration = calibration
+        self._model = calibration.model
+        self._single = single
+        self._kind = "float" if single else "double"
+        self._sensed = [COMPONENTS[i] for i in sensed_axes(self._model)]
+        self._theta = self._model.coefficients(calibration.parameters)
+        self._middle = {
+            name: _held_by_both(float(np.mean(environment_range(calibration, name))))
+            for name in self._model.environment
+        }
+        linear = self._model.linear_map(self._middle) @ calibration.parameters
+        self._bias = linear[:, 0]
+        self._slope = linear[:, [1 + i for i in sensed_axes(self._model)]]
+        square = self._slope.shape[0] == self._slope.shape[1]
+        self._inverse = np.linalg.inv(self._slope) if square else np.linalg.pinv(self._slope)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether one matrix product does it."""
+        bare: set[Term] = {CONSTANT, *(linear_term(axis) for axis in COMPONENTS)}
+        return all(term in bare for term in self._model.basis_terms)
+
+    def linear(self) -> tuple[str, str]:
+        lines = ["{", *self._offsets()]
+        for k, row in enumerate(self._inverse):
+            total = self._sum([(value, f"d{i}") for i, value in enumerate(row)])
+            lines.append(f"    accel[{k}] = {total};")
+        return "\n".join([*lines, "}"]) + "\n", "one matrix product"
+
+    def polynomial(self) -> tuple[str, str]:
+        steps, rho = needed_steps(self._calibration, self._slope, single=self._single)
+        unknowns = ", ".join(f"{axis} = {self._number(0.0)}" for axis in self._sensed)
+        constants, coefficients = self._coefficients()
+        inner = self._functions(coefficients)
+        inner += self._redundant(coefficients) if self._is_redundant else self._square(coefficients)
+        lines = [
+            "{",
+            *self._offsets(),
+            *(f"    const {self._kind} {line};" for line in self._shifts(constants) + constants),
+            f"    {self._kind} {unknowns};",
+            f"    for (int step = 0; step < {steps}; ++step) {{",
+            *(f"        {line}" for line in inner),
+            "    }",
+            *(f"    accel[{k}] = {axis};" for k, axis in enumerate(self._sensed)),
+            "}",
+        ]
+        return "\n".join(lines) + "\n", steps_in_words(steps, rho)
+
+    def _functions(self, coefficients: list[_RestTerm]) -> list[str]:
+        """Name the values of the functions of each axis that stand in the terms."""
+        used = [f for _, term, _ in coefficients for f in term.factors if f.function]
+        lines = []
+        for axis in self._sensed:
+            for factor in {f.function: f for f in used if f.variable == axis}.values():
+                value = self._written(_code(factor).value, axis)
+                lines.append(f"const {self._kind} {_code(factor).prefix}{axis} = {value};")
+        return lines
+
+    def _written(self, template: str, variable: str) -> str:
+        return template.format(v=variable, zero=self._number(0.0), one=self._number(1.0))
+
+    @property
+    def _is_redundant(self) -> bool:
+        return len(self._slope) > len(self._sensed)
+
+    def _square(self, coefficients: list[_RestTerm]) -> list[str]:
+        lines = []
+        for i in range(len(self._bias)):
+            rest = self._sum(self._rest_of(i, coefficients))
+            less = f" - ({rest})" if rest != self._number(0.0) else ""
+            lines.append(f"const {self._kind} r{i} = d{i}{less};")
+        for k, axis in enumerate(self._sensed):
+            total = self._sum([(v, f"r{i}") for i, v in enumerate(self._inverse[k])])
+            lines.append(f"{axis} = {total};")
+        return lines
+
+    def _redundant(self, coefficients: list[_RestTerm]) -> list[str]:
+        """Write a step along J', for more outputs than axes."""
+        lines = []
+        outputs = range(len(self._bias))
+        for i in outputs:
+            parts = self._rest_of(i, coefficients)
+            parts += [(v, axis) for v, axis in zip(self._slope[i], self._sensed, strict=True)]
+            lines.append(f"const {self._kind} r{i} = d{i} - ({self._sum(parts)});")
+        for k in range(len(self._sensed)):
+            gradient = [f"({self._slope_of(i, k, coefficients)}) * r{i}" for i in outputs]
+            lines.append(f"const {self._kind} g{k} = {' + '.join(gradient)};")
+        normal = np.linalg.inv(self._slope.T @ self._slope)
+        for k, axis in enumerate(self._sensed):
+            lines.append(f"{axis} += {self._sum([(v, f'g{j}') for j, v in enumerate(normal[k])])};")
+        return lines
+
+    def _rest_of(self, i: int, coefficients: list[_RestTerm]) -> list[tuple[float, str]]:
+        """Return n of eq. (1) for one output, as numbers times products."""
+        return [(c, self._product(name, term)) for j, term, (c, name) in coefficients if j == i]
+
+    def _slope_of(self, i: int, k: int, coefficients: list[_RestTerm]) -> str:
+        """Return the element of J = dh/df of one output and one axis."""
+        axis = self._sensed[k]
+        parts = [(float(self._slope[i, k]), "")]
+        for j, term, (c, name) in coefficients:
+            if j != i:
+                continue
+            weight, lower, slope = _derivative(term, axis)
+            product = self._product(name, lower)
+            if slope:
+                turn = f"({self._written(slope, axis)})"
+                product = f"{product} * {turn}" if product else turn
+            parts.append((c * weight, product))
+        return self._sum(parts)
+
+    def _offsets(self) -> list[str]:
+        """Write all that is read before anything is written: raw and accel may be one array."""
+        lines = []
+        for i, bias in enumerate(self._bias.tolist()):
+            parts = [bias]
+            if self._single:
+                parts = [float(np.float32(bias)), bias - float(np.float32(bias))]
+            text = f"raw[{i}]"
+            for part in parts:
+                if part:
+                    sign = "-" if part > 0.0 else "+"
+                    text = f"{text} {sign} {self._number(abs(part))}"
+                    text = f"({text})" if part is parts[0] and len(parts) > 1 and parts[1] else text
+            lines.append(f"    const {self._kind} d{i} = {text};")
+        return lines
+
+    def _shifts(self, constants: list[str]) -> list[str]:
+        """Write the other columns about their middle, those that the constants use."""
+        lines = []
+        for j, middle in enumerate(self._middle.values()):
+            if any(re.search(rf"\bt{j}\b", line) for line in constants):
+                shift = f"{'-' if middle > 0.0 else '+'} {self._number(abs(middle))}"
+                lines.append(f"t{j} = env[{j}] {shift}")
+        return lines
+
+    def _coefficients(self) -> tuple[list[str], list[_RestTerm]]:
+        """Return n of eq. (1): per output and product of force, a number or a named constant."""
+        constants: list[str] = []
+        coefficients: list[_RestTerm] = []
+        for i, row in enumerate(self._theta):
+            for force, parts in self._by_force(row).items():
+                varying = [(value, rest) for value, rest in parts if rest.factors]
+                fixed = sum(value for value, rest in parts if not rest.factors)
+                if varying:
+                    name = f"c{len(constants)}"
+                    total = self._constant(varying, None if self._is_bare(force) else fixed)
+                    constants.append(f"{name} = {total}")
+                    coefficients.append((i, force, (1.0, name)))
+                elif not self._is_bare(force):
+                    coefficients.append((i, force, (fixed, "")))
+        return constants, coefficients
+
+    def _is_bare(self, force: Term) -> bool:
+        """Tell whether o and K0 hold the coefficient of a product of force."""
+        return force in {CONSTANT, *(linear_term(axis) for axis in self._sensed)}
+
+    def _constant(self, varying: list[tuple[float, Term]], fixed: float | None) -> str:
+        """Return a sum of products of other columns; without `fixed`, less its middle value.
+
+        That of bias and scale factors is in o and K0.
+        """
+        shifted = [part for value, rest in varying for part in self._about_middle(value, rest)]
+        if fixed is None:
+            shifted = [part for part in shifted if part[1]]
+        else:
+            shifted.append((fixed, ""))
+        return self._sum(_collected(shifted))
+
+    def _by_force(self, row: Array) -> dict[Term, list[tuple[float, Term]]]:
+        """Return an output's coefficients by product of force, each with its other columns."""
+        grouped: dict[Term, list[tuple[float, Term]]] = {}
+        for value, term in zip(row.tolist(), self._model.basis_terms, strict=True):
+            force = Term(tuple(f for f in term.factors if f.variable in COMPONENTS))
+            rest = Term(tuple(f for f in term.factors if f.variable not in COMPONENTS))
+            if value and all(f.variable in self._sensed for f in force.factors):
+                grouped.setdefault(force, []).append((value, rest))
+        return grouped
+
+    def _about_middle(self, value: float, term: Term) -> list[tuple[float, str]]:
+        """Expand a product of other columns about the middle: numbers times products of t.
+
+        The rest of the model is then small where the columns are near the middle, and little is
+        lost in single precision. A function has no such expansion: its value there is taken off.
+        """
+        index = {name: j for j, name in enumerate(self._middle)}
+        if any(factor.function for factor in term.factors):
+            factors = []
+            for factor in term.factors:
+                e = f"env[{index[factor.variable]}]"
+                factors += [e] * factor.power
+                if factor.function:
+                    factors.append(f"({self._written(_code(factor).value, e)})")
+            there = value * float(term.evaluate(self._middle))
+            product = " * ".join(factors)
+            return [(value, product), (-there, "1"), (there, "")]
+        parts = [(value, "")]
+        for factor in term.factors:
+            middle, t = self._middle[factor.variable], f"t{index[factor.variable]}"
+            parts = [
+                (
+                    weight * math.comb(factor.power, q) * middle ** (factor.power - q),
+                    " * ".join([*([product] if product else []), *[t] * q]),
+                )
+                for weight, product in parts
+                for q in range(factor.power + 1)
+            ]
+        return parts
+
+    def _product(self, name: str, term: Term) -> str:
+        factors = [name] if name else []
+        for factor in term.factors:
+            factors += [factor.variable] * factor.power
+            if factor.function:
+                factors.append(f"{_code(factor).prefix}{factor.variable}")
+        return " * ".join(factors)
+
+    def _sum(self, parts: list[tuple[float, str]]) -> str:
+        text = ""
+        for value, product in parts:
+            if not value:
+                continue
+            size = abs(float(value))
+            piece = self._number(size)
+            if product:
+                piece = product if size == 1.0 else f"{piece} * {product}"
+            sign = "-" if value < 0.0 else "+"
+            text = f"{text} {sign} {piece}" if text else (f"-{piece}" if value < 0.0 else piece)
+        return text or self._number(0.0)
+
+    def _number(self, value: float) -> str:
+        return literal(value, self._single)
+
+
+def _held_by_both(value: float) -> float:
+    """Return a number that single precision holds, so that both are about the same middle."""
+    with np.errstate(over="ignore"):  # what overflows is refused when it is written
+        return float(np.float32(value))
+
+
+def _collected(parts: list[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Add up the numbers that stand before the same product."""
+    total: dict[str, float] = {}
+    for value, product in parts:
+        key = "" if product == "1" else product
+        total[key] = total.get(key, 0.0) + value
+    return [(value, product) for product, value in total.items()]
+
+
+def _derivative(term: Term, axis: str) -> tuple[float, Term, str]:
+    """Return the derivative of a product of force: weight, what remains, a slope in C or ''."""
+    mine = next((factor for factor in term.factors if factor.variable == axis), None)
+    if mine is None:
+        return 0.0, CONSTANT, ""
+    if not mine.power:
+        rest = tuple(factor for factor in term.factors if factor is not mine)
+        return 1.0, Term(rest), _code(mine).slope
+    return float(mine.degree), term.lowered(mine), ""
+
+
+def _code(factor: Factor) -> Code:
+    """Return how C writes the function of a factor, which has one.
+
+    Raises
+    ------
+    MultiposError
+        It has no form in C.
+    """
+    code = FUNCTIONS[factor.function].code
+    if code is None:
+        raise MultiposError(
+            f"the C file has no form for '{factor}'; use apply, or fit a model without it."
+        )
+    return code

@@ -1,0 +1,297 @@
+"""The inverse of a model written as an expression, as lines of C.
+
+CasADi takes the expressions of all outputs apart into elementary operations. They are written out
+one by one inside the same fixed number of steps as for every other model,
+
+    f <- f + P (raw - h(f, e)),    P = K0^-1,    K0 = dh/df                                (1)
+
+at zero force in the middle of the calibrated environment, see `multipos.exports.c_body`. Where
+these would not converge, or there are more outputs than axes, the steps are Newton's,
+
+    f <- f + (J'J)^-1 J' (raw - h(f, e)),    J = dh/df at f,                               (2)
+
+with exact derivatives, as many as settle wherever the force is a third beyond what was calibrated.
+A reading at which they do not settle is of no force, and gives NAN.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.exports.c_body import literal
+from multipos.exports.c_steps import (
+    environment_range,
+    force_grid,
+    needed_steps,
+    steps_in_words,
+)
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.inverse import sensed_axes, unseen_axes
+
+_BEYOND = 4.0 / 3.0  # times the largest calibrated force, up to which Newton's steps settle
+_SETTLED = {False: 1e-10, True: 1e-5}  # [g], the last step, by single precision
+_MOST = 30
+# CasADi's operations as C: of one operand, of two, and functions of the library.
+_UNARY = {
+    "OP_ASSIGN": "{0}",
+    "OP_NEG": "-{0}",
+    "OP_SQ": "{0} * {0}",
+    "OP_TWICE": "{0} + {0}",
+    "OP_INV": "{one} / {0}",
+    "OP_NOT": "{0} == {zero} ? {one} : {zero}",
+    "OP_SIGN": "{0} > {zero} ? {one} : ({0} < {zero} ? -{one} : {zero})",
+}
+_BINARY = {
+    "OP_ADD": "{0} + {1}",
+    "OP_SUB": "{0} - {1}",
+    "OP_MUL": "{0} * {1}",
+    "OP_DIV": "{0} / {1}",
+    "OP_LT": "{0} < {1} ? {one} : {zero}",
+    "OP_LE": "{0} <= {1} ? {one} : {zero}",
+    "OP_IF_ELSE_ZERO": "{0} > {zero} || {0} < {zero} ? {1} : {zero}",
+    "OP_FMIN": "{0} < {1} ? {0} : {1}",
+    "OP_FMAX": "{0} > {1} ? {0} : {1}",
+    "OP_POW": "pow{f}({0}, {1})",
+    "OP_CONSTPOW": "pow{f}({0}, {1})",
+    "OP_ATAN2": "atan2{f}({0}, {1})",
+}
+_FUNCTIONS = (
+    "EXP",
+    "LOG",
+    "SQRT",
+    "SIN",
+    "COS",
+    "TAN",
+    "ASIN",
+    "ACOS",
+    "ATAN",
+    "SINH",
+    "COSH",
+    "TANH",
+    "ASINH",
+    "ACOSH",
+    "ATANH",
+    "FABS",
+    "FLOOR",
+    "CEIL",
+)
+
+
+def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str, bool]:
+    """Return the body, in words how it computes, and whether it calls the C library's math.
+
+    Raises
+    ------
+    MultiposError
+        The steps would not converge, or an operation has no counterpart in C.
+    """
+    model = calibration.model
+    assert isinstance(model, ExpressionModel)
+    sensed = list(sensed_axes(model))
+    middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
+    slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0][:, sensed]
+    kind, axes = "float" if single else "double", [COMPONENTS[i] for i in sensed]
+    start = ", ".join(f"{axis} = {literal(0.0, single)}" for axis in axes)
+    try:
+        if len(model.outputs) > len(sensed):
+            raise MultiposError("more outputs than axes")  # whose steps are Newton's
+        steps, rho = needed_steps(calibration, slope, single=single)
+        lines, library = _write_step(calibration, np.linalg.inv(slope), single)
+        how, ends = steps_in_words(steps, rho), axes
+    except MultiposError:
+        steps = _newton_steps(calibration, single)
+        lines, library = _write_step(calibration, None, single)
+        how, library = f"{steps} steps of Newton's; NAN where they do not settle", True
+        start += f", moved = {literal(0.0, single)}"
+        settled = literal(_SETTLED[single], single)
+        ends = [f"moved < {settled} ? {axis} : NAN" for axis in axes]
+    body = [
+        "{",
+        *(f"    const {kind} d{i} = raw[{i}];" for i in range(len(model.outputs))),
+        f"    {kind} {start};",
+        f"    for (int step = 0; step < {steps}; ++step) {{",
+        *(f"        {line}" for line in lines),
+        "    }",
+        *(f"    accel[{k}] = {end};" for k, end in enumerate(ends)),
+        "}",
+    ]
+    return "\n".join(body) + "\n", how, library
+
+
+def unseen_part(calibration: Calibration, *, single: bool) -> tuple[list[str], list[str]]:
+    """Return what the one component that no output senses adds to the outputs.
+
+    Returns
+    -------
+    (lines, parts)
+        Lines of C from the components and `env`, and for each output what they add to it, '' for
+        nothing.
+
+    Raises
+    ------
+    MultiposError
+        An operation has no counterpart in C.
+    """
+    import casadi
+
+    model = calibration.model
+    assert isinstance(model, ExpressionModel)
+    (third,) = unseen_axes(model)
+    force = casadi.SX.sym("f", 3)
+    env = casadi.SX.sym("e", max(len(model.environment), 1))
+    without = casadi.vertcat(*(0 if i == third else force[i] for i in range(3)))
+    with_it, less = (
+        casadi.substitute(
+            [casadi.vertcat(*model.compiled.outputs)],
+            list(model.compiled.symbols),
+            [at, env, casadi.SX(calibration.parameters)],
+        )[0]
+        for at in (force, without)
+    )
+    added = [i for i in range(with_it.numel()) if casadi.depends_on(with_it[i], force[third])]
+    parts = [f"part{i}" if i in added else "" for i in range(with_it.numel())]
+    if not added:
+        return [], parts
+    names = [list(COMPONENTS), [f"env[{j}]" for j in range(len(model.environment))]]
+    part = casadi.densify(with_it[added] - less[added])
+    function = casadi.Function("part", [force, env], [part], {"cse": True})
+    kind = "float" if single else "double"
+    lines, _ = _write(function, names, [f"const {kind} part{i}" for i in added], single)
+    return lines, parts
+
+
+def _newton_steps(calibration: Calibration, single: bool) -> int:
+    """Return how many steps of eq. (2) settle from no force, wherever force is a third beyond.
+
+    Raises
+    ------
+    MultiposError
+        They do not settle.
+    """
+    model = calibration.model
+    sensed = list(sensed_axes(model))
+    grid, columns = force_grid(calibration, _BEYOND)
+    true, found = grid[:, sensed], np.zeros(grid.shape)
+    raw = model.predict(calibration.parameters, grid, columns)
+    with np.errstate(all="ignore"):
+        steps, size = 0, np.inf
+        while steps < _MOST and not size < _SETTLED[single]:
+            steps += 1
+            left = raw - model.predict(calibration.parameters, found, columns)
+            jacobian = model.force_jacobian(calibration.parameters, found, columns)[:, :, sensed]
+            inverse = np.linalg.pinv(np.nan_to_num(jacobian))
+            step = np.einsum("nkm,nm->nk", inverse, left)
+            found[:, sensed] += step
+            size = float(np.abs(step).max())
+    off = float(np.abs(found[:, sensed] - true).max())
+    if not off < 1e3 * _SETTLED[single]:
+        largest = float(np.linalg.norm(calibration.reference, axis=1).max())
+        raise MultiposError(
+            f"Newton's steps from no force do not find every force up to {_BEYOND * largest:.3g} g "
+            f"(off by {off:.2g} g): the outputs turn back, or bend too much; use apply."
+        )
+    return steps + 1
+
+
+def _write_step(
+    calibration: Calibration, inverse: Array | None, single: bool
+) -> tuple[list[str], bool]:
+    """Return one step as lines of C: of eq. (1) with P, of eq. (2) without."""
+    import casadi
+
+    model = calibration.model
+    assert isinstance(model, ExpressionModel)
+    sensed = list(sensed_axes(model))
+    force, raw = casadi.SX.sym("f", len(sensed)), casadi.SX.sym("raw", len(model.outputs))
+    env = casadi.SX.sym("e", max(len(model.environment), 1))
+    full = casadi.SX.zeros(3)
+    full[sensed] = force
+    outputs = casadi.substitute(
+        [casadi.vertcat(*model.compiled.outputs)],
+        list(model.compiled.symbols),
+        [full, env, casadi.SX(calibration.parameters)],
+    )[0]
+    left = raw - outputs
+    axes = [COMPONENTS[i] for i in sensed]
+    results = axes
+    if inverse is not None:
+        moved = force + casadi.DM(inverse) @ left
+    else:
+        slope = casadi.jacobian(outputs, force)
+        square = slope.shape[0] == slope.shape[1]
+        step = (
+            casadi.inv_minor(slope) @ left
+            if square
+            else casadi.inv_minor(slope.T @ slope) @ (slope.T @ left)
+        )
+        moved = casadi.vertcat(force + step, casadi.sum1(casadi.fabs(step)))
+        results = [*axes, "moved"]
+    names = [
+        axes,
+        [f"env[{j}]" for j in range(len(model.environment))],
+        [f"d{i}" for i in range(len(model.outputs))],
+    ]
+    function = casadi.Function("step", [force, env, raw], [casadi.densify(moved)], {"cse": True})
+    return _write(function, names, results, single)
+
+
+def _write(
+    step: Any, names: list[list[str]], ends: list[str], single: bool
+) -> tuple[list[str], bool]:
+    """Write out CasADi's operations, each result under a name of its own."""
+    codes = _codes()
+    words = {"one": literal(1.0, single), "zero": literal(0.0, single), "f": "f" * single}
+    kind = "float" if single else "double"
+    held: dict[int, str] = {}
+    lines, results, library = [], [], False
+    for k in range(step.n_instructions()):
+        code = codes[step.instruction_id(k)]
+        into, operands = step.instruction_output(k), step.instruction_input(k)
+        if code == "OP_INPUT":
+            held[into[0]] = names[operands[0]][operands[1]]
+            continue
+        if code == "OP_CONST":
+            number = literal(step.instruction_constant(k), single)
+            held[into[0]] = f"({number})" if number.startswith("-") else number
+            continue
+        if code == "OP_OUTPUT":
+            results.append((ends[into[1]], held[operands[0]]))
+            continue
+        template = _template(code)
+        library |= "{f}" in template
+        text = template.format(*(held[i] for i in operands), **words)
+        lines.append(f"const {kind} v{k} = {text};")
+        held[into[0]] = f"v{k}"
+    # All of a step is computed from the force before it.
+    lines += [f"{axis} = {value};" for axis, value in results]
+    return lines, library
+
+
+def _codes() -> dict[int, str]:
+    """Return the names of CasADi's operations by their numbers."""
+    import casadi
+
+    return {getattr(casadi, name): name for name in dir(casadi) if name.startswith("OP_")}
+
+
+def _template(code: str) -> str:
+    """Return an operation in C; {f} stands behind the name of a function of the C library.
+
+    Raises
+    ------
+    MultiposError
+        It has no counterpart in C.
+    """
+    function = code.removeprefix("OP_")
+    if function in _FUNCTIONS:
+        return f"{function.lower()}{{f}}({{0}})"
+    if code in _UNARY or code in _BINARY:
+        return _UNARY.get(code) or _BINARY[code]
+    raise MultiposError(
+        f"the expression uses CasADi's {function.lower()}, which has no counterpart in "
+        "the C file; write it with other operations."
+    )

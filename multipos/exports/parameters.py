@@ -1,0 +1,208 @@
+"""Targets that take parameters: a matrix and an offset, or an offset and a scale an axis.
+
+Their consumers compute corrected = T (raw − o), eq. (1) of `multipos.exports.laws`, or with a
+drift (2) of the offset, raw in m/s² or in the unit of the readings. Writing, reading back and what
+the files share are here; each target has a file of its own.
+"""
+
+import re
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from multipos.doubt import accepted
+from multipos.errors import MultiposError, UsageError
+from multipos.exports.laws import (
+    Correction,
+    Law,
+    check_inputs,
+    in_metres,
+    law_residuals,
+    loss_text,
+    reduce_to,
+    rms_left,
+)
+from multipos.exports.target import (
+    Exported,
+    GivenFile,
+    Target,
+    Verification,
+    Wish,
+    refuse_strange,
+)
+from multipos.files.characters import visible
+from multipos.files.trees import to_json
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.calibration import Calibration
+
+_LARGEST_ID = 2**31 - 1  # autopilots keep it as a whole number of 32 bits with a sign
+_SAME = 1e-6  # how far the forces of a file may be from those of its law [g]
+
+
+def parameter_target(
+    name: str,
+    formula: str,
+    *,
+    raw_in_metres: bool,
+    write: Callable[[Calibration, Law, Wish], tuple[str, list[str]]],
+    recognises: Callable[[str], bool],
+    read: Callable[[str, str], Correction],
+    suffix: str,
+    thermal: bool = False,
+    takes: tuple[str, ...] = (),
+    same: Callable[[Calibration], float] = lambda _: _SAME,
+) -> Target:
+    """Return a target whose consumer applies a matrix and an offset.
+
+    Parameters
+    ----------
+    name : str
+    formula : str
+        Terms of its law: LINEAR or DIAGONAL of `multipos.exports.laws`.
+    raw_in_metres : bool
+        Whether the consumer holds raw values in m/s², not in the unit of the readings.
+    write : function
+        Return the text of a file and notes from a calibration, its law in the consumer's unit, and
+        what the user asks for.
+    recognises : function
+        Tell from its text whether a file is one of this target.
+    read : function
+        Return the law in the consumer's unit from the path and the text of a file.
+    suffix : str
+        Of its files.
+    thermal : bool
+        Whether the consumer lets the offset drift with temperature.
+    takes : tuple of str
+        Options of `export` that it has.
+    same : function
+        How far [g] the forces of a file may be from those of the law, which it may hold rounded.
+    """
+
+    def write_file(calibration: Calibration, wish: Wish) -> Exported:
+        check_inputs(calibration, name, thermal=thermal)
+        metres = in_metres(calibration, name) if raw_in_metres else 1.0
+        law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy, thermal=thermal)
+        text, notes = write(calibration, law.of_raw_in(metres), wish)
+        if law.lost:
+            notes = [loss_text(calibration, law, name), *notes]
+        if calibration.convention == "gravity":
+            turned = "the force is turned from gravity to specific force"
+            notes.append(f"{turned}, which {name} works in")
+        return Exported(name, text, notes=tuple(notes))
+
+    def read_file(file: GivenFile, calibration: Calibration) -> Verification:
+        given = read(file.path, file.text)
+        check_inputs(calibration, name, thermal=thermal)
+        expected = reduce_to(calibration, formula, name, allow_lossy=True, thermal=thermal)
+        metres = in_metres(calibration, name) if raw_in_metres else 1.0
+        with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
+            if (given.drift is None) != (expected.drift is None):
+                refuse_strange(file.path, np.inf, 0.0)
+            residuals = law_residuals(calibration, given.of_raw_in(1.0 / metres))
+            should = law_residuals(calibration, expected.correction)
+            refuse_strange(file.path, float(np.abs(residuals - should).max()), same(calibration))
+        return Verification(
+            target=name,
+            axes=COMPONENTS,
+            positions=calibration.readings.labels,
+            residuals=residuals,
+            rms=rms_left(calibration, residuals),
+            calibration_rms=calibration.rms,
+            difference=None,
+        )
+
+    return Target(name, write_file, recognises, read_file, suffix, takes=takes)
+
+
+def diagonal_values(calibration: Calibration, law: Law, names: tuple[str, ...]) -> list[float]:
+    """Return the offsets and scales of a law, six, that single precision is to hold."""
+    values: list[float] = [*law.offset.tolist(), *np.diag(law.matrix).tolist()]
+    for name, value in zip(names, values, strict=True):
+        require_writable(calibration, name, value, np.finfo(np.float32))
+    return values
+
+
+def read_named(path: str, text: str, names: tuple[str, ...]) -> Array:
+    """Return the values of parameters from lines of names and values.
+
+    Raises
+    ------
+    MultiposError
+        One is missing, no number, or given twice.
+    """
+    values: dict[str, str] = {}
+    for line in text.splitlines():
+        if line.startswith("#"):
+            continue
+        cells = re.split(r"[\s,]+", line.strip())
+        for name, value in pairwise(cells):
+            if name not in names:
+                continue
+            if values.get(name, value) != value:
+                raise MultiposError(
+                    f"{path}: parameter {name} is given twice, as {values[name]!r:.40} and "
+                    f"{value!r:.40}; leave one."
+                )
+            values[name] = value
+    missing = [name for name in names if name not in values]
+    if missing:
+        raise MultiposError(f"{path}: parameter {missing[0]} is missing; export again.")
+    return read_numbers(path, names[0], [values[name] for name in names], len(names))
+
+
+def require_instance(wish: Wish, target: str, allowed: range) -> int:
+    """Return the number of the accelerometer, the first where none is asked for.
+
+    Raises
+    ------
+    UsageError
+        The target has no such number, or the ID is none.
+    """
+    instance = allowed.start if wish.instance is None else wish.instance
+    if instance not in allowed:
+        raise UsageError(
+            f"--instance takes {allowed.start} to {allowed.stop - 1} for --to {target}, got "
+            f"{instance}."
+        )
+    if wish.device_id is not None and not 0 < wish.device_id <= _LARGEST_ID:
+        raise UsageError(f"--device-id takes 1 to {_LARGEST_ID}, got {wish.device_id}.")
+    return instance
+
+
+def require_writable(
+    calibration: Calibration, name: str, value: float, precision: "np.finfo[Any]"
+) -> None:
+    """Refuse, by name, a number that the consumer's precision cannot hold, or a scale it loses."""
+    least = float(precision.tiny) if "SCAL" in name else 0.0
+    if not least <= abs(value) <= float(precision.max):
+        raise MultiposError(
+            f"{name} would be {value:.3g}, which the consumer cannot hold; fit readings in a unit "
+            f"nearer to their size than '{calibration.model.unit}'."
+        )
+
+
+def origin(calibration: Calibration) -> list[str]:
+    """Return what a file is of, as lines of comments: each stays on its line."""
+    source = to_json(calibration.readings.source or "readings").strip()
+    lines = [
+        f"Accelerometer calibration of {source}, model {calibration.model.text}",
+        f"made {calibration.created} by multipos {calibration.version}",
+    ]
+    if calibration.gravity is None:
+        lines.append("one g of the calibration, the local gravity, is taken as 9.80665 m/s^2")
+    lines += accepted(calibration.diagnostics.doubts)
+    return [visible(line) for line in lines]
+
+
+def read_numbers(path: str, key: str, cells: list[str], count: int) -> Array:
+    """Return the finite numbers that so many cells of a file hold."""
+    try:
+        values = np.array([float(cell) for cell in cells])
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != count or not np.isfinite(values).all():
+        raise MultiposError(f"{path}: {key} needs {count} numbers; export again.")
+    return values

@@ -1,0 +1,218 @@
+"""A target: a consumer of calibrations, how a file for it is written and how it is read back.
+
+Each target is one file of this room, which holds its `Target`, and one line in the list of
+`multipos.exports.targets`. Consumers that take a matrix and an offset are made by
+`multipos.exports.parameters.parameter_target`.
+"""
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from multipos.bias_stability.result import Stability
+from multipos.errors import MultiposError
+from multipos.files.numbers import table
+from multipos.files.whole import written
+from multipos.numerics.arrays import Array
+from multipos.results import Result, plain
+from multipos.sensor.calibration import Calibration
+
+
+class Wish(NamedTuple):
+    """What the user of `export` asks for.
+
+    Attributes
+    ----------
+    name : str
+        Of a function.
+    single, allow_lossy : bool
+        Single precision; terms let go.
+    instance, device_id : int or None
+        Which of the autopilot's accelerometers it is: its number, and the ID of its device.
+    in_metres : bool
+        Force in m/s² instead of g.
+    stability : Stability or None
+        Of the sensor, for consumers that want its noise.
+    tilt : bool
+        A function of the angles above the horizon as well.
+    """
+
+    name: str
+    single: bool
+    allow_lossy: bool
+    instance: int | None = None
+    device_id: int | None = None
+    in_metres: bool = False
+    stability: Stability | None = None
+    tilt: bool = False
+
+
+class GivenFile(NamedTuple):
+    """A file to read back: where it is, what it holds, and whether foreign code in it may run."""
+
+    path: str
+    raw: bytes
+    text: str
+    run_foreign_code: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Exported(Result):
+    """A calibration in the form of a target.
+
+    Attributes
+    ----------
+    target : str
+    text : str
+        Content of the file.
+    test : str or None
+        C program that checks the function, for a file beside it.
+    notes : tuple of str
+        What is lost or doubtful, in words.
+    """
+
+    target: str
+    text: str
+    test: str | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def save(self, path: str | os.PathLike[str]) -> tuple[str, ...]:
+        """Write the file, for C also ``…_test.c`` beside it; return the names written."""
+        files = self.files(path)
+        with written(files):
+            pass
+        return tuple(map(str, files))
+
+    def files(self, path: str | os.PathLike[str]) -> dict[str | os.PathLike[str], str]:
+        """Return the files to write, and what they hold."""
+        beside = () if self.test is None else self_test(path)
+        return {path: self.text, **dict.fromkeys(beside, self.test or "")}
+
+
+def self_test(path: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """Return where the self-test of a C file goes; a folder or a device has none beside it."""
+    path = Path(path)
+    with suppress(OSError):  # a name that cannot be there is refused where it is written
+        if not path.name or (path.exists() and not path.is_file()):
+            return ()
+    return (path.with_name(f"{path.stem}_test{path.suffix}"),)
+
+
+@dataclass(frozen=True, eq=False)
+class Verification(Result):
+    """What a consumer makes of the readings that the calibration was made from.
+
+    Attributes
+    ----------
+    target : str
+    axes : tuple of K str
+    positions : tuple of n str
+    residuals : (n, K) array [g]
+        Force as the consumer finds it, less the reference.
+    rms, calibration_rms : float [g]
+        Root mean square of what is left by the consumer, and by the calibration itself; of the
+        magnitude where the orientation was unknown, of the vector otherwise.
+    difference : float or None [g]
+        Largest difference from what the calibration gives; None where the target says less.
+    foreign : bool
+        Whether C was run that is not what `export` writes of this calibration.
+    """
+
+    target: str
+    axes: tuple[str, ...]
+    positions: tuple[str, ...]
+    residuals: Array
+    rms: float
+    calibration_rms: float
+    difference: float | None
+    foreign: bool = False
+
+    @cached_property
+    def max(self) -> float:
+        """Largest residual [g]."""
+        return float(np.abs(self.residuals).max())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what JSON can carry."""
+        residuals = [
+            {"position": label, **dict(zip(self.axes, row, strict=True))}
+            for label, row in zip(self.positions, self.residuals.tolist(), strict=True)
+        ]
+        result: dict[str, Any] = plain(
+            {
+                "target": self.target,
+                "residuals": residuals,
+                "rms": self.rms,
+                "max": self.max,
+                "calibration_rms": self.calibration_rms,
+                "difference": self.difference,
+                "foreign": self.foreign,
+            }
+        )
+        return result
+
+    def __str__(self) -> str:
+        header = ["position", *(f"{axis} [mg]" for axis in self.axes)]
+        rows = [
+            [label, *(f"{1e3 * value:+.4g}" for value in row)]
+            for label, row in zip(self.positions, self.residuals.tolist(), strict=True)
+        ]
+        largest = f"rms {1e3 * self.rms:.4g} mg, largest {1e3 * self.max:.4g} mg"
+        lines = [
+            f"What the consumer ({self.target}) leaves of the calibration's own readings:",
+            "",
+            table(header, rows),
+            "",
+            f"{largest}; the calibration itself leaves {1e3 * self.calibration_rms:.4g} mg",
+        ]
+        if self.difference is not None:
+            lines.append(f"largest difference from multipos apply: {self.difference:.2g} g")
+        if self.foreign:
+            lines.append("the file is not what export writes of this calibration; it was run as is")
+        return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class Target:
+    """A consumer of calibrations.
+
+    Attributes
+    ----------
+    name : str
+        What ``--to`` takes.
+    write : function
+        Return the file for a calibration; raise `MultiposError` where it cannot express it.
+    recognises : function
+        Tell from its text whether a file is one of this target.
+    read_back : function
+        Return what the consumer makes of the calibration's own readings with a file.
+    suffix : str
+        Of its files.
+    is_code : bool
+        Whether it is a function with a name, a precision and a self-test beside it.
+    takes : tuple of str
+        Options of `export` that not every target has.
+    """
+
+    name: str
+    write: Callable[[Calibration, Wish], Exported]
+    recognises: Callable[[str], bool]
+    read_back: Callable[[GivenFile, Calibration], Verification]
+    suffix: str
+    is_code: bool = False
+    takes: tuple[str, ...] = ()
+
+
+def refuse_strange(path: str, difference: float, allowed: float) -> None:
+    """Refuse a file whose forces differ [g] from the calibration's by more than its digits do."""
+    if not difference <= allowed:
+        raise MultiposError(
+            f"{path}: differs from this calibration by {difference:.2g} g, so it was exported from "
+            "another or changed since; export again."
+        )

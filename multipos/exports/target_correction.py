@@ -1,0 +1,371 @@
+"""Regressions as a C99 file, see `multipos.exports.c_correction`, and its replay.
+
+As with the C of a calibration, the file is written again from what it came from, and it is the text
+of this program that is compiled and run, on rows in the order of time, run after run.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from multipos.errors import MultiposError, UsageError
+from multipos.exports.c_correction import (
+    correction_source,
+    declarations,
+    output_line,
+    rounding,
+)
+from multipos.exports.c_running import compile_and_run
+from multipos.exports.c_source import array, comment, require_identifier
+from multipos.exports.parts import Correction
+from multipos.exports.replay import Drive, expected_rows, fitted_rows, generated_rows
+from multipos.exports.target import Exported, GivenFile
+from multipos.exports.target_c import difference_of
+from multipos.files.lists import Names, split_names
+from multipos.files.numbers import number, table
+from multipos.files.tables import Source, read_table
+from multipos.numerics.arrays import Array
+from multipos.regression.rates import filter_time
+from multipos.regression.result import Regression
+from multipos.results import Result, plain
+from multipos.sensor.calibration import Calibration
+
+SIGNATURE = re.compile(
+    r"^int (?P<name>[A-Za-z_]\w*)_correct\((?P=name)_state \*state, double time, "
+    r"const (?P<type>double|float) in\[",
+    re.MULTILINE | re.ASCII,
+)
+_TESTED = 60  # rows of the self-test
+_REPLAYED = 20_000  # rows that are made up
+_SAME = 1e-12  # of the largest output, beside what rounding may do
+_MAIN = """\
+#include <stdio.h>
+{state}
+{start};
+{correct};
+int main(void)
+{{
+    double row[{columns}], back[{outputs} + 1];
+    {name}_state state;
+    FILE *readings = fopen("readings", "rb"), *forces = fopen("forces", "wb");
+    if (readings == NULL || forces == NULL) return 1;
+    while (fread(row, sizeof row, 1, readings) == 1) {{
+        {kind} in[{inputs}], out[{outputs}] = {{0}};
+        for (int i = 0; i < {inputs}; ++i) in[i] = ({kind})row[i + 2];
+        if (row[0] > 0.0) {name}_start(&state);
+        back[0] = {name}_correct(&state, row[1], in, out);
+        for (int k = 0; k < {outputs}; ++k) back[k + 1] = (double)out[k];
+        if (fwrite(back, sizeof back, 1, forces) != 1) return 1;
+    }}
+    return fclose(forces) ? 1 : 0;
+}}
+"""
+_TEST = """\
+/* Self-test of {name}_correct: compile with the file that holds it, and run.
+   Exits with 0 where every value is met within the rounding that its header states. */
+#include <stdio.h>
+
+{state}
+{start};
+{correct};
+
+enum {{ COUNT = {count}, OUTPUTS = {outputs} }};
+
+static const int begins[COUNT] = {{{begins}}};
+static const int codes[COUNT] = {{{codes}}}; /* -1 where rounding decides */
+static const double at[COUNT] = {{{at}}};
+{arrays}
+static const {kind} tolerance[OUTPUTS] = {{{tolerance}}};
+
+int main(void)
+{{
+    int failed = 0;
+    {name}_state state;
+    for (int i = 0; i < COUNT; ++i) {{
+        {kind} out[OUTPUTS];
+        if (begins[i]) {name}_start(&state);
+        const int code = {name}_correct(&state, at[i], in[i], out);
+        if (codes[i] < 0) continue;
+        if (code != codes[i]) {{
+            printf("row %d: not the code that was expected\\n", i + 1);
+            failed = 1;
+        }}
+        for (int k = 0; k < OUTPUTS; ++k) {{
+            const {kind} off = out[k] - expected[i][k];
+            if (!(off <= tolerance[k] && -off <= tolerance[k])) {{
+                printf("row %d, output %d: off by %g\\n", i + 1, k + 1, (double)off);
+                failed = 1;
+            }}
+        }}
+    }}
+    puts(failed ? "FAILED" : "{name}_correct: all values met");
+    return failed;
+}}
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Replay(Result):
+    """What an exported correction made of rows, against what Python makes of them.
+
+    Attributes
+    ----------
+    target : str
+    outputs : tuple of K str
+        What each output is, as the file's header says it.
+    rows, outside : int
+        Rows that were replayed, and those of them beyond what was fitted.
+    data : str or None
+        The file they came from; None where they were made up.
+    difference, allowed : (K,) arrays
+        Largest difference from Python, in the unit of each response, and what rounding allows.
+    foreign : bool
+        Whether C was run that is not what `export` writes of these regressions.
+    """
+
+    target: str
+    outputs: tuple[str, ...]
+    rows: int
+    outside: int
+    data: str | None
+    difference: Array
+    allowed: Array
+    foreign: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what JSON can carry."""
+        found: dict[str, Any] = plain(
+            {
+                "target": self.target,
+                "rows": self.rows,
+                "outside": self.outside,
+                "data": self.data,
+                "outputs": [
+                    {"output": name, "difference": difference, "allowed": allowed}
+                    for name, difference, allowed in zip(
+                        self.outputs, self.difference.tolist(), self.allowed.tolist(), strict=True
+                    )
+                ],
+                "difference": self.difference.max(),
+                "foreign": self.foreign,
+            }
+        )
+        return found
+
+    def __str__(self) -> str:
+        what = "made up over all that was fitted: every segment, edge, and a gap in time"
+        header = ["output", "largest difference", "allowed"]
+        rows = [
+            [name, number(difference, 2), number(allowed, 2)]
+            for name, difference, allowed in zip(
+                self.outputs, self.difference.tolist(), self.allowed.tolist(), strict=True
+            )
+        ]
+        lines = [
+            f"What the C function ({self.target}) makes of {self.rows} rows, and multipos apply:",
+            f"rows {what if self.data is None else 'of ' + self.data}; {self.outside} beyond",
+            "",
+            table(header, rows),
+        ]
+        if self.foreign:
+            lines.append("the file is not what export writes of these; it was run as is")
+        return "\n".join(lines) + "\n"
+
+
+def correction_of(
+    calibration: Calibration | None, regressions: Sequence[Regression], correct: Names | None
+) -> Correction:
+    """Return what is exported, checked.
+
+    Raises
+    ------
+    MultiposError
+        A regression needs rows that come later.
+    UsageError
+        `correct` names more or fewer columns than there are regressions.
+    """
+    columns = () if correct is None else split_names(correct, "--correct")
+    if columns and len(columns) != len(regressions):
+        raise UsageError(
+            f"--correct names {len(columns)} columns for {len(regressions)} regressions; name the "
+            "column that each corrects, in their order."
+        )
+    for r in regressions:
+        later = [name for name in r.needed if name in r.rates]
+        if later and not r.causal:
+            raise MultiposError(
+                f"the regression of '{r.response}' has '{later[0]}' from rows before and after "
+                "each, which a device does not have; fit it again with --causal."
+            )
+    return Correction(calibration, tuple(regressions), columns)
+
+
+def write_correction(c: Correction, name: str, *, single: bool) -> Exported:
+    """Return the C file and its self-test.
+
+    Raises
+    ------
+    MultiposError
+        A number is beyond the precision.
+    UsageError
+        `name` is no C identifier.
+    """
+    require_identifier(name)
+    text = correction_source(c, name, single=single)
+    return Exported("c", text, _self_test(c, name, single))
+
+
+def _self_test(c: Correction, name: str, single: bool) -> str:
+    drive = generated_rows(c, _TESTED)
+    drive = drive.rounded() if single else drive
+    out, beyond, certain = expected_rows(c, drive, single=single)
+    codes = np.where(certain, beyond.astype(int), -1)
+    state, start, correct = declarations(c, name, single=single)
+    allowed = _allowed(c, drive, out, single)
+    literals = [f"{value!r}f" if single else repr(value) for value in map(_plain, allowed)]
+    return _TEST.format(
+        name=name,
+        state=state,
+        start=start,
+        correct=correct,
+        count=len(drive.time),
+        outputs=out.shape[1],
+        begins=", ".join(map(str, drive.begins.astype(int).tolist())),
+        codes=", ".join(map(str, codes.tolist())),
+        at=", ".join(map(repr, drive.time.tolist())),
+        arrays="\n".join(
+            array(key, values, single) for key, values in (("in", drive.values), ("expected", out))
+        ),
+        kind="float" if single else "double",
+        tolerance=", ".join(literals),
+    )
+
+
+def _plain(value: float) -> float:
+    """Return a tolerance to the digits that matter."""
+    return float(f"{value:.3e}")
+
+
+def _allowed(c: Correction, drive: Drive, out: Array, single: bool) -> Array:
+    """Return how far C may be from Python in each output (K,), by rounding."""
+    steps = np.diff(drive.time)[~drive.begins[1:]]
+    pace = float(np.median(steps)) if len(steps) else 1.0
+    windows = [window for _, window in c.rates]
+    longest = filter_time(max(windows)) / pace if windows else 0.0
+    found = np.empty(len(c.regressions))
+    for k, r in enumerate(c.regressions):
+        found[k] = rounding(r, single=single, steps=longest)
+        size = float(np.abs(out[:, k]).max())
+        if c.corrected:
+            # what comes in is as large as what goes out and what is taken from it
+            found[k] += (2.0**-23 if single else 2.0**-52) * size
+        found[k] += 0.0 if single else _SAME * size
+    if c.calibration is not None:
+        found += 5e-7 if single else 1e-9
+    return found
+
+
+# --- reading back
+
+
+def replay(
+    file: GivenFile,
+    calibration: Calibration | None,
+    regressions: Sequence[Regression],
+    data: Source | None,
+) -> Replay:
+    """Compile the file and hold it to what Python makes of the same rows.
+
+    Raises
+    ------
+    MultiposError
+        The file is not of these regressions, or makes something else of the rows; or the data are
+        not those of the fit.
+    """
+    found = SIGNATURE.search(file.text)
+    if found is None:
+        raise MultiposError(
+            f"{file.path}: holds no C of a regression; give it with the calibration alone."
+        )
+    name, single = found["name"], found["type"] == "float"
+    c = correction_of(calibration, regressions, _corrected(file.text, regressions))
+    own = correction_source(c, name, single=single).encode()
+    foreign = file.raw != own
+    if foreign and not file.run_foreign_code:
+        raise MultiposError(f"{file.path}: {difference_of(file.raw, own)}")
+    source, drive = None, generated_rows(c, _REPLAYED)
+    if data is not None:
+        given = read_table(data, what="data")
+        _require_same_data(c, given.source, given.sha256)
+        source, drive = given.source, fitted_rows(c, given)
+    drive = drive.rounded() if single else drive
+    out, beyond, certain = expected_rows(c, drive, single=single)
+    back = _run(file.path, file.raw if foreign else own, c, name, single, drive)
+    allowed = _allowed(c, drive, out, single)
+    difference = np.abs(back[:, 1:] - out)[certain].max(axis=0, initial=0.0)
+    codes = int((back[:, 0] != beyond)[certain].sum())
+    _require_same(file.path, difference, allowed, codes)
+    return Replay(
+        target="c, single precision" if single else "c",
+        outputs=tuple(output_line(c, k).partition(" = ")[2] for k in range(len(c.regressions))),
+        rows=len(drive.time),
+        outside=int(beyond.sum()),
+        data=source,
+        difference=difference,
+        allowed=allowed,
+        foreign=foreign,
+    )
+
+
+def _corrected(text: str, regressions: Sequence[Regression]) -> tuple[str, ...] | None:
+    """Return the columns that a file says it corrects."""
+    found = []
+    for k, r in enumerate(regressions):
+        end = re.escape(comment(f", corrected by {r.response}"))
+        line = re.search(rf"^ \* out\[{k}\] = (.*){end}$", text, re.MULTILINE)
+        if line is None:
+            return None
+        found.append(line[1])
+    return tuple(found)
+
+
+def _require_same_data(c: Correction, source: str, sha256: str | None) -> None:
+    for r in c.regressions:
+        if r.sha256 is not None and r.sha256 != sha256:
+            raise MultiposError(
+                f"{source}: not the data that the regression of '{r.response}' was fitted to "
+                f"({r.source}), by its checksum; give these, or leave out --data."
+            )
+
+
+def _require_same(path: str, difference: Array, allowed: Array, codes: int) -> None:
+    if codes or not (difference <= allowed).all():
+        k = int(np.argmax(difference / allowed))
+        what = (
+            f"{codes} rows return another code"
+            if codes
+            else f"output {k} differs by {difference[k]:.2g} where rounding allows {allowed[k]:.2g}"
+        )
+        raise MultiposError(
+            f"{path}: {what}, so it was exported from another regression or changed since; "
+            "export again."
+        )
+
+
+def _run(path: str, text: bytes, c: Correction, name: str, single: bool, drive: Drive) -> Array:
+    state, start, correct = declarations(c, name, single=single)
+    rows = np.column_stack([drive.begins.astype(float), drive.time, drive.values])
+    main = _MAIN.format(
+        name=name,
+        state=state,
+        start=start,
+        correct=correct,
+        kind="float" if single else "double",
+        columns=rows.shape[1],
+        inputs=len(c.inputs),
+        outputs=len(c.regressions),
+    )
+    return compile_and_run(path, text, main, rows, len(c.regressions) + 1)

@@ -1,0 +1,141 @@
+"""Kalibr [1]_: YAML of an IMU, with its scale-misalignment matrix and noise densities.
+
+raw = M a + b in m/s², with the specific force a, so that M = T⁻¹ and b = o. Kalibr takes the axes
+of its sensor from the accelerometer, which makes its own M lower triangular, and lets b move with
+time, so that its own files have none: ``bias`` is there for those who read the file. A consumer
+finds a = M⁻¹ (raw − b).
+
+The noise densities are those of `multipos stability`: white noise N [m/s²/√Hz] with σ(τ) = N/√τ
+and random walk K [m/s³/√Hz] with σ(τ) = K √(τ/3), the largest of the three axes, since Kalibr has
+one for all.
+
+References
+----------
+.. [1] ethz-asl/kalibr, ``IccScaledMisalignedImu`` and the page "IMU Noise Model".
+"""
+
+import re
+
+import numpy as np
+
+from multipos.bias_stability.result import MICRO_G, Stability
+from multipos.errors import MultiposError
+from multipos.exports.laws import LINEAR, Correction, Law, in_metres
+from multipos.exports.parameters import (
+    origin,
+    parameter_target,
+    read_numbers,
+    require_writable,
+)
+from multipos.exports.target import Wish
+from multipos.numerics.arrays import Array
+from multipos.sensor.calibration import Calibration
+from multipos.units import STANDARD_GRAVITY
+
+_ROW = r"\[[^\]\n]*\]"
+_M = re.compile(rf"^ +M:\s*\n((?:\s*- {_ROW}\s*\n){{3}})", re.MULTILINE)
+_BIAS = re.compile(rf"^ +bias: ({_ROW})", re.MULTILINE)
+_NO_NOISE = (
+    "no noise densities, which Kalibr needs: give the result of multipos stability with "
+    "--stability, or write them in"
+)
+
+
+def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[str]]:
+    response = np.linalg.inv(law.matrix)
+    for key, array in (("M", response), ("bias", law.offset)):
+        for value in array.ravel().tolist():
+            require_writable(calibration, key, value, np.finfo(np.float64))
+    notes = []
+    upper = np.abs(response[np.triu_indices(3, 1)])
+    if (upper > 0.0).any():
+        notes.append(
+            "M is full, in the axes of the case; that of Kalibr itself is lower triangular, in "
+            "the axes of the accelerometer: fit --unknown-orientation gives those"
+        )
+    noise: list[str] = []
+    if wish.stability is None:
+        notes.append(_NO_NOISE)
+    else:
+        white, walk = densities(calibration, wish.stability)
+        noise = [
+            f"  accelerometer_noise_density: {white!r}  # m/s^2/sqrt(Hz)",
+            f"  accelerometer_random_walk: {walk!r}  # m/s^3/sqrt(Hz)",
+            f"  update_rate: {float(wish.stability.sample_rate)!r}  # Hz",
+        ]
+    lines = [
+        *(f"# {line}" for line in origin(calibration)),
+        "# raw = M a + bias in m/s^2; Kalibr itself has no constant bias",
+        "imu0:",
+        "  model: scale-misalignment",
+        "  accelerometers:",
+        "    M:",
+        *(f"    - {row}" for row in response.tolist()),
+        f"    bias: {law.offset.tolist()}",
+        *noise,
+    ]
+    return "\n".join(lines) + "\n", notes
+
+
+def densities(calibration: Calibration, stability: Stability) -> tuple[float, float]:
+    """Return white noise [m/s²/√Hz] and random walk [m/s³/√Hz], the largest of the outputs.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    stability : Stability
+        Of its outputs, or of compensated force in g.
+
+    Raises
+    ------
+    MultiposError
+        It is of other outputs, or of another unit.
+    """
+    forces = [name for name in ("f_x", "f_y", "f_z") if name in stability.outputs]
+    names = forces or list(calibration.outputs)
+    missing = [name for name in names if name not in stability.outputs]
+    if missing:
+        raise MultiposError(
+            f"the stability is of {', '.join(stability.outputs)}, but this calibration has "
+            f"'{missing[0]}'; give stability the same outputs, or CAL.json with --calibration."
+        )
+    if stability.unit in MICRO_G:
+        metres = MICRO_G[stability.unit] * 1e-6 * STANDARD_GRAVITY
+    elif not forces and stability.unit == calibration.model.unit:
+        metres = in_metres(calibration, "kalibr")
+    else:
+        raise MultiposError(
+            f"the stability is in '{stability.unit}', but Kalibr takes m/s^2; give stability "
+            "CAL.json with --calibration."
+        )
+    found = [stability.outputs[name] for name in names]
+    white = max(each.white_noise.value for each in found)
+    walk = max(each.random_walk.value for each in found)
+    return float(metres * white), float(metres * walk)
+
+
+def _read(path: str, text: str) -> Correction:
+    matrix, bias = _M.search(text), _BIAS.search(text)
+    response = _cells(path, "M", matrix[1] if matrix else "", 9).reshape(3, 3)
+    offset = _cells(path, "bias", bias[1] if bias else "", 3)
+    try:
+        return Correction(np.asarray(np.linalg.inv(response)), offset)
+    except np.linalg.LinAlgError:
+        raise MultiposError(f"{path}: M has no inverse; export again.") from None
+
+
+def _cells(path: str, key: str, text: str, count: int) -> Array:
+    cells = [cell for row in re.findall(_ROW, text) for cell in re.findall(r"[^\s,\[\]]+", row)]
+    return read_numbers(path, key, cells, count)
+
+
+KALIBR = parameter_target(
+    "kalibr",
+    LINEAR,
+    raw_in_metres=True,
+    write=_write,
+    recognises=lambda text: re.search(r"^ +accelerometers:", text, re.MULTILINE) is not None,
+    read=_read,
+    suffix=".yaml",
+    takes=("stability",),
+)

@@ -1,0 +1,164 @@
+"""Write a calibration in the form that a target takes."""
+
+import os
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from multipos.bias_stability.result import Stability
+from multipos.bias_stability.stability_file import load_stability
+from multipos.doubt import refuse_implausible
+from multipos.errors import UsageError
+from multipos.exports.parts import Parts, split_parts
+from multipos.exports.target import Exported, Target, Wish
+from multipos.exports.target_ardupilot import ARDUPILOT
+from multipos.exports.target_c import C
+from multipos.exports.target_correction import correction_of, write_correction
+from multipos.exports.target_imucal import IMUCAL
+from multipos.exports.target_inav import INAV
+from multipos.exports.target_kalibr import KALIBR
+from multipos.exports.target_px4 import PX4
+from multipos.exports.target_ros import ROS
+from multipos.files.lists import Names
+
+# In the order of the documentation; the first that recognises a file reads it back.
+TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, IMUCAL, KALIBR, INAV)
+Unit = Literal["g", "m/s^2"]
+
+
+def export(
+    calibration: Parts,
+    to: str,
+    *,
+    name: str = "multipos",
+    float: bool = False,
+    allow_lossy: bool = False,
+    accept_doubts: bool = False,
+    output_unit: Unit | None = None,
+    instance: int | None = None,
+    device_id: int | None = None,
+    stability: "Stability | str | os.PathLike[str] | None" = None,
+    correct: Names | None = None,
+    tilt: bool = False,
+) -> Exported:
+    """Return a calibration in the form of a target.
+
+    Parameters
+    ----------
+    calibration : Calibration or Regression, or a sequence of them
+        Regressions go to C; a calibration before them compensates first.
+    to : str
+        Name of one of `TARGETS`, as ``multipos export --help`` lists them.
+    name : str
+        The function of a target that is code is called ``NAME_compensate``.
+    float : bool
+        Single instead of double precision, of a target that is code.
+    allow_lossy : bool
+        Let go of terms that the target cannot express; the rest is fitted again.
+    accept_doubts : bool
+        Export a calibration with implausible doubts all the same; the file says so.
+    output_unit : str, optional
+        'g' or 'm/s^2', of C; one g of a calibration without gravity is taken as 9.80665 m/s².
+    instance, device_id : int, optional
+        Which of an autopilot's accelerometers it is, and the ID of its device, without which the
+        autopilot ignores the file.
+    stability : Stability or path, optional
+        Of the sensor, whose noise densities go to Kalibr.
+    tilt : bool
+        Write ``NAME_tilt`` as well, in C: the angles of `apply` with tilt.
+    correct : names, optional
+        The column that each regression corrects; without, C gives the predicted responses.
+
+    Returns
+    -------
+    Exported
+
+    Raises
+    ------
+    MultiposError
+        The calibration is not fit for use, the target cannot express the model, its inverse does
+        not converge in fixed steps, or a regression has rates that are not causal.
+    UsageError
+        An unknown target, a name that is no C identifier, or an option of another target.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> found = mp.export(mp.demo().calibration, to="c", name="imu")
+    >>> [line for line in found.text.splitlines() if line.startswith("void")]
+    ['void imu_compensate(const double raw[3], double accel[3])']
+    """
+    target = _target(to, single=float)
+    first, regressions = split_parts(calibration)
+    others = {
+        "output_unit": output_unit,
+        "instance": instance,
+        "device_id": device_id,
+        "stability": stability,
+        "tilt": tilt or None,
+    }
+    _check_options(target, {name: value for name, value in others.items() if value is not None})
+    if first is not None and not accept_doubts:
+        refuse_implausible(first.diagnostics.doubts, f"the export to {to}")
+    if regressions:
+        _check_correction(target, tilt, output_unit)
+        return write_correction(correction_of(first, regressions, correct), name, single=float)
+    if correct is not None:
+        raise UsageError("--correct goes with a regression; a calibration gives forces.")
+    assert first is not None  # or there would be no regression either
+    if stability is not None and not isinstance(stability, Stability):
+        stability = load_stability(stability)
+    in_metres = output_unit == "m/s^2"
+    wish = Wish(name, float, allow_lossy, instance, device_id, in_metres, stability, tilt)
+    return target.write(first, wish)
+
+
+def _target(to: str, *, single: bool) -> Target:
+    """Return the target that is asked for."""
+    target = named_target(to)
+    if target is None:
+        names = ", ".join(target.name for target in TARGETS)
+        raise UsageError(f"--to takes {names}, got '{to}'.")
+    if single and not target.is_code:
+        codes = ", ".join(target.name for target in TARGETS if target.is_code)
+        raise UsageError(f"--float is for --to {codes}; {to} has a precision of its own.")
+    return target
+
+
+def _check_correction(target: Target, tilt: bool, output_unit: Unit | None) -> None:
+    """Refuse what is of a calibration alone where regressions are exported."""
+    if tilt:
+        raise UsageError("--tilt is of a calibration alone; a correction tells no angles.")
+    if output_unit is not None:
+        raise UsageError("--output-unit is of a calibration alone; a regression has its own.")
+    if target is not C:
+        name = target.name
+        raise UsageError(f"a regression is exported --to {C.name}; {name} has no place for it.")
+
+
+def _check_options(target: Target, given: dict[str, Any]) -> None:
+    """Refuse options that are of other targets, and a unit that is none."""
+    for option in given:
+        if option not in target.takes:
+            owners = ", ".join(each.name for each in TARGETS if option in each.takes)
+            name = option.replace("_", "-")
+            raise UsageError(f"--{name} is for --to {owners}; {target.name} has no such thing.")
+    unit = given.get("output_unit", "g")
+    if unit not in get_args(Unit):
+        raise UsageError(f"--output-unit takes g or m/s^2, got '{unit}'.")
+
+
+def named_target(name: str) -> Target | None:
+    """Return the target of a name, None where there is none."""
+    return next((target for target in TARGETS if target.name == name), None)
+
+
+def beside(calibration: str | os.PathLike[str], target: Target) -> Path:
+    """Return where an export goes beside the file of its calibration: CAL.c, CAL_px4.params, …."""
+    path = Path(calibration)
+    ending = target.suffix if target.is_code else f"_{target.name}{target.suffix}"
+    return path.with_name(f"{path.stem}{ending}")
+
+
+def recognised_target(text: str) -> Target | None:
+    """Return the first target that takes a text for a file of its own, None where none does."""
+    return next((target for target in TARGETS if target.recognises(text)), None)

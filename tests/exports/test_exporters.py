@@ -1,0 +1,447 @@
+"""Exported files against Python: C compiled and run, parameters through the consumers' laws."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from log_bench import sensor, shared
+
+import multipos as mp
+from multipos.cli import main
+from multipos.exports.c_source import SIGNATURE, signature
+from multipos.exports.reading_back import verify_export
+from multipos.exports.targets import export
+from multipos.sensor.stating import build_model
+
+READINGS = 100_000
+WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror"]
+# clang's sanitizer needs no library where it traps; gcc brings its own.
+SANITIZERS = {
+    "gcc": ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"],
+    "clang": ["-fsanitize=undefined", "-fsanitize-trap=undefined"],
+}
+
+# name: (formula, axes, size of the terms beyond linear [g per g^n], bias [g])
+SENSORS = {
+    "linear": ("linear", "xyz", 0.0, 0.3),
+    "linear, two axes": ("linear", "xz", 0.0, 0.3),
+    "linear, four outputs": ("linear", "xyzx", 0.0, 0.3),
+    "own-quadratic": ("own-quadratic", "xyz", 2e-3, 0.3),
+    "own-quadratic, one axis": ("1 + own + own^2", "y", 2e-3, 2.5),
+    "ieee": ("1 + x + y + z + own^2 + own^3 + x*y", "xyz", 2e-3, 0.3),
+    "odd": ("1 + x + y + z + own*|own|", "xyz", 2e-3, 0.3),
+    "four outputs, odd": ("1 + x + y + z + own^2 + own*|own|", "xyzz", 2e-3, 0.3),
+    "temperature": (
+        "1 + x + y + z + own^2 + temperature + temperature^2 + temperature*own",
+        "xyz",
+        1e-3,
+        0.3,
+    ),
+    "modulus of a column": ("1 + x + y + z + |temperature|*own", "xyz", 1e-4, 0.3),
+}
+
+
+def made(formula, axes, size, bias, *, unit=1.0, count=80):
+    """A calibration of known coefficients, fitted to readings that are nearly free of noise."""
+    rng = np.random.default_rng(1)
+    up = mp.read_scheme(f"fibonacci-{count}").up
+    temperature = rng.uniform(-10.0, 50.0, size=count)
+    outputs = tuple(f"a{i + 1}" for i in range(len(axes)))
+    inputs = tuple(sorted(set(axes)))
+    formula = formula if len(inputs) == 3 or formula != "linear" else f"1 + {' + '.join(inputs)}"
+    model = build_model(formula, outputs, tuple(axes), inputs, known=("temperature",))
+    values = []
+    for output, term in model.keys:
+        axis = axes[outputs.index(output)]
+        scale = unit * rng.uniform(-1.0, 1.0)
+        if not term.factors:
+            values.append(unit * bias)
+        elif str(term) == axis:
+            values.append(unit * 1.02)
+        elif term.environment:
+            values.append(size * scale / 30.0)
+        else:
+            values.append((0.02 if term.force_degree == 1 else size) * scale)
+    environment = {"temperature": temperature}
+    y = model.predict(np.array(values), up, environment)
+    y = y + 1e-6 * unit * rng.normal(size=y.shape)
+    readings = mp.Readings(y, outputs=outputs, up=up, environment=environment)
+    return mp.fit(readings, model=formula, axes=tuple(axes), inputs=inputs)
+
+
+def random_readings(cal):
+    """Raw readings of random forces up to 1.2 g an axis, and random surroundings."""
+    rng = np.random.default_rng(2)
+    force = rng.uniform(-1.2, 1.2, size=(READINGS, 3))
+    for i, axis in enumerate("xyz"):
+        force[:, i] *= axis in cal.model.axes
+    environment = {
+        name: rng.uniform(column.min(), column.max(), size=READINGS)
+        for name, column in cal.readings.environment.items()
+        if name in cal.model.environment
+    }
+    return np.column_stack([cal.predict(force, environment), *environment.values()])
+
+
+HARNESS = """\
+#include <stdio.h>
+{declaration};
+int main(void)
+{{
+    {kind} row[{columns}], accel[{axes}];
+    while (fread(row, sizeof row, 1, stdin) == 1) {{
+        {name}_compensate(row, {between}accel);
+        if (fwrite(accel, sizeof accel, 1, stdout) != 1) return 1;
+    }}
+    return 0;
+}}
+"""
+
+
+def compile_c(compiler, folder, *options):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no {compiler} on this machine")
+    program = folder / f"run-{compiler}"
+    command = [compiler, *WARNINGS, "-O2", *options, *sorted(folder.glob("*.c"))]
+    command += ["-o", program, "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return program
+
+
+def run_c(compiler, cal, exported, rows, folder):
+    found = SIGNATURE.search(exported.text)
+    columns, axes = rows.shape[1], int(found["accel"])
+    (folder / "calibration.c").write_text(exported.text)
+    main_c = HARNESS.format(
+        declaration=found[0],
+        kind=found["type"],
+        columns=columns,
+        axes=axes,
+        name=found["name"],
+        between=f"row + {found['raw']}, " if found["env"] else "",
+    )
+    (folder / "main.c").write_text(main_c)
+    program = compile_c(compiler, folder, *SANITIZERS[compiler])
+    done = subprocess.run([program], input=rows.tobytes(), capture_output=True, check=True)
+    assert done.stderr == b""
+    return np.frombuffer(done.stdout, dtype=rows.dtype).reshape(-1, axes).astype(float)
+
+
+@pytest.mark.parametrize("compiler", SANITIZERS)
+@pytest.mark.parametrize("single", [False, True], ids=["double", "float"])
+@pytest.mark.parametrize("case", SENSORS)
+def test_compiled_c_agrees_with_python(case, single, compiler, tmp_path):
+    cal = made(*SENSORS[case])
+    rows = random_readings(cal).astype(np.float32 if single else np.float64)
+    exported = export(cal, "c", name="imu", float=single)
+    found = run_c(compiler, cal, exported, rows, tmp_path)
+    raw, environment = np.split(rows.astype(float), [len(cal.outputs)], axis=1)
+    expected = cal.compensate(raw, dict(zip(cal.model.environment, environment.T, strict=True)))
+    off = np.abs(found - expected)
+    if single:
+        assert off.max() < 5e-7
+    elif case.startswith("linear"):
+        assert (off.max(axis=1) / np.linalg.norm(expected, axis=1)).max() < 1e-12
+    else:
+        assert off.max() < 1e-9
+
+
+def saturating(own, x, y, z, temperature, bias, scale, limit=0.01, slope=0.0):
+    linear = bias + scale * own + slope * (temperature - 20.0) + 0.01 * (x + y + z)
+    return linear / (1.0 + limit * linear**2) ** 0.5 + 1e-4 * abs(own)
+
+
+@pytest.mark.parametrize("compiler", SANITIZERS)
+@pytest.mark.parametrize("single", [False, True], ids=["double", "float"])
+def test_a_model_written_as_an_expression(single, compiler, tmp_path):
+    rng = np.random.default_rng(0)
+    up = mp.read_scheme("fibonacci-80").up
+    temperature = rng.uniform(10.0, 40.0, size=80)
+    values = np.column_stack(
+        [saturating(up[:, i], *up.T, temperature, 0.05 * i, 1.0, 0.01, 1e-3) for i in range(3)]
+    )
+    values += 1e-6 * rng.normal(size=values.shape)
+    readings = mp.Readings(values, up=up, environment={"temperature": temperature})
+    cal = mp.fit(readings, model=saturating)
+    rows = random_readings(cal).astype(np.float32 if single else np.float64)
+    exported = export(cal, "c", name="imu", float=single)
+    found = run_c(compiler, cal, exported, rows, tmp_path)
+    raw, environment = np.split(rows.astype(float), [3], axis=1)
+    expected = cal.compensate(raw, {"temperature": environment[:, 0]})
+    assert np.abs(found - expected).max() < (5e-7 if single else 1e-9)
+
+
+@pytest.mark.parametrize("compiler", SANITIZERS)
+@pytest.mark.parametrize("single", [False, True], ids=["double", "float"])
+def test_the_self_test_passes_and_can_fail(single, compiler, tmp_path):
+    exported = export(made(*SENSORS["temperature"]), "c", float=single)
+    assert exported.save(tmp_path / "cal.c") == (
+        str(tmp_path / "cal.c"),
+        str(tmp_path / "cal_test.c"),
+    )
+    done = subprocess.run([compile_c(compiler, tmp_path)], capture_output=True, check=False)
+    assert (done.returncode, done.stdout) == (0, b"multipos_compensate: all values met\n")
+    (tmp_path / "cal.c").write_text(exported.text.replace("accel[0] = x", "accel[0] = x + x"))
+    done = subprocess.run([compile_c(compiler, tmp_path)], capture_output=True, check=False)
+    assert done.returncode == 1
+    assert b"FAILED" in done.stdout
+
+
+def test_the_file_has_one_symbol_and_needs_none(tmp_path):
+    if shutil.which("gcc") is None or shutil.which("nm") is None:
+        pytest.skip("no gcc or no nm on this machine")
+    for case in ("linear", "temperature"):
+        export(made(*SENSORS[case]), "c", name="k1").save(tmp_path / "cal.c")
+        object_file = tmp_path / "cal.o"
+        options = [*WARNINGS, "-ffreestanding", "-c", str(tmp_path / "cal.c"), "-o", object_file]
+        subprocess.run(["gcc", *options], check=True)
+        symbols = subprocess.run(["nm", object_file], capture_output=True, text=True, check=True)
+        assert [line.split()[1:] for line in symbols.stdout.splitlines()] == [
+            ["T", "k1_compensate"]
+        ]
+
+
+def test_signature_is_the_promised_one():
+    cal = made(*SENSORS["linear"])
+    assert signature(cal, "imu", False) == (
+        "void imu_compensate(const double raw[3], double accel[3])"
+    )
+    hot = made(*SENSORS["temperature"])
+    text = export(hot, "c", name="imu", float=True).text
+    assert "void imu_compensate(const float raw[3], const float env[1], float accel[3])\n{" in text
+    assert "env[0] = temperature, calibrated from" in text
+
+
+def test_raw_and_accel_may_be_one_array():
+    body = export(made(*SENSORS["linear"]), "c").text.partition("{")[2]
+    reads, _, writes = body.partition("accel[0]")
+    assert "raw[2]" in reads
+    assert "raw" not in writes
+
+
+def test_the_comment_cannot_be_ended_from_inside():
+    up = mp.read_scheme("faces-6").up
+    readings = mp.Readings(up, outputs=("a*/b", "c\\", "d??/"), up=up)
+    head = export(mp.fit(readings), "c").text
+    assert head.count("*/") == 1
+    assert "\\" not in head
+    assert "??/" not in head
+
+
+def test_an_inverse_that_would_not_converge_is_refused():
+    up = mp.read_scheme("fibonacci-40").up
+    cal = mp.fit(mp.Readings(up + 0.2 * up**2, up=up), model="own-quadratic")
+    with pytest.raises(mp.MultiposError, match="does not converge in fixed steps"):
+        export(cal, "c")
+
+
+# --- parameters, each through the consumer's law written out here
+
+
+def session():
+    """Readings in m/s² of a sensor with cross terms."""
+    cal = sensor(bias=0.05, cross=0.02)
+    up = mp.read_scheme("faces-corners-14").up
+    y = 9.80665 * cal.predict(up) + 1e-4 * np.random.default_rng(0).normal(size=up.shape)
+    return mp.Readings(y, up=up, unit="m/s^2"), up
+
+
+def parameters(text):
+    pairs = [line.replace(",", "\t").split("\t") for line in text.splitlines() if line[0] != "#"]
+    return {
+        cells[-3] if len(cells) == 5 else cells[0]: float(cells[-2 if len(cells) == 5 else 1])
+        for cells in pairs
+    }
+
+
+def test_ros_imu_calib_by_its_law():
+    readings, _ = session()
+    cal = mp.fit(readings)
+    text = export(cal, "ros-imu-calib").text
+    lines = dict(line.split(": ", 1) for line in text.splitlines() if line[0] != "#")
+    matrix = np.array(json.loads(lines["SM"])).reshape(3, 3)
+    bias = np.array(json.loads(lines["bias"]))
+    corrected = readings.values @ matrix.T - bias  # AccelCalib::applyCalib
+    np.testing.assert_allclose(corrected / 9.80665, cal.compensate(readings.values), atol=1e-12)
+    K = np.array([[cal[o, t].value for t in "xyz"] for o in cal.outputs]) / 9.80665
+    o = np.array([cal[o, "1"].value for o in cal.outputs])
+    np.testing.assert_allclose(matrix, np.linalg.inv(K), rtol=1e-12)
+    np.testing.assert_allclose(bias, np.linalg.solve(K, o), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("target", "offset", "scale"),
+    [
+        ("px4", "CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE"),
+        ("ardupilot", "INS_ACCOFFS_{}", "INS_ACCSCAL_{}"),
+    ],
+)
+@pytest.mark.parametrize("unit", ["m/s^2", "g"])
+def test_autopilots_by_their_law(target, offset, scale, unit):
+    readings, up = session()
+    metres = {"m/s^2": 1.0, "g": 9.80665}[unit]
+    cal = mp.fit(mp.Readings(readings.values / metres, up=up, unit=unit))
+    exported = export(cal, target, allow_lossy=True)
+    found = parameters(exported.text)
+    o = np.array([found[offset.format(axis)] for axis in "XYZ"])
+    s = np.array([found[scale.format(axis)] for axis in "XYZ"])
+    # The least-squares line of each output against its own axis, by hand.
+    for i in range(3):
+        slope, bias = np.polyfit(up[:, i], readings.values[:, i], 1)
+        assert o[i] == pytest.approx(bias, abs=1e-10)
+        assert s[i] == pytest.approx(9.80665 / slope, rel=1e-10)
+    left = (readings.values - o) * s / 9.80665 - up
+    rms = np.sqrt(np.mean((left**2).sum(axis=1)))
+    assert f"to {1e3 * rms:.3g} mg" in exported.notes[0]
+    assert "cannot express cross_ax_y" in exported.notes[0]
+
+
+def test_a_diagonal_calibration_loses_nothing():
+    readings, _ = session()
+    cal = mp.fit(readings, model="1 + own")
+    exported = export(cal, "px4", device_id=1310988)
+    assert exported.notes == ()
+    found = parameters(exported.text)
+    assert found["CAL_ACC0_XOFF"] == pytest.approx(cal["ax", "1"].value)
+    assert found["CAL_ACC0_ZSCALE"] == pytest.approx(9.80665 / cal["az", "z"].value)
+
+
+def test_force_is_turned_for_consumers():
+    readings, up = session()
+    gravity = mp.fit(mp.Readings(readings.values, up=-up, unit="m/s^2"), convention="gravity")
+    same = mp.fit(mp.Readings(readings.values, up=-up, unit="m/s^2"))
+    one, two = (export(cal, "ros-imu-calib") for cal in (gravity, same))
+    assert "turned from gravity" in one.notes[0]
+    lines = [line for line in one.text.splitlines() if line.startswith("SM")]
+    other = [line for line in two.text.splitlines() if line.startswith("SM")]
+    np.testing.assert_allclose(json.loads(lines[0][4:]), json.loads(other[0][4:]), rtol=1e-9)
+
+
+def test_arducopter_limits_are_named():
+    up = mp.read_scheme("faces-6").up
+    cal = mp.fit(mp.Readings(9.8 * up + 5.0, up=up, unit="m/s^2"), model="1 + own")
+    (note,) = export(cal, "ardupilot", device_id=2753036).notes
+    assert "INS_ACCOFFS_X, INS_ACCOFFS_Y, INS_ACCOFFS_Z beyond what ArduPilot accepts" in note
+
+
+# --- verify-export
+
+
+@pytest.mark.parametrize("target", ["c", "ros-imu-calib", "px4", "ardupilot"])
+def test_verify_shows_the_consumers_residuals(target, tmp_path):
+    if target == "c" and shutil.which("cc") is None:
+        pytest.skip("no cc on this machine")
+    readings, up = session()
+    cal = mp.fit(readings)
+    export(cal, target, allow_lossy=True).save(tmp_path / "file")
+    found = verify_export(tmp_path / "file", cal)
+    assert found.target == target
+    if target in ("c", "ros-imu-calib"):
+        np.testing.assert_allclose(found.residuals, cal.compensate(readings.values) - up, atol=1e-9)
+        assert found.rms == pytest.approx(cal.rms)
+    else:
+        assert found.rms > 10.0 * cal.rms
+
+
+def test_verify_finds_a_foreign_file(tmp_path, capsys):
+    readings, _ = session()
+    cal = mp.fit(readings)
+    cal.save(tmp_path / "cal.json")
+    text = export(cal, "ros-imu-calib").text
+    (tmp_path / "file").write_text(re.sub(r"SM: \[[^,]+", "SM: [1.5", text))
+    for name, content, message in (
+        ("file", None, "so it was exported from another or changed since"),
+        ("text", "hello", "neither C nor parameters"),
+        ("part", "CAL_ACC0_XOFF\t1", "parameter CAL_ACC0_YOFF is missing"),
+        ("none", None, "no such file"),
+        ("code.c", "void a_compensate(const double raw[2], double accel[2])\n{}", "not made for"),
+    ):
+        if content is not None:
+            (tmp_path / name).write_text(content)
+        assert main(["verify-export", str(tmp_path / name), str(tmp_path / "cal.json")]) == 1
+        out, error = capsys.readouterr()
+        assert out == ""
+        assert message in error.splitlines()[-1]
+
+
+def test_verify_without_a_compiler(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    cal = made(*SENSORS["linear"])
+    export(cal, "c").save(tmp_path / "cal.c")
+    with pytest.raises(mp.MultiposError, match="no C compiler"):
+        verify_export(tmp_path / "cal.c", cal)
+
+
+# --- bad input
+
+
+@pytest.mark.parametrize(
+    ("case", "options", "status", "message"),
+    [
+        ("linear", ["--to", "c", "--name", "1st"], 2, "is no C identifier"),
+        ("linear", ["--to", "c", "--name", "a b"], 2, "is no C identifier"),
+        ("linear", ["--to", "c", "--name", "é"], 2, "is no C identifier"),
+        ("linear", ["--to", "matlab"], 2, "--to takes c, ros-imu-calib, px4, ardupilot"),
+        ("linear", ["--to", "ros-imu-calib", "--float"], 2, "--float is for --to c"),
+        ("linear", ["--to", "px4"], 1, "convert them, or state --unit"),
+        ("temperature", ["--to", "px4", "--allow-lossy"], 1, "convert them, or state --unit"),
+        ("temperature", ["--to", "inav", "--allow-lossy"], 1, "has no such input"),
+        ("linear", ["--to", "c", "--instance", "1"], 2, "--instance is for --to px4, ardupilot"),
+        ("linear", ["--to", "px4", "--output-unit", "g"], 2, "--output-unit is for --to c"),
+        ("linear", ["--to", "c", "--output-unit", "gal"], 2, "takes g or m/s^2, got 'gal'"),
+        ("linear", ["--to", "px4", "--stability", "s.json"], 2, "--stability is for --to kalibr"),
+        ("linear", ["--to", "px4", "--device-id", "x"], 2, "'x' is no whole number"),
+        ("temperature", ["--to", "ros-imu-calib"], 1, "uses column 'temperature'"),
+        ("own-quadratic", ["--to", "ros-imu-calib"], 1, "accept it with --allow-lossy"),
+        ("linear, two axes", ["--to", "ardupilot"], 1, "takes three outputs"),
+    ],
+)
+def test_bad_exports(case, options, status, message, tmp_path, capsys):
+    formula, axes, size, bias = SENSORS[case]
+    made(formula, axes, size, bias, unit=50.0).save(tmp_path / "cal.json")
+    out = tmp_path / "out.c"
+    assert main(["export", str(tmp_path / "cal.json"), *options, "-o", str(out)]) == status
+    printed, error = capsys.readouterr()
+    assert printed == ""
+    assert error.splitlines()[-1].startswith("multipos: error: ")
+    assert message in error.splitlines()[-1]
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["cal.json"]
+
+
+def test_export_needs_a_file(tmp_path, capsys):
+    made(*SENSORS["linear"]).save(tmp_path / "cal.json")
+    assert main(["export", str(tmp_path / "cal.json"), "--to", "c"]) == 2
+    assert "-o FILE" in capsys.readouterr().err
+
+
+def test_the_real_session_reaches_c(tmp_path, capsys):
+    if shutil.which("cc") is None:
+        pytest.skip("no cc on this machine")
+    path = shared("ferraris_session.csv")
+    readings, cal, code = tmp_path / "r.csv", tmp_path / "cal.json", tmp_path / "accel.c"
+    outputs = "acc_x,acc_y,acc_z"
+    for argv in (
+        [
+            "average",
+            path,
+            "--outputs",
+            outputs,
+            "--rate",
+            "102.4",
+            "--scheme",
+            "faces-6",
+            "-o",
+            readings,
+        ],
+        ["fit", readings, "--unit", "m/s^2", "-o", cal],
+        ["export", cal, "--to", "c", "-o", code],
+        ["verify-export", code, cal, "--json"],
+    ):
+        assert main([*map(str, argv)]) == 0
+    found = json.loads(capsys.readouterr().out.partition('{\n "target"')[2].join(('{"target"', "")))
+    assert found["difference"] < 1e-12

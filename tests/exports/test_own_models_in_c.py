@@ -1,0 +1,71 @@
+"""Models of one's own in C: compiled, and held to what Python finds."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.exports.c_source import c_source
+from multipos.positions.scheme import read_scheme
+
+UP = read_scheme("all-26").up
+
+
+def noisy(values, seed=1):
+    return values + 1e-5 * np.random.default_rng(seed).standard_normal(values.shape)
+
+
+def diagonals():
+    axes = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    along = [f"({a:+d}*x {b:+d}*y {c:+d}*z)/sqrt(3)" for a, b, c in axes.tolist()]
+    model = "; ".join(
+        f"s{i} = b + s*({one})/(1 + common_k*({one})^2)" for i, one in enumerate(along)
+    )
+    seen = UP @ axes.T / 3**0.5
+    values = noisy(0.01 + seen / (1 + 0.03 * seen**2))
+    data = mp.Readings(values, up=UP, outputs=("s0", "s1", "s2", "s3"))
+    return mp.fit(data, model=model, axes="x,y,z,x")
+
+
+def bending():
+    model = "each = b + a*tanh(own/w)"
+    return mp.fit(mp.Readings(noisy(0.02 + 1.5 * np.tanh(UP / 1.2)), up=UP), model=model)
+
+
+def slightly():
+    return mp.fit(
+        mp.Readings(noisy(0.02 + UP - 0.01 * UP**3), up=UP), model="each = b+s*own+k*own^3"
+    )
+
+
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize(
+    ("make", "how"),
+    [(slightly, "shrinking"), (bending, "Newton's"), (diagonals, "Newton's")],
+)
+def test_c_does_what_python_does(make, how, single, tmp_path):
+    cal = make()
+    assert how in c_source(cal, "m", single=single)
+    mp.export(cal, "c", float=single).save(tmp_path / "m.c")
+    found = mp.verify_export(tmp_path / "m.c", cal)
+    # the last step of Newton's is below a tolerance; single precision rounds at 6e-8
+    assert found.difference < (5e-7 if single else 1e-9)
+
+
+def test_the_inverse_of_more_outputs_than_axes_is_the_least_squares_one():
+    cal = diagonals()
+    assert_allclose(cal.compensate(cal.predict(UP)), UP, rtol=0, atol=1e-12)
+
+
+def test_a_model_that_turns_back_is_not_exported():
+    own = UP[:, [0]]
+    cal = mp.fit(
+        mp.Readings(noisy(own - 0.3 * own**3), up=UP), model="each = b + s*own + k*own^3", axes="x"
+    )
+    with pytest.raises(mp.MultiposError, match="turn back"):
+        c_source(cal, "m", single=False)
+
+
+def test_a_target_of_numbers_alone_says_what_a_formula_loses():
+    with pytest.raises(mp.MultiposError, match="cannot express b_ax, a_ax, w_ax"):
+        mp.export(bending(), "ros-imu-calib")
