@@ -92,7 +92,8 @@ _REGRESSIONS = Fields(
         ),
         "consistent": Flag(),
         "warnings": TEXTS,
-    }
+    },
+    {"doubts": DOUBTS},
 )
 _KEYS = ("calibrations", "regressions")
 

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from multipos.doubt import Doubt
 from multipos.errors import MultiposError
 from multipos.files.numbers import number, table
 from multipos.numerics.arrays import Array
@@ -29,6 +30,7 @@ from multipos.numerics.quantiles import f_tail
 from multipos.regression.result import Regression, format_span
 from multipos.regression.segment import Segment
 from multipos.results import Result, plain
+from multipos.verification.repeat_doubts import doubt_repeated_regressions
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,8 @@ class RegressionComparison(Result):
     confidence : float
     consistent : bool
     warnings : tuple of str
+    doubts : tuple of Doubt
+        Those about each repeat, then ``repeated-runs``.
     """
 
     files: tuple[str, ...] = field(compare=False)
@@ -73,6 +77,7 @@ class RegressionComparison(Result):
     confidence: float
     consistent: bool
     warnings: tuple[str, ...]
+    doubts: tuple[Doubt, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""
@@ -93,6 +98,7 @@ class RegressionComparison(Result):
                     }
                     for t in self.terms
                 ],
+                "doubts": [doubt.to_dict() for doubt in self.doubts],
                 "consistent": self.consistent,
                 "warnings": self.warnings,
             }
@@ -114,7 +120,9 @@ class RegressionComparison(Result):
         verdict = "agree" if self.consistent else "do not agree"
         named = [f"{i}: {file}" for i, file in enumerate(self.files, start=1)]
         closing = f"The repeats {verdict} at {100 * self.confidence:g} %, all terms together."
-        return "\n".join([*named, "", table(header, rows, left=2), "", closing]) + "\n"
+        doubted = [line for d in self.doubts for line in (f"{d.severity}: {d.text}", "")]
+        shown = [*doubted, *named, "", table(header, rows, left=2), "", closing]
+        return "\n".join(shown) + "\n"
 
 
 def compare_regressions(
@@ -144,7 +152,8 @@ def compare_regressions(
     ]
     tested = [t.p for t in terms if not math.isnan(t.p)]
     consistent = not tested or min(tested) * len(tested) >= 1.0 - confidence
-    said = _said_of_lonely(terms)
+    doubts = doubt_repeated_regressions(runs)
+    said = [*(doubt.text for doubt in doubts), *_said_of_lonely(terms)]
     if not consistent and not all(r.run for run in runs for r in run):
         said.append(
             "a regression of one switch-on does not know the zero of the next; fit several with "
@@ -157,6 +166,7 @@ def compare_regressions(
         confidence=confidence,
         consistent=consistent,
         warnings=tuple(said),
+        doubts=doubts,
     )
 
 

@@ -11,7 +11,7 @@ passes its limit below. Two of one production, whose scale factors scatter by 2 
 degree and zeros by 40 mg, pass one of them nearly always; no sensor does that drifts as data
 sheets say.
 
-Readings equal to the last digit are those of one run.
+Readings equal to the last digit are those of one run, and so are all coefficients of a regression.
 """
 
 import math
@@ -23,6 +23,7 @@ import numpy as np
 from multipos.doubt import Doubt, implausible
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
+from multipos.regression.result import Regression
 from multipos.sensor.calibration import Calibration
 
 _SCALE = 0.02  # of a scale factor
@@ -38,21 +39,49 @@ def doubt_repeats(found: Sequence[Calibration]) -> tuple[Doubt, ...]:
     found : sequence of R Calibration
         Of one model, outputs and unit; told by their numbers, for files may be renamed.
     """
-    carried = [
-        Doubt(doubt.code, doubt.severity, f"run {i}: {doubt.text}", doubt.rows, doubt.outputs)
-        for i, c in enumerate(found, start=1)
-        for doubt in implausible(c.diagnostics.doubts)
-    ]
-    own = (_repeated_run(found), _different_sensors(found))
+    carried = _carried([implausible(c.diagnostics.doubts) for c in found])
+    own = (
+        _repeated_run("readings", [c.readings.values for c in found]),
+        _different_sensors(found),
+    )
     return (*carried, *(doubt for doubt in own if doubt is not None))
 
 
-def _repeated_run(found: Sequence[Calibration]) -> Doubt | None:
-    """Find runs whose readings are those of another."""
+def doubt_repeated_regressions(runs: Sequence[Sequence[Regression]]) -> tuple[Doubt, ...]:
+    """Return the doubts about repeated regressions, those about each of them first.
+
+    Cautions are among these: correlated rows make u too small, by which repeats are compared.
+
+    Parameters
+    ----------
+    runs : sequence of R sequences of Regression
+        The responses of each repeat.
+    """
+    carried = _carried([[doubt for r in run for doubt in r.doubts] for run in runs])
+    repeated = _repeated_run("coefficients", [_coefficients(run) for run in runs])
+    return carried if repeated is None else (*carried, repeated)
+
+
+def _carried(doubts: Sequence[Sequence[Doubt]]) -> tuple[Doubt, ...]:
+    """Return the doubts about each run, which is named before their text."""
+    return tuple(
+        Doubt(doubt.code, doubt.severity, f"run {i}: {doubt.text}", doubt.rows, doubt.outputs)
+        for i, each in enumerate(doubts, start=1)
+        for doubt in each
+    )
+
+
+def _coefficients(run: Sequence[Regression]) -> Array:
+    segments = [segment for r in run for segment in r.segments]
+    return np.array([(c.value, c.u) for segment in segments for c in segment.coefficients])
+
+
+def _repeated_run(what: str, found: Sequence[Array]) -> Doubt | None:
+    """Find runs whose readings or coefficients are those of another."""
     pairs = [
         (i, j)
         for (i, a), (j, b) in combinations(enumerate(found, start=1), 2)
-        if np.array_equal(a.readings.values, b.readings.values)
+        if np.array_equal(a, b)
     ]
     if not pairs:
         return None
@@ -60,7 +89,7 @@ def _repeated_run(found: Sequence[Calibration]) -> Doubt | None:
     return Doubt(
         "repeated-runs",
         "caution",
-        f"the readings of runs {first} and {second} are the same to the last digit: a run that is "
+        f"the {what} of runs {first} and {second} are the same to the last digit: a run that is "
         "given twice is no repeat, and makes runs agree that may not; leave it out",
     )
 

@@ -66,6 +66,22 @@ def test_repeats_agree_and_a_moved_one_does_not(tmp_path, capsys):
     assert "<svg" in (tmp_path / "terms.svg").read_text()
 
 
+def test_a_repeat_that_is_given_twice_is_doubted_and_repeats_keep_their_doubts():
+    found = mp.compare(fitted(1), fitted(2), fitted(1))
+    assert [doubt.code for doubt in found.doubts] == ["repeated-runs"]
+    assert "runs 1 and 3" in found.doubts[0].text
+    assert str(found).startswith("caution: the coefficients of runs 1 and 3 are the same")
+    assert found.to_dict()["doubts"][0]["code"] == "repeated-runs"
+    assert mp.compare(fitted(1), fitted(2)).doubts == ()
+    slow = table(5, n=200)
+    slow["y"] += np.cumsum(np.random.default_rng(6).normal(0.0, 0.1, 200))
+    drifting = mp.regress(slow, response="y", variables="x")
+    found = mp.compare(fitted(1), drifting)
+    assert [doubt.code for doubt in found.doubts] == ["time-correlated"]
+    assert found.doubts[0].text == f"run 2: {drifting.doubts[0].text}"
+    assert found.warnings[0] == found.doubts[0].text
+
+
 def test_a_term_that_one_repeat_lacks_is_said():
     curved = table(1) | {"y": table(1)["y"] + table(1)["x"] ** 2}
     options = {"response": "y", "variables": "x", "degree": 2, "stepwise": True}
