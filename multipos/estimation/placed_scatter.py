@@ -173,7 +173,8 @@ def _contrasts(problem: Problem, optimum: Optimum) -> int:
     seen[problem.exact] = True
     across = axes.transpose(0, 2, 1) @ linear.design
     left = across[seen]
-    return int(len(left) - np.linalg.matrix_rank(left / np.linalg.norm(linear.design, axis=(0, 1))))
+    size = np.linalg.norm(linear.design, axis=(0, 1))
+    return int(len(left) - np.linalg.matrix_rank(left / np.where(size > 0.0, size, 1.0)))
 
 
 def as_scatter(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:

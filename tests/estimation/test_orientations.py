@@ -115,6 +115,13 @@ def test_a_tilt_that_explains_all_residuals_leaves_finite_uncertainties():
     assert any(said.startswith("estimated") for said in cal.diagnostics.warnings)
 
 
+def test_a_model_that_feels_no_force_is_not_moved_by_a_level():
+    readings = mp.Readings(TABLE_2)
+    with pytest.warns(mp.CalibrationWarning, match="estimated: reading noise"):
+        cal = mp.fit(readings, model="1", scheme="song-qin-6", level_sd=0.05)
+    assert_allclose(cal.parameters, readings.values.mean(axis=0), rtol=1e-9)
+
+
 @pytest.mark.parametrize("loss", ["huber", "soft-l1", "cauchy"])
 def test_robust_noise_ends_at_what_the_digits_tell(loss):
     up = read_scheme("fibonacci-24").up
