@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import UsageError
+from multipos.estimation.free_rotations import hold_free_rotations
 from multipos.estimation.guesses import nominal_parameters
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.numerics.rotations import directions
@@ -135,7 +136,7 @@ class Setting:
             turned = turned / self.sd[:, np.newaxis]
         if math.isinf(self.orientation_sd):
             normal = np.cross(turned[:, :, 0], turned[:, :, 1])
-            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+            normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), SMALLEST)
             return np.asarray(np.einsum("nm,nmp->np", normal, X)[:, np.newaxis, :])
         spread = turned * (self.orientation_sd * abs(self.size))
         # V = 1 + A A' with A (M, 2): its inverse root needs the eigenvalues of A'A only
@@ -176,16 +177,21 @@ def make_setting(
         )
     if unknown_orientation and orientation_sd is not None:
         raise UsageError("--unknown-orientation and --orientation-sd exclude each other; give one.")
+    if unknown_orientation and sorted(model.axes) != list(COMPONENTS):
+        raise UsageError(
+            "--unknown-orientation needs three outputs, on x, y and z: with fewer, |f| does "
+            f"not show; got axes {','.join(model.axes)}."
+        )
     own: dict[str, Any] = {}
     if isinstance(model, ExpressionModel):
-        own = _of_own_model(model, unknown_orientation)
+        _require_force_alone(model)
+        if unknown_orientation:
+            model = hold_free_rotations(model, nominal_parameters(model))
+        own = _at_own_parameters(model)
+    elif unknown_orientation:
+        model = model.with_gauge("lower")
     if unknown_orientation:
-        if sorted(model.axes) != list(COMPONENTS):
-            raise UsageError(
-                "--unknown-orientation needs three outputs, on x, y and z: with fewer, |f| does "
-                f"not show; got axes {','.join(model.axes)}."
-            )
-        return Setting(model.with_gauge("lower"), math.inf)
+        return Setting(model, math.inf, **own)
     if orientation_sd is None:
         return Setting(model, **own)
     if not 0.0 <= math.radians(orientation_sd) <= _AS_UNKNOWN * reading_sd:
@@ -198,19 +204,20 @@ def make_setting(
     return Setting(model, math.radians(orientation_sd) / reading_sd, **own)
 
 
-def _of_own_model(model: ExpressionModel, unknown_orientation: bool) -> dict[str, Any]:
-    """Return the parameters at which a model of one's own is judged, and draws of its prior.
-
-    Of q parameters with a prior, all outputs' copies of one together, 2 q points at ± sqrt(q) sd
-    have the prior's mean and covariance.
-    """
-    if unknown_orientation:
-        model.with_gauge("lower")  # which refuses it
+def _require_force_alone(model: ExpressionModel) -> None:
     if model.environment:
         raise UsageError(
             f"the model uses column '{model.environment[0]}', which a position does not set; "
             "give a model of specific force alone."
         )
+
+
+def _at_own_parameters(model: ExpressionModel) -> dict[str, Any]:
+    """Return the parameters at which a model of one's own is judged, and draws of its prior.
+
+    Of q parameters with a prior, all outputs' copies of one together, 2 q points at ± sqrt(q) sd
+    have the prior's mean and covariance.
+    """
     nominal = nominal_parameters(model)
     believed = dict.fromkeys(q.name for q in model.quantities if q.sd is not None)
     draws = []

@@ -20,10 +20,11 @@ from multipos.estimation.problem import Problem, State
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import cross_matrix
 from multipos.numerics.terms import COMPONENTS
+from multipos.positions.scheme import read_scheme
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Gauge
-from multipos.sensor.own_models import Fixed
+from multipos.sensor.own_models import Fixed, hold
 
 _NULL = 1e-3  # of the largest singular value, scaled: what moves no reading, or as good as none
 _TOLD = 1e-6  # share of a null direction below which it has no turn, or no such parameter
@@ -44,31 +45,63 @@ def rotations_to_hold(problem: Problem, state: State, gauge: Gauge) -> Fixed:
     force = problem.magnitude[:, None] * state.centre
     slopes = parameter_jacobian(model, state.theta, force, problem.environment)
     by_force = model.force_jacobian(state.theta, force, problem.environment)
-    n, m, p = slopes.shape
-    turned = (by_force @ cross_matrix(force)).reshape(n * m, 3)  # J (f x w)
-    turned = turned[:, _turns_left(problem)]
-    design = np.concatenate([slopes.reshape(n * m, p), turned], axis=1)
-    scale = np.linalg.norm(design, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    _, sizes, rows = np.linalg.svd(design / scale, full_matrices=True)
-    sizes = np.append(sizes, np.zeros(len(rows) - len(sizes)))
-    null = (rows[sizes <= _NULL * sizes[0]] / scale).T  # (p + 3, d)
-    if not null.size:
-        return ()
-    # directions with a turn in them: the others are parameters that nothing separates
-    _, turns, inner = np.linalg.svd(null[p:])
-    free = int((turns > _TOLD * max(float(np.abs(null).max()), 1e-300)).sum())
-    if not free:
-        return ()
-    if gauge != "lower":
+    # of one axis alone, what the rotation about it hardly moves would fix it badly
+    least = _TOLD if problem.rolls is None else _FIXING
+    moved = _moved_by_turns(slopes, (by_force @ cross_matrix(force))[..., _turns_left(problem)])
+    held = _held(model, _chosen(moved, _upper_first(model, slopes, force), least))
+    if held and gauge != "lower":
         raise UsageError(
             "--gauge symmetric is one of polynomial models; a model of one's own is fixed by "
             "parameters that are held, --gauge lower."
         )
-    moved = (null @ inner[:free].T)[:p] * scale[:p, None]
-    # of one axis alone, what the rotation about it hardly moves would fix it badly
-    least = _TOLD if problem.rolls is None else _FIXING
-    chosen = _chosen(moved, _upper_first(model, slopes, force), least)
+    return held
+
+
+def hold_free_rotations(model: ExpressionModel, parameters: Array) -> ExpressionModel:
+    """Return a model whose gauge is fixed where all orientations are unknown, before any reading.
+
+    Parameters
+    ----------
+    model : ExpressionModel
+        Of specific force alone.
+    parameters : (p,) array
+        Of the sensor; which rotations are free is judged there, all over the sphere.
+    """
+    force = read_scheme("fibonacci-100").up
+    slopes = parameter_jacobian(model, parameters, force, {})
+    moved = _moved_by_turns(
+        slopes, model.force_jacobian(parameters, force, {}) @ cross_matrix(force)
+    )
+    held = _held(model, _chosen(moved, _upper_first(model, slopes, force), _TOLD))
+    return hold(model, held) if held else model
+
+
+def _moved_by_turns(slopes: Array, turned: Array) -> Array:
+    """Return what parameters do (p, r), scaled, that undoes r turns of all directions, eq. (1).
+
+    Parameters
+    ----------
+    slopes : (n, M, p) array
+    turned : (n, M, t) array
+        J (f x w) of each turn w that the positions leave open.
+    """
+    n, m, p = slopes.shape
+    design = np.concatenate([slopes, turned], axis=2).reshape(n * m, -1)
+    scale = np.linalg.norm(design, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    _, sizes, rows = np.linalg.svd(design / scale, full_matrices=True)
+    sizes = np.append(sizes, np.zeros(len(rows) - len(sizes)))
+    null = (rows[sizes <= _NULL * sizes[0]] / scale).T  # (p + t, d)
+    if not null.size:
+        return np.zeros((p, 0))
+    # directions with a turn in them: the others are parameters that nothing separates
+    _, turns, inner = np.linalg.svd(null[p:])
+    free = int((turns > _TOLD * max(float(np.abs(null).max()), 1e-300)).sum())
+    return np.asarray((null @ inner[:free].T)[:p] * scale[:p, None])
+
+
+def _held(model: ExpressionModel, chosen: list[int]) -> Fixed:
+    """Return parameters with the values that they are held at: those stated, else 0."""
     held = []
     for i in chosen:
         output, name = model.keys[i]
@@ -103,6 +136,8 @@ def _upper_first(model: ExpressionModel, slopes: Array, force: Array) -> list[in
 def _chosen(moved: Array, order: list[int], share: float) -> list[int]:
     """Return as many parameters as there are directions (p, r), which fix all of them."""
     chosen: list[int] = []
+    if not moved.shape[1]:
+        return chosen
     for i in order:
         trial = moved[[*chosen, i]]
         least = np.linalg.svd(trial, compute_uv=False)[-1]

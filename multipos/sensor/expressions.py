@@ -290,10 +290,10 @@ class ExpressionModel(Model):
         )
 
     def with_gauge(self, gauge: Gauge | RollGauge) -> "Model":
-        """Refuse: which parameters a rotation mixes is found where readings are at hand."""
+        """Refuse: `multipos.estimation.free_rotations` finds what fixes such a model."""
         raise UsageError(
-            "a model of one's own is not assessed for unknown orientations without readings; "
-            "leave --unknown-orientation out, or fit readings."
+            f"a model of one's own has no gauge '{gauge}'; what a rotation leaves free of it is "
+            "held, parameter by parameter."
         )
 
     def index(self, output: str, term: "str | Term") -> int:

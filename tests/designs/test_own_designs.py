@@ -100,11 +100,35 @@ def test_a_range_that_is_none(name):
         mp.design("linear", 8, criterion=name)
 
 
-def test_a_column_and_unknown_orientations_are_refused():
+def test_unknown_orientations_of_a_polynomial_written_as_ones_own():
+    """What a rotation leaves free is held: slopes above the diagonal, as in the lower gauge."""
+    plain = mp.schemes("all-26", unknown_orientation=True).schemes[0]
+    own = mp.schemes("all-26", model=LINEAR, unknown_orientation=True).schemes[0]
+    assert_allclose(own.log_det, plain.log_det, rtol=1e-9)
+    assert_allclose(sorted(own.u.values()), sorted(plain.u.values()), rtol=1e-9)
+    best = mp.design(LINEAR, 12, unknown_orientation=True)
+    assert_allclose(best.log_det, best.optimum_log_det, rtol=1e-6)  # the icosahedron
+    assert best.certificate["parameters"] == 9
+
+
+def test_unknown_orientations_of_a_saturating_triad_by_hand(tmp_path):
+    """The size of f = h⁻¹(y): n ~ u/J by outputs, J = (1 − k u²)/(1 + k u²)² at s = 1, k = 0.2."""
+    path = tmp_path / "own.toml"
+    path.write_text('[parameters]\nk = 0.2\ns = 1\n[outputs]\neach = "b + s*own/(1 + k*own^2)"\n')
+    (found,) = mp.schemes("fibonacci-24", model=str(path), unknown_orientation=True).schemes
+    u = read_scheme("fibonacci-24").up
+    below = 1 + 0.2 * u**2
+    normal = u * below**2 / (1 - 0.2 * u**2)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    X = np.stack([np.ones_like(u), u / below, -(u**3) / below**2], axis=2)
+    rows = (normal[:, :, None] * X).reshape(24, 9)
+    assert_allclose(list(found.u.values()), np.sqrt(np.diag(np.linalg.inv(rows.T @ rows))))
+    assert found.dof == {"all": 15}
+
+
+def test_a_column_that_no_position_sets_is_refused():
     with pytest.raises(mp.UsageError, match="column 'temperature', which a position does not set"):
         mp.schemes("faces-6", model="each = b + s*own*temperature")
-    with pytest.raises(mp.UsageError, match="leave --unknown-orientation out"):
-        mp.schemes("faces-6", model=LINEAR, unknown_orientation=True)
 
 
 def test_one_more_position_is_worth_what_a_polynomial_says():
