@@ -13,7 +13,15 @@ from multipos.commands.options import progress_bar
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import to_json
 from multipos.fleets.fleet import Fleet, fleet
-from multipos.fleets.folder import CSV, file_names, has_parquet, progress_folder, write_fleet
+from multipos.fleets.folder import (
+    CSV,
+    STATIONS,
+    file_names,
+    has_corrections,
+    has_parquet,
+    progress_folder,
+    write_fleet,
+)
 from multipos.fleets.running import ENGINES
 from multipos.fleets.text import fleet_text
 from multipos.reports.documents import html_report
@@ -22,10 +30,10 @@ from multipos.reports.fleets import fleet_content
 INPUTS = ("tables", "scheme", "budget", "limits")
 OUTPUT = Output(
     "DIR",
-    "folder for calibrations.parquet, units.csv, fleet.json and report.html",
+    "folder for calibrations.parquet, units.csv, fleet.json, report.html and stations",
     "folder",
     required=True,
-    beside=lambda arguments: [Path(arguments.output) / name for name in file_names()],
+    beside=lambda arguments: _written(Path(arguments.output)),
 )
 _OWN = ("tables", "json", "output")
 
@@ -66,11 +74,23 @@ def run(arguments: argparse.Namespace) -> Answer:
         write_fleet(found, folder, html_report(fleet_content(found.to_dict())))
     return Answer(
         text=lambda: (
-            f"{fleet_text(found.to_dict())}\nWritten to {folder}: {', '.join(file_names())}\n"
+            f"{fleet_text(found.to_dict())}\nWritten to {folder}: {', '.join(_names(found))}\n"
         ),
         json=lambda: to_json(found.to_dict()),
         warnings=lambda: _warnings(found),
     )
+
+
+def _written(folder: Path) -> list[Path]:
+    """Return what may be written over: also what stands among the corrections of stations."""
+    there: list[Path] = []
+    with suppress(OSError):
+        there = list((folder / STATIONS).iterdir())
+    return [*(folder / name for name in file_names()), *there]
+
+
+def _names(found: Fleet) -> tuple[str, ...]:
+    return (*file_names(), f"{STATIONS}/") if has_corrections(found) else file_names()
 
 
 def _check_place(folder: Path, tables: Sequence[str]) -> None:

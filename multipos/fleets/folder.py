@@ -1,9 +1,14 @@
-"""The folder that `multipos fleet` writes: its files, and where a run that was stopped left off."""
+"""The folder that `multipos fleet` writes: its files, and where a run that was stopped left off.
+
+Where the angles of a station's nest are told, `stations` in it has two files of the station's name:
+the positions where they are, as a scheme (.csv), and how well that is known, as a budget (.toml).
+"""
 
 import io
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -11,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.characters import visible
 from multipos.files.pipes import is_folder
 from multipos.files.tables import format_csv
 from multipos.files.trees import read_json, to_json
@@ -19,7 +25,10 @@ from multipos.fleets.fleet import SCHEMA, Fleet
 
 PARQUET, CSV = "calibrations.parquet", "calibrations.csv"
 UNITS, SUMMARY, PAGE = "units.csv", "fleet.json", "report.html"
+STATIONS = "stations"
 _PROGRESS = ".progress"
+_UNNAMED = "all"  # files of the one station that has no name
+_LONGEST = 60  # characters of a file name that a station gives
 
 
 def file_names() -> tuple[str, ...]:
@@ -54,21 +63,75 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
         The folder cannot be made, or a file cannot be written.
     """
     place = Path(folder)
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MultiposError(
-            f"{folder}: cannot make the folder: {error.strerror}; give another with -o."
-        ) from None
+    _make(place)
+    corrections = dict(_corrections(fleet, place / STATIONS))
     files: dict[str | os.PathLike[str], Content] = {
         place / (PARQUET if has_parquet() else CSV): _table_of(fleet),
         place / UNITS: format_csv(fleet.verdicts),
         place / SUMMARY: to_json(fleet.to_dict()),
         place / PAGE: page,
+        **corrections,
     }
-    with written(files):
-        pass
+    try:
+        if corrections:
+            _make(place / STATIONS)
+        with written(files):
+            pass
+    except MultiposError:
+        with suppress(OSError):
+            (place / STATIONS).rmdir()  # if it is empty
+        raise
     shutil.rmtree(progress_folder(place), ignore_errors=True)
+
+
+def _make(place: Path) -> None:
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MultiposError(
+            f"{place}: cannot make the folder: {error.strerror}; give another with -o."
+        ) from None
+
+
+def _corrections(fleet: Fleet, place: Path) -> Iterator[tuple[Path, Content]]:
+    """Yield the files of every station whose correction is told."""
+    taken: set[str] = set()
+    for station in fleet["stations"]:
+        name = _file_name(station["station"], taken)
+        found = station["correction"]
+        if found is None:
+            continue
+        called = visible(station["station"]) or "one station"
+        count = int(found["budget"]["orientation"]["dof"]) + 1
+        yield (
+            place / f"{name}.csv",
+            f"# {called}: up at every position, from {count} units, but for a turn of all\n"
+            + format_csv(found["scheme"]),
+        )
+        yield (
+            place / f"{name}.toml",
+            f"# {called}: how well {name}.csv is known, from {count} units\n"
+            "# A turn that all positions share is not in it: state it as [level].\n"
+            + "".join(
+                f"\n[{table}]\n" + "".join(f"{key} = {value!r}\n" for key, value in keys.items())
+                for table, keys in found["budget"].items()
+            ),
+        )
+
+
+def _file_name(station: str, taken: set[str]) -> str:
+    """Return the name of a station's files, which no other has, in capitals or not."""
+    marks = [mark if mark.isalnum() or mark in "-_" else "_" for mark in station[:_LONGEST]]
+    name = "".join(marks) or _UNNAMED
+    while name.casefold() in taken:
+        name += "_"
+    taken.add(name.casefold())
+    return name
+
+
+def has_corrections(fleet: Fleet) -> bool:
+    """Tell whether there is a correction for any station."""
+    return any(station["correction"] is not None for station in fleet["stations"])
 
 
 def _table_of(fleet: Fleet) -> Content:

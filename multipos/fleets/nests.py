@@ -39,7 +39,8 @@ class Nest:
     Attributes
     ----------
     labels : tuple of n str
-    reference : (n, 3) array [g]
+    up : (n, 3) array
+        As listed.
     inverse : (3 n, 3 n) array
         From e, position by position, to δ [rad].
     told : (n,) array of bool
@@ -47,12 +48,12 @@ class Nest:
     """
 
     labels: tuple[str, ...]
-    reference: Array
+    up: Array
     inverse: Array
     told: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, shared: SharedDesign, labels: tuple[str, ...]) -> "Nest | None":
+    def of(cls, shared: SharedDesign, labels: tuple[str, ...], up: Array) -> "Nest | None":
         """Return the nest of a design; None where it tells no angle, or has too many positions."""
         axes, n = shared.model.axes, len(shared.reference)
         if sorted(axes) != sorted(COMPONENTS) or n > _MOST:
@@ -68,7 +69,7 @@ class Nest:
         if not seen.any():
             return None
         pinv = (Vt[seen].T / s[seen]) @ U[:, seen].T
-        return cls(labels, shared.reference, pinv, _told(Vt[~seen], shared.reference))
+        return cls(labels, up, pinv, _told(Vt[~seen], shared.reference))
 
 
 def _told(unseen: Array, reference: Array) -> NDArray[np.bool_]:
@@ -87,6 +88,7 @@ class NestSums(NamedTuple):
 
     station: int
     labels: tuple[str, ...]
+    up: Array
     told: NDArray[np.bool_]
     units: int
     total: Array
@@ -119,6 +121,7 @@ def sum_nests(nest: Nest, found: Estimates, stations: NDArray[np.intp]) -> tuple
             NestSums(
                 station,
                 nest.labels,
+                nest.up,
                 nest.told,
                 len(mine),
                 total.reshape(shape),

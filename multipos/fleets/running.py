@@ -174,9 +174,11 @@ def _packed(solved: Solved) -> bytes:
         "reasons": solved.reasons,
         "nests": [[each.station, each.labels, each.units] for each in solved.nests],
     }
-    arrays: dict[str, Any] = {f"told{i}": each.told for i, each in enumerate(solved.nests)}
-    arrays |= {f"total{i}": each.total for i, each in enumerate(solved.nests)}
-    arrays |= {f"square{i}": each.square for i, each in enumerate(solved.nests)}
+    arrays: dict[str, Any] = {
+        f"{name}{i}": getattr(each, name)
+        for i, each in enumerate(solved.nests)
+        for name in ("up", "told", "total", "square")
+    }
     np.savez(
         stream,
         words=np.frombuffer(json.dumps(words).encode(), dtype=np.uint8),
@@ -202,6 +204,7 @@ def _load(path: Path) -> Solved | None:
                 NestSums(
                     station,
                     tuple(labels),
+                    kept[f"up{i}"],
                     kept[f"told{i}"],
                     count,
                     kept[f"total{i}"],

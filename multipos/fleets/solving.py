@@ -134,8 +134,8 @@ def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Patter
     if shared is None:
         return None
     nest = None
-    if isinstance(shared, SharedDesign):
-        nest = Nest.of(shared, c.readings.labels)
+    if isinstance(shared, SharedDesign) and c.readings.up is not None:
+        nest = Nest.of(shared, c.readings.labels, c.readings.up)
     return Pattern(shared, nest, c.gravity, _common(c))
 
 

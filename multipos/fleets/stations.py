@@ -22,13 +22,12 @@ A station's shift is that of the bias. Both are against the mean of all stations
 a fleet tells what these have in common.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.fleets.nests import NestSums
+from multipos.fleets.corrections import describe_nests
 from multipos.fleets.units import Units
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
@@ -58,14 +57,14 @@ def describe_stations(units: Units, counted: NDArray[np.bool_]) -> list[dict[str
     told = units.model is not None and len(names) > 1
     levels = _levels(units, counted, stations, who, len(names)) if told else None
     shifts = _shifts(units, counted, stations, who, len(names)) if told else None
-    angles = _angles(units.nests)
+    nests = describe_nests(units.nests)
     return [
         {
             "station": name,
             "units": int(np.sum(stations == place)),
             "level_deg": None if levels is None else levels[place],
             "shift": None if shifts is None else shifts[place],
-            "positions_deg": angles.get(place, []),
+            **nests.get(place, {"positions_deg": [], "correction": None}),
         }
         for place, name in enumerate(names)
     ]
@@ -214,33 +213,3 @@ def _within(values: Array, columns: Array, dof: int) -> float | None:
     left = values - columns @ effect
     rest = dof - int(rank)
     return float(left @ left) / rest if rest > 0 else None
-
-
-def _angles(nests: Sequence[NestSums]) -> dict[int, list[dict[str, Any]]]:
-    """Return the angles of the nest of every station [degrees], of its commonest positions."""
-    joined: dict[tuple[int, tuple[str, ...], bytes], list[NestSums]] = {}
-    for each in nests:
-        key = (each.station, each.labels, each.told.tobytes())
-        joined.setdefault(key, []).append(each)
-    most: dict[int, list[NestSums]] = {}
-    for (station, _, _), parts in joined.items():
-        known = most.get(station, [])
-        if sum(p.units for p in parts) > sum(p.units for p in known):
-            most[station] = parts
-    return {station: _angles_of(parts) for station, parts in most.items()}
-
-
-def _angles_of(parts: Sequence[NestSums]) -> list[dict[str, Any]]:
-    count = sum(part.units for part in parts)
-    mean = sum((part.total for part in parts), np.zeros(())) / count
-    square = sum((part.square for part in parts), np.zeros(())) / count
-    variance = np.maximum(square - mean**2, 0.0) / max(count - 1, 1)
-    value, u = np.degrees(mean), np.degrees(np.sqrt(variance))
-    found = []
-    for row, (label, told) in enumerate(zip(parts[0].labels, parts[0].told, strict=True)):
-        angles = {
-            axis: {"value": float(value[row, i]), "u": float(u[row, i])} if count > 1 else None
-            for i, axis in enumerate(COMPONENTS)
-        }
-        found.append({"position": label, **(angles if told else dict.fromkeys(COMPONENTS))})
-    return found

@@ -166,7 +166,8 @@ def _nests(found: Mapping[str, Any]) -> Section | None:
         return None
     told = (
         "By how much every position of a nest is turned, from what units leave in common; a turn "
-        "that all positions share is not seen."
+        "that all positions share is not seen. From ten units on, stations/NAME.csv lists the "
+        "positions where they are, as a scheme, and NAME.toml how well that is known, as a budget."
     )
     return Section("Angles of the positions", (told,), (), tuple(tables))
 

@@ -41,7 +41,7 @@ def test_the_files_have_what_they_promise(tmp_path, table, limits, capsys):
     found = json.loads((out / "fleet.json").read_text("utf-8"))
     assert said == found
     assert sorted(path.name for path in out.iterdir()) == sorted(
-        ["calibrations.parquet", "units.csv", "fleet.json", "report.html"]
+        ["calibrations.parquet", "units.csv", "fleet.json", "report.html", "stations"]
     )
     assert (found["units"], found["fitted"], found["failed"]) == (30, 30, 0)
     rows = pq.read_table(out / "calibrations.parquet").to_pydict()
