@@ -19,6 +19,7 @@ from multipos.estimation.losses import Loss
 from multipos.files.lists import Names
 from multipos.files.tables import Source
 from multipos.fleets.grouping import Conditions, Grouped, Places, group_rows
+from multipos.fleets.labels import Codes
 from multipos.fleets.running import open_engine, solve_all
 from multipos.fleets.solving import LEFT, Pattern, Task, find_pattern, fit_one
 from multipos.fleets.sources import Rows, read_rows
@@ -178,12 +179,20 @@ def _quiet() -> Iterator[None]:
         yield
 
 
+def _in_order_of_coming(codes: Codes) -> Places:
+    """Return codes (B,) as 0, 1, … in the order in which they first come."""
+    _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.intp)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return np.asarray(rank[inverse])
+
+
 class _Fleet:
     """The units while they are solved."""
 
     def __init__(self, rows: Rows, grouped: Grouped, options: dict[str, Any]) -> None:
         self._rows, self._grouped, self._options = rows, grouped, options
-        self._stations = grouped.station.codes.astype(np.intp)
+        self._stations = _in_order_of_coming(grouped.station.codes)
         self._model: Model | None = None
         self._gravity_u = 0.0
         outputs = self._outputs()

@@ -140,3 +140,24 @@ def test_the_uncertainty_of_a_nest_of_rolls_states_a_bench():
     # the side of a roll: one output at its zero crossing turns by u and nothing else
     added = known.covariance[::3, ::3].diagonal() - 1e-8
     assert added.max() == pytest.approx(np.radians(u_deg) ** 2, rel=0.1)
+
+
+def test_a_nest_is_that_of_its_station_in_whatever_order_a_file_keeps_their_names(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    turned = np.zeros((2, 24, 3))
+    turned[1, 5] = np.radians([0.0, 0.0, 1.0])
+    table = line(40, stations=2, turned=turned, noise=1e-4)
+    heads = list(dict.fromkeys(table["station"].tolist()))
+    kept = {name: pa.array(column) for name, column in table.items()}
+    codes = pa.array([1 - heads.index(name) for name in table["station"].tolist()], pa.int32())
+    kept["station"] = pa.DictionaryArray.from_arrays(codes, pa.array(heads[::-1]))
+    parquet.write_table(pa.table(kept), tmp_path / "line.parquet")
+    apart = {"unit_column": "unit", "station_column": "station"}
+    found = mp.fleet(tmp_path / "line.parquet", **apart)["stations"]
+    off = {each["station"]: each["positions_deg"][5]["z"]["value"] for each in found}
+    assert off["S1"] > 0.3
+    assert abs(off["S0"]) < 0.01
+    whole = mp.fleet(table, **apart)["stations"]
+    assert [each["positions_deg"] for each in found] == [each["positions_deg"] for each in whole]
