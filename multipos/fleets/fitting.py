@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
 
@@ -20,6 +21,7 @@ from multipos.files.lists import Names
 from multipos.files.tables import Source
 from multipos.fleets.grouping import Conditions, Grouped, Places, group_rows
 from multipos.fleets.labels import Codes
+from multipos.fleets.repeats import find_trials, gather_study
 from multipos.fleets.running import open_engine, solve_all
 from multipos.fleets.solving import LEFT, Pattern, Task, find_pattern, fit_one
 from multipos.fleets.sources import Rows, read_rows
@@ -144,6 +146,7 @@ def fit_units(
     *,
     folder: Path | None = None,
     told: Callable[[int], object] = lambda done: None,
+    study: bool = False,
 ) -> Units:
     """Return every unit's numbers; parameters are those of `fit_many`.
 
@@ -151,12 +154,20 @@ def fit_units(
     ----------
     folder : path, optional
         Where finished tasks are kept, and found again.
+    study : bool
+        Whether repeats of units at several stations are fitted one by one as well.
     """
     given = _read_options(options)
     rows = read_rows(tables, unit_column, station_column)
     grouped = group_rows(rows)
     with _quiet():
-        return _Fleet(rows, grouped, given).solve(executor, folder, told)
+        units = _Fleet(rows, grouped, given).solve(executor, folder, told)
+        trials = find_trials(rows, grouped) if study else None
+        if trials is None:
+            return units
+        each = _Fleet(rows, trials.grouped, given).solve(executor, folder, lambda done: None)
+    usable = ~each.failed & ~each.implausible & (each.names == units.names)
+    return replace(units, study=gather_study(trials, each.parameters, usable))
 
 
 def _read_options(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ Numbers of the line are those of units that count: fitted, and fit for use. What
 them is counted and listed.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import nullcontext
@@ -20,6 +21,7 @@ from multipos.files.tables import Source
 from multipos.fleets.belonging import find_outliers
 from multipos.fleets.drift import find_drift
 from multipos.fleets.fitting import FitOptions, fit_units
+from multipos.fleets.gauge import describe_gauge
 from multipos.fleets.limits import (
     PASS,
     Limit,
@@ -48,7 +50,7 @@ class Fleet(Result):
     ----------
     summary : mapping
         What `fleet.json` holds: input, asked, units, fitted, failed, yield, parameters, outliers,
-        stations, drift, and beside them causes, verdicts, limits.
+        stations, drift, gauge, and beside them causes, verdicts, limits.
     calibrations : Columns
         One row a unit: every parameter, ``u_…``, ``dof_…``, rms [g], doubts.
     verdicts : Columns
@@ -162,6 +164,7 @@ def fleet(
             running,
             folder=progress_folder,
             told=progress or (lambda done: None),
+            study=True,
         )
     return assemble(units, given, asked(unit_column, station_column, options))
 
@@ -190,6 +193,7 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "outliers": find_outliers(units, counted),
         "stations": describe_stations(units, counted),
         "drift": find_drift(units, counted),
+        "gauge": _gauge(units, limits),
     }
     verdicts = Columns(
         {
@@ -199,6 +203,29 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         }
     )
     return Fleet(_settled(summary), units.columns(), verdicts, units.time, now(), __version__)
+
+
+def _gauge(units: Units, limits: tuple[Limit, ...]) -> dict[str, Any] | None:
+    """Return what repeats of units at stations tell of every parameter, None without any."""
+    study, model = units.study, units.model
+    if study is None or model is None:
+        return None
+    width = {limit.name: limit.usl - limit.lsl for limit in limits}
+    described = [
+        {"name": name, "unit": unit}
+        | describe_gauge(
+            study.values[..., place],
+            width[name] if math.isfinite(width.get(name, math.inf)) else None,
+            units.confidence,
+        )
+        for place, (name, unit) in enumerate(zip(units.names, model.units, strict=True))
+    ]
+    return {
+        "units": list(study.units),
+        "stations": list(study.stations),
+        "repeats": study.values.shape[2],
+        "parameters": described,
+    }
 
 
 def _settled(value: Any) -> Any:

@@ -30,6 +30,8 @@ _PROGRESS = ".progress"
 _UNNAMED = "all"  # files of the one station that has no name
 _LONGEST = 60  # characters of a file name that a station gives
 
+Files = dict[str | os.PathLike[str], Content]
+
 
 def file_names() -> tuple[str, ...]:
     """Return the names of the files that are written on this machine."""
@@ -64,8 +66,8 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
     """
     place = Path(folder)
     _make(place)
-    corrections = dict(_corrections(fleet, place / STATIONS))
-    files: dict[str | os.PathLike[str], Content] = {
+    corrections: Files = dict(_corrections(fleet, place / STATIONS))
+    files: Files = {
         place / (PARQUET if has_parquet() else CSV): _table_of(fleet),
         place / UNITS: format_csv(fleet.verdicts),
         place / SUMMARY: to_json(fleet.to_dict()),

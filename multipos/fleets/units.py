@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.fleets.nests import NestSums
+from multipos.fleets.repeats import GaugeStudy
 from multipos.fleets.solving import Solved
 from multipos.numerics.arrays import Array
 from multipos.results import Columns
@@ -41,6 +42,8 @@ class Units:
     sources : tuple of (name, SHA-256)
     counted : bool
         Units are whole numbers in the tables.
+    study : GaugeStudy or None
+        Repeats of units at several stations.
     """
 
     unit: tuple[str, ...]
@@ -61,6 +64,7 @@ class Units:
     gravity_u: float
     sources: tuple[tuple[str, str | None], ...]
     counted: bool
+    study: GaugeStudy | None = None
 
     def __len__(self) -> int:
         return len(self.unit)

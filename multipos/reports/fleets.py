@@ -13,6 +13,8 @@ from multipos.fleets.text import (
     Rows,
     cause_rows,
     drift_rows,
+    gauge_rows,
+    gauge_title,
     outlier_rows,
     parameter_rows,
     percent,
@@ -52,6 +54,7 @@ def fleet_content(found: Mapping[str, Any]) -> Content:
         _risks(found),
         _section("Stations", station_rows(found), (_STATIONS,)),
         _nests(found),
+        _gauge(found),
         _section("What moved", drift_rows(found), (), _charts(found, tr)),
         _section("Units that do not belong", outlier_rows(found), (_OUTLIERS,)),
         _origin(found),
@@ -72,6 +75,12 @@ _STATIONS = (
     "Level is the rotation that turns a station's listed references into its true ones, shift its "
     "zero, both against the mean of all stations, which a fleet cannot tell. Their standard "
     "uncertainty holds what units differ by, as units are allotted to stations at random."
+)
+_GAUGE = (
+    "Units whose positions came again at several stations: repeatability is what trials of one "
+    "unit at one station differ by, reproducibility what stations do beside it, in all units alike "
+    "or in each otherwise, in brackets the interval of both together. Share is that of both in "
+    "all that measured units differ by; 'of limits' is six times both over the width of the limits."
 )
 _OUTLIERS = (
     "Far from the others in all parameters together, as at most one in a hundred of those named "
@@ -177,6 +186,15 @@ def _angle(figure: Mapping[str, float] | None) -> str:
     if figure is None or not figure["u"] > _ROUNDING:
         return "-"
     return uncertain(figure["value"], figure["u"])
+
+
+def _gauge(found: Mapping[str, Any]) -> Section | None:
+    gauge = found.get("gauge")
+    if gauge is None:
+        return None
+    header, rows = gauge_rows(gauge)
+    table = PageTable(gauge_title(gauge), header, tuple(rows))
+    return Section("Repeatability and reproducibility", (_GAUGE,), (), (table,))
 
 
 def _origin(found: Mapping[str, Any]) -> Section:
