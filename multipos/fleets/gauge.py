@@ -36,6 +36,7 @@ from multipos.numerics.quantiles import chi2_quantile, f_tail
 UNITS, STATIONS, BOTH, REPEATS = "units", "stations", "stations x units", "repeats"
 _ABOVE = {UNITS: BOTH, STATIONS: BOTH, BOTH: REPEATS}  # which mean square none is smaller than
 _CATEGORIES = 1.41  # √2: distinct categories of AIAG
+_MOST = 1e6  # categories, beyond which a gauge has no spread but rounding
 
 
 class MeanSquare(NamedTuple):
@@ -153,7 +154,7 @@ def describe_gauge(
         "anova": [_line(found, name) for name in (UNITS, STATIONS, BOTH, REPEATS)],
         **components,
         "share": gauge / total if total > 0.0 else None,
-        "distinct": int(_CATEGORIES * units / gauge) if gauge > 0.0 else None,
+        "distinct": int(min(_CATEGORIES * units / gauge, _MOST)) if gauge > 0.0 else None,
         "tolerance": None if width is None else 6.0 * gauge / width,
     }
 
