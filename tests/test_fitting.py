@@ -263,6 +263,7 @@ def test_gravity_from_a_place():
         ({"convention": "down"}, "unknown convention 'down'"),
         ({"confidence": 95}, "--confidence must lie between 0 and 1"),
         ({"confidence": 0}, "--confidence must lie between 0 and 1"),
+        ({"confidence": 5e-324}, "--confidence must lie between 0 and 1"),
         ({"reading_sd": 0}, "--reading-sd must be above 0"),
         ({"reading_sd": 1e-300}, "--reading-sd must be above 0, from 1e-40 to 1e"),
         ({"reading_sd": [1, 1, 1e308]}, "to 1e\\+40, got 1, 1, 1e\\+308"),

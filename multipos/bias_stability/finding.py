@@ -32,6 +32,7 @@ from multipos.logs.opening import open_log
 from multipos.logs.samples import Progress, Timing
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import check_confidence
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.loading import load
 
@@ -148,8 +149,7 @@ def _check_options(
         raise UsageError("--time-column and --rate both tell the time; give one.")
     if rate is not None and not 0.0 < rate < np.inf:
         raise UsageError(f"--rate must be above 0, got {rate:g}.")
-    if not 0.0 < confidence < 1.0:
-        raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
+    check_confidence(confidence)
 
 
 def _check_alike(raw: Sequence[RawRecord]) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.losses import LOSSES, Loss
+from multipos.numerics.quantiles import check_confidence
 from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.placement import Placement
 from multipos.positions.readings import Readings
@@ -113,8 +114,7 @@ def _check_each(gauge: str, robust: str | None, confidence: float, level_sd: flo
         raise UsageError(f"unknown gauge '{gauge}'; give lower or symmetric.")
     if robust is not None and robust not in LOSSES:
         raise UsageError(f"unknown loss '{robust}'; --robust takes {', '.join(LOSSES)}.")
-    if not 0.0 < confidence < 1.0:
-        raise UsageError(f"--confidence must lie between 0 and 1, got {confidence}.")
+    check_confidence(confidence)
     if not 0.0 <= level_sd < 90.0:
         raise UsageError(f"--level-sd must lie between 0 and 90 degrees, got {level_sd}.")
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.characters import control_characters, visible
+from multipos.numerics.arrays import SMALLEST
 from multipos.numerics.terms import COMPONENTS
 
 LARGEST = 1e100  # of a number; squares and their sums stay finite
@@ -254,7 +255,7 @@ TEXTS = Listed(ANY_TEXT)
 ANY_NUMBER = Number()
 POSITIVE = Number(0.0, above=True)
 NOT_NEGATIVE = Number(0.0)
-SHARE = Number(0.0, 1.0, above=True, below=True)  # a probability that is neither never nor always
+SHARE = Number(SMALLEST, 1.0, below=True)  # a probability that is neither never nor always
 INPUT = Fields({"file": Maybe(ANY_TEXT), "sha256": Maybe(ANY_TEXT)})
 VARIANCES = Numbers(2, gaps=True, low=-LARGEST_SQUARE, high=LARGEST_SQUARE)
 FIGURE = Maybe(Number(-LARGEST_SQUARE, LARGEST_SQUARE))  # a statistic; null where there is none

@@ -20,6 +20,7 @@ from multipos.files.characters import visible
 from multipos.files.lists import Names, split_names, split_numbers
 from multipos.files.moments import now
 from multipos.files.tables import Source, read_table
+from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.selection import thresholds
 from multipos.numerics.subsets import CRITERIA, SubsetCriterion
 from multipos.numerics.terms import largest_value
@@ -313,8 +314,7 @@ def _check_options(
         raise UsageError("--criterion chooses among --subsets; give both.")
     if robust not in ROBUST:
         raise UsageError(f"--robust takes {', '.join(ROBUST)}, got '{robust}'.")
-    if not 0.0 < confidence < 1.0:
-        raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
+    check_confidence(confidence)
     if blocks is not None and blocks < 2:
         raise UsageError(f"--cross-validate takes 2 blocks or more, got {blocks}.")
 

@@ -29,12 +29,25 @@ from functools import lru_cache
 
 import numpy as np
 
-from multipos.numerics.arrays import Array
+from multipos.errors import UsageError
+from multipos.numerics.arrays import SMALLEST, Array
 from multipos.numerics.incomplete import LARGEST, beta_tails, gamma_tails, solve
 
 _KEPT = 256  # quantiles: a fit asks for the same one of each of its parameters
 _MANY = 100  # degrees of freedom from which on SciPy is worth its import
 _KNOWN = 1e6  # beyond which the difference of two tails is rounding
+
+
+def check_confidence(confidence: float) -> None:
+    """Refuse what is no probability of an interval.
+
+    Raises
+    ------
+    UsageError
+        It does not lie between 0 and 1, or as near to 0 as no interval is short.
+    """
+    if not SMALLEST <= confidence < 1.0:
+        raise UsageError(f"--confidence must lie between 0 and 1, got {confidence}.")
 
 
 def coverage_factor(confidence: float, dof: float) -> float:

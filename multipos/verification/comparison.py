@@ -27,6 +27,7 @@ from multipos.files.lists import spread
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.trees import read_schema
 from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.terms import CONSTANT
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.regression.result import Regression
@@ -212,8 +213,7 @@ def compare(
     runs: tuple[Run, ...] = spread(calibrations)
     if len(runs) < 2:
         raise UsageError("compare needs two or more calibrations.")
-    if not 0.0 < confidence < 1.0:
-        raise UsageError(f"`confidence` must lie between 0 and 1, got {confidence}.")
+    check_confidence(confidence)
     loaded = tuple(_loaded(run) for run in runs)
     files = _files(runs)
     found = tuple(one for one in loaded if isinstance(one, Calibration))

@@ -557,6 +557,7 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
         ({}, [*REGRESS, "--criterion", "bic"], 2, "--criterion chooses among --subsets"),
         ({}, [*REGRESS, "--subsets", "--criterion", "cp"], 2, "--criterion takes aicc"),
         ({}, [*REGRESS, "--confidence", "95"], 2, "between 0 and 1"),
+        ({}, [*REGRESS, "--confidence", "5e-324"], 2, "between 0 and 1"),
         ({}, [*REGRESS, "--robust", "bootstrap"], 2, "--robust takes hac, effective"),
         ({}, [*REGRESS, "--cross-validate", "1"], 2, "2 blocks or more"),
         ({}, [*REGRESS, "--branches", "v_rate"], 1, "no time column to form it from"),
