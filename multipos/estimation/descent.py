@@ -24,7 +24,10 @@ from multipos.sensor.expressions import ExpressionModel
 
 _ITERATIONS = 200
 _DECREMENT = 1e-16  # of F
-_DECREMENT_ROBUST = 1e-14  # weights that change with the step make convergence linear
+# Weights that change with the step make convergence linear, and slow where few positions are more
+# than there are parameters.
+_ITERATIONS_ROBUST = 2000
+_DECREMENT_ROBUST = 1e-14
 _XTOL = 1e-13  # relative step that is only rounding
 _DAMPING = 1e-4
 _STUCK = 1e12  # damping beyond which nothing moves
@@ -82,10 +85,12 @@ def _descend(
 ) -> tuple[Any, tuple[bool, int, float, float]]:
     """Return where the search ends: converged, iterations, last step, gradient in units of u."""
     damping, decrement, last_step = _DAMPING, np.inf, np.inf
-    enough = _DECREMENT if problem.robust is None else _DECREMENT_ROBUST
+    plain = problem.robust is None
+    enough = _DECREMENT if plain else _DECREMENT_ROBUST
+    most = _ITERATIONS if plain else _ITERATIONS_ROBUST
     held = list(problem.held)
     converged, iterations, refused = False, 0, False
-    while iterations < _ITERATIONS and not converged:
+    while iterations < most and not converged:
         iterations += 1
         before = decrement
         equations = steps.linearise(place)

@@ -86,10 +86,11 @@ def _why_not(problem: Problem, start: State, optimum: Optimum) -> MultiposError:
         _require_told(problem, start, optimum)
     except MultiposError as error:
         return error
+    blunders = "Check the readings for blunders (--robust huber names them), or choose"
+    way_out = blunders if problem.robust is None else "Fit without --robust, or choose"
     return ConvergenceError(
         f"no convergence after {optimum.iterations} iterations; the last step moved the "
-        f"parameters by {optimum.last_step:.1e} of their size. Check the readings for blunders "
-        "(--robust huber names them), or choose a model with fewer terms."
+        f"parameters by {optimum.last_step:.1e} of their size. {way_out} a model with fewer terms."
     )
 
 

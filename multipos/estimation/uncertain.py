@@ -62,6 +62,7 @@ def solve_uncertain(
     gauge: Gauge = "lower",
     robust: Loss | None = None,
     pool: bool = False,
+    parts: int = 1,
 ) -> Solution:
     """Fit all outputs together by eqs. (1)–(4) of `multipos.estimation.likelihood`.
 
@@ -78,6 +79,8 @@ def solve_uncertain(
     pool : bool
         One residual variance for all outputs where orientations are exact, and so fitted one
         by one; elsewhere there is one anyway.
+    parts : int
+        How many outputs are fitted one by one, of which this is one.
 
     Raises
     ------
@@ -114,7 +117,7 @@ def solve_uncertain(
             problem, optimum, nu, stated=stated, estimate_sd=placement.estimated
         )
     worth = replace(worth, warnings=(*held, *worth.warnings))
-    found = _solution(problem, optimum, readings, nu, worth)
+    found = _solution(problem, optimum, readings, nu, worth, parts)
     return found if dof is None else with_degrees(found, problem, optimum, dof)
 
 
@@ -169,7 +172,11 @@ def _solve_separately(
     """Fit each output alone where orientations are exact: nothing ties them together."""
     parts = [
         solve_uncertain(
-            model.only(output), select_outputs(readings, (output,)), placement, robust=robust
+            model.only(output),
+            select_outputs(readings, (output,)),
+            placement,
+            robust=robust,
+            parts=len(model.outputs),
         )
         for output in model.outputs
     ]
@@ -243,7 +250,12 @@ def _require_triad(model: Model) -> None:
 
 
 def _solution(
-    problem: Problem, optimum: Optimum, readings: Readings, nu: float, worth: Appraisal
+    problem: Problem,
+    optimum: Optimum,
+    readings: Readings,
+    nu: float,
+    worth: Appraisal,
+    parts: int,
 ) -> Solution:
     model, state, point = problem.model, optimum.state, optimum.point
     p, m = len(model.keys), problem.values.shape[1]
@@ -286,7 +298,12 @@ def _solution(
         residual_sd=residual_sd,
         leverage=leverage,
         outliers=find_outlying_positions(
-            misfit, problem.degrees, np.inf if robust else nu, readings.labels
+            misfit,
+            problem.degrees,
+            worth.dof if robust else nu,
+            readings.labels,
+            robust=robust,
+            parts=parts,
         ),
         condition=condition(information),
         unidentifiable=formal_only(model, state.theta, u, magnitude),

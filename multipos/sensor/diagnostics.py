@@ -183,7 +183,13 @@ def find_correlated_outliers(
 
 
 def find_outlying_positions(
-    q: Array, degrees: Array, dof: float, labels: Sequence[str]
+    q: Array,
+    degrees: Array,
+    dof: float,
+    labels: Sequence[str],
+    *,
+    robust: bool = False,
+    parts: int = 1,
 ) -> tuple[str, ...]:
     """Name the positions whose misfit to all outputs together is beyond chance.
 
@@ -196,6 +202,10 @@ def find_outlying_positions(
     dof : float
         Of the noise, where it was estimated from the same misfits; inf where it is known.
     labels : sequence of n str
+    robust : bool
+        The noise was found by a loss that does not let a single position move it.
+    parts : int
+        How many outputs are judged alike, one by one.
     """
     found = []
     suspects = np.flatnonzero(q > 4.0 * degrees)
@@ -206,13 +216,15 @@ def find_outlying_positions(
         m, value = float(degrees[row]), float(q[row])
         if np.isinf(dof):
             p = chi2_tail(value, m)
+        elif robust:
+            p = f_tail(value / m, m, dof)
         elif dof > m:
             # without the position itself, as t_k of eq. (1): the rest is what it is judged by
             rest = max(dof - value, 1e-300)
             p = f_tail(value / m / (rest / (dof - m)), m, dof - m)
         else:
             continue
-        if p < OUTLIER_LEVEL / len(q):
+        if p < OUTLIER_LEVEL / (len(q) * parts):
             said = f"position {labels[row]} does not fit: {np.sqrt(value / m):.1f} times the noise"
             found.append((row, said))
         elif alike:

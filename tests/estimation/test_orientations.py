@@ -135,6 +135,30 @@ def test_robust_noise_ends_at_what_the_digits_tell(loss):
     assert np.isfinite(hidden.diagnostics.condition)
 
 
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_robust_fits_of_good_readings_seldom_name_an_outlier(loss):
+    """One in a hundred by chance; of 80 no more than five (p < .001), at two scale lengths."""
+    random, named = np.random.default_rng(11), 0
+    for _ in range(40):
+        for up in (UP, read_scheme("icosahedron-12").up):
+            values = up + 1e-3 * random.standard_normal(up.shape)
+            cal = mp.fit(mp.Readings(values, up=up), robust=loss)
+            named += bool(cal.diagnostics.outliers)
+    assert named <= 5
+
+
+def test_robust_fits_of_few_positions_more_than_parameters_converge():
+    """Twelve positions of unknown orientation for nine parameters: weights settle slowly."""
+    random, up, failed = np.random.default_rng(2), read_scheme("icosahedron-12").up, 0
+    for _ in range(20):
+        values = up + 1e-3 * random.standard_normal(up.shape)
+        try:
+            mp.fit(mp.Readings(values), unknown_orientation=True, robust="huber")
+        except mp.ConvergenceError:
+            failed += 1
+    assert failed <= 1
+
+
 def test_unknown_orientations_need_scale_factors():
     readings = mp.Readings(readings_of(SENSOR, UP, rng()).values)
     with pytest.raises(mp.MultiposError, match="need the scale factor of every output"):
