@@ -1,4 +1,4 @@
-"""Rows in another unit where orientations are unknown, and the fit ends with an error.
+"""Rows in another unit, or of another size altogether, where the fit ends with an error.
 
 Wherever a triad at rest points, its readings are of one size, but for bias and scale factors:
 
@@ -17,6 +17,7 @@ from multipos.positions.readings import Readings
 _APART = 3.0  # times the median size of a row
 _NEAR = 1.6  # times a known factor
 _SHOWN = 6
+_DROWNED = 1e12  # times the median reading: doubles hold 16 digits, and a fit needs some of them
 
 
 def explain_failure(error: MultiposError, readings: Readings) -> MultiposError:
@@ -29,6 +30,22 @@ def explain_failure(error: MultiposError, readings: Readings) -> MultiposError:
     return MultiposError(
         f"{readings.source or 'the readings'}: {named} to be in another unit, {factor:.4g} times "
         f"the others; bring all rows to one unit (otherwise: {str(error).rstrip('.')})."
+    )
+
+
+def explain_breakdown(
+    error: np.linalg.LinAlgError, readings: Readings
+) -> MultiposError | np.linalg.LinAlgError:
+    """Return an error that names the largest reading, if the others drown in it; else the same."""
+    size = np.abs(readings.values)
+    largest, typical = float(size.max()), float(np.median(size[size > 0.0]))
+    if not largest > _DROWNED * typical:
+        return error
+    row, column = divmod(int(size.argmax()), size.shape[1])
+    return MultiposError(
+        f"{readings.source or 'the readings'}: position {readings.labels[row]}: "
+        f"{readings.outputs[column]} is {largest:.3g}, beside which no digit is left of the other "
+        f"readings, of {typical:.3g} as a rule; leave such rows out, or look at the file."
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.doubts.examination import examine
-from multipos.doubts.odd_rows import explain_failure
+from multipos.doubts.odd_rows import explain_breakdown, explain_failure
 from multipos.errors import MultiposError, UsageError, warn_of
 from multipos.estimation.claimed_noise import carry_dof, steady_floors
 from multipos.estimation.completion import complete
@@ -211,6 +211,8 @@ def fit(
         if not options.unknown_orientation:
             raise
         raise explain_failure(error, data) from None
+    except np.linalg.LinAlgError as error:
+        raise explain_breakdown(error, data) from None
     if before is not None:
         calibration = replace(calibration, nominal=before)
     calibration = face(calibration, stated_facing(axes))

@@ -248,3 +248,12 @@ def test_an_interchange_is_found_under_a_formula_that_is_nearly_linear():
     swap(values, up)
     found = doubt(values, up, model="each = a + p*x + q*y + r*z + c*own^3")
     assert (found.code, found.rows) == ("interchanged-rows", ("1", "2"))
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_reading_in_which_all_others_drown_is_named_where_the_fit_breaks_down():
+    up = mp.read_scheme("faces-6").up
+    values = sense(up)
+    values[:, 2] = [1e17, 1e17, 1e17, 1e17, 0.0, 0.0]
+    with pytest.raises(mp.MultiposError, match=r"position 1: az is 1e\+17, beside which"):
+        mp.fit(mp.Readings(values, up=up), orientation_sd=0.5, reading_sd=1e-3)

@@ -197,7 +197,9 @@ def _expected(case: Case, run: Run, changed: set[str]) -> set[str]:
         for path in allowed
         if case.argv[0] in ("demo", "fleet") and (path == "." or name.startswith(f"{path}/"))
     }
-    return (changed & (allowed | _kept(case))) | inside
+    # A fleet makes the folders above its own.
+    above = {str(each) for each in PurePath(output).parents} if case.argv[0] == "fleet" else set()
+    return (changed & (allowed | above | _kept(case))) | inside
 
 
 def _kept(case: Case) -> set[str]:
