@@ -130,7 +130,7 @@ class AppliedLog:
         if piece.lines is None:
             columns = {name: piece.table.columns[name] for name in self.log.numeric}
             return format_csv({**columns, **added}).partition("\n")[2]
-        lines = piece.lines
+        lines = piece.lines()
         if not self.log.delimiter:
             lines = [",".join(line.split()) for line in lines]
         beside = format_csv(added, self._delimiter).partition("\n")[2].split("\n")

@@ -1,6 +1,6 @@
 """What every reader gives: a table of samples that comes in pieces."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -13,7 +13,7 @@ class Piece(NamedTuple):
     """Consecutive rows of a log."""
 
     table: Table  # the columns that were asked for: numbers, and texts
-    lines: list[str] | None  # the rows as they stand in a text file
+    lines: Callable[[], list[str]] | None  # gives the rows as they stand in a text file
     done: float  # how much of the log has been read, 0 to 1
 
 

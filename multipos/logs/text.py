@@ -1,8 +1,6 @@
 """Logs that are text, read in pieces of some megabytes."""
 
-import csv
 import os
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,25 +12,18 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Table
-from multipos.logs.layout import (
-    COMMENTS,
-    DATE,
-    Layout,
-    cells_of,
-    find_layout,
-    is_comment,
-    is_number,
-)
+from multipos.logs.dates import read_dates, require_dates
+from multipos.logs.layout import Layout, cells_of, find_layout, is_number
 from multipos.logs.names import Named, name_header
+from multipos.logs.plain_text import read_plain
 from multipos.logs.readers import formats_read
 from multipos.logs.table import Log, Piece, ReadPieces
+from multipos.logs.text_rows import Part, Rows, is_row, rows_only, split_rows, table_text
 from multipos.numerics.arrays import Array
 
 HEAD = 1 << 16  # bytes that must hold what stands above the table, and its first row
 _PIECE = 1 << 22  # bytes read at a time
 _SHOWN = 40  # characters of a line in a message
-_ZONE = re.compile(r"[ \t]*(?:Z|UTC|(?<=\d)[+-]\d\d:?\d\d)?$", re.MULTILINE)
-_MILLISECONDS = re.compile(r":(\d{3})$", re.MULTILINE)  # behind a colon, as a wearable writes them
 
 
 @dataclass(frozen=True)
@@ -98,7 +89,8 @@ class LiveText:
 
     def rows(self, content: str) -> tuple[Array, list[str]]:
         """Return the numeric columns (k, n) of lines, NaN where a cell is bad, and the rows."""
-        rows = _rows_only(self.text.layout, content, self.text.layout.first)
+        layout = self.text.layout
+        rows = rows_only(layout, table_text(layout, content, layout.first))
         names = self.log.numeric
         if not rows.lines:
             return np.empty((len(names), 0)), []
@@ -115,9 +107,9 @@ def _read_head(
     *,
     lenient: bool = False,
 ) -> Iterator[Piece]:
-    rows = _rows_only(text.layout, head, text.layout.first)
+    rows = rows_only(text.layout, table_text(text.layout, head, text.layout.first))
     wanted = _Wanted(tuple(names), tuple(optional), tuple(texts), lenient)
-    yield Piece(_parse(text, rows, 0, wanted), rows.lines, 1.0)
+    yield Piece(_parse(text, rows, 0, wanted), partial(list, rows.lines), 1.0)
 
 
 def _log(text: _Text, named: Named, read: ReadPieces, left_out: tuple[str, ...]) -> Log:
@@ -159,7 +151,7 @@ def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
     body = block.rstrip(b"\r\n")
     start = body.rfind(b"\n") + 1
     line = body[start:].decode("utf-8", "replace")
-    if body.count(b"\n") < 2 or not _is_row(line) or not _is_cut(line, layout, block == body):
+    if body.count(b"\n") < 2 or not is_row(line) or not _is_cut(line, layout, block == body):
         return _Cut(size, ())
     shown = line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"
     return _Cut(begin + start, (f"the last row, '{shown}', is cut off and left out",))
@@ -184,22 +176,17 @@ def _read_text(
 ) -> Iterator[Piece]:
     first = 0
     wanted = _Wanted(tuple(names), tuple(optional), tuple(texts), lenient)
-    for rows, done in _text_rows(text):
-        if rows.lines:
-            yield Piece(_parse(text, rows, first, wanted), rows.lines, done)
+    for part, done in _text_parts(text):
+        table = _plain_table(text, part, first, wanted)
+        if table is not None:
+            yield Piece(table, part.lines, done)
+            first += table.rows
+        elif (rows := rows_only(text.layout, part)).lines:
+            yield Piece(_parse(text, rows, first, wanted), partial(list, rows.lines), done)
             first += len(rows.lines)
 
 
-class _Rows(NamedTuple):
-    """Rows of text without header, comments and empty lines."""
-
-    lines: list[str]
-    numbers: Sequence[int]  # of the lines in the file
-    delimiters: int | None  # in all of them, where they have been counted
-    quotes: bool  # whether one of them holds a quote that it does not close
-
-
-def _text_rows(text: _Text) -> Iterator[tuple[_Rows, float]]:
+def _text_parts(text: _Text) -> Iterator[tuple[Part, float]]:
     line, rest = 1, b""
     size = max(text.end, 1)
     with Path(text.path).open("rb") as stream:
@@ -209,44 +196,10 @@ def _text_rows(text: _Text) -> Iterator[tuple[_Rows, float]]:
             block, rest = block[:end], block[end:]
             if block:
                 content = _decode(text.path, block)
-                yield _rows_only(text.layout, content, line), min(stream.tell() / size, 1.0)
+                yield table_text(text.layout, content, line), min(stream.tell() / size, 1.0)
                 line += content.count("\n")
         if rest:
-            yield _rows_only(text.layout, _decode(text.path, rest), line), 1.0
-
-
-def _rows_only(layout: Layout, content: str, first: int) -> _Rows:
-    if layout.decimal_comma and layout.delimiter != ";":
-        content = content.replace(",", ".")
-    above = max(layout.first - first, 0)
-    content = content.split("\n", above)[-1] if above else content
-    lines = content.split("\n")
-    if not lines[-1]:
-        lines.pop()
-    rows = _without_comments(lines, first + above, content, layout.width)
-    if layout.trailing:
-        bare = [line.rstrip().removesuffix(layout.delimiter) for line in rows.lines]
-        return rows._replace(lines=bare)
-    if len(rows.lines) == len(lines):
-        return rows._replace(delimiters=content.count(layout.delimiter or " "))
-    return rows
-
-
-def _without_comments(lines: list[str], first: int, content: str, width: int) -> _Rows:
-    """Return the lines that are rows, and their numbers, the first of which is given."""
-    numbers: Sequence[int] = range(first, first + len(lines))
-    quotes = '"' in content and any(line.count('"') % 2 for line in lines)
-    # A row has a character for every cell and separator; shorter ones may be empty lines.
-    short = min(map(len, lines), default=0) < 2 * width - 1
-    if short or any(mark in content for mark in COMMENTS):
-        kept = [i for i, line in enumerate(lines) if _is_row(line)]
-        numbers = [first + i for i in kept]
-        lines = [lines[i] for i in kept]
-    return _Rows(lines, numbers, None, quotes)
-
-
-def _is_row(line: str) -> bool:
-    return bool(line.strip()) and not is_comment(line)
+            yield table_text(text.layout, _decode(text.path, rest), line), 1.0
 
 
 class _Wanted(NamedTuple):
@@ -262,16 +215,32 @@ class _Wanted(NamedTuple):
         return tuple(dict.fromkeys((*self.names, *self.optional)))
 
 
-def _parse(text: _Text, rows: _Rows, first: int, wanted: _Wanted) -> Table:
+def _plain_table(text: _Text, part: Part, first: int, wanted: _Wanted) -> Table | None:
+    """Return the wanted columns of lines that are nothing but rows of numbers, None of others."""
+    layout = text.layout
+    if wanted.texts or layout.trailing or not all(layout.numeric):
+        return None
+    # With semicolons between them numbers have a decimal comma, and rows stay as they are written.
+    comma = layout.delimiter == ";"
+    numbers = part.content.replace(",", ".") if comma else part.content
+    index = [text.columns.index(name) for name in wanted.numbers]
+    values = read_plain(numbers, layout.delimiter, layout.width, index)
+    if values is None or not np.isfinite(values).all():
+        return None
+    rows = range(part.line, part.line + values.shape[1])
+    columns = dict(zip(wanted.numbers, values, strict=True))
+    return replace(_table(text, rows, first), columns=columns)
+
+
+def _table(text: _Text, numbers: Sequence[int], first: int) -> Table:
+    """Return a table without columns, of rows on lines of these numbers."""
+    mark = text.layout.delimiter or " "
+    return Table(str(text.path), {}, rows=len(numbers), lines=numbers, first=first, delimiter=mark)
+
+
+def _parse(text: _Text, rows: Rows, first: int, wanted: _Wanted) -> Table:
     """Return the wanted columns of rows of text: by NumPy's reader, by ours where it stumbles."""
-    table = Table(
-        str(text.path),
-        {},
-        rows=len(rows.lines),
-        lines=rows.numbers,
-        first=first,
-        delimiter=text.layout.delimiter or " ",
-    )
+    table = _table(text, rows.numbers, first)
     if not text.dates.isdisjoint(wanted.numbers) or wanted.texts:
         return _parse_slowly(text, rows, table, wanted)
     try:
@@ -284,7 +253,7 @@ def _parse(text: _Text, rows: _Rows, first: int, wanted: _Wanted) -> Table:
     return _parse_slowly(text, rows, table, wanted)
 
 
-def _parse_slowly(text: _Text, rows: _Rows, table: Table, wanted: _Wanted) -> Table:
+def _parse_slowly(text: _Text, rows: Rows, table: Table, wanted: _Wanted) -> Table:
     """Return columns cell by cell: what is bad is named, or not a number where it may be."""
     cells = _cells(text, rows, table.first, lenient=wanted.lenient)
 
@@ -297,16 +266,16 @@ def _parse_slowly(text: _Text, rows: _Rows, table: Table, wanted: _Wanted) -> Ta
         if name not in wanted.names:
             is_date = name in text.dates
             mark = text.layout.delimiter
-            parsed[name] = _seconds(column(name)) if is_date else _lenient(column(name), mark)
+            parsed[name] = read_dates(column(name)) if is_date else _lenient(column(name), mark)
     for name in wanted.names:
         if name in text.dates:
-            parsed[name] = _required(table, name, column(name))
+            parsed[name] = require_dates(table, name, column(name))
         else:
             parsed[name] = replace(table, columns={name: column(name)}).number(name)
     return replace(table, columns=parsed)
 
 
-def _cells(text: _Text, rows: _Rows, first: int, *, lenient: bool) -> list[list[str]]:
+def _cells(text: _Text, rows: Rows, first: int, *, lenient: bool) -> list[list[str]]:
     """Return the cells of rows; empty ones where a row has too few or too many and that is fine."""
     cells = split_rows(str(text.path), rows.lines, rows.numbers, text.layout.delimiter)
     width = len(text.columns)
@@ -333,40 +302,7 @@ def _number(cell: str, mark: str) -> float:
     return float(cell if mark == "," else cell.replace(",", "."))
 
 
-def _seconds(dates: Sequence[str]) -> Array:
-    """Return dates as seconds since 1970, NaN where a cell is none; zones are not looked at."""
-    told = [cell if DATE.fullmatch(cell) else "NaT" for cell in dates]
-    plain = _ZONE.sub("", "\n".join(told).replace(",", ".").replace("/", "-"))
-    plain = _MILLISECONDS.sub(r".\1", plain)
-    try:
-        times = np.array(plain.split("\n"), dtype="datetime64[ns]")
-    except ValueError:
-        times = np.array([_date(each) for each in plain.split("\n")], dtype="datetime64[ns]")
-    seconds = times.astype(np.int64) * 1e-9
-    return np.where(np.isnat(times), np.nan, seconds)
-
-
-def _date(cell: str) -> np.datetime64:
-    try:
-        return np.datetime64(cell, "ns")
-    except ValueError:
-        return np.datetime64("NaT", "ns")
-
-
-def _required(table: Table, name: str, cells: Sequence[str]) -> Array:
-    """Return dates as seconds since 1970, and refuse a cell that is none."""
-    seconds = _seconds(cells)
-    bad = np.flatnonzero(np.isnan(seconds))
-    if len(bad):
-        row = int(bad[0])
-        raise MultiposError(
-            f"{table.where(row, name)}: '{cells[row]}' is no date; correct it, or give --drop-bad "
-            "to leave such rows out."
-        )
-    return seconds
-
-
-def _fast(text: _Text, rows: _Rows, index: list[int]) -> Array:
+def _fast(text: _Text, rows: Rows, index: list[int]) -> Array:
     if rows.quotes:
         raise ValueError
     mark, width = text.layout.delimiter, len(text.columns)
@@ -404,27 +340,3 @@ def _decode(path: os.PathLike[str], block: bytes) -> str:
             "convert the log to CSV."
         )
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
-
-
-def split_rows(
-    source: str, lines: Sequence[str], numbers: Sequence[int], delimiter: str
-) -> list[list[str]]:
-    """Return the cells of rows of text, whose line numbers are given; a row is one line."""
-    if not delimiter:
-        return [line.split() for line in lines]
-    reader = csv.reader(lines, delimiter=delimiter, strict=True)
-    rows: list[list[str]] = []
-    reason = ""
-    try:
-        for row in reader:
-            if reader.line_num > len(rows) + 1:
-                break
-            rows.append([cell.strip() for cell in row])
-    except csv.Error as error:
-        reason = "" if "end of data" in str(error) else str(error)
-    if len(rows) < len(lines):  # a quote that is not closed has swallowed what follows it
-        raise MultiposError(
-            f"{source}: line {numbers[len(rows)]}: {reason or 'a quote is not closed'}; check the "
-            "quotes of that line."
-        )
-    return rows

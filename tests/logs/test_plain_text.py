@@ -1,0 +1,171 @@
+"""Numbers read by arithmetic on bytes: the same as one by one, and nothing else is taken."""
+
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from multipos.errors import MultiposError
+from multipos.logs import plain_text
+from multipos.logs.opening import open_log
+from multipos.logs.plain_text import read_plain
+
+SEPARATORS = ("", ",", ";", "\t")
+WIDTH = 4
+
+
+def bits(values):
+    """Doubles as integers, for -0.0 is not 0.0 here."""
+    return np.ascontiguousarray(values, dtype=np.float64).view(np.int64)
+
+
+def random_cell(rng):
+    """A number as loggers write them: of any length, with a point anywhere, seldom an exponent."""
+    digits = "".join(map(str, rng.integers(0, 10, rng.integers(1, 20)).tolist()))
+    place = rng.integers(0, len(digits) + 1)
+    cell = digits if rng.random() < 0.3 else f"{digits[:place]}.{digits[place:]}"
+    cell = f"-{cell}" if rng.random() < 0.4 else cell
+    return f"{cell}e{rng.integers(-30, 30)}" if rng.random() < 0.05 else cell
+
+
+def random_rows(rng, count):
+    return [[random_cell(rng) for _ in range(WIDTH)] for _ in range(count)]
+
+
+@pytest.mark.parametrize("mark", SEPARATORS)
+@pytest.mark.parametrize("block", [64, 1 << 18])
+def test_numbers_are_the_nearest_doubles(monkeypatch, mark, block):
+    """Bit by bit what `float` makes of every cell; the cells cross every border of words."""
+    monkeypatch.setattr(plain_text, "_BLOCK", block)
+    monkeypatch.setattr(plain_text, "_SHARE", 1)  # also where most have too many digits
+    rows = random_rows(np.random.default_rng(1), 500)
+    text = "\n".join((mark or " ").join(row) for row in rows)
+    expected = bits([[float(cell) for cell in row] for row in rows])
+    for columns in ([0, 1, 2, 3], [2], [3, 0]):
+        assert_array_equal(bits(read_plain(text, mark, WIDTH, columns)), expected[:, columns].T)
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        *("0", "-0", "0.0", "-0.000", "007", "1.", ".5", "-.5", "+2", "1e3", "-1.5E-07", "5e-324"),
+        *("9007199254740992", "9007199254740993", "90071992547409.93", "0.30000000000000004"),
+        *("9999999999999999999", "9223372036854775809", "1698765432123456789", "99999999"),
+        *("100000000", "1234567890123456", "12345678901234567", "1698765432.123456789"),
+        *("18446744073709551616", "0.1234567890123456789", "123456789012345678901234567890"),
+    ],
+)
+def test_single_numbers_at_the_borders(cell):
+    """Beyond 2^53, 19 digits, 8 and 16 digits, and zeros of both signs."""
+    text = f"{cell},1,2,3\n-4,5.5,6,7\n"
+    read = read_plain(text, ",", WIDTH, [0, 1])
+    assert_array_equal(bits(read), bits([[float(cell), -4.0], [1.0, 5.5]]))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1 2  3   4\n5\t6 7 8\n",
+        "   1 2 3 4   \n 5 6 7 8",
+        "1 2 3 4\n5 6 7 8",
+    ],
+)
+def test_white_space_in_any_amount(text):
+    assert_array_equal(read_plain(text, "", WIDTH, [0, 3]), [[1.0, 5.0], [4.0, 8.0]])
+
+
+def test_blanks_around_separators():
+    text = " 1, 2,  3 ,4\n5 ,6 , 7, 8 \n"
+    assert_array_equal(read_plain(text, ",", WIDTH, [0, 2, 3]), [[1, 5], [3, 7], [4, 8]])
+
+
+def test_no_columns_of_some_rows():
+    assert read_plain("1,2\n3,4\n", ",", 2, []).shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        *(
+            "",
+            "-",
+            ".",
+            "-.",
+            "--1",
+            "1-",
+            "1-2",
+            "1.2.3",
+            ".-1",
+            "1_0",
+            "0x10",
+            "nan",
+            "inf",
+            "e5",
+        ),
+        *("1e", "1e5.0", "1 2", "#1", "//1", "%1", '"1"', '"1', "1\x0b", "1\x00", "٣", "a", "+-1"),
+    ],
+)
+@pytest.mark.parametrize("place", range(WIDTH))
+def test_anything_else_is_left_to_others(cell, place):
+    """In any column, wanted or not, for a comment or an open quote may begin in it."""
+    row = ["1", "2", "3", "4"]
+    row[place] = cell
+    text = "1,2,3,4\n" * 20 + ",".join(row) + "\n" + "1,2,3,4\n" * 20
+    assert read_plain(text, ",", WIDTH, [1, 2]) is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "\n", "1,2,3,4\n\n5,6,7,8\n", "1,2,3\n4,5,6,7,8\n", "1,2,3,4,\n", "1,2,3,4,5,6,7,8"],
+)
+def test_rows_of_another_width_are_left_to_others(text):
+    assert read_plain(text, ",", WIDTH, [0]) is None
+
+
+def outcome(path, *, lenient):
+    """All that comes of reading a file: bits, lines of rows, or the error."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an old NumPy warns of what it cannot read
+            log = open_log(path)
+            names = log.numeric if not lenient else ()
+            pieces = [*log.read(names, log.numeric if lenient else (), lenient=lenient)]
+    except MultiposError as error:
+        return str(error)
+    columns = [
+        bits([each.table.columns[name] for each in [piece] for name in log.numeric]).tolist()
+        for piece in pieces
+    ]
+    places = [[*piece.table.lines] for piece in pieces]
+    return (
+        columns,
+        places,
+        [piece.lines() for piece in pieces],
+        [piece.table.first for piece in pieces],
+    )
+
+
+@pytest.mark.parametrize("mark", SEPARATORS)
+def test_damaged_text_gives_the_same_by_both_ways(monkeypatch, tmp_path, mark):
+    """Random characters into random rows: numbers, rows and errors as without the quick way."""
+    rng = np.random.default_rng(2)
+    taken = 0
+    for case in range(60):
+        rows = random_rows(rng, 40)
+        text = "time,ax,ay,az\n".replace(",", mark or " ")
+        text += "".join((mark or " ").join(row) + "\n" for row in rows)
+        for _ in range(rng.integers(0, 3)):
+            at = rng.integers(len(text) // 2, len(text))
+            damage = rng.choice([*' \t,;.-+eE_#"0123456789\nnax\r%/', "", "nan", "\n\n", "# 1\n"])
+            text = text[:at] + str(damage) + text[at + rng.integers(0, 2) :]
+        path = tmp_path / f"{case}.txt"
+        path.write_text(text, encoding="utf-8", newline="")
+        for lenient in (False, True):
+            monkeypatch.setattr("multipos.logs.text._PIECE", 700)
+            quick = outcome(path, lenient=lenient)
+            with monkeypatch.context() as patch:
+                patch.setattr("multipos.logs.text.read_plain", lambda *_: None)
+                assert quick == outcome(path, lenient=lenient)
+            taken += not isinstance(quick, str)
+    assert taken > 40  # most of them are read after all
