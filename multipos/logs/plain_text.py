@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from multipos.numerics.arrays import Array
 
 _SEPARATORS = ("", ",", ";", "\t")
-_BLOCK = 1 << 18  # bytes at a time, whose arrays stay in the processor's cache
+_BLOCK = 1 << 17  # bytes at a time, whose arrays stay in the processor's cache
 _WORD = 8  # digits of a 64-bit word
 _DIGITS = 19  # a 64-bit integer holds any number of so many
 _EXACT = 1 << 53

@@ -38,6 +38,7 @@ References
    2τ is half of σ²(τ).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,6 +51,7 @@ from multipos.results import Result
 Counts = NDArray[np.signedinteger[Any]]
 
 _BATCHES = 512
+_LAGS = 30  # 10 log10(1023), the highest order of an autoregression
 _SMALLEST = np.finfo(np.float64).tiny
 _EDGE = 10  # an edge is a tenth of a rest
 # Parts of a rest that eq. (3) averages over, and the degrees of freedom of their Allan variances
@@ -113,82 +115,47 @@ class RestSum:
     """Take up the samples of one rest piece by piece."""
 
     def __init__(self, n: int, outputs: int) -> None:
-        self._n = n
+        self.n = n
         self._length = max(1, n // _BATCHES)
         self._left = np.empty((outputs, 0))
-        self._batches: list[Array] = []
-        self._origin: Array | None = None  # near the samples, so that squares do not cancel
-        self._sum = np.zeros(outputs)
-        self._square = np.zeros(outputs)
-        self._ends = [_End(outputs, -1.0), _End(outputs, 1.0)]
+        self.batches: list[Array] = []
+        self.origin: Array | None = None  # near the samples, so that squares do not cancel
+        self.sum = np.zeros(outputs)
+        self.square = np.zeros(outputs)
+        self.ends = [_End(outputs, -1.0), _End(outputs, 1.0)]
         self._last = np.full(outputs, np.nan)
         self._run = np.zeros(outputs, dtype=np.int64)
-        self._longest = np.zeros(outputs, dtype=np.int64)
+        self.longest = np.zeros(outputs, dtype=np.int64)
 
     def feed(self, samples: Array) -> None:
         """Add samples (M, k)."""
         if not samples.shape[1]:
             return
-        if self._origin is None:
-            self._origin = samples.mean(axis=1)
-        centred = samples - self._origin[:, None]
-        self._sum += centred.sum(axis=1)
-        self._square += np.einsum("ji,ji->j", centred, centred)
-        for end in self._ends:
+        if self.origin is None:
+            self.origin = samples.mean(axis=1)
+        centred = samples - self.origin[:, None]
+        self.sum += centred.sum(axis=1)
+        self.square += np.einsum("ji,ji->j", centred, centred)
+        for end in self.ends:
             end.feed(samples)
         self._feed_runs(samples)
         together = np.concatenate([self._left, centred], axis=1)
         count = together.shape[1] // self._length
         whole = together[:, : count * self._length].reshape(len(samples), count, self._length)
-        self._batches.append(whole.mean(axis=2))
+        self.batches.append(whole.mean(axis=2))
         self._left = together[:, count * self._length :]
-
-    def result(self) -> RestMean:
-        """Return what the samples say; all of them must have been fed."""
-        assert self._origin is not None
-        n = self._n
-        batches = np.concatenate(self._batches, axis=1)
-        mean = self._sum / n
-        variance = np.maximum(self._square - n * mean**2, 0.0) / max(n - 1, 1)
-        variance[self._longest == n] = 0.0  # what rounding leaves of equal samples
-        centred = batches - batches.mean(axis=1, keepdims=True)
-        rise, left = _lines(batches)
-        removed = np.repeat([1, 2], len(batches))
-        densities, freedom = density_with_dof(np.concatenate([centred, left]), removed)
-        (density, around), (dof, _) = np.split(densities, 2), np.split(freedom, 2)
-        # Less than white noise would say is luck, or a hum that fits into the rest.
-        plain = np.maximum(np.where(variance > 0.0, density / batches.shape[1], 0.0), variance / n)
-        square, dof, wander = _wandering(centred, plain, np.where(variance > 0.0, dof, n - 1.0))
-        count = batches.shape[1]
-        low, high = self._ends
-        return RestMean(
-            n=n,
-            mean=self._origin + mean,
-            sd=np.sqrt(variance),
-            u=np.sqrt(square),
-            drift=rise,
-            drift_u=np.sqrt(12.0 * around / count),
-            edge=_edge(batches, around),
-            low=low.value,
-            high=high.value,
-            at_low=low.count,
-            at_high=high.count,
-            longest=self._longest,
-            dof=np.maximum(np.minimum(dof, n - 1.0), 1.0),
-            wander=wander,
-        )
 
     def _feed_runs(self, samples: Array) -> None:
         for j, row in enumerate(samples):
             changes = np.flatnonzero(np.diff(row, prepend=self._last[j]) != 0.0)
             if not len(changes):
                 self._run[j] += len(row)
-                self._longest[j] = max(self._longest[j], self._run[j])
+                self.longest[j] = max(self.longest[j], self._run[j])
                 continue
             inner = int(np.diff(changes).max()) if len(changes) > 1 else 0
             first = int(self._run[j] + changes[0])
             self._run[j] = len(row) - changes[-1]
-            self._longest[j] = max(self._longest[j], first, inner, self._run[j])
+            self.longest[j] = max(self.longest[j], first, inner, self._run[j])
         self._last = samples[:, -1]
 
 
@@ -206,6 +173,54 @@ class _End:
         beyond = self._sign * (here - self.value)
         self.count = np.where(beyond > 0.0, count, self.count + np.where(beyond == 0.0, count, 0))
         self.value = np.where(beyond > 0.0, here, self.value)
+
+
+def rest_means(sums: Sequence[RestSum]) -> list[RestMean]:
+    """Return what the samples of rests say; all of them must have been fed."""
+    whole = [np.concatenate(each.batches, axis=1) for each in sums]
+    rises = [_rise(batches) for batches in whole]
+    lagged = [_about_both(*each) for each in zip(whole, rises, strict=True)]
+    count = [np.full(len(both), z.shape[1]) for both, z in zip(lagged, whole, strict=True)]
+    removed = [np.repeat([1, 2], len(rise)) for rise in rises]
+    found = density_with_dof(*map(np.concatenate, (lagged, count, removed)))
+    parts = zip(*(np.split(each, len(sums)) for each in found), strict=True)
+    return [
+        _rest_mean(each, batches, rise, *part)
+        for each, batches, rise, part in zip(sums, whole, rises, parts, strict=True)
+    ]
+
+
+def _rest_mean(
+    taken: RestSum, batches: Array, rise: Array, densities: Array, freedom: Array
+) -> RestMean:
+    """Return the mean of a rest, from the densities about its mean and about its line."""
+    assert taken.origin is not None
+    n, count = taken.n, batches.shape[1]
+    mean = taken.sum / n
+    variance = np.maximum(taken.square - n * mean**2, 0.0) / max(n - 1, 1)
+    variance[taken.longest == n] = 0.0  # what rounding leaves of equal samples
+    (density, around), (dof, _) = np.split(densities, 2), np.split(freedom, 2)
+    # Less than white noise would say is luck, or a hum that fits into the rest.
+    plain = np.maximum(np.where(variance > 0.0, density / count, 0.0), variance / n)
+    centred = batches - batches.mean(axis=1, keepdims=True)
+    square, dof, wander = _wandering(centred, plain, np.where(variance > 0.0, dof, n - 1.0))
+    low, high = taken.ends
+    return RestMean(
+        n=n,
+        mean=taken.origin + mean,
+        sd=np.sqrt(variance),
+        u=np.sqrt(square),
+        drift=rise,
+        drift_u=np.sqrt(12.0 * around / count),
+        edge=_edge(batches, around),
+        low=low.value,
+        high=high.value,
+        at_low=low.count,
+        at_high=high.count,
+        longest=taken.longest,
+        dof=np.maximum(np.minimum(dof, n - 1.0), 1.0),
+        wander=wander,
+    )
 
 
 def _wandering(z: Array, square: Array, dof: Array) -> tuple[Array, Array, Array]:
@@ -226,6 +241,8 @@ def _wandering(z: Array, square: Array, dof: Array) -> tuple[Array, Array, Array
     parts = np.array([count // part for part, _ in _PARTS])
     weights = np.array([nu for _, nu in _PARTS])
     slope, end, spread = _allan_line(phases, parts, weights, count)
+    if not (slope > _SETTLES).any():
+        return square, dof, wander
     short = np.array([1 << i for i in range(int(parts[0]).bit_length())])
     rise, _, _ = _allan_line(phases, short, 1.0 / short, count)
     wanders = np.where(rise < _RISES, slope > _SETTLES, slope > _WALKS)
@@ -244,73 +261,91 @@ def _allan_line(
         second = phases[:, 2 * m :] - 2.0 * phases[:, m:-m] + phases[:, : -2 * m]
         curves.append(np.einsum("ji,ji->j", second, second) / (2.0 * m * m * second.shape[1]))
     curve = np.log(np.maximum(np.array(curves), _SMALLEST))  # (T, M)
-    X = np.column_stack([np.ones(len(lengths)), np.log(lengths / end)])
-    inverse = np.linalg.inv(X.T @ (weights[:, None] * X))
-    line = inverse @ X.T @ (weights[:, None] * curve)
-    return line[1], line[0], float(inverse[0, 0])
+    x = np.log(lengths / end)
+    middle = weights @ x / weights.sum()
+    pulls = weights * (x - middle) / (weights @ (x - middle) ** 2)
+    slope = pulls @ curve
+    at_end = weights @ curve / weights.sum() - slope * middle
+    return slope, at_end, float(1.0 / weights.sum() + middle**2 / (weights @ (x - middle) ** 2))
 
 
-def density_with_dof(rows: Array, removed: Counts) -> tuple[Array, Array]:
+def density_with_dof(lagged: Array, count: Counts, removed: Counts) -> tuple[Array, Array]:
     """Return b u² (J,) of eq. (1), and the degrees of freedom (J,) of u by eq. (2).
+
+    Levinson's recursion for the Yule–Walker equations goes through the orders of all rows at once.
+    Eq. (2) comes along: the residuals of orders 0, 1, … are uncorrelated, with variances σ_k², so
+    1'γ⁻¹1 is the sum of (1 − φ_1 − … − φ_k)²/σ_k² over the orders k < p.
 
     Parameters
     ----------
-    rows : (J, b) array
-        Batch means less their mean or their line.
+    lagged : (J, k) array
+        Autocovariances of batch means less their mean or their line.
+    count : (J,) array
+        How many batch means, b.
     removed : (J,) array
-        How many parameters that took, m of eq. (1).
+        How many parameters the mean or the line has, m of eq. (1).
     """
-    count = rows.shape[-1]
-    highest = min(count // 10, int(10.0 * np.log10(max(count, 1))))
-    lags = [np.einsum("ji,ji->j", rows[:, : count - k], rows[:, k:]) for k in range(highest + 1)]
-    lagged = np.array(lags).T / count
+    highest = np.minimum(count // 10, (10.0 * np.log10(np.maximum(count, 1))).astype(np.int64))
+    orders = int(highest.max())
+    lagged = lagged.copy()
     there = lagged[:, 0] > 0.0
     lagged[~there, 0] = 1.0  # equal samples have no density, and are put back to zero below
-    variance, phi = lagged[:, 0].copy(), np.zeros((len(rows), highest))
-    best, chosen = _criterion(variance, 0, count), np.zeros(len(rows), dtype=np.int64)
-    innovation, memory = variance.copy(), np.zeros(len(rows))
-    for order in range(1, highest + 1):
-        # Levinson's recursion for the Yule–Walker equations
+    variance, phi = lagged[:, 0].copy(), np.zeros((len(lagged), orders))
+    memory, inverse = np.zeros(len(lagged)), np.zeros(len(lagged))
+    best = _criterion(variance, 0, count)
+    chosen = np.array([variance, memory, inverse])
+    for order in range(1, orders + 1):
+        inverse = inverse + (1.0 - memory) ** 2 / variance
         before = phi[:, : order - 1]
         ahead = (before * lagged[:, order - 1 : 0 : -1]).sum(axis=1)
-        partial = (lagged[:, order] - ahead) / variance
+        partial = np.where(order <= highest, (lagged[:, order] - ahead) / variance, 0.0)
         phi[:, : order - 1] = before - partial[:, None] * before[:, ::-1]
         phi[:, order - 1] = partial
+        memory = phi[:, :order].sum(axis=1)
         variance = np.maximum(variance * (1.0 - partial**2), _SMALLEST)
         criterion = _criterion(variance, order, count)
-        better = criterion < best
-        best, chosen = np.where(better, criterion, best), np.where(better, order, chosen)
-        innovation = np.where(better, variance, innovation)
-        memory = np.where(better, phi[:, :order].sum(axis=1), memory)
+        better = (criterion < best) & (order <= highest)
+        best = np.where(better, criterion, best)
+        chosen = np.where(better, [variance, memory, inverse], chosen)
+    innovation, memory, inverse = chosen
     density = innovation / (1.0 - memory) ** 2
-    inner = np.array([_inner(lagged[j, :p]) for j, p in enumerate(chosen.tolist())])
-    spread = 2.0 / count + 4.0 * density * inner / count  # of ln u², eq. (2)
+    spread = 2.0 / count + 4.0 * density * inverse / count  # of ln u², eq. (2)
     lost = removed * density / lagged[:, 0] / count  # m / n_eff
     found = np.where(there, density / (1.0 - np.minimum(lost, 0.5)), 0.0)
     return found, np.where(there, np.maximum(2.0 / spread - 1.0, 1.0), np.inf)
 
 
-def _inner(lagged: Array) -> float:
-    """Return 1'γ⁻¹1 of eq. (2), with γ the matrix of autocovariances (p,)."""
-    order = np.arange(len(lagged))
-    gamma = lagged[np.abs(order[:, None] - order)]
-    ones = np.ones(len(lagged))
-    return max(float(ones @ np.linalg.lstsq(gamma, ones, rcond=None)[0]), 0.0)
+def autocovariances(z: Array) -> Array:
+    """Return Σ z_i z_(i+k) / b (M, 31), k = 0 … 30, of rows (M, b), by way of their spectrum."""
+    count = z.shape[1]
+    length = 1 << (count + _LAGS).bit_length()  # so that no lag meets the other end
+    spectrum = np.fft.rfft(z, length)
+    power = spectrum.real**2 + spectrum.imag**2
+    return np.asarray(np.fft.irfft(power, length)[:, : _LAGS + 1] / count)
 
 
-def _criterion(variance: Array, order: int, count: int) -> Array:
+def _criterion(variance: Array, order: int, count: Counts) -> Array:
     """Return Akaike's corrected criterion of an autoregression."""
-    free = max(count - order - 2, 1)
+    free = np.maximum(count - order - 2, 1)
     return np.asarray(count * np.log(variance) + 2.0 * (order + 1) * count / free)
 
 
-def _lines(z: Array) -> tuple[Array, Array]:
-    """Return the rise of each least-squares line from begin to end, and what it leaves of z."""
-    count = z.shape[1]
-    time = np.arange(count) - (count - 1) / 2.0
+def _rise(z: Array) -> Array:
+    """Return the rise of each least-squares line from begin to end."""
+    time = _times(z)
     square = float(time @ time)
-    slope = z @ time / square if square else np.zeros(len(z))
-    return slope * count, z - z.mean(axis=1, keepdims=True) - slope[:, None] * time
+    return np.asarray(z @ time / square * z.shape[1]) if square else np.zeros(len(z))
+
+
+def _about_both(z: Array, rise: Array) -> Array:
+    """Return the autocovariances (2 M, k) of rows about their mean, then about their line."""
+    centred = z - z.mean(axis=1, keepdims=True)
+    left = centred - (rise / z.shape[1])[:, None] * _times(z)
+    return np.concatenate([autocovariances(centred), autocovariances(left)])
+
+
+def _times(z: Array) -> Array:
+    return np.asarray(np.arange(z.shape[1]) - (z.shape[1] - 1) / 2.0)
 
 
 def _edge(batches: Array, density: Array) -> Array:

@@ -10,7 +10,7 @@ from multipos.logs.clock import Clock, time_columns
 from multipos.logs.known_rests import Sections
 from multipos.logs.log_faults import find_saturated, find_second_unit, find_wrapped
 from multipos.logs.names import choose_outputs
-from multipos.logs.rest_means import RestMean, RestSum
+from multipos.logs.rest_means import RestMean, RestSum, rest_means
 from multipos.logs.rests import Finder, Grid, Rest, Survey, Windows
 from multipos.logs.samples import Kept, Progress, Samples, Timing, small_pieces
 from multipos.logs.table import Log
@@ -225,7 +225,8 @@ def average_rests(
     for first, piece in samples.pieces():
         for each in sums:
             each.feed(first, piece)
-    return [each.result(survey) for each in sums]
+    means = rest_means([each.taken for each in sums])
+    return [each.result(found, survey) for each, found in zip(sums, means, strict=True)]
 
 
 class _Sum:
@@ -236,7 +237,7 @@ class _Sum:
     ) -> None:
         self._samples, self._label, self._rest = samples, label, rest
         self._threshold = threshold
-        self._sum = RestSum(rest.end - rest.start, len(samples.outputs))
+        self.taken = RestSum(rest.end - rest.start, len(samples.outputs))
         self._windows = Windows(grid.block)
         self._seen = self._moved = 0
         others = len(samples.others)
@@ -252,7 +253,7 @@ class _Sum:
         inside = piece[:, start:end]
         outputs = inside[: len(self._samples.outputs)]
         for small in small_pieces(outputs):
-            self._sum.feed(small)
+            self.taken.feed(small)
             if self._threshold is not None:
                 sd = self._windows.feed(small)[1]
                 self._seen += len(sd)
@@ -265,8 +266,7 @@ class _Sum:
             self._gaps += int((np.diff(time) > _GAP * self._samples.step).sum())
             self._time = [self._time[0] if self._time else float(time[0]), float(time[-1])]
 
-    def result(self, survey: Survey) -> Still:
-        found = self._sum.result()
+    def result(self, found: RestMean, survey: Survey) -> Still:
         with np.errstate(invalid="ignore"):
             means = (self._total / self._count).tolist()
         time = (self._time[0], self._time[1]) if self._time else self._samples.time(self._rest)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.logs.rest_means import RestSum, density_with_dof
+from multipos.logs.rest_means import RestSum, autocovariances, density_with_dof, rest_means
 
 N = 1000
 
@@ -14,7 +14,7 @@ N = 1000
 def rest(samples):
     found = RestSum(samples.shape[1], len(samples))
     found.feed(samples)
-    return found.result()
+    return rest_means([found])[0]
 
 
 def remembering(rng, rows, effective, n=N):
@@ -41,7 +41,7 @@ def test_degrees_of_freedom_by_the_delta_method():
     z -= z.mean()
     lag = [float((z[:, : 400 - k] * z[:, k:]).sum()) / 400 for k in (0, 1)]
     phi = lag[1] / lag[0]
-    density, dof = density_with_dof(z, np.zeros(1))
+    density, dof = density_with_dof(autocovariances(z), np.array([400]), np.zeros(1))
     assert density == pytest.approx(lag[0] * (1 - phi**2) / (1 - phi) ** 2, rel=1e-12)  # order 1
     # var phi = (1 − phi²)/b, and ln u² has the derivative 2/(1 − phi); var ln s² = 2/b
     spread = 2 / 400 + 4 * (1 - phi**2) / (400 * (1 - phi) ** 2)
@@ -49,6 +49,41 @@ def test_degrees_of_freedom_by_the_delta_method():
     white = rest(rng.standard_normal((50, N))).dof
     assert np.median(white) == pytest.approx(N - 1)  # some are taken to remember a little
     assert white.min() > 30.0
+
+
+@pytest.mark.parametrize("memory", [(0.0, -0.8), (0.5, 0.2, 0.2)])
+def test_higher_orders_by_solving_their_equations(memory):
+    """Every order by a linear system of its own; rows of other lengths beside it change nothing."""
+    rng = np.random.default_rng(3)
+    rows = []
+    for n in (300, 45, 700):
+        x = rng.standard_normal(n)
+        for i in range(len(memory), n):
+            x[i] += sum(phi * x[i - k] for k, phi in enumerate(memory, 1))
+        rows.append(x - x.mean())
+    expected = [by_linear_systems(z) for z in rows]
+    lagged = np.concatenate([autocovariances(z[None]) for z in rows])
+    found = density_with_dof(lagged, np.array([len(z) for z in rows]), np.zeros(3))
+    assert found[0] == pytest.approx([density for density, _, _ in expected], rel=1e-9)
+    assert found[1] == pytest.approx([dof for _, dof, _ in expected], rel=1e-9)
+    assert max(order for _, _, order in expected) >= 2
+
+
+def by_linear_systems(z):
+    """Density, degrees of freedom and order: eqs. (1) and (2) with m = 0, as they are written."""
+    b = len(z)
+    lag = np.array([float(z[: b - k] @ z[k:]) / b for k in range(31)])
+    tried = []
+    for p in range(min(b // 10, int(10 * math.log10(b))) + 1):
+        gamma = lag[np.abs(np.subtract.outer(np.arange(p), np.arange(p)))]
+        phi = np.linalg.solve(gamma, lag[1 : p + 1]) if p else np.zeros(0)
+        square = lag[0] - float(phi @ lag[1 : p + 1])
+        density = square / (1 - phi.sum()) ** 2
+        inner = float(np.ones(p) @ np.linalg.solve(gamma, np.ones(p))) if p else 0.0
+        spread = 2 / b + 4 * density * inner / b
+        tried.append((b * math.log(square) + 2 * (p + 1) * b / (b - p - 2), density, spread, p))
+    _, density, spread, p = min(tried)
+    return density, 2 / spread - 1, p
 
 
 @pytest.mark.parametrize("effective", [10, 30])

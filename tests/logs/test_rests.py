@@ -7,7 +7,7 @@ import pytest
 from log_bench import ar1, shared
 
 from multipos import MultiposError, UsageError
-from multipos.logs.rest_means import RestSum, density_with_dof
+from multipos.logs.rest_means import RestSum, autocovariances, density_with_dof, rest_means
 from multipos.logs.rests import (
     PIECE,
     Finder,
@@ -212,7 +212,7 @@ def means_of(series):
     for row in series:
         taken = RestSum(len(row), 1)
         taken.feed(row[None])
-        found.append(taken.result())
+        found.append(rest_means([taken])[0])
     return found
 
 
@@ -240,7 +240,7 @@ def test_means_are_exact_and_do_not_depend_on_pieces():
     whole.feed(samples)
     for start in range(0, 5003, 251):
         parts.feed(samples[:, start : start + 251])
-    a, b = whole.result(), parts.result()
+    a, b = rest_means([whole])[0], rest_means([parts])[0]
     np.testing.assert_allclose(a.mean, samples.mean(axis=1), rtol=1e-15)
     np.testing.assert_allclose(a.sd, samples.std(axis=1, ddof=1), rtol=1e-9)
     np.testing.assert_allclose(b.sd, a.sd, rtol=1e-9)
@@ -258,7 +258,7 @@ def test_longest_run_counts_across_pieces():
     taken = RestSum(12, 1)
     for piece in ([1, 2, 2], [2, 2], [2, 3, 3, 1], [1, 1, 5]):
         taken.feed(np.array([piece], dtype=float))
-    assert taken.result().longest[0] == 5
+    assert rest_means([taken])[0].longest[0] == 5
 
 
 def test_drift_is_found_and_noise_is_not():
@@ -280,7 +280,7 @@ WAVE = np.array([1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1], dtype=
 
 def zero_density(z, removed):
     """Return b u² of eq. (1) of one row."""
-    return density_with_dof(z[None], np.array([removed]))[0]
+    return density_with_dof(autocovariances(z[None]), np.array([len(z)]), np.array([removed]))[0]
 
 
 def test_spectral_density_of_a_short_series_by_hand():
@@ -317,7 +317,7 @@ def test_mean_and_drift_of_a_short_rest_by_hand():
     """Without a slope the line leaves what the mean leaves; in units of 1e-3 about 0.5."""
     rest = RestSum(16, 1)
     rest.feed(0.5 + 1e-3 * WAVE[np.newaxis, :])
-    found = rest.result()
+    found = rest_means([rest])[0]
     assert found.mean == pytest.approx([0.5], rel=1e-12)
     assert found.sd == pytest.approx([1e-3 * np.sqrt(16 / 15)], rel=1e-9)
     # u² = 368/121/16 = 23/121 with m = 1
@@ -337,7 +337,7 @@ def test_edges_are_a_tenth_of_a_rest():
     for series in (samples, samples[::-1]):
         rest = RestSum(20, 1)
         rest.feed(series[np.newaxis, :])
-        found = rest.result()
+        found = rest_means([rest])[0]
         noise = found.drift_u / np.sqrt(12.0) * np.sqrt(20 / 2)  # of the mean of two
         assert found.edge == pytest.approx(4.0 / noise, rel=1e-9)
 
@@ -347,18 +347,18 @@ def test_rests_are_kept_as_512_to_1023_means():
         rest = RestSum(n, 1)
         rest.feed((-1.0) ** np.arange(n)[np.newaxis, :])
         # means of two are all equal and leave no noise of the drift
-        assert (rest.result().drift_u[0] == 0.0) == (length == 2)
+        assert (rest_means([rest])[0].drift_u[0] == 0.0) == (length == 2)
 
 
 def test_extremes_are_counted_over_pieces():
     rest = RestSum(7, 1)
     for piece in ([0.0, 1.0, 1.0], [1.0, 0.0], [0.5, 0.5]):
         rest.feed(np.array([piece]))
-    found = rest.result()
+    found = rest_means([rest])[0]
     assert (found.low, found.at_low, found.high, found.at_high, found.longest) == (0, 2, 1, 3, 3)
 
 
 def test_drift_is_the_rise_of_the_line_over_the_rest():
     rest = RestSum(20, 1)
     rest.feed(np.arange(20.0)[np.newaxis, :] * 0.25)
-    assert rest.result().drift == pytest.approx([20 * 0.25], rel=1e-12)
+    assert rest_means([rest])[0].drift == pytest.approx([20 * 0.25], rel=1e-12)
