@@ -14,13 +14,11 @@ from multipos.capturing.session import Session
 from multipos.capturing.sources import RowSource, open_source
 from multipos.capturing.state import line_of
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, same_file
-from multipos.commands.calibrate import check_targets, make_exports
-from multipos.commands.export import add_export_options, export_options
+from multipos.commands.exporting import check_targets, make_exports
 from multipos.commands.fit import add_fit_options
-from multipos.commands.options import add_reading, warn
+from multipos.commands.options import add_reading, add_targets, export_options, warn
 from multipos.errors import UsageError
 from multipos.exports.target import Exported
-from multipos.exports.targets import TARGETS
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json, to_json_line
 from multipos.logs.averages import averages_text
@@ -75,15 +73,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="standard deviation above which it moves (default: learnt from the first rests)",
     )
     add_fit_options(parser)
-    add(
-        "--to",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="TARGET",
-        help=f"export beside READINGS.csv, for {', '.join(target.name for target in TARGETS)}",
-    )
-    add_export_options(parser)
+    add_targets(parser, "READINGS.csv")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -2,9 +2,9 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from multipos.commands.answers import STDOUT, Answer, Output
+from multipos.commands.options import add_export_options, export_options
 from multipos.exports.parts import load_parts
 from multipos.exports.target import self_test
 from multipos.exports.targets import TARGETS, export, named_target
@@ -51,47 +51,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="what each regression corrects, in C; without, it gives the predicted responses",
     )
     add_export_options(parser)
-
-
-def add_export_options(parser: argparse.ArgumentParser) -> None:
-    """Add how an export is written."""
-    add = parser.add_argument
-    add("--name", default="multipos", help="the C function is NAME_compensate (default multipos)")
-    add("--float", action="store_true", help="single precision, in C")
-    add(
-        "--allow-lossy",
-        action="store_true",
-        help="let go of terms that the target cannot express, and say what that costs",
-    )
-    add("--tilt", action="store_true", help="write NAME_tilt as well, angles in degrees, in C")
-    add(
-        "--accept-doubts",
-        action="store_true",
-        help="export what is not fit for use all the same; the file says so",
-    )
-    add("--output-unit", metavar="g|m/s^2", help="unit of the force, in C (default g)")
-    add("--instance", type=int, metavar="N", help="which accelerometer of the autopilot it is")
-    add(
-        "--device-id",
-        type=_whole,
-        metavar="ID",
-        help="its device, without which the autopilot ignores the file",
-    )
-    add("--stability", metavar="FILE", help="stability.json, whose noise densities go to Kalibr")
-
-
-def _whole(text: str) -> int:
-    try:
-        return int(text, 0)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is no whole number") from None
-
-
-def export_options(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the options that `add_export_options` added, as `export` takes them."""
-    asked = ("name", "float", "allow_lossy", "accept_doubts")
-    own = ("output_unit", "instance", "device_id", "stability", "tilt")
-    return {name: getattr(arguments, name) for name in (*asked, *own)}
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from multipos.errors import UsageError
 from multipos.files.characters import one_line
@@ -130,6 +130,67 @@ def warn(warnings: Sequence[str]) -> None:
     if sys.stderr is not None:
         for warning in warnings:
             print(f"multipos: warning: {one_line(warning)}", file=sys.stderr)
+
+
+def add_targets(parser: argparse.ArgumentParser, beside: str) -> None:
+    """Add ``--to`` and how exports are written; their targets are imported where one is asked."""
+    parser.add_argument(
+        "--to",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="TARGET",
+        help=f"export beside {beside}, for the targets that multipos export --help lists",
+    )
+    add_export_options(parser)
+
+
+def add_export_options(parser: argparse.ArgumentParser) -> None:
+    """Add how an export is written."""
+    add = parser.add_argument
+    add("--name", default="multipos", help="the C function is NAME_compensate (default multipos)")
+    add("--float", action="store_true", help="single precision, in C")
+    add(
+        "--allow-lossy",
+        action="store_true",
+        help="let go of terms that the target cannot express, and say what that costs",
+    )
+    add("--tilt", action="store_true", help="write NAME_tilt as well, angles in degrees, in C")
+    add(
+        "--accept-doubts",
+        action="store_true",
+        help="export what is not fit for use all the same; the file says so",
+    )
+    add("--output-unit", metavar="g|m/s^2", help="unit of the force, in C (default g)")
+    add("--instance", type=int, metavar="N", help="which accelerometer of the autopilot it is")
+    add(
+        "--device-id",
+        type=_whole,
+        metavar="ID",
+        help="its device, without which the autopilot ignores the file",
+    )
+    add("--stability", metavar="FILE", help="stability.json, whose noise densities go to Kalibr")
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is no whole number") from None
+
+
+def export_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the options that `add_export_options` added, as `export` takes them."""
+    asked = ("name", "float", "allow_lossy", "accept_doubts")
+    own = ("output_unit", "instance", "device_id", "stability", "tilt")
+    return {name: getattr(arguments, name) for name in (*asked, *own)}
+
+
+def asks_export(arguments: argparse.Namespace) -> bool:
+    """Tell whether a target is asked for, or an option that some of them have."""
+    options = export_options(arguments)
+    del options["name"]  # has a default
+    return bool(arguments.to) or any(value not in (None, False) for value in options.values())
 
 
 @contextmanager
