@@ -38,7 +38,7 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
     """Draw the residuals of an output at every position, with ±2 standard deviations of each.
 
     The band is that of the residuals themselves, s sqrt(1 − h), narrow where the leverage h is
-    large.
+    large. Where sessions were combined, s is that within a session.
     """
     c = calibration
     column = c.outputs.index(output)
@@ -47,7 +47,8 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
     at = np.arange(len(c.readings))
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     if np.isfinite(band).all():
-        axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label="±2 sd")
+        told = "±2 sd" if c.sessions is None else "±2 sd within a session"
+        axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label=told)
     axes.plot(
         at, c.residuals[:, column], MARKERS[column % 8], color=COLOURS[column % 6], label=output
     )

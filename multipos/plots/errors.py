@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _LONGEST = 0.32  # of the largest error, in radii of the disc
+_NAMES = 1.0 + _LONGEST + 0.1  # where the names of the axes stand, beyond an arrow on the rim
 _RING = 26.0  # points of a ring as large as a radius
 _APART = 1.2  # of the middles of two halves of one sphere, from its own
 _SIDES = (("before", -2.65), ("after", 2.65))  # where the two spheres stand
@@ -51,11 +52,11 @@ def draw_error_sphere(calibration: Calibration, axes: "Axes") -> None:
             _draw_arrows(axes, at, _moved(up[on], across[on] * scale, side), COLOURS[1 - i])
             _draw_rings(axes, at, along[on] * scale, COLOURS[1 - i])
         write(
-            axes, middle, -1.5, f"{when}: largest {in_unit(largest, 'g')}", ha="center", va="center"
+            axes, middle, -1.6, f"{when}: largest {in_unit(largest, 'g')}", ha="center", va="center"
         )
     axes.set_aspect("equal")
-    axes.set_xlim(-5.1, 5.3)
-    axes.set_ylim(-1.65, 1.35)
+    axes.set_xlim(-5.1, 5.5)
+    axes.set_ylim(-1.75, 1.55)
     axes.set_axis_off()
 
 
@@ -94,8 +95,11 @@ def _draw_half(axes: "Axes", side: float, centre: float) -> None:
     axes.plot(centre + np.cos(circle), np.sin(circle), color="#000000", linewidth=0.7)
     r = np.sqrt(1.0 - np.sin(np.radians(45.0)))
     axes.plot(centre + r * np.cos(circle), r * np.sin(circle), color=COLOURS[6], linewidth=0.4)
-    write(axes, centre - 1.0, 1.05, "+z" if side > 0 else "−z", ha="center", va="center")
-    for name, px, py in (("+x", 1.13, -0.3), ("+y", 0.24, 1.17)):
+    write(axes, centre - 1.0, 1.15, "+z" if side > 0 else "−z", ha="center", va="center")
+    names = [("+y", 0.0, _NAMES)]
+    if side < 0.0:  # the half on the right: between the two an arrow may stand
+        names.append(("+x", _NAMES, 0.0))
+    for name, px, py in names:
         write(axes, centre + px, py, name, ha="center", va="center", fontsize=7)
 
 

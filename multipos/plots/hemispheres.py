@@ -15,7 +15,9 @@ from multipos.plots.style import dress_axis, write
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_APART = 2.3  # of the middles of the two hemispheres, whose radius is 1
+_APART = 2.6  # of the middles of the two hemispheres, whose radius is 1
+_NAMES = 1.25  # where the names of the axes stand, clear of a marker on the rim
+_SAME = 1e-6  # of the largest value: what differs by less differs by rounding
 _INK, _PAPER = "#111111", "#fefefe"  # of markers: on the map's colours, dark as the page may be
 _RINGS, _SPOKES = 60, 181  # of the grid that carries the colours
 
@@ -34,13 +36,17 @@ def everywhere() -> Array:
 def draw_map(values: Array, label: str, axes: "Axes") -> None:
     """Draw values (n,) of `everywhere` as colours, with a bar that says what they are."""
     r, t = _polar()
+    low, high = float(values.min()), float(values.max())
+    if high - low < _SAME * abs(high):
+        values = np.full_like(values, high)
+        low, high = 0.5 * high, 1.5 * high
     for side, part in enumerate(values.reshape(2, *r.shape)):
         mesh = axes.pcolormesh(
             r * np.cos(t) + side * _APART,
             r * np.sin(t),
             part,
-            vmin=values.min(),
-            vmax=values.max(),
+            vmin=low,
+            vmax=high,
             cmap="cividis",
             shading="gouraud",
             rasterized=True,
@@ -57,12 +63,13 @@ def draw_frame(axes: "Axes") -> None:
     t = np.linspace(0.0, 2.0 * np.pi, _SPOKES)
     for side in (0, 1):
         axes.plot(np.cos(t) + side * _APART, np.sin(t), color="#999999", linewidth=0.6)
-        write(axes, side * _APART, -1.2, f"z {'down' if side else 'up'}", ha="center")
+        name = f"z {'down' if side else 'up'}"
+        write(axes, side * _APART, -_NAMES, name, ha="center", va="center")
         for angle, name in ((0.0, "x"), (0.5 * np.pi, "y")):
-            place = 1.17 * np.cos(angle) + side * _APART, 1.17 * np.sin(angle)
+            place = _NAMES * np.cos(angle) + side * _APART, _NAMES * np.sin(angle)
             write(axes, *place, name, ha="center", va="center")
-    axes.set_xlim(-1.15, 1.25 + _APART)
-    axes.set_ylim(-1.3, 1.25)
+    axes.set_xlim(-1.15, 1.35 + _APART)
+    axes.set_ylim(-1.35, 1.35)
     axes.set_aspect("equal")
     axes.set_axis_off()
 

@@ -17,6 +17,8 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
 from multipos.files.numbers import SUPERSCRIPT, in_unit, readable_unit
+from multipos.plots.fonts import FONT, font_of
+from multipos.plots.svg import Words, svg_canvas, svg_renderer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,9 +31,7 @@ HATCHES = ("", "//", "\\\\", "xx", "--", "||", "++", "////")  # dots would weigh
 
 _INK = "#000000"
 _SIZE = 9.0  # of type, in points
-_FONT = "DejaVu Sans"  # comes with Matplotlib, so that a figure is measured alike everywhere
-_FONTS = f"'{_FONT}', 'Bitstream Vera Sans', Verdana, Geneva, Arial, Helvetica, sans-serif"
-_HATCH_WIDTH = 0.6
+_FONTS = f"'{FONT}', 'Bitstream Vera Sans', Verdana, Geneva, Arial, Helvetica, sans-serif"
 _MOST_DECIMALS = 9  # along an axis
 _DPI = 200  # dots per inch of a .png
 
@@ -62,8 +62,11 @@ def new_figure(rows: int = 1, *, width: float = 5.8, height: float = 2.6) -> "tu
     return figure, axes
 
 
-def to_svg(figure: "Figure") -> str:
-    """Return a figure as an SVG element, without date: the same drawing gives the same bytes."""
+def to_svg(figure: "Figure", words: Words = str) -> str:
+    """Return a figure as an SVG element, without date: the same drawing gives the same bytes.
+
+    Every text stands there as `words` returns it, which may translate it.
+    """
     from io import StringIO
 
     from matplotlib.backends import backend_mixed
@@ -74,17 +77,18 @@ def to_svg(figure: "Figure") -> str:
     kept = figure.canvas, figure.dpi, [patch.get_facecolor() for patch in patches]
     for patch in patches:
         patch.set_facecolor("none")  # whatever the page is like
-    _settle(figure)
+    _settle(figure, measured=True)
     with _DRAWING:
         figure.dpi = 72.0  # that of SVG
-        vectors = _renderer()(
+        vectors = svg_renderer(
             72.0 * width,
             72.0 * height,
             stream,
+            words=words,
             image_dpi=kept[1],
             metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")),
         )
-        _canvas()(figure, vectors)
+        svg_canvas(figure, vectors)
         mixed: Any = backend_mixed  # without types
         figure.draw(mixed.MixedModeRenderer(figure, width, height, kept[1], vectors))
         vectors.finalize()
@@ -103,7 +107,7 @@ def render(figure: "Figure", ending: str) -> str | bytes:
 
     stream = BytesIO()
     dates = {"CreationDate": None} if ending == ".pdf" else None
-    _settle(figure)
+    _settle(figure, measured=False)
     with _DRAWING:
         figure.savefig(
             stream,
@@ -224,13 +228,17 @@ def _dress(axes: "Axes") -> None:
     )
 
 
-def _settle(figure: "Figure") -> None:
-    """Decide what is still open of the type and the lines of a figure that has been drawn."""
+def _settle(figure: "Figure", *, measured: bool) -> None:
+    """Decide what is still open of the type and the lines of a figure that has been drawn.
+
+    Where text is only measured, as for SVG, it needs no font that has all its characters.
+    """
     from matplotlib.lines import Line2D
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):  # ticks that are made later take after the first
-        text.set(usetex=False, fontproperties=_plain_font(float(text.get_fontsize())))
+        shown = "" if measured else text.get_text()
+        text.set(usetex=False, fontproperties=font_of(shown, float(text.get_fontsize())))
     for line in figure.findobj(Line2D):
         line.set(
             solid_capstyle="projecting",
@@ -240,91 +248,18 @@ def _settle(figure: "Figure") -> None:
         )
 
 
-def _plain_font(size: float) -> Any:
-    from matplotlib.font_manager import FontProperties
-
-    return FontProperties(
-        family=[_FONT],
-        style="normal",
-        variant="normal",
-        weight="normal",
-        stretch="normal",
-        size=size,
-    )
-
-
 def _plain(text: str) -> str:
     """Return the SVG element alone, with ids that are numbers and everywhere the same type."""
     text = text[text.index("<svg") :]
     text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'(<svg [^>]*?) id="[^"]*"', r"\1", text, count=1)
-    text = re.sub(
-        r"<pattern .*?</pattern>",
-        lambda match: re.sub(r"stroke-width: [\d.]+", f"stroke-width: {_HATCH_WIDTH}", match[0]),
-        text,
-        flags=re.DOTALL,
-    )
     # Ids are drawn by lot where `svg.hashsalt` is not set.
     numbers: dict[str, str] = {}
     return re.sub(
         r'(\bid="|url\(#|href="#)([^")]+)',
         lambda match: match[1] + numbers.setdefault(match[2], f"i{len(numbers)}"),
-        text.replace(f"'{_FONT}'", _FONTS),
+        text.replace(f"'{FONT}'", _FONTS),
     )
-
-
-@cache
-def _renderer() -> Any:
-    """Return the class that writes SVG, with all text as text and none as mathematics."""
-    from matplotlib.backends.backend_svg import RendererSVG
-
-    # Its own methods have no types.
-    base: Any = RendererSVG
-
-    class Renderer(base):  # type: ignore[misc]
-        def draw_text(
-            self,
-            gc: Any,
-            x: float,
-            y: float,
-            s: str,
-            prop: Any,
-            angle: float,
-            ismath: bool = False,
-            mtext: Any = None,
-        ) -> None:
-            # `svg.fonttype` would decide between text and outlines: reports translate text.
-            self._draw_text_as_text(gc, x, y, s, prop, angle, False, mtext)
-
-        def get_text_width_height_descent(self, s: str, prop: Any, ismath: object) -> Any:
-            return super().get_text_width_height_descent(s, prop, False)
-
-        def draw_path(self, gc: Any, path: Any, transform: Any, rgbFace: Any = None) -> None:
-            gc.set_sketch_params()
-            path.simplify_threshold = 1.0 / 9.0
-            path.should_simplify = path.codes is None and len(path) >= 128
-            super().draw_path(gc, path, transform, rgbFace)
-
-        def option_image_nocomposite(self) -> bool:
-            return False
-
-    return Renderer
-
-
-@cache
-def _canvas() -> Any:
-    """Return the class of canvas that lets the layout measure with the renderer that draws."""
-    from matplotlib.backend_bases import FigureCanvasBase
-
-    class Canvas(FigureCanvasBase):
-        def __init__(self, figure: "Figure", renderer: Any) -> None:
-            super().__init__(figure)
-            self._measures = renderer
-
-        def get_renderer(self) -> Any:
-            return self._measures
-
-    return Canvas
 
 
 @cache

@@ -275,7 +275,7 @@ def _method(c: Calibration, tr: Translator) -> Section:
         (tr("Convention"), tr(c.convention)),
         (tr("Gravity"), gravity),
         (tr("Estimator"), tr(c.estimator)),
-        (tr("Criterion"), tr(c.criterion)),
+        (tr("Criterion"), tr.message(c.criterion)),
         (tr("Computed"), f"{c.created}, multipos {c.version}"),
     ]
     for name, column in c.readings.environment.items():

@@ -95,6 +95,7 @@ _REGRESSIONS = Fields(
     },
     {"doubts": DOUBTS},
 )
+_DENIED = "The runs are NOT consistent with what each claims."
 _KEYS = ("calibrations", "regressions")
 
 
@@ -153,7 +154,10 @@ def comparison_content(
         title=tr("Report of repeated calibrations"),
         subtitle=tr("{count} runs of one unit", count=str(len(runs))),
         verdict=tr(NOT_FIT) if implausible(map(read_doubt, found.get("doubts", ()))) else None,
-        warnings=tuple(map(tr.message, found["warnings"])),
+        warnings=(
+            *(() if found["consistent"] else (tr(_DENIED),)),
+            *map(tr.message, found["warnings"]),
+        ),
         fields=lab_fields(said, tr),
         sections=(*sections, _origin(runs, tr)),
         lab=said,
@@ -166,7 +170,7 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
     paragraphs = [
         tr("The runs are consistent with what each claims.")
         if found["consistent"]
-        else tr("The runs are NOT consistent with what each claims.")
+        else tr(_DENIED)
     ]
     if "parameters" not in found:
         return Section(tr("Result"), tuple(paragraphs))

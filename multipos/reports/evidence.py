@@ -65,6 +65,13 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
     paragraphs = [
         tr("Residual = reading − model. The bars are ±2 standard deviations of each residual.")
     ]
+    if c.sessions is not None:
+        paragraphs = [
+            tr(
+                "Residual = reading − model of all sessions, so that it holds how its session "
+                "differs. The bars are ±2 standard deviations within a session."
+            )
+        ]
     if c.estimator is Estimator.UNKNOWN:
         paragraphs.append(
             tr(
@@ -340,5 +347,10 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
 
 
 def _table_of(sheet: Sheet, tr: Translator, left: int = 1) -> PageTable:
-    rows = tuple(tuple(map(tr, row)) for row in sheet.rows)
+    rows = tuple(tuple(_translated(cell, tr) for cell in row) for row in sheet.rows)
     return PageTable(tr.message(sheet.title), tuple(map(tr.label, sheet.header)), rows, left)
+
+
+def _translated(cell: str, tr: Translator) -> str:
+    """Return a cell, word by word where it is a list."""
+    return tr.listed([tr.message(word) for word in cell.split(", ")])

@@ -158,7 +158,7 @@ def _quantity_table(budget: Evaluation, tr: Translator) -> PageTable:
         for row in budget.rows
         if row is first[row.quantity]
     ]
-    header = ("Quantity", "Type", "Distribution", "u", "Unit", "dof", "Common", "Treatment")
+    header = ("Quantity", "Evaluation", "Distribution", "u", "Unit", "dof", "Common", "Treatment")
     return PageTable(tr("Input quantities"), tuple(map(tr, header)), tuple(lines), left=3)
 
 

@@ -60,7 +60,7 @@ def draw_svg(tr: Translator, rows: int, height: float, draw: Callable[[Any], Non
     """Return a figure of so many axes as SVG with its words translated."""
     figure, axes = new_figure(rows, height=height)
     draw(axes)
-    return tr.svg(to_svg(figure))
+    return to_svg(figure, tr.label)
 
 
 def largest_positions(tr: Translator, sizes: NDArray[np.float64]) -> tuple[list[int], str]:

@@ -254,7 +254,7 @@ def run_conclusions(found: Check) -> list[str]:
         largest = found.summary()["after"]["largest_En"]
         said.append(
             f"{agrees} with the calibration: {agreement_in_words(whole)}; largest En "
-            f"{number(largest, 2)}"
+            f"{largest:.2f}"
         )
     return said
 

@@ -45,10 +45,6 @@ class Translator:
         """Return a list in words."""
         return ("、" if self.language == "zh" else ", ").join(parts)
 
-    def svg(self, text: str) -> str:
-        """Return a figure with its words translated."""
-        return re.sub(r">([^<>\n]+)</text>", lambda m: f">{self.label(m[1])}</text>", text)
-
     def label(self, text: str) -> str:
         """Return a label of a figure; a unit in brackets stays."""
         words, bracket, unit = text.partition(" [")
