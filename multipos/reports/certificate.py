@@ -161,7 +161,8 @@ def read_lab(source: "str | os.PathLike[str] | Mapping[str, Any] | None") -> dic
                     f"{where}, [{section}]: unknown key '{key}'; it takes "
                     f"{', '.join(LAB_FIELDS[section])}."
                 )
-            said[f"{section}.{key}"] = str(value)
+            if str(value).strip():
+                said[f"{section}.{key}"] = str(value)
     return said
 
 

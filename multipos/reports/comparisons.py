@@ -168,9 +168,7 @@ def comparison_content(
 def _result(found: Mapping[str, Any], tr: Translator) -> Section:
     """Return whether the runs agree, what has moved, and the biases by run."""
     paragraphs = [
-        tr("The runs are consistent with what each claims.")
-        if found["consistent"]
-        else tr(_DENIED)
+        tr("The runs are consistent with what each claims.") if found["consistent"] else tr(_DENIED)
     ]
     if "parameters" not in found:
         return Section(tr("Result"), tuple(paragraphs))

@@ -24,13 +24,16 @@ from xml.etree import ElementTree
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.characters import one_line
 from multipos.files.trees import to_json
 from multipos.reports.certificate import Content
+from multipos.reports.translations import Language, Translator
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 VERSION = "3.3.0"
+_NO_CHARACTERS = re.compile("[\ufffe\uffff]")  # of XML
 _SCHEMA = "http://www.w3.org/2001/XMLSchema-instance"
 # What the schema needs and only the laboratory knows.
 NEEDED = (
@@ -82,10 +85,12 @@ def dcc_report(calibration: Calibration, content: Content, page: str) -> str:
     Raises
     ------
     MultiposError
-        The laboratory has not said what the schema needs; the fields are named as `section.key`.
+        The laboratory has not said what the schema needs, the fields named as `section.key`, or
+        the coverage factor is below one.
     """
     lab = content.lab
     _require(lab)
+    _require_coverage(calibration)
     for prefix, namespace in (("dcc", DCC), ("si", SI), ("xsi", _SCHEMA)):
         ElementTree.register_namespace(prefix, namespace)
     writer = _Writer(content.language)
@@ -115,18 +120,32 @@ def _require(lab: Lab) -> None:
         )
 
 
+def _require_coverage(c: Calibration) -> None:
+    least = float(np.nanmin(c.k, initial=np.inf))
+    if least < 1.0:
+        raise MultiposError(
+            f"at a confidence of {c.confidence:g} the coverage factor is {least:.3g}, and a "
+            "digital calibration certificate takes 1 or more; fit with --confidence 0.95."
+        )
+
+
 class _Writer:
     """Adds elements to a tree; texts in one language."""
 
-    def __init__(self, language: str) -> None:
+    def __init__(self, language: Language) -> None:
         self.language = language
+        self._tr = Translator(language)
 
     def add(self, parent: ElementTree.Element, name: str, text: str = "") -> ElementTree.Element:
         """Add an element of the certificate, ``si:`` before a name of D-SI."""
         space = SI if name.startswith("si:") else DCC
         child = ElementTree.SubElement(parent, f"{{{space}}}{name.removeprefix('si:')}")
-        child.text = " ".join(text.split()) or None
+        child.text = _NO_CHARACTERS.sub("\ufffd", one_line(text)) or None
         return child
+
+    def told(self, parent: ElementTree.Element, name: str, text: str) -> ElementTree.Element:
+        """Add an element that holds a sentence of ours, translated."""
+        return self.words(parent, name, self._tr.message(text))
 
     def words(self, parent: ElementTree.Element, name: str, text: str) -> ElementTree.Element:
         """Add an element that holds a text in the language of the certificate."""
@@ -147,7 +166,7 @@ class _Writer:
         quantity = self.add(parent, "quantity")
         self.words(quantity, "name", name)
         if label:
-            self.words(quantity, "description", label)
+            self.told(quantity, "description", label)
         real = self.add(quantity, "si:real")
         self.add(real, "si:value", _number(value))
         self.add(real, "si:unit", unit)
@@ -175,7 +194,7 @@ def _administrative(
     serial = writer.add(writer.add(item, "identifications"), "identification")
     writer.add(serial, "issuer", "manufacturer")
     writer.add(serial, "value", lab["item.serial"])
-    writer.words(serial, "name", "serial number")
+    writer.told(serial, "name", "Serial number")
     laboratory = writer.add(part, "calibrationLaboratory")
     if lab.get("laboratory.accreditation"):
         writer.add(laboratory, "calibrationLaboratoryCode", lab["laboratory.accreditation"])
@@ -228,12 +247,13 @@ def _dates(lab: Lab, field: str) -> list[str]:
 
 
 def _statements(writer: _Writer, part: ElementTree.Element, content: Content, lab: Lab) -> None:
+    tr = Translator(content.language)
     said = [
-        "This file is not signed; it holds as far as its source vouches for it.",
+        tr("This file is not signed; it holds as far as its source vouches for it."),
         *([content.verdict] if content.verdict else []),
         *content.warnings,
         *(
-            f"{words}: {lab[field]}"
+            f"{tr(words)}: {lab[field]}"
             for field, words in (
                 ("laboratory.location", "Place of calibration"),
                 ("item.condition", "Condition of the item"),
@@ -253,17 +273,20 @@ def _statements(writer: _Writer, part: ElementTree.Element, content: Content, la
 def _results(writer: _Writer, root: ElementTree.Element, c: Calibration, lab: Lab) -> None:
     results = writer.add(root, "measurementResults")
     result = writer.add(results, "measurementResult")
-    writer.words(result, "name", "Static calibration in gravity")
+    writer.told(result, "name", "Static calibration in gravity")
     method = writer.add(writer.add(result, "usedMethods"), "usedMethod")
-    writer.words(method, "name", lab.get("measurement.method") or "static positions in gravity")
-    writer.words(method, "description", _description(c))
+    if lab.get("measurement.method"):
+        writer.words(method, "name", lab["measurement.method"])
+    else:
+        writer.told(method, "name", "static positions in gravity")
+    writer.told(method, "description", _description(c))
     writer.add(method, "reference", "JCGM 100:2008")
     _conditions(writer, result, c)
     found = writer.add(result, "results")
     _parameters(writer, found, c)
     _covariance(writer, found, c)
     whole = writer.add(found, "result")
-    writer.words(whole, "name", "The calibration as JSON")
+    writer.told(whole, "name", "The calibration as JSON")
     data = writer.add(writer.add(whole, "data"), "byteData")
     writer.file(data, "calibration.json", "application/json", to_json(c.to_dict()))
 
@@ -283,14 +306,14 @@ def _conditions(writer: _Writer, result: ElementTree.Element, c: Calibration) ->
     if temperature is None or not np.isfinite(temperature).all():
         return
     condition = writer.add(writer.add(result, "influenceConditions"), "influenceCondition")
-    writer.words(condition, "name", "temperature during the calibration, mean")
+    writer.told(condition, "name", "temperature during the calibration, mean")
     data = writer.add(condition, "data")
     writer.quantity(data, "temperature", float(temperature.mean()), r"\degreecelsius")
 
 
 def _parameters(writer: _Writer, found: ElementTree.Element, c: Calibration) -> None:
     result = writer.add(found, "result")
-    writer.words(result, "name", "Parameters")
+    writer.told(result, "name", "Parameters")
     table = writer.add(writer.add(result, "data"), "list")
     for parameter in c.entries:
         factor, unit, named = _unit(parameter.unit, known=c.gravity is not None)
@@ -315,7 +338,7 @@ def _covariance(writer: _Writer, found: ElementTree.Element, c: Calibration) -> 
     factors = np.array([factor for factor, _, _ in units])
     covariance = c.covariance * np.outer(factors, factors)
     result = writer.add(found, "result")
-    writer.words(result, "name", "Covariance of the parameters, in their order")
+    writer.told(result, "name", "Covariance of the parameters, in their order")
     table = writer.add(writer.add(result, "data"), "list")
     for name, row, (_, own, _) in zip(names, covariance, units, strict=True):
         quantity = writer.add(table, "quantity")

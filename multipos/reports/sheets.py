@@ -253,8 +253,7 @@ def run_conclusions(found: Check) -> list[str]:
         agrees = "consistent" if whole.p >= 1.0 - found.confidence else "NOT consistent"
         largest = found.summary()["after"]["largest_En"]
         said.append(
-            f"{agrees} with the calibration: {agreement_in_words(whole)}; largest En "
-            f"{largest:.2f}"
+            f"{agrees} with the calibration: {agreement_in_words(whole)}; largest En {largest:.2f}"
         )
     return said
 

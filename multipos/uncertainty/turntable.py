@@ -216,7 +216,11 @@ def _confounded(
     """Return for each quantity what together does the same as it to the readings, by name."""
     base = [bench.design(models), *bench.shifts.values()]
     terms = [name for model in models for name in model.names]
-    every = [*terms, *(f"zero shift of {output} in {plane}" for plane, output in bench.shifts), *names]
+    every = [
+        *terms,
+        *(f"zero shift of {output} in {plane}" for plane, output in bench.shifts),
+        *names,
+    ]
     null = separability(np.column_stack([*base, nominal]), floor=FLOOR).null
     result: dict[str, tuple[str, ...]] = {}
     for row, name in enumerate(every):

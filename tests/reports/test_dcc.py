@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+import re
 from xml.etree import ElementTree
 
 import numpy as np
@@ -133,6 +134,31 @@ def test_missing_fields_are_named(tmp_path):
         mp.report(calibration(), tmp_path / "k.xml")
     assert all(field in str(error.value) for field in NEEDED)
     assert not (tmp_path / "k.xml").exists()
+
+
+def test_what_no_xml_holds_is_told_and_blanks_are_not_said(tmp_path):
+    given = {"condition": "scratched\x01\ufffe", "type": " ", "manufacturer": "", "received": "\t"}
+    lab = {**LAB, "item": {**LAB["item"], **given}}
+    root = written(tmp_path, calibration(), lab=lab)
+    assert list(faults(root)) == []
+    assert "Condition of the item: scratched\\u0001\ufffd" in texts(root, ".//dcc:content")
+    assert texts(root, ".//dcc:model") == []
+    assert texts(root, ".//dcc:receiptDate") == []
+
+
+def test_a_coverage_factor_below_one_is_refused(tmp_path):
+    """The schema takes 1 or more; k of Student's t at 50 % is .7."""
+    with pytest.raises(mp.MultiposError, match="takes 1 or more"):
+        mp.report(calibration(confidence=0.5), tmp_path / "k.xml", lab=LAB)
+    assert list(faults(written(tmp_path, calibration(confidence=0.7)))) == []
+
+
+def test_our_own_words_are_in_the_language_of_the_certificate(tmp_path):
+    root = written(tmp_path, calibration(gravity=9.81), language="zh")
+    theirs = {text for part in LAB.values() for text in part.values()}
+    ours = set(texts(root, ".//dcc:content")) - theirs
+    english = [text for text in ours if re.search(r"[a-z]{2,} [a-z]{2,}", text)]
+    assert english == ["计量溯源性: by the national g"]
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,7 @@ def test_a_browser_prints_eight_pages(content, tmp_path):
     with browser.browse(tmp_path) as page:
         page.open(target)
         page.pdf(tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").stat().st_size < 1e6
     assert_holds_together(pages_of(tmp_path / "report.pdf"), content)
 
 

@@ -1,6 +1,7 @@
 """What reports say of a calibration that was combined from sessions."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -67,3 +68,45 @@ def test_the_report_of_repeats_names_the_combined_one(compared, tmp_path):
         if part.title == "合并的各次校准"
     )
     assert "--combine" in said.paragraphs[0]
+
+
+def test_repeats_that_disagree_are_a_warning(compared):
+    content = comparison_content(plain(compared.to_dict()))
+    assert content.warnings[0] == "The runs are NOT consistent with what each claims."
+    alike = mp.compare([compared.calibrations[0]] * 2)
+    assert not any("NOT" in text for text in comparison_content(plain(alike.to_dict())).warnings)
+
+
+def test_the_scatter_within_a_session_is_named_so(compared):
+    """Residuals of all sessions together are far beyond the noise within one."""
+    from multipos.plots import draw_residuals, new_figure
+
+    for cal, label in (
+        (compared.combined, "±2 sd within a session"),
+        (compared.calibrations[0], "±2 sd"),
+    ):
+        _, (axes,) = new_figure()
+        draw_residuals(cal, axes, output="ax")
+        assert axes.get_legend_handles_labels()[1] == [label, "ax"]
+
+
+def english_words(content):
+    """Return what of a report are two words of English, in tables and figures."""
+    parts = [part for part in (content.result, *content.sections) if part is not None]
+    said = [*content.warnings]
+    for part in parts:
+        for table in part.tables:
+            said += [*table.header, *(cell for row in table.rows for cell in row)]
+        for figure in part.figures:
+            said += re.findall(r"<text[^>]*>([^<]*)<", figure.draw())
+    return [text for text in said if re.search(r"[a-z]{2,} [a-z]{2,}", text)]
+
+
+def test_chinese_tables_and_figures_have_no_english(compared):
+    plainly = plain(compared.to_dict())
+    assert english_words(comparison_content(plainly, language="zh")) == []
+    assert english_words(build_content(compared.combined, language="zh")) == []
+    unknown = mp.fit(compared.calibrations[0].readings, unit="g", unknown_orientation=True)
+    assert english_words(build_content(unknown, language="zh")) == []
+    placed = mp.fit(compared.calibrations[0].readings, unit="g", orientation_sd=1e-3)
+    assert english_words(build_content(placed, language="zh")) == []
