@@ -57,6 +57,9 @@ class Demonstration(Result):
     calibration: Calibration
     closed_form: Calibration
 
+    def __str__(self) -> str:
+        return demo_text(self).rstrip("\n")
+
 
 def demo(folder: str | os.PathLike[str] | None = None) -> Demonstration:
     """Calibrate table 2 of the six-position paper; write readings, calibration and report.

@@ -98,6 +98,12 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
     return sections
 
 
+def table_errors_text(found: TableErrors) -> str:
+    """Return what the rolls tell of the turntable as plain text."""
+    sheets = table_error_sheets(found)
+    return "\n\n".join(f"{sheet.title}\n{sheet}" for sheet in sheets) or "no roll tells of a table"
+
+
 def _shift_cells(shift: ZeroShift) -> tuple[str, str, str]:
     """Return a shift with u, its U, and the unit of both."""
     factor, unit = readable_unit(max(abs(shift.value), shift.U), shift.unit)

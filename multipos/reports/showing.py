@@ -13,6 +13,8 @@ from hashlib import sha256
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from multipos.bias_stability.result import Stability
 from multipos.bias_stability.text import stability_text
 from multipos.designs.assessment import Schemes, scheme_rows, schemes_text
@@ -34,12 +36,18 @@ from multipos.plots.style import new_figure, to_svg
 from multipos.plots.temperature import draw_curve
 from multipos.plots.tumble import draw_residual_harmonics, draw_signal
 from multipos.positions.scheme import Scheme
-from multipos.reports.sheets import check_sheets, check_text, run_conclusions
+from multipos.reports.sheets import (
+    check_sheets,
+    check_text,
+    run_conclusions,
+    table_errors_text,
+)
 from multipos.reports.tumble_text import tumble_text, tumbles_text
 from multipos.results import Columns, Result
 from multipos.sensor.calibration import Calibration, parameter_rows
 from multipos.sensor.temperature import Curve
 from multipos.uncertainty.propagation import Evaluation
+from multipos.uncertainty.table_findings import TableErrors
 from multipos.verification.comparison import Comparison, comparison_text
 from multipos.verification.single_axis import Tumble
 from multipos.verification.tumbling import Tumbles
@@ -56,6 +64,7 @@ _TEXTS: dict[type, Callable[[Any], str]] = {
     Design: design_text,
     Schemes: schemes_text,
     Stability: stability_text,
+    TableErrors: table_errors_text,
     Tumble: tumble_text,
     Tumbles: tumbles_text,
     Worth: worth_text,
@@ -63,11 +72,16 @@ _TEXTS: dict[type, Callable[[Any], str]] = {
 
 
 def show_text(found: Result) -> str:
-    """Return a result as its command prints it; one that no command prints as its fields."""
+    """Return a result as its command prints it; one that no command prints as a line a field."""
     if isinstance(found, Fleet):
         return fleet_text(found.summary)
     write = _TEXTS.get(type(found))
-    return repr(found) if write is None else write(found).rstrip("\n")
+    if write is not None:
+        return write(found).rstrip("\n")
+    fields = _fields(found)
+    width = max((len(name) for name, _ in fields), default=0)
+    lines = [f"  {name:{width}}  {visible(text)}" for name, text in fields]
+    return "\n".join([type(found).__name__, *lines])
 
 
 def show_html(found: Result | Columns) -> str:
@@ -173,8 +187,12 @@ def _body(found: Result) -> str:
         lines = str(found).splitlines()
         more = ["…"] if len(lines) > _LINES else []
         return f"<pre>{_text(chr(10).join([*lines[:_LINES], *more]))}</pre>"
-    fields = [(name, _short(getattr(found, name))) for name in found.__dataclass_fields__]
-    return _table(("", ""), fields, left=2)
+    return _table(("", ""), _fields(found), left=2)
+
+
+def _fields(found: Result) -> list[tuple[str, str]]:
+    """Return the fields of a result, each in a few words."""
+    return [(name, _short(getattr(found, name))) for name in found.__dataclass_fields__]
 
 
 def _columns(found: Mapping[str, Any]) -> str:
@@ -197,6 +215,10 @@ def _columns(found: Mapping[str, Any]) -> str:
 def _short(value: Any) -> str:
     if isinstance(value, float):
         return number(value, 6)
+    if isinstance(value, np.ndarray) and value.size > _ROWS:
+        return f"array {' × '.join(map(str, value.shape))}"
+    if isinstance(value, Result):
+        return type(value).__name__
     text = value if isinstance(value, str) else repr(value)
     return text if len(text) <= _LINES else f"{text[: _LINES - 1]}…"
 
