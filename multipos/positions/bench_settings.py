@@ -7,6 +7,7 @@ Benches that are fine sets of directions, such as ``sphere``, have no such names
 """
 
 import re
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -97,14 +98,21 @@ def _of_rolls(name: str, axes: str) -> list[tuple[Array, dict[str, Any]]]:
     return found
 
 
+def _set_by(columns: Iterable[str]) -> tuple[str, ...]:
+    """Return the columns that a bench is set by: those that multipos knows, and its own angles."""
+    there = list(columns)
+    own = [n for n in there if n.endswith("_deg") and n not in (*_ANGLES, "orientation_sd_deg")]
+    return (*(name for name in _ANGLES if name in there), *own)
+
+
 def _of_table(source: "Source | Scheme") -> list[tuple[Array, dict[str, Any]]]:
     table = None if isinstance(source, Scheme) else read_table(source, what="bench")
     scheme = read_scheme(source if table is None else table)
     settings: list[dict[str, Any]] = [{} for _ in range(len(scheme))]
     if scheme.labels is not None:
         settings = [{"position": label} for label in scheme.labels]
-    for name in _ANGLES:
-        if table is not None and name in table:
+    if table is not None:
+        for name in _set_by(table.columns):
             for setting, value in zip(settings, table.text(name), strict=True):
                 setting[name] = _plain(value)
     return list(zip(scheme.up, settings, strict=True))

@@ -39,6 +39,20 @@ def test_labels_and_angles_of_a_file_stay(tmp_path):
     assert text.count("[ ]") == 8
 
 
+def test_angles_of_its_own_beside_up_vectors_stay(tmp_path):
+    rows = {"A": (0, 0, 1), "B": (0, 0, -1), "C": (1, 0, 0), "D": (-1, 0, 0), "E": (0, 1, 0)}
+    lines = [f"{label},{10 * i},{x},{y},{z}" for i, (label, (x, y, z)) in enumerate(rows.items())]
+    text = "\n".join(["position,table_deg,up_x,up_y,up_z", *lines, "F,70,0,-1,0"])
+    (tmp_path / "bench.csv").write_text(text + "\n", encoding="utf-8")
+    found = mp.design("linear", 6, candidates=tmp_path / "bench.csv")
+    turned = {
+        label: setting["table_deg"]
+        for label, setting in zip(found.labels, found.settings, strict=True)
+    }
+    assert turned == {"A": 0.0, "B": 10.0, "C": 20.0, "D": 30.0, "E": 40.0, "F": 70.0}
+    assert "table_deg  x above level" in design_text(found)
+
+
 @pytest.mark.parametrize("bench", ["two-axis-45", "roll-45-xyz"])
 def test_angles_of_a_named_bench_give_the_up_vector_back(bench):
     found = mp.design("linear", 6, candidates=bench)

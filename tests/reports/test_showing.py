@@ -55,6 +55,16 @@ def test_every_result_shows_itself_in_a_notebook_and_in_print(name):
         assert str(one)
 
 
+def test_what_no_command_prints_is_a_line_a_field():
+    scheme = mp.read_scheme("all-26")
+    lines = str(scheme).splitlines()
+    assert lines[0] == "Scheme"
+    assert lines[1].split() == ["name", "all-26"]
+    assert lines[2].split(maxsplit=1) == ["up", "array 26 × 3"]
+    assert len(lines) == 1 + len(scheme.__dataclass_fields__)
+    assert str(mp.demo()).startswith("Table 2 of Song and Qin (2009)")
+
+
 def test_doubts_come_first_and_nothing_is_markup():
     up = np.tile(mp.read_scheme("faces-6").up, (2, 1))
     names = ("<b>x", "<b>y", "<b>z")
