@@ -25,7 +25,7 @@ _DIGITS = 19  # a 64-bit integer holds any number of so many
 _EXACT = 1 << 53
 _SHARE = 4  # one number in four may be written otherwise; beyond, NumPy's reader is quicker
 _OTHERWISE = re.compile(rb"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\n)*")
-_POWERS = 10.0 ** np.arange(_DIGITS + 1)
+_POWERS = np.array([float(10**k) for k in range(_DIGITS + 1)])  # exact, as no `power` promises
 
 
 class _Cells(NamedTuple):
