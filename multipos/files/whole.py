@@ -12,6 +12,7 @@ from typing import NamedTuple
 from multipos.errors import MultiposError
 
 Content = str | bytes | Iterable[str]  # of a file: text in UTF-8, as a whole or in pieces
+Pieces = Content | Iterable[bytes]
 
 
 def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
@@ -48,7 +49,7 @@ def write_text(path: str | os.PathLike[str], text: Content) -> None:
 
 
 @contextmanager
-def written(files: Mapping[str | os.PathLike[str], Content]) -> Iterator[None]:
+def written(files: Mapping[str | os.PathLike[str], Pieces]) -> Iterator[None]:
     """Have files ready when the block begins, and in their places when it has ended well.
 
     Each is made as a temporary neighbour that then takes its name, or not at all; several appear
@@ -106,7 +107,7 @@ def _draft(path: str | os.PathLike[str]) -> _Draft:
     return _Draft(path, target, beside / f".multipos-{os.urandom(8).hex()}", regular)
 
 
-def _fill(draft: _Draft, content: Content) -> None:
+def _fill(draft: _Draft, content: Pieces) -> None:
     pieces = [content] if isinstance(content, str | bytes) else content
     with _writing(draft.path):
         stream = draft.temporary.open("xb")

@@ -13,14 +13,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from multipos.errors import MultiposError
 from multipos.files.characters import visible
 from multipos.files.pipes import is_folder
 from multipos.files.tables import format_csv
 from multipos.files.trees import read_json, to_json
-from multipos.files.whole import Content, written
+from multipos.files.whole import Content, Pieces, written
 from multipos.fleets.fleet import SCHEMA, Fleet
 
 PARQUET, CSV = "calibrations.parquet", "calibrations.csv"
@@ -28,9 +26,10 @@ UNITS, SUMMARY, PAGE = "units.csv", "fleet.json", "report.html"
 STATIONS = "stations"
 _PROGRESS = ".progress"
 _UNNAMED = "all"  # files of the one station that has no name
+_ROWS = 100_000  # units that are written at a time, a row group of Parquet
 _LONGEST = 60  # characters of a file name that a station gives
 
-Files = dict[str | os.PathLike[str], Content]
+Files = dict[str | os.PathLike[str], Pieces]
 
 
 def file_names() -> tuple[str, ...]:
@@ -69,7 +68,7 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
     corrections: Files = dict(_corrections(fleet, place / STATIONS))
     files: Files = {
         place / (PARQUET if has_parquet() else CSV): _table_of(fleet),
-        place / UNITS: format_csv(fleet.verdicts),
+        place / UNITS: _csv_pieces(fleet.verdicts),
         place / SUMMARY: to_json(fleet.to_dict()),
         place / PAGE: page,
         **corrections,
@@ -95,7 +94,7 @@ def _make(place: Path) -> None:
         ) from None
 
 
-def _corrections(fleet: Fleet, place: Path) -> Iterator[tuple[Path, Content]]:
+def _corrections(fleet: Fleet, place: Path) -> Iterator[tuple[Path, str]]:
     """Yield the files of every station whose correction is told."""
     taken: set[str] = set()
     for station in fleet["stations"]:
@@ -136,22 +135,61 @@ def has_corrections(fleet: Fleet) -> bool:
     return any(station["correction"] is not None for station in fleet["stations"])
 
 
-def _table_of(fleet: Fleet) -> Content:
-    return to_parquet(fleet.calibrations) if has_parquet() else format_csv(fleet.calibrations)
+def _table_of(fleet: Fleet) -> Pieces:
+    return to_parquet(fleet.calibrations) if has_parquet() else _csv_pieces(fleet.calibrations)
 
 
-def to_parquet(columns: Mapping[str, Any]) -> bytes:
-    """Return columns as the bytes of a Parquet file; texts that repeat are kept once."""
+def _parts(columns: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield columns so many rows at a time."""
+    rows = len(next(iter(columns.values())))
+    for start in range(0, rows, _ROWS):
+        yield {name: column[start : start + _ROWS] for name, column in columns.items()}
+
+
+def _csv_pieces(columns: Mapping[str, Any]) -> Iterator[str]:
+    """Yield columns as CSV piece by piece."""
+    for number, part in enumerate(_parts(columns)):
+        text = format_csv(part)
+        yield text.partition("\n")[2] if number else text
+
+
+def to_parquet(columns: Mapping[str, Any]) -> Iterator[bytes]:
+    """Yield columns as a Parquet file, row group by row group; texts that repeat are kept once."""
     import pyarrow as pa
     from pyarrow import parquet
 
-    arrays = {
-        name: pa.array(np.asarray(column).astype(object) if column.dtype.kind == "U" else column)
-        for name, column in columns.items()
-    }
-    stream = io.BytesIO()
-    parquet.write_table(pa.table(arrays), stream)
-    return stream.getvalue()
+    stream, writer = io.BytesIO(), None
+    for part in _parts(columns):
+        texts = {name: part[name].astype(object) for name in part if part[name].dtype.kind == "U"}
+        group = pa.table({name: pa.array(column) for name, column in {**part, **texts}.items()})
+        if writer is None:
+            writer = parquet.ParquetWriter(pa.PythonFile(_Passing(stream), mode="w"), group.schema)
+        writer.write_table(group)
+        yield _taken(stream)
+    if writer is not None:
+        writer.close()
+    yield _taken(stream)
+
+
+class _Passing(io.RawIOBase):
+    """What is written goes to a stream that is emptied in between, and has no places of its own."""
+
+    def __init__(self, stream: io.BytesIO) -> None:
+        self._stream = stream
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, raw: Any) -> int:
+        return self._stream.write(raw)
+
+
+def _taken(stream: io.BytesIO) -> bytes:
+    """Return what is in a stream, and empty it."""
+    raw = stream.getvalue()
+    stream.seek(0)
+    stream.truncate()
+    return raw
 
 
 def read_summary(source: str | os.PathLike[str]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.fleets.labels import Labels
+from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.sources import Rows
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
@@ -66,6 +66,15 @@ class Grouped:
         heads = self.starts[:-1]
         return heads if self.order is None else self.order[heads]
 
+    def piece(self, first: int, last: int) -> "Grouped":
+        """Return the units from first to last, of rows that begin with theirs."""
+        return Grouped(
+            self.order,
+            self.starts[first : last + 1] - self.starts[first],
+            self.unit[first:last],
+            self.station[first:last],
+        )
+
     def arranged(self, column: AnyArray) -> AnyArray:
         """Return a column of the table in the order of the units."""
         return column if self.order is None else column[self.order]
@@ -73,11 +82,14 @@ class Grouped:
 
 def group_rows(rows: Rows) -> Grouped:
     """Return the units of the rows of tables."""
-    stations = len(rows.station.names)
-    key = rows.unit.codes.astype(np.int64) * stations + rows.station.codes
-    heads = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
+    unit, station = rows.unit.codes, rows.station.codes
+    changes = unit[1:] != unit[:-1]
+    changes |= station[1:] != station[:-1]
+    heads = np.append(0, np.flatnonzero(changes) + 1)
     order = None
-    if len(np.unique(key[heads])) < len(heads):  # rows of a unit stand apart
+    if len(np.unique(_keys(unit[heads], rows.station, heads))) < len(heads):
+        # rows of a unit stand apart
+        key = _keys(unit, rows.station, slice(None))
         _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
         rank = np.empty(len(first), dtype=np.intp)
         rank[np.argsort(first)] = np.arange(len(first))
@@ -88,10 +100,15 @@ def group_rows(rows: Rows) -> Grouped:
     firsts = heads if order is None else order[heads]
     return Grouped(
         order,
-        np.append(heads, len(key)),
+        np.append(heads, len(unit)),
         Labels(rows.unit.codes[firsts], rows.unit.names),
         Labels(rows.station.codes[firsts], rows.station.names),
     )
+
+
+def _keys(unit: Codes, station: Labels, rows: Places | slice) -> NDArray[np.int64]:
+    """Return a number of unit and station that no other pair has."""
+    return unit.astype(np.int64) * len(station.names) + station.codes[rows]
 
 
 class Conditions:

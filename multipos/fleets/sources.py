@@ -1,12 +1,10 @@
 """The rows of a fleet: tables in files, folders and patterns, one row per unit and position.
 
 A file is CSV, or Parquet by the extra ``parquet``; a folder stands for all such files in it, a
-pattern (``line-*.csv``) for those it fits, in the order of their names. Parquet is read in this
-process, other than a log (`multipos.logs.isolation`): its texts stay what they are in the file, a
-dictionary and numbers, which is what lets twenty million rows stay in memory.
+pattern (``line-*.csv``) for those it fits, in the order of their names. Of Parquet only the columns
+of unit and station are read at once, the others piece by piece.
 """
 
-import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,9 +17,9 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.files.lists import near, quoted
 from multipos.files.pipes import is_folder, is_there, rereadable
-from multipos.files.tables import Column, Source, Table, read_table
+from multipos.files.tables import Source, Table, read_table
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
-from multipos.logs.extras import require_extra
+from multipos.fleets.parquet import FileColumn, is_in_file, is_parquet, read_parquet
 from multipos.numerics.arrays import Array
 
 _ENDINGS = (".csv", ".parquet")
@@ -48,6 +46,32 @@ class Rows:
     unit: Labels
     station: Labels
     counted: bool
+
+    @property
+    def in_files(self) -> bool:
+        """Whether all columns that are left still are in files."""
+        return all(isinstance(c, FileColumn) for t in self.tables for c in t.columns.values())
+
+    @property
+    def largest(self) -> int:
+        """The most rows that a file gives only together."""
+        return max(
+            (c.largest for t in self.tables for c in t.columns.values() if is_in_file(c)), default=1
+        )
+
+    def piece(self, start: int, stop: int) -> "Rows":
+        """Return the rows from start to stop, read, without whose they are."""
+        parts = []
+        for table, first in zip(self.tables, self.starts[:-1], strict=True):
+            low, high = max(start - first, 0), min(stop - first, table.rows)
+            if low < high:
+                parts.append(_loaded(table, low, high))
+        starts = np.cumsum([0, *(part.rows for part in parts)]).tolist()
+        return Rows(tuple(parts), tuple(starts), _NOBODY, _NOBODY, self.counted)
+
+    def without_labels(self) -> "Rows":
+        """Return the rows without whose they are, which takes memory and is known by units."""
+        return replace(self, unit=_NOBODY, station=_NOBODY)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -87,6 +111,17 @@ class Rows:
         return joined_labels([labels_of(table, name) for table in self.tables])
 
 
+_NOBODY = Labels(np.zeros(0, dtype=np.int32), ())
+
+
+def _loaded(table: Table, low: int, high: int) -> Table:
+    """Return a table with its columns read; of one that is all in a file only some rows."""
+    if not any(map(is_in_file, table.columns.values())) and (low, high) == (0, table.rows):
+        return table
+    columns = {name: column[low:high] for name, column in table.columns.items()}
+    return replace(table, columns=columns, rows=high - low)
+
+
 def _at(rows: Sequence[int], places: Any, place: int) -> list[int]:
     return [row for row, at in zip(rows, places.tolist(), strict=True) if at == place]
 
@@ -114,7 +149,8 @@ def read_rows(
         those of the first; a row without a unit.
     """
     kept = None if only is None else (unit_column, only)
-    tables = [_read(source, kept) for source in _expanded(sources)]
+    apart = {unit_column, station_column}
+    tables = [_read(source, apart, kept) for source in _expanded(sources)]
     if only is not None:
         tables = [table for table in tables if table.rows]
         if not tables:
@@ -123,11 +159,10 @@ def read_rows(
         _require_columns(table, tables[0], unit_column, station_column)
     unit = joined_labels([labels_of(table, unit_column) for table in tables])
     _require_units(tables, unit, unit_column)
-    station = Labels(np.zeros(len(unit), dtype=np.int32), ("",))
+    station = Labels(np.broadcast_to(np.int32(0), len(unit)), ("",))
     if station_column is not None:
         station = joined_labels([labels_of(table, station_column) for table in tables])
     starts = np.cumsum([0, *(table.rows for table in tables)]).tolist()
-    apart = {unit_column, station_column}
     left = tuple(_without(table, apart) for table in tables)
     return Rows(left, tuple(starts), unit, station, _are_counted(tables, unit_column))
 
@@ -201,88 +236,7 @@ def _files(source: str | os.PathLike[str]) -> Sequence[Source]:
     return [rereadable(source)]
 
 
-def _read(source: Source, kept: tuple[str, str] | None) -> Table:
-    if isinstance(source, str | os.PathLike) and _is_parquet(source):
-        return _read_parquet(source, kept)
+def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) -> Table:
+    if isinstance(source, str | os.PathLike) and is_parquet(source):
+        return read_parquet(source, apart, kept)
     return read_table(source, what="table")
-
-
-def _is_parquet(path: str | os.PathLike[str]) -> bool:
-    try:
-        with Path(path).open("rb") as stream:
-            return stream.read(4) == b"PAR1"
-    except OSError:
-        return False  # what cannot be read is refused where it is read
-
-
-def _read_parquet(path: str | os.PathLike[str], kept: tuple[str, str] | None) -> Table:
-    require_extra(Path(path), "a Parquet file", "pyarrow", "parquet")
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    columns: dict[str, Column] = {}
-    try:
-        schema = parquet.read_schema(path)
-        texts = [
-            field.name
-            for field in schema
-            if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)
-        ]
-        for name in schema.names:  # one by one, so that only one is there twice
-            table = parquet.read_table(
-                path, columns=[name], read_dictionary=texts, filters=_filter(schema, kept)
-            )
-            columns[name] = _column(table.column(0), str(path), name)
-            del table
-            pa.default_memory_pool().release_unused()
-    except (pa.ArrowException, OSError) as error:
-        said = " ".join(str(error).split())[:200]
-        raise MultiposError(
-            f"{path}: cannot be read as Parquet ({said}); write it again."
-        ) from None
-    rows = max(map(len, columns.values()), default=0)
-    if not rows and kept is None:
-        raise MultiposError(f"{path}: no rows; give one row per unit and position.")
-    return Table(str(path), columns, rows, sha256=_sha256(path))
-
-
-def _filter(schema: Any, kept: tuple[str, str] | None) -> Any:
-    """Return what keeps the rows of one unit, whose name may be a number in the file."""
-    import pyarrow as pa
-    from pyarrow import compute
-
-    if kept is None or kept[0] not in schema.names:
-        return None  # a column that is not there is refused with the others named
-    name, unit = kept
-    return compute.field(name).cast(pa.string()) == unit
-
-
-def _column(chunked: Any, source: str, name: str) -> Column:
-    import pyarrow as pa
-
-    kind = chunked.type
-    if not len(chunked):
-        return np.zeros(0)
-    if pa.types.is_dictionary(kind) and not pa.types.is_floating(kind.value_type):
-        return joined_labels([_labels(part) for part in chunked.chunks])
-    try:
-        return np.asarray(chunked.to_numpy())
-    except (pa.ArrowException, ValueError):
-        raise MultiposError(
-            f"{source}: column '{name}' holds {kind}, which is no number and no text; leave it out."
-        ) from None
-
-
-def _labels(part: Any) -> Labels:
-    """Return a dictionary of Arrow as labels; what is missing is ''."""
-    names = ["" if text is None else str(text) for text in part.dictionary.to_pylist()]
-    indices = part.indices
-    if indices.null_count:
-        indices = indices.fill_null(len(names))
-        names.append("")
-    return Labels(indices.to_numpy(zero_copy_only=False).astype(np.int32), names)
-
-
-def _sha256(path: str | os.PathLike[str]) -> str:
-    with Path(path).open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,198 @@
+"""Parquet files of a fleet, read as far as they are needed.
+
+They are read in this process, other than a log (`multipos.logs.isolation`): texts stay what they
+are in the file, a dictionary and numbers. A column stays in its file until rows of it are asked
+for; what a file gives only together is a row group.
+"""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.files.tables import Column, Table
+from multipos.fleets.labels import Labels, joined_labels
+from multipos.logs.extras import require_extra
+
+AnyArray = NDArray[Any]
+
+
+class FileColumn(Sequence[Any]):
+    """A column of a Parquet file, of which rows are read when they are asked for.
+
+    Attributes
+    ----------
+    largest : int
+        Rows of the largest row group.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], name: str, groups: Sequence[int]) -> None:
+        """Name a column of a file with so many rows in its groups."""
+        self._path, self._name = path, name
+        self._ends = np.cumsum(groups)
+        self.largest = max(groups)
+
+    def __len__(self) -> int:
+        return int(self._ends[-1])
+
+    def __getitem__(self, row: int | slice) -> Any:
+        if isinstance(row, slice):
+            start, stop, _ = row.indices(len(self))
+            return self._rows(start, stop)
+        return self._rows(row, row + 1)[0]
+
+    def _rows(self, start: int, stop: int) -> Column:
+        first, last = np.searchsorted(self._ends, [start, stop - 1], side="right").tolist()
+        before = int(self._ends[first - 1]) if first else 0
+        return _read_column(
+            self._path, self._name, range(first, last + 1), start - before, stop - start
+        )
+
+
+def is_in_file(column: Column) -> TypeGuard[FileColumn]:
+    """Tell whether a column still is in its file."""
+    return isinstance(column, FileColumn)
+
+
+def is_parquet(path: str | os.PathLike[str]) -> bool:
+    """Tell by its first bytes whether a file is Parquet."""
+    try:
+        with Path(path).open("rb") as stream:
+            return stream.read(4) == b"PAR1"
+    except OSError:
+        return False  # what cannot be read is refused where it is read
+
+
+def read_parquet(
+    path: str | os.PathLike[str], apart: set[str | None], kept: tuple[str, str] | None
+) -> Table:
+    """Return a file as a table, of which columns beside those `apart` stay in it.
+
+    Parameters
+    ----------
+    path : path
+    apart : set of str
+        Columns that are read at once.
+    kept : (name, text), optional
+        Only rows where this column says so, all columns of them.
+    """
+    require_extra(Path(path), "a Parquet file", "pyarrow", "parquet")
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(path) as file:
+            schema, told = file.schema_arrow, file.metadata
+        groups = [told.row_group(i).num_rows for i in range(told.num_row_groups)]
+        if kept is not None:
+            columns = _rows_kept(path, schema, kept)
+        elif sum(groups):
+            columns = {
+                name: _read_column(path, name, range(len(groups)), 0, sum(groups))
+                if name in apart
+                else FileColumn(path, name, groups)
+                for name in schema.names
+            }
+        else:
+            raise MultiposError(f"{path}: no rows; give one row per unit and position.")
+    except (pa.ArrowException, OSError) as error:
+        raise _unreadable(path, error) from None
+    rows = max(map(len, columns.values()), default=0)
+    return Table(str(path), columns, rows, sha256=_sha256(path))
+
+
+def _rows_kept(
+    path: str | os.PathLike[str], schema: Any, kept: tuple[str, str]
+) -> dict[str, Column]:
+    """Return all columns of the rows of one unit, one by one so that only one is there twice."""
+    from pyarrow import parquet
+
+    texts, wanted = _texts(schema), _filter(schema, kept)
+    columns: dict[str, Column] = {}
+    for name in schema.names:
+        table = parquet.read_table(path, columns=[name], read_dictionary=texts, filters=wanted)
+        columns[name] = _column(table.column(0), str(path), name)
+    return columns
+
+
+def _unreadable(path: str | os.PathLike[str], error: Exception) -> MultiposError:
+    said = " ".join(str(error).split())[:200]
+    return MultiposError(f"{path}: cannot be read as Parquet ({said}); write it again.")
+
+
+def _texts(schema: Any) -> list[str]:
+    """Return the columns of text, which are read as a dictionary and numbers."""
+    import pyarrow as pa
+
+    return [
+        field.name
+        for field in schema
+        if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)
+    ]
+
+
+def _read_column(
+    path: str | os.PathLike[str], name: str, groups: Sequence[int], skipped: int, count: int
+) -> Column:
+    """Return some rows of a column, of the row groups that hold them."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(path) as plain:
+            texts = _texts(plain.schema_arrow)
+        with parquet.ParquetFile(path, read_dictionary=texts) as file:
+            table = file.read_row_groups(list(groups), columns=[name])
+        found = _column(table.column(0).slice(skipped, count), str(path), name)
+    except (pa.ArrowException, OSError) as error:
+        raise _unreadable(path, error) from None
+    del table
+    pa.default_memory_pool().release_unused()
+    return found
+
+
+def _filter(schema: Any, kept: tuple[str, str] | None) -> Any:
+    """Return what keeps the rows of one unit, whose name may be a number in the file."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    if kept is None or kept[0] not in schema.names:
+        return None  # a column that is not there is refused with the others named
+    name, unit = kept
+    return compute.field(name).cast(pa.string()) == unit
+
+
+def _column(chunked: Any, source: str, name: str) -> Column:
+    import pyarrow as pa
+
+    kind = chunked.type
+    if not len(chunked):
+        return np.zeros(0)
+    if pa.types.is_dictionary(kind) and not pa.types.is_floating(kind.value_type):
+        return joined_labels([_labels(part) for part in chunked.chunks])
+    try:
+        return np.array(chunked.to_numpy())  # a copy, so that the rest of its groups can go
+    except (pa.ArrowException, ValueError):
+        raise MultiposError(
+            f"{source}: column '{name}' holds {kind}, which is no number and no text; leave it out."
+        ) from None
+
+
+def _labels(part: Any) -> Labels:
+    """Return a dictionary of Arrow as labels; what is missing is ''."""
+    names = ["" if text is None else str(text) for text in part.dictionary.to_pylist()]
+    indices = part.indices
+    if indices.null_count:
+        indices = indices.fill_null(len(names))
+        names.append("")
+    return Labels(indices.to_numpy(zero_copy_only=False).astype(np.int32), names)
+
+
+def _sha256(path: str | os.PathLike[str]) -> str:
+    with Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
