@@ -12,6 +12,7 @@ def run() -> list[Ratio]:
     values = 0.1 + up @ (np.eye(3) + 0.01 * rng.standard_normal((3, 3))).T
     values += 1e-3 * rng.standard_normal(values.shape)
     readings = mp.Readings(values, up=up)
+    stated = mp.Readings(values, up=up, u=np.full(values.shape, 1e-3))
 
     def by_hand() -> list[tuple[np.ndarray, np.ndarray]]:
         """Coefficients and covariance of the three outputs, as one writes it without a package."""
@@ -22,5 +23,10 @@ def run() -> list[Ratio]:
             found.append((b, np.linalg.inv(design.T @ design) * rss[0] / (24 - 5)))
         return found
 
-    pairs = paired_ratio(lambda: mp.fit(readings, model="own-quadratic"), by_hand)
-    return [Ratio("fit, 24 positions, own-quadratic", "numpy.linalg.lstsq, covariance", pairs, 10)]
+    peer = "numpy.linalg.lstsq, covariance"
+    plain = paired_ratio(lambda: mp.fit(readings, model="own-quadratic"), by_hand)
+    with_u = paired_ratio(lambda: mp.fit(stated, model="own-quadratic"), by_hand)
+    return [
+        Ratio("fit, 24 positions, own-quadratic", peer, plain, 15),
+        Ratio("the same, u of the readings stated", peer, with_u, 30),
+    ]

@@ -38,6 +38,8 @@ class RankError(MultiposError):
         How many parameters can be separated, and how many there are.
     combinations : tuple of str
         What cannot be told apart, one sentence each; empty where there are simply too few rows.
+    problem : int
+        Which of several problems it is that were solved together, from 0.
 
     Examples
     --------
@@ -50,12 +52,19 @@ class RankError(MultiposError):
     """
 
     def __init__(
-        self, message: str, *, rank: int, parameters: int, combinations: Sequence[str] = ()
+        self,
+        message: str,
+        *,
+        rank: int,
+        parameters: int,
+        combinations: Sequence[str] = (),
+        problem: int = 0,
     ) -> None:
         super().__init__(message)
         self.rank = rank
         self.parameters = parameters
         self.combinations = tuple(combinations)
+        self.problem = problem
 
 
 class ConvergenceError(MultiposError):

@@ -19,6 +19,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, fields
 from importlib import import_module
+from operator import is_not
 from typing import Any, ClassVar, NoReturn, TypeVar
 
 import numpy as np
@@ -62,7 +63,11 @@ class Result:
 
     def __post_init__(self) -> None:
         """Make arrays read-only and mappings frozen."""
-        self.__setstate__(self.__getstate__())
+        for name in self.__dataclass_fields__:
+            given = getattr(self, name)
+            kept = freeze(given)
+            if kept is not given:
+                object.__setattr__(self, name, kept)
 
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
@@ -183,16 +188,21 @@ def plain(value: Any) -> Any:
     return value
 
 
+_AS_THEY_ARE = (str, float, int, type(None), Frozen, Result)  # most of what is kept
+
+
 def freeze(value: Any) -> Any:
     """Return a value of a result as it is kept: its arrays read-only, its mappings frozen."""
+    if isinstance(value, _AS_THEY_ARE):
+        return value
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
-    elif isinstance(value, Mapping):
-        return value if isinstance(value, Frozen | Result) else Frozen(value)
     elif isinstance(value, tuple):
         kept = [freeze(part) for part in value]
-        if any(new is not old for new, old in zip(kept, value, strict=True)):
+        if any(map(is_not, kept, value)):
             return type(value)(*kept) if hasattr(value, "_fields") else tuple(kept)
+    elif isinstance(value, Mapping):
+        return Frozen(value)
     return value
 
 

@@ -247,10 +247,10 @@ def _cause_at_known(c: Calibration) -> str:
     degrees = known.placed if _separable(c) else None
     if degrees is not None and known.moved[1] <= known.apart[1]:
         size = f"the data favour placement, some {degrees:.2g} degrees"
-        if _contrasts(c) >= _TELLING:
+        if _contrasts(c, _normals(c)) >= _TELLING:
             return f"{size}: see --orientation-sd auto"
         return f"{size}, if not scatter: so few positions tell little; see --orientation-sd"
-    told = _contrasts(c) if degrees is None and _separable(c) else 1
+    told = _contrasts(c, _normals(c)) if degrees is None and _separable(c) else 1
     if known.unequal:
         pairs = zip(c.outputs, np.sqrt(known.apart[0]).tolist(), strict=True)
         sizes = ", ".join(f"{output} {size:.2g}" for output, size in pairs)
@@ -319,19 +319,24 @@ def _linear_part(c: Calibration) -> Array:
     return np.asarray((c.model.linear_map(c.mean_environment) @ c.parameters)[:, 1:])
 
 
-def _along(c: Calibration, sd: Array) -> Array:
-    """Return unit vectors (n, M) that no turn of the position moves, of readings over sd (M,)."""
+def _normals(c: Calibration) -> Array:
+    """Return vectors (n, M) of readings that no turn of the position moves."""
     H = c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)
-    normals = np.linalg.solve(H.transpose(0, 2, 1), c.reference[:, :, None])[:, :, 0] * sd
-    return np.asarray(normals / np.sqrt(np.einsum("nm,nm->n", normals, normals))[:, None])
+    return np.asarray(np.linalg.solve(H.transpose(0, 2, 1), c.reference[:, :, None])[:, :, 0])
 
 
-def _contrasts(c: Calibration) -> int:
+def _units(vectors: Array) -> Array:
+    """Return vectors (n, M) of length one."""
+    return np.asarray(vectors / np.sqrt(np.einsum("nm,nm->n", vectors, vectors))[:, None])
+
+
+def _contrasts(c: Calibration, normals: Array) -> int:
     """Return how many combinations of readings along the force the parameters leave."""
-    ones = np.ones(len(c.outputs))
-    slopes = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment)
-    left = np.einsum("nm,nmp->np", _along(c, ones), slopes)
-    return int(len(left) - np.linalg.matrix_rank(left / np.linalg.norm(left, axis=0).max()))
+    along = _units(normals)
+    phi = c.model.basis(c.reference, c.readings.environment).T
+    left = np.concatenate([phi[columns] * along[:, i] for i, columns in enumerate(c.model.columns)])
+    size = np.sqrt(np.einsum("pn,pn->p", left, left).max())
+    return int(len(along) - np.linalg.matrix_rank(left / size))
 
 
 def _is_suspect(c: Calibration) -> bool:
@@ -339,12 +344,13 @@ def _is_suspect(c: Calibration) -> bool:
     if not (c.residual_sd > 0.0).all():
         return False
     e = c.residuals / c.residual_sd
-    along = float(np.sum(np.einsum("nm,nm->n", _along(c, c.residual_sd), e) ** 2))
+    normals = _normals(c)
+    along = float(np.sum(np.einsum("nm,nm->n", _units(normals * c.residual_sd), e) ** 2))
     total = float(np.sum(e**2))
     nu = float(e.size - len(c.model.keys))
     if along * e.shape[1] > total:  # most of it lies along the force
         return False
-    left = _contrasts(c)
+    left = _contrasts(c, normals)
     if left < _TELLING:
         return False
     ratio = (total - along) / (nu - left) / (along / left)

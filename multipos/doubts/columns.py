@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from multipos.doubt import Doubt
 from multipos.doubts.linear_view import listed_reference
 from multipos.files.lists import quoted
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, row_keys
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 
@@ -197,8 +197,8 @@ def repeated_rows(c: Calibration) -> Doubt | None:
     """Find rows that are copies of others."""
     first: dict[bytes, int] = {}
     copies: list[tuple[int, int]] = []
-    for row, values in enumerate(c.readings.values + 0.0):
-        origin = first.setdefault(values.tobytes(), row)
+    for row, key in enumerate(row_keys(c.readings.values)):
+        origin = first.setdefault(key, row)
         if origin != row:
             copies.append((origin, row))
     if not copies or not _shows_noise(c):

@@ -91,10 +91,8 @@ def are_poorly_known(model: Model, parameters: Array, U: Array) -> NDArray[np.bo
 
 def _shares(model: Model, parameters: Array, U: Array) -> Array:
     """Return U of linear terms as a share of the own scale factor (B, p), of others 0."""
-    places = {model.keys[i][0]: i for i in model.own_scales}
+    linear, own = model.scaled
+    size = np.abs(parameters[:, own])
     share = np.zeros_like(U)
-    for i, (output, term) in enumerate(model.keys):
-        if term.along is not None and output in places:
-            size = np.abs(parameters[:, places[output]])
-            share[:, i] = np.divide(U[:, i], size, out=np.full_like(size, np.inf), where=size > 0.0)
+    share[:, linear] = np.where(size > 0.0, U[:, linear] / np.where(size > 0.0, size, 1.0), np.inf)
     return share

@@ -13,6 +13,7 @@ import numpy as np
 
 from multipos.doubt import Doubt
 from multipos.doubts.columns import repeated_rows, resolution
+from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 
 _LEVEL = 0.01  # at which repeats deny the model, all outputs together
@@ -69,21 +70,20 @@ def lack_of_fit(c: Calibration) -> Doubt | None:
 def time_correlated(c: Calibration) -> Doubt | None:
     """Find residuals that are alike from row to row, where the positions are not."""
     n, outputs = c.residuals.shape
-    if n < _FEWEST or not c.estimator.exact:
-        return None
-    size = np.linalg.norm(c.reference, axis=1, keepdims=True)
-    unit = c.reference / np.where(size > 0.0, size, 1.0)
-    between = np.degrees(np.arccos(np.clip(np.sum(unit[1:] * unit[:-1], axis=1), -1.0, 1.0)))
+    terms = min(map(len, c.model.terms))
+    left = n - terms
     square = np.sum(c.residuals**2, axis=0)
-    if float(np.median(between)) < _APART or not (square > 0.0).all():
+    if n < _FEWEST or not left or not c.estimator.exact or not (square > 0.0).all():
         return None
     e = c.residuals / np.sqrt(square)
     product = float(np.sum(e[1:] * e[:-1])) / outputs
+    enough = _DRIFTS / math.sqrt(outputs * left)
+    if product + terms / left < enough:  # -tr(SH) is no more than tr H
+        return None
     phi = c.model.basis(c.reference, c.readings.environment)
-    basis = np.linalg.svd(phi, full_matrices=False)[0][:, : min(map(len, c.model.terms))]
-    left = n - basis.shape[1]
+    basis = np.linalg.svd(phi, full_matrices=False)[0][:, :terms]
     expected = -float(np.sum(basis[1:] * basis[:-1])) / left
-    if (product - expected) * math.sqrt(outputs * left) < _DRIFTS:
+    if product - expected < enough or float(np.median(_angles_between(c.reference))) < _APART:
         return None
     return Doubt(
         "time-correlated",
@@ -92,3 +92,11 @@ def time_correlated(c: Calibration) -> Doubt | None:
         "drifted while it was measured, and U is too small; take the positions in random order, "
         "or fit a term of time or temperature",
     )
+
+
+def _angles_between(reference: Array) -> Array:
+    """Return the angles [degrees] from each position (n, 3) to the next (n − 1,)."""
+    size = np.linalg.norm(reference, axis=1, keepdims=True)
+    unit = reference / np.where(size > 0.0, size, 1.0)
+    cosines = np.sum(unit[1:] * unit[:-1], axis=1)
+    return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))

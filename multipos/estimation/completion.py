@@ -11,8 +11,8 @@ from multipos.estimation.six_positions import closed_form_difference
 from multipos.estimation.solution import Solution
 from multipos.files.moments import now
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, linear_term
+from multipos.numerics.arrays import Array, row_keys
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import CONVENTIONS, Convention
 from multipos.positions.readings import Readings
 from multipos.positions.stated_noise import stated_sd
@@ -132,11 +132,7 @@ def _own_scales(model: Model, solution: Solution, readings: Readings) -> list[fl
             solution.parameters, solution.reference, readings.environment
         ).mean(axis=0)
         return [float(slopes[i, COMPONENTS.index(axis)]) for i, axis in enumerate(model.axes)]
-    return [
-        float(solution.parameters[model.keys.index((output, linear_term(axis)))])
-        for output, axis in zip(model.outputs, model.axes, strict=True)
-        if (output, linear_term(axis)) in model.keys
-    ]
+    return [float(solution.parameters[i]) for i in model.own_scales]
 
 
 def _warn_convention(own: list[float], convention: str) -> list[str]:
@@ -156,7 +152,7 @@ def _lack_of_fit(
 ) -> dict[str, dict[str, object]]:
     # A repeat is a row with the same reference and surroundings, whatever its label.
     rows = np.column_stack([reference, *(readings.environment[n] for n in model.environment)])
-    groups = [row.tobytes() for row in rows + 0.0]
+    groups = row_keys(rows)
     if len(set(groups)) == len(groups):
         return {}
     result: dict[str, dict[str, object]] = {}

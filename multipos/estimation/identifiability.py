@@ -73,7 +73,7 @@ def plausible_range(model: Model, parameters: Array, magnitude: float) -> Array 
 def formal_only(model: Model, parameters: Array, u: Array, magnitude: float) -> tuple[str, ...]:
     """Name the parameters that are estimable only formally: their u exceeds what is plausible."""
     limit = plausible_range(model, parameters, magnitude)
-    if limit is None or not np.isfinite(u).all() or (u <= limit).all():
+    if limit is None or (u <= limit).all() or not np.isfinite(u).all():
         return ()
     return tuple(
         f"`{name}` is estimable only formally: its u = {sd:.2g} exceeds its plausible range"

@@ -25,7 +25,7 @@ from multipos.estimation.identifiability import formal_only
 from multipos.estimation.scatter import find_scatter
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import LinearFit, block_design, solve
+from multipos.numerics.least_squares import LinearFit, block_design, solve, solve_alike
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS, linear_term
@@ -238,44 +238,51 @@ def _solve_each(model: Model, phi: Array, readings: Readings, variances: Array |
     for output, columns in enumerate(model.columns):
         weights = b"" if stated is None else stated[:, output].tobytes()
         alike.setdefault((tuple(columns.tolist()), weights), []).append(output)
+    of_size: dict[tuple[int, int], list[list[int]]] = {}
     for group in alike.values():
-        first = group[0]
-        found = _solve_output(
-            model,
-            phi,
-            first,
-            readings.values[:, group],
-            None if stated is None else stated[:, first],
-        )
-        for column, output in enumerate(group):
-            mine = model.slices[output]
-            parameters[mine] = found.coefficients[:, column]
-            cofactor[mine, mine] = found.cofactor
-            residuals[:, output] = found.residuals[:, column]
-            leverage[:, output] = found.leverage
-            chi2[output] = np.asarray(found.rss)[column]
-        condition = max(condition, found.condition)
+        of_size.setdefault((len(model.columns[group[0]]), len(group)), []).append(group)
+    for groups in of_size.values():
+        solved = _solve_groups(model, phi, readings, stated, groups)
+        for group, found in zip(groups, solved, strict=True):
+            for column, output in enumerate(group):
+                mine = model.slices[output]
+                parameters[mine] = found.coefficients[:, column]
+                cofactor[mine, mine] = found.cofactor
+                residuals[:, output] = found.residuals[:, column]
+                leverage[:, output] = found.leverage
+                chi2[output] = np.asarray(found.rss)[column]
+            condition = max(condition, found.condition)
     return _Fits(parameters, cofactor, residuals, chi2, leverage, condition)
 
 
-def _solve_output(
-    model: Model, phi: Array, output: int, values: Array, covariance: Array | None
-) -> LinearFit:
-    names = model.names[model.slices[output]]
-    design = phi[:, model.columns[output]]
+def _solve_groups(
+    model: Model,
+    phi: Array,
+    readings: Readings,
+    variances: Array | None,
+    groups: list[list[int]],
+) -> list[LinearFit]:
+    """Solve the problems of groups of outputs, of as many terms and outputs each."""
+    firsts = [group[0] for group in groups]
+    designs = phi.T[np.array([model.columns[output] for output in firsts])]
     try:
-        return solve(design, values, covariance=covariance, floor=FLOOR, names=names)
+        return solve_alike(
+            designs.transpose(0, 2, 1),
+            readings.values.T[np.array(groups)].transpose(0, 2, 1),
+            variances=None if variances is None else variances.T[firsts],
+            floor=FLOOR,
+            names=[model.names[model.slices[output]] for output in firsts],
+        )
     except RankError as error:
-        raise _not_separable(error, model, phi, output) from None
+        raise _not_separable(error, model, phi, firsts[error.problem]) from None
 
 
 def _solve_jointly(model: Model, phi: Array, readings: Readings, covariance: Array) -> _Fits:
     """One problem for all outputs, whose readings are correlated."""
     n, m = readings.values.shape
     p = len(model.keys)
-    for output in range(m):
-        # each output's own design must be sound before they are taken together
-        _solve_output(model, phi, output, readings.values[:, [output]], None)
+    # each output's own design must be sound before they are taken together
+    _solve_each(model, phi, readings, None)
     design = block_design([phi[:, columns] for columns in model.columns])
     found = solve(
         design.reshape(n * m, p), readings.values.ravel(), covariance=covariance, names=model.names
@@ -319,7 +326,7 @@ def overstated(claim: Claim) -> tuple[str, ...]:
 
 def per_parameter(model: Model, values: Array) -> Array:
     """Return one value an output (…, M) as one a parameter (…, p)."""
-    return np.repeat(values, [len(terms) for terms in model.terms], axis=-1)
+    return np.asarray(values[..., model.rows[0]])
 
 
 def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> RankError:

@@ -1,9 +1,8 @@
 """How to fit: what the options say, checked once."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
-
-import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.losses import LOSSES, Loss
@@ -105,7 +104,7 @@ def check_options(
         stepwise=stepwise,
         orientation_sd=None if estimate else _radians(orientation_sd),
         estimate_orientation_sd=estimate,
-        level_sd=float(np.radians(level_sd)),
+        level_sd=math.radians(level_sd),
     )
 
 
@@ -136,7 +135,7 @@ def _radians(orientation_sd: float | str | None) -> float | None:
         raise UsageError(
             f"--orientation-sd must lie between 0 and 180 degrees, got {orientation_sd}."
         )
-    return float(np.radians(orientation_sd))
+    return math.radians(orientation_sd)
 
 
 def choose_estimator(options: Options, placement: Placement) -> Estimator:

@@ -35,9 +35,7 @@ _MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
 _SHAPES = 64  # steps of degrees of freedom, between which tails are nearly straight
 _SAME = 1e-9  # relative difference of mixtures that are one
 _ROOT = np.sqrt(2.0)
-# Element by element: SciPy's takes longer to import than a fit that needs a few hundred values.
-_one_by_one = np.vectorize(math.erf, otypes=[np.float64])
-_MANY = 20_000  # values from which on it is worth it
+_MANY = 20_000  # values from which on SciPy's error function is worth its import
 
 
 class Found(NamedTuple):
@@ -201,7 +199,7 @@ def _search_half(means: Array, sds: Array, weights: Array, share: float) -> Arra
 
 def _erf(z: Array) -> Array:
     if z.size < _MANY:
-        return np.asarray(_one_by_one(z), dtype=np.float64)
+        return np.array([*map(math.erf, z.ravel().tolist())]).reshape(z.shape)
     from scipy.special import erf
 
     return np.asarray(erf(z))

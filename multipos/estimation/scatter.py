@@ -34,6 +34,7 @@ section 3.10.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -50,7 +51,8 @@ _RIDGE = 1e-13  # of rounding, so that floors of any size leave a matrix that ca
 Places = NDArray[np.intp]
 
 
-class Part(NamedTuple):
+@dataclass(frozen=True)
+class Part:
     """Outputs that share a design and floors, as linear models about the solutions of B units.
 
     Attributes
@@ -80,6 +82,38 @@ class Part(NamedTuple):
         """Degrees of freedom of all its outputs."""
         n, m = self.residuals.shape[1:]
         return float(m * (n - self.parameters))
+
+    @cached_property
+    def alike(self) -> bool:
+        """Whether the floors of every unit are."""
+        return not np.ptp(self.floor, axis=1).any()
+
+    @cached_property
+    def square(self) -> Array:
+        """Squared residuals (B, n) of all outputs."""
+        return np.asarray(np.einsum("bnm,bnm->bn", self.residuals, self.residuals))
+
+    @cached_property
+    def along(self) -> Array:
+        """What is left of residuals along the design, Q'e (B, p, m)."""
+        return np.asarray(self.basis.T @ self.residuals)
+
+    @cached_property
+    def across(self) -> Array:
+        """The rest of them, squared and summed (B, 1)."""
+        whole, along = (np.sum(e**2, axis=(1, 2)) for e in (self.residuals, self.along))
+        return np.asarray(whole - along)[:, None]
+
+    @cached_property
+    def moves(self) -> Array:
+        """What Q'e makes of the parameters where floors are alike (B, 1, p m)."""
+        return (self.inverse @ self.along).transpose(0, 2, 1).reshape(len(self.along), 1, -1)
+
+    @cached_property
+    def lengths(self) -> Array:
+        """Variances of the parameters for a unit one of readings (p m,), floors alike."""
+        own = np.einsum("ip,ip->i", self.inverse, self.inverse)
+        return np.tile(own, self.residuals.shape[2])
 
 
 @dataclass(frozen=True)
@@ -215,10 +249,8 @@ def integrate_parts(parts: Sequence[Part]) -> Posterior:
     dof = sum(part.degrees for part in parts)
     precisions = np.concatenate([1.0 / part.floor for part in parts], axis=1)
     size = 1.0 / np.mean(precisions, axis=1)
-    squares = [np.einsum("bnm,bnm->bn", p.residuals, p.residuals) for p in parts]
-    pairs = zip(squares, parts, strict=True)
-    weighted = size * sum(np.sum(square / part.floor, axis=1) for square, part in pairs)
-    plain = np.sum(np.concatenate(squares, axis=1), axis=1)
+    weighted = size * sum(np.sum(part.square / part.floor, axis=1) for part in parts)
+    plain = np.sum(np.concatenate([part.square for part in parts], axis=1), axis=1)
     return integrate(lambda nodes: _evaluate(parts, nodes, size), dof, size, (weighted, plain))
 
 
@@ -227,7 +259,7 @@ def _evaluate(parts: Sequence[Part], nodes: Array, size: Array) -> Found:
     information = np.zeros(nodes.shape)  # of τ², twice
     moves, variances = [], []
     for part in parts:
-        own = _equal(part, nodes) if not np.ptp(part.floor, axis=1).any() else _unequal(part, nodes)
+        own = _equal(part, nodes) if part.alike else _unequal(part, nodes)
         log += own.log
         information += own.information
         moves.append(own.moves)
@@ -248,16 +280,12 @@ class _Share(NamedTuple):
 def _equal(part: Part, nodes: Array) -> _Share:
     """Return a part whose floors are alike: Q'V⁻¹Q is 1/V, and nothing moves with V."""
     (n, p), m = part.basis.shape, part.residuals.shape[2]
-    right = part.basis.T @ part.residuals  # (B, p, m)
-    square = np.sum(part.residuals**2, axis=(1, 2)) - np.sum(right**2, axis=(1, 2))
     variance = part.floor[:, :1] + nodes
-    lengths = np.tile(np.einsum("ip,ip->i", part.inverse, part.inverse), m)
-    moves = (part.inverse @ right).transpose(0, 2, 1).reshape(len(nodes), 1, -1)
     return _Share(
-        log=-0.5 * (m * (n - p) * np.log(variance) + square[:, None] / variance),
+        log=-0.5 * (m * (n - p) * np.log(variance) + part.across / variance),
         information=m * n / variance**2,
-        moves=np.broadcast_to(moves, (*nodes.shape, m * p)),
-        variances=variance[:, :, None] * lengths,
+        moves=np.broadcast_to(part.moves, (*nodes.shape, m * p)),
+        variances=variance[:, :, None] * part.lengths,
     )
 
 

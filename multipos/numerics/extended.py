@@ -74,25 +74,34 @@ def residual(y: Array, X: Array, b: Array, r: Array, v: Array | None = None) -> 
     Returns
     -------
     (n, k) array
+        All of them may be stacks, with more axes in front.
     """
-    n, p = X.shape
-    k = b.shape[1]
-    out = np.empty((n, k))
-    step = max(1, _BLOCK // ((p + 2) * k))
-    minus_b = -b[:, np.newaxis, :]
+    n, p = X.shape[-2:]
+    out = np.empty(y.shape)
+    step = max(1, _BLOCK * n // ((p + 2) * y.size))
+    columns = _axis_first(X, -1)[..., np.newaxis]
+    minus_b = -_axis_first(b, -2)[..., np.newaxis, :]
     for i in range(0, n, step):
         rows = slice(i, i + step)
-        s = np.empty((p + 2, len(y[rows]), k))
+        here = y[..., rows, :]
+        s = np.empty((p + 2, *here.shape))
         e = np.zeros_like(s)
-        s[0] = y[rows]
+        s[0] = here
         if v is None:
-            np.negative(r[rows], out=s[1])
+            np.negative(r[..., rows, :], out=s[1])
         else:
-            s[1], e[1] = two_product(-r[rows], v[rows, np.newaxis])
-        s[2:], e[2:] = two_product(X[rows].T[:, :, np.newaxis], minus_b)
+            s[1], e[1] = two_product(-r[..., rows, :], v[..., rows, np.newaxis])
+        s[2:], e[2:] = two_product(columns[..., rows, :], minus_b)
         total, rest = fold(s, e)
-        np.add(total, rest, out=out[rows])
+        np.add(total, rest, out=out[..., rows, :])
     return out
+
+
+def _axis_first(a: Array, axis: int) -> Array:
+    """Return an array with one axis, counted from the last, in front of the others."""
+    axes = list(range(a.ndim))
+    axes.insert(0, axes.pop(axis))
+    return a.transpose(axes)
 
 
 def product(X: Array, b: Array) -> Array:
@@ -103,14 +112,18 @@ def product(X: Array, b: Array) -> Array:
 
 
 def cross_residual(X: Array, r: Array, c: Array | None = None) -> Array:
-    """`c − Xᵀ r`, rounded once; X is (n, p), r is (n, k), c is (p, k) and zero where not given."""
-    n, p = X.shape
-    k = r.shape[1]
-    step = max(2, _BLOCK // (p * k))
+    """`c − Xᵀ r`, rounded once; X is (n, p), r is (n, k), c is (p, k) and zero where not given.
+
+    All of them may be stacks, with more axes in front.
+    """
+    n, p = X.shape[-2:]
+    step = max(2, _BLOCK * n // (p * r.size))
+    left = _axis_first(X, -2)[..., np.newaxis]
+    right = -_axis_first(r, -2)[..., np.newaxis, :]
     sums = [] if c is None else [(c, np.zeros_like(c))]
     for i in range(0, n, step):
         rows = slice(i, i + step)
-        sums.append(fold(*two_product(X[rows, :, np.newaxis], -r[rows, np.newaxis, :])))
+        sums.append(fold(*two_product(left[rows], right[rows])))
     if len(sums) == 1:
         total, rest = sums[0]
     else:

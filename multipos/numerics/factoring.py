@@ -31,15 +31,20 @@ BLOCK = 8192  # numbers factored at once: in cache, and below the size that BLAS
 
 
 class Covariance:
-    """V as unit matrix, variances or full; what whitens with it and colours again."""
+    """V as unit matrix, variances or full; what whitens with it and colours again.
 
-    def __init__(self, covariance: ArrayLike | None, n: int) -> None:
+    Variances are (n,) of one problem, (G, n) of a stack of them; `a`, `s`, `y`, `X` and `b` are the
+    matrices of one or of a stack. A full covariance is of one problem, or of a stack of one.
+    """
+
+    def __init__(self, covariance: ArrayLike | None, n: int, *, stacked: bool = False) -> None:
         self.sd: Array | None = None
         self.full: Array | None = None
+        self.variances: Array | None = None
         if covariance is None:
             return
         V = np.asarray(covariance, dtype=np.float64)
-        if V.shape == (n,):
+        if V.shape == (n,) or stacked:
             if not (np.isfinite(V).all() and (V > 0.0).all()):
                 raise MultiposError("`covariance` must be positive and finite in every row.")
             self.variances = V
@@ -64,7 +69,7 @@ class Covariance:
         """L⁻¹ a, where `a` holds the given rows."""
         if self.full is not None:
             return np.asarray(self.inverse[rows] @ a)
-        return a if self.sd is None else a / self.sd[rows, np.newaxis]
+        return a if self.sd is None else a / self.sd[..., rows, np.newaxis]
 
     def multiplier(self, s: Array) -> Array:
         """λ = V⁻¹ r = L⁻ᵀ s, from whitened residuals s."""
@@ -76,42 +81,51 @@ class Covariance:
         """Residuals r = L s = V λ."""
         if self.full is not None:
             return np.asarray(self.L @ s)
-        return s if self.sd is None else s * self.sd[:, np.newaxis]
+        return s if self.sd is None else s * self.sd[..., np.newaxis]
 
     def residual(self, y: Array, X: Array, b: Array, multiplier: Array) -> Array:
         """`y − V λ − X b` in twice the working precision."""
         if self.full is not None:
-            both = np.hstack((self.full, X))
-            zero = np.zeros_like(y)
-            return extended.residual(y, both, np.vstack((multiplier, b)), zero)
-        return extended.residual(y, X, b, multiplier, None if self.sd is None else self.variances)
+            full = np.broadcast_to(self.full, (*X.shape[:-1], len(self.full)))
+            both = np.concatenate((full, X), axis=-1)
+            coefficients = np.concatenate((multiplier, b), axis=-2)
+            return extended.residual(y, both, coefficients, np.zeros_like(y))
+        return extended.residual(y, X, b, multiplier, self.variances)
+
+    def of(self, problem: int) -> Covariance:
+        """V of one problem of a stack."""
+        if self.variances is None or self.variances.ndim == 1:
+            return self
+        return Covariance(self.variances[problem], self.variances.shape[-1])
 
 
 def factor(V: Covariance, X: Array) -> tuple[Array, Array]:
-    """Q (n, p) and R (p, p) of the whitened design.
+    """Q (n, p) and R (p, p) of the whitened design, or of each of a stack.
 
     Columns are not scaled beforehand: Householder QR commutes with that, and R is cheaper to scale.
     """
-    n, p = X.shape
+    *stack, n, p = X.shape
     limit = max(2 * p, BLOCK // p)
     if V.full is not None or n <= limit:
         Q, R = np.linalg.qr(V.whitened(X))
         return Q, R
     edges = np.linspace(0, n, -(-n // limit) + 1).astype(int)
     blocks = [slice(i, j) for i, j in pairwise(edges)]
-    Q = np.empty((n, p))
-    triangles = np.empty((len(blocks), p, p))
+    Q = np.empty(X.shape)
+    triangles = np.empty((*stack, len(blocks), p, p))
     for i, block in enumerate(blocks):
-        Q[block], triangles[i] = np.linalg.qr(V.whitened(X[block], block))
-    top, R = factor(Covariance(None, 0), triangles.reshape(-1, p))
-    for block, turn in zip(blocks, top.reshape(-1, p, p), strict=True):
-        Q[block] = Q[block] @ turn
+        white = V.whitened(X[..., block, :], block)
+        Q[..., block, :], triangles[..., i, :, :] = np.linalg.qr(white)
+    top, R = factor(Covariance(None, 0), triangles.reshape(*stack, -1, p))
+    turns = top.reshape(triangles.shape)
+    for i, block in enumerate(blocks):
+        Q[..., block, :] = Q[..., block, :] @ turns[..., i, :, :]
     return Q, R
 
 
 def column_norms(X: Array) -> Array:
     """Euclidean norms of the columns."""
-    return np.asarray(np.sqrt(np.einsum("ij,ij->j", X, X)))
+    return np.asarray(np.sqrt(np.einsum("...ij,...ij->...j", X, X)))
 
 
 def column_scales(R: Array) -> Array:
@@ -123,7 +137,8 @@ def column_scales(R: Array) -> Array:
 
 def singular_values(R: Array) -> Array:
     """Singular values of the columns scaled to unit length, the largest first."""
-    return np.asarray(np.linalg.svd(R / column_scales(R), compute_uv=False))
+    scaled = R / column_scales(R)[..., np.newaxis, :]
+    return np.asarray(np.linalg.svd(scaled, compute_uv=False))
 
 
 def design_matrix(design: ArrayLike) -> Array:

@@ -37,7 +37,7 @@ its iterative refinement). The NIST StRD linear sets, which judge the result in 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,10 +55,10 @@ from multipos.numerics.factoring import (
     factor,
     singular_values,
 )
-from multipos.numerics.separability import Separability, separability
+from multipos.numerics.separability import separability
 
 _REFINE_COFACTOR = 1e6  # condition from which the cofactor takes twice the working precision
-_STEPS = 8  # of refinement at most; Filip takes three
+_STEPS = 7  # of refinement at most; Filip takes two
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,84 +129,145 @@ def solve(
         A number is not finite, a shape does not fit, or the covariance is not positive definite.
     """
     X, y = _checked(design, response)
-    n, p = X.shape
+    V = Covariance(covariance, len(X))
+    (found,) = _solve(X[np.newaxis], y.reshape(1, len(X), -1), V, floor, [names], rows)
+    if y.ndim == 2:
+        return found
+    assert isinstance(found.rss, np.ndarray)
+    return replace(
+        found,
+        coefficients=found.coefficients[:, 0],
+        residuals=found.residuals[:, 0],
+        rss=float(found.rss[0]),
+    )
+
+
+def solve_alike(
+    designs: Array,
+    responses: Array,
+    *,
+    variances: Array | None = None,
+    floor: float = 0.0,
+    names: Sequence[Sequence[str] | None],
+    rows: str = "positions",
+) -> list[LinearFit]:
+    """Fit several problems of one size as `solve` does each, in a fraction of the time.
+
+    Parameters
+    ----------
+    designs : (G, n, p) array
+    responses : (G, n, k) array
+    variances : (G, n) array, optional
+        Of the rows of each problem.
+    floor, rows
+        As in `solve`.
+    names : G sequences of p str
+        Names of the coefficients of each problem, for messages.
+
+    Raises
+    ------
+    RankError, MultiposError
+        As in `solve`; `RankError.problem` says which problem it is, the first one.
+    """
+    _require_finite(designs, responses)
+    V = Covariance(variances, designs.shape[1], stacked=True)
+    return _solve(designs, responses, V, floor, names, rows)
+
+
+def _solve(
+    X: Array,
+    y: Array,
+    V: Covariance,
+    floor: float,
+    names: Sequence[Sequence[str] | None],
+    rows: str,
+) -> list[LinearFit]:
+    """Solve a stack of problems, designs (G, n, p) and responses (G, n, k)."""
+    n, p = X.shape[1:]
     if n < p:
         raise RankError(
             f"{n} readings cannot determine {p} terms; give at least {p}, or drop terms.",
             rank=n,
             parameters=p,
         )
-    V = Covariance(covariance, n)
     Q, R = factor(V, X)
-    norms = column_norms(R)
     singular = singular_values(R)
     judged = singular if V.full is None else singular_values(X)  # see `separability`
-    if judged[-1] <= RANK * judged[0] or (floor > 0.0 and column_norms(X).min() <= floor):
-        _refuse(separability(X, floor=floor, covariance=covariance), names, rows)
-    condition = float(singular[0] / singular[-1])
+    dependent = judged[:, -1] <= RANK * judged[:, 0]
+    if floor > 0.0:
+        dependent |= column_norms(X).min(axis=1) <= floor
+    if dependent.any():
+        first = int(np.argmax(dependent))
+        _refuse(X[first], V.of(first), floor, names[first], rows, first)
+    conditions = (singular[:, 0] / singular[:, -1]).tolist()
 
     T: Array = np.asarray(np.linalg.inv(R), dtype=np.float64)  # triangular: back substitution
-    b, s = _refined(X, y.reshape(n, -1), V, Q, T, norms)
-    residuals = V.coloured(s)
-    rss = np.einsum("nk,nk->k", s, s)
-    single = y.ndim == 1
-    return LinearFit(
-        coefficients=b[:, 0] if single else b,
-        cofactor=_cofactor(X, V, T, condition),
-        residuals=residuals[:, 0] if single else residuals,
-        rss=float(rss[0]) if single else rss,
-        dof=n - p,
-        leverage=np.einsum("ij,ij->i", Q, Q),
-        condition=condition,
-    )
+    b, s = _refined(X, y, V, Q, T, column_norms(R))
+    residuals, rss = V.coloured(s), np.einsum("gnk,gnk->gk", s, s)
+    cofactors, leverage = T @ T.transpose(0, 2, 1), np.einsum("gij,gij->gi", Q, Q)
+    return [
+        LinearFit(
+            coefficients=b[i],
+            cofactor=cofactors[i]
+            if condition <= _REFINE_COFACTOR
+            else _precise_cofactor(X[i], V.of(i), T[i]),
+            residuals=residuals[i],
+            rss=rss[i],
+            dof=n - p,
+            leverage=leverage[i],
+            condition=condition,
+        )
+        for i, condition in enumerate(conditions)
+    ]
 
 
 def _refined(
     X: Array, y: Array, V: Covariance, Q: Array, T: Array, norms: Array
 ) -> tuple[Array, Array]:
-    """Coefficients (p, k) and whitened residuals (n, k) by iterating on eq. (3).
+    """Coefficients (G, p, k) and whitened residuals (G, n, k) by iterating on eq. (3).
 
-    A correction solves (3) with f and g on the right, in factors of the whitened design:
-    u = Q' L⁻¹ f − R⁻ᵀ g, δb = R⁻¹ u, δs = L⁻¹ f − Q u. The first one starts from nothing, with
-    f = y and g = 0, and is the plain QR solution.
+    The first one is the plain QR solution. A correction solves (3) with f and g on the right, in
+    factors of the whitened design: u = Q' L⁻¹ f − R⁻ᵀ g, δb = R⁻¹ u, δs = L⁻¹ f − Q u.
     """
-    b = np.zeros((X.shape[1], y.shape[1]))
-    s = multiplier = np.zeros_like(y)
-    f, g = y, np.zeros_like(b)
-    last = np.inf
-    for step in range(_STEPS):
-        white = V.whitened(f)
-        u = Q.T @ white - T.T @ g
+    Q_turned, T_turned = Q.transpose(0, 2, 1), T.transpose(0, 2, 1)
+    white = V.whitened(y)
+    u = Q_turned @ white
+    b, s = T @ u, white - Q @ u
+    multiplier = V.multiplier(s)
+    last = np.ones((len(X), 1, 1))
+    for _ in range(_STEPS):
+        white = V.whitened(V.residual(y, X, b, multiplier))
+        u = Q_turned @ white - T_turned @ extended.cross_residual(X, multiplier)
         db = T @ u
-        size = 1.0 if step == 0 else _relative(db, b, norms)
-        if not size < 0.5 * last:  # rounding is all that is left
+        size = _relative(db, b, norms)
+        better = size < 0.5 * last
+        if not better.any():  # rounding is all that is left
             break
         ds = white - Q @ u
+        if not better.all():
+            db, ds = np.where(better, db, 0.0), np.where(better, ds, 0.0)
         b = b + db
         s = s + ds
-        multiplier = multiplier + V.multiplier(ds)
         # Corrections shrink in a fixed ratio: the next would be size²/last. Negligible is a
         # thousandth of an ulp of the largest coefficient, so that small ones get their digits too.
-        if step > 0 and size * size <= 1e-19 * last:
+        if not (better & (size * size > 1e-19 * last)).any():
             break
-        last = size
-        f = V.residual(y, X, b, multiplier)
-        g = extended.cross_residual(X, multiplier)
+        multiplier = multiplier + V.multiplier(ds)
+        last = np.where(better, size, last)
     return b, s
 
 
-def _relative(db: Array, b: Array, norms: Array) -> float:
-    """Largest correction over largest coefficient of its response, for scaled columns."""
-    scale = norms[:, np.newaxis]
-    correction = (np.abs(db) * scale).max(axis=0)
-    size = (np.abs(b) * scale).max(axis=0)
-    return float((correction / np.where(size > 0.0, size, 1.0)).max())
+def _relative(db: Array, b: Array, norms: Array) -> Array:
+    """Largest correction over largest coefficient of its response (G, 1, 1), of scaled columns."""
+    scale = norms[:, :, np.newaxis]
+    correction = (np.abs(db) * scale).max(axis=1, keepdims=True)
+    size = (np.abs(b) * scale).max(axis=1, keepdims=True)
+    relative = correction / np.where(size > 0.0, size, 1.0)
+    return np.asarray(relative.max(axis=2, keepdims=True))
 
 
-def _cofactor(X: Array, V: Covariance, T: Array, condition: float) -> Array:
-    """(X' V⁻¹ X)⁻¹ from T = R⁻¹, to full precision where R⁻¹ has lost too much of it."""
-    if condition <= _REFINE_COFACTOR:
-        return np.asarray(T @ T.T)
+def _precise_cofactor(X: Array, V: Covariance, T: Array) -> Array:
+    """(X' V⁻¹ X)⁻¹ to full precision where T = R⁻¹ has lost too much of it."""
     n, p = X.shape
     information = np.zeros((p, p))
     step = n if V.full is not None else BLOCK
@@ -225,12 +286,25 @@ def _checked(design: ArrayLike, response: ArrayLike) -> tuple[Array, Array]:
         raise MultiposError(
             f"`response` must have one row per row of `design`: {len(X)}, got {y.shape}."
         )
-    if not np.isfinite(y).all():
-        raise MultiposError("`response` has a number that is not finite.")
+    _require_finite(X, y)
     return X, y
 
 
-def _refuse(found: Separability, names: Sequence[str] | None, rows: str) -> None:
+def _require_finite(X: Array, y: Array) -> None:
+    for name, numbers in (("design", X), ("response", y)):
+        if not np.isfinite(numbers).all():
+            raise MultiposError(f"`{name}` has a number that is not finite.")
+
+
+def _refuse(
+    X: Array,
+    V: Covariance,
+    floor: float,
+    names: Sequence[str] | None,
+    rows: str,
+    problem: int,
+) -> None:
+    found = separability(X, floor=floor, covariance=V.variances if V.full is None else V.full)
     if names is None:
         names = [f"column {j + 1}" for j in range(found.parameters)]
     combinations = name_combinations(found.null, names, rows=rows)
@@ -240,6 +314,7 @@ def _refuse(found: Separability, names: Sequence[str] | None, rows: str) -> None
         rank=found.rank,
         parameters=found.parameters,
         combinations=combinations,
+        problem=problem,
     )
 
 

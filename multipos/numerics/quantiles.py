@@ -63,12 +63,12 @@ def coverage_factors(confidence: float, dof: Array) -> Array:
 
     Many different ones come from SciPy's quantiles, after a step of Newton's on its tails.
     """
-    different, place = np.unique(dof, return_inverse=True)
-    if len(different) < _MANY:
-        factors = np.array([coverage_factor(confidence, nu) for nu in different.tolist()])
-        return np.asarray(factors[place].reshape(dof.shape))
+    each = dof.ravel().tolist()
+    if len(set(each)) < _MANY:  # `coverage_factor` keeps what it has found
+        return np.array([coverage_factor(confidence, nu) for nu in each]).reshape(dof.shape)
     from scipy.special import betainc, gammaln, ndtri, stdtrit
 
+    different, place = np.unique(dof, return_inverse=True)
     nu = np.where(different > 0.0, different, np.nan)
     p = (1.0 - confidence) / 2.0
     with np.errstate(invalid="ignore"):  # nan and infinite degrees of freedom

@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -52,12 +53,12 @@ class Term:
     def __str__(self) -> str:
         return "*".join(map(str, self.factors)) or "1"
 
-    @property
+    @cached_property
     def force_degree(self) -> int:
         """Degree in specific force: 0 for a bias, 1 for a scale factor, 2 for second order."""
         return sum(factor.degree for factor in self.factors if factor.variable in COMPONENTS)
 
-    @property
+    @cached_property
     def along(self) -> str | None:
         """The component of specific force that it is proportional to, if it is to one."""
         force = [factor for factor in self.factors if factor.variable in COMPONENTS]

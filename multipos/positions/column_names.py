@@ -7,6 +7,7 @@ or in a number in brackets, is a component of what stands before it.
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 from multipos.numerics.terms import COMPONENTS
@@ -99,7 +100,8 @@ def triads_of(names: Sequence[str], kinds: Mapping[str, NameParts]) -> list[tupl
     return [tuple(axes[i] for i in range(3)) for axes in by_stem.values() if len(axes) == 3]
 
 
-def axes_by_name(outputs: Sequence[str]) -> tuple[str, ...] | None:
+@lru_cache(maxsize=64)
+def axes_by_name(outputs: tuple[str, ...]) -> tuple[str, ...] | None:
     """Return the axis that each output names, where all name one; else None.
 
     One output names its axis where it is of acceleration by its name; several have one prefix in
@@ -129,5 +131,5 @@ def _are_triads(kinds: Mapping[str, NameParts]) -> bool:
 
 def named_axes(outputs: Sequence[str]) -> list[int]:
     """Return the axis, 0 to 2, that each output names, where all do; else in order."""
-    named = axes_by_name(outputs)
+    named = axes_by_name(tuple(outputs))
     return [*range(len(outputs))] if named is None else [COMPONENTS.index(axis) for axis in named]

@@ -236,8 +236,9 @@ class Calibration(Result, Drawn):
     @cached_property
     def k(self) -> Array:
         """Coverage factors (p,) at `confidence`."""
-        factors = {dof: coverage_factor(self.confidence, dof) for dof in set(self.parameter_dof)}
-        return np.array([factors[dof] for dof in self.parameter_dof])
+        dofs = self.parameter_dof.tolist()
+        factors = {dof: coverage_factor(self.confidence, dof) for dof in set(dofs)}
+        return np.array([factors[dof] for dof in dofs])
 
     @property
     def relative_residuals(self) -> Array:

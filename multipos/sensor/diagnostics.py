@@ -16,6 +16,7 @@ References
 .. [1] R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, section 2.2.1.
 """
 
+import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -105,32 +106,39 @@ def find_outliers(
     sd : (n, M) array, optional
         Stated standard uncertainty of each reading; all are alike if not given.
     """
+    nu = np.asarray(dof, dtype=np.float64)
+    error = residuals if sd is None else residuals / sd
+    s2 = np.einsum("nm,nm->m", error, error) / np.maximum(nu, 1.0)
+    judged = (nu >= 2.0) & (s2 > 0.0)
+    left = 1.0 - leverage
+    # A position that alone fixes a parameter (leverage 1) has no residual to judge.
+    r2 = error**2 / (np.where(judged, s2, 1.0) * np.maximum(left, 1e-9))
+    suspect = judged & (left > 1e-9) & (r2 > 4.0)  # below 2 sd no position can be one
     found = []
-    n = residuals.size
-    for column, output in enumerate(outputs):
-        nu = dof[column]
-        left = 1.0 - leverage[:, column]
-        raw = residuals[:, column]
-        error = raw if sd is None else raw / sd[:, column]
-        s2 = float(error @ error) / nu if nu > 0 else 0.0
-        if nu < 2 or s2 == 0.0:
-            continue
-        # A position that alone fixes a parameter (leverage 1) has no residual to judge.
-        r2 = np.where(left > 1e-9, error**2 / (s2 * np.maximum(left, 1e-9)), 0.0)
-        suspects = np.flatnonzero(r2 > 4.0)  # below 2 sd no position can be one
+    for column in np.flatnonzero(suspect.any(axis=0)).tolist():
+        suspects = np.flatnonzero(suspect[:, column])
+        sizes = r2[suspects, column]
         beyond = []
-        for row in suspects[np.argsort(-r2[suspects], kind="stable")].tolist():
-            rest = nu - float(r2[row])
-            t = np.inf if rest <= 0.0 else np.sqrt(r2[row] * (nu - 1.0) / rest)
-            if t_tail(float(t), nu - 1.0) >= OUTLIER_LEVEL / n:
+        for place in np.argsort(-sizes, kind="stable").tolist():
+            if not _is_outlier(float(sizes[place]), float(nu[column]), residuals.size):
                 break  # and none that is smaller is beyond chance
-            beyond.append(row)
+            beyond.append(place)
         found += [
-            f"position {labels[row]}: {output} is off by {raw[row]:.3g}, "
-            f"{np.sqrt(r2[row]):.1f} times its standard deviation"
-            for row in sorted(beyond)
+            f"position {labels[suspects[place]]}: {outputs[column]} is off by "
+            f"{residuals[suspects[place], column]:.3g}, {np.sqrt(sizes[place]):.1f} times its "
+            "standard deviation"
+            for place in sorted(beyond)
         ]
     return tuple(found)
+
+
+def _is_outlier(r2: float, nu: float, readings: int) -> bool:
+    """Tell whether a squared studentised residual is beyond chance among so many readings."""
+    rest = nu - r2
+    t = math.inf if rest <= 0.0 else math.sqrt(r2 * (nu - 1.0) / rest)
+    level = OUTLIER_LEVEL / readings
+    # the normal law has the shorter tails, and settles most without Student's
+    return math.erfc(t / math.sqrt(2.0)) < level and t_tail(t, nu - 1.0) < level
 
 
 def find_correlated_outliers(
@@ -170,9 +178,7 @@ def find_correlated_outliers(
     r2 = np.where(told, shift**2 / np.where(told, np.diag(Q), 1.0), 0.0) / s2
     found = []
     for place in np.flatnonzero(r2 > 4.0).tolist():
-        rest = nu - float(r2[place])
-        t = np.inf if rest <= 0.0 else float(np.sqrt(r2[place] * (nu - 1.0) / rest))
-        if t_tail(t, nu - 1.0) < OUTLIER_LEVEL / (n * m):
+        if _is_outlier(float(r2[place]), nu, n * m):
             row, column = divmod(place, m)
             found.append(
                 f"position {labels[row]}: {outputs[column]} is off by "

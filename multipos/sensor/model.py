@@ -112,6 +112,14 @@ class Model(Result):
         return tuple(i for i, (output, term) in enumerate(self.keys) if str(term) == axes[output])
 
     @cached_property
+    def scaled(self) -> tuple[list[int], list[int]]:
+        """Where linear terms stand, and the own-axis scale factor of the output of each."""
+        own = {self.keys[i][0]: i for i in self.own_scales}
+        places = enumerate(self.keys)
+        linear = [i for i, (output, term) in places if term.along is not None and output in own]
+        return linear, [own[self.keys[i][0]] for i in linear]
+
+    @cached_property
     def force_degrees(self) -> NDArray[np.intp]:
         """Degree in specific force of each parameter's term, (p,)."""
         return np.array([term.force_degree for _, term in self.keys], dtype=np.intp)
@@ -175,11 +183,11 @@ class Model(Result):
 
     def coefficients(self, parameters: Array) -> Array:
         """Return Theta (M, T) of eq. (1); a symmetric gauge mirrors its lower triangle."""
+        outputs, columns, copies = self.rows
         theta = np.zeros((len(self.outputs), len(self.basis_terms)))
-        for output, (part, columns) in enumerate(zip(self.slices, self.columns, strict=True)):
-            theta[output, columns] = parameters[part]
-        for target, column, source in self.mirrored:
-            theta[target, column] = parameters[source]
+        theta[outputs, columns] = parameters
+        for parameter, output, column in copies:
+            theta[output, column] = parameters[parameter]
         return theta
 
     def respond(
@@ -269,17 +277,24 @@ class Model(Result):
         ``linear_map(e) @ parameters`` holds per output the constant and the coefficients of x, y
         and z, each summed over its terms in the environment at the values given.
         """
-        unit = np.eye(len(self.keys))
-        theta = np.array([self.coefficients(row) for row in unit])  # (p, M, T)
-        result = np.zeros((len(self.outputs), 4, len(unit)))
-        for column, term in enumerate(self.basis_terms):
-            force = tuple(f for f in term.factors if f.variable in COMPONENTS)
-            if force and term.along is None:
-                continue
-            place = 1 + COMPONENTS.index(force[0].variable) if force else 0
-            weight = Term(tuple(f for f in term.factors if f not in force)).evaluate(environment)
-            result[:, place] += weight * theta[:, :, column].T
+        places, others = self.linear_terms
+        result = np.zeros((len(self.outputs), 4, len(self.keys)))
+        result[places] = [other.evaluate(environment) for other in others]
         return result
+
+    @cached_property
+    def linear_terms(self) -> tuple[tuple[NDArray[np.intp], ...], tuple[Term, ...]]:
+        """Where in `linear_map` there is something, and the term of the environment that it is."""
+        places, others = [], []
+        for output, (columns, parameters) in enumerate(self.contributions):
+            for column, parameter in zip(columns.tolist(), parameters.tolist(), strict=True):
+                term = self.basis_terms[column]
+                force = [f for f in term.factors if f.variable in COMPONENTS]
+                if not force or term.along is not None:
+                    axis = 1 + COMPONENTS.index(force[0].variable) if force else 0
+                    places.append((output, axis, parameter))
+                    others.append(Term(tuple(f for f in term.factors if f not in force)))
+        return tuple(np.array(places, dtype=np.intp).reshape(-1, 3).T), tuple(others)
 
     @property
     def bounded(self) -> bool:

@@ -106,7 +106,7 @@ def default_axes(outputs: Sequence[str], axes: Names | None) -> tuple[str, ...]:
     """
     if axes is not None:
         return tuple(axis.removeprefix("-") for axis in split_names(axes, "--axes"))
-    named = axes_by_name(outputs)
+    named = axes_by_name(tuple(outputs))
     if named is not None:
         return named
     if len(outputs) > 3:

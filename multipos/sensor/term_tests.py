@@ -54,6 +54,9 @@ class ModelTest(Result):
     ratios: tuple[float, ...]
     dofs: tuple[tuple[float, float], ...]
 
+    def __post_init__(self) -> None:
+        """Tuples of numbers are frozen as they are."""
+
     @cached_property
     def statistic(self) -> float:
         """X of eq. (1), or R where there is one."""

@@ -46,6 +46,17 @@ def test_good_rows_and_ones_beyond_any_unit_are_none():
         mp.fit(noise, unknown_orientation=True)
 
 
+def test_as_many_terms_as_positions_are_said():
+    """Of twelve positions as many terms leave nothing to ask residuals of."""
+    up = mp.read_scheme("fibonacci-12").up
+    values = up + 1e-3 * np.random.default_rng(0).standard_normal(up.shape)
+    powers = " + ".join(f"own^{power}" for power in range(2, 7))
+    formula = f"1 + x + y + z + own*other + own*|own| + {powers}"
+    cal = mp.fit(mp.Readings(values, up=up), model=formula)
+    assert (cal.dof == 0.0).all()
+    assert codes(cal) == ["no-redundancy"]
+
+
 def test_positions_much_alike_are_said():
     """Within half a degree of upright, z is as good as constant: a condition above 10⁴."""
     angles = np.radians(
