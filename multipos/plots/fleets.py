@@ -37,6 +37,7 @@ def draw_histogram(parameter: Mapping[str, Any], axes: "Axes") -> None:
     margin = 0.02 * (high - low)
     axes.set_xlim(low - margin, high + margin)
     name_axis(axes.xaxis, parameter["name"], parameter["unit"])
+    axes.locator_params(axis="y", integer=True)
     axes.set_ylabel("units")
 
 

@@ -1,11 +1,13 @@
 """Figures of static records: the Allan deviation, and the zero against time."""
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from multipos.bias_stability.allan import FLICKER
 from multipos.bias_stability.result import MICRO_G, Stability
+from multipos.files.numbers import SUPERSCRIPT
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, scale_by_powers, write
 
 if TYPE_CHECKING:
@@ -71,9 +73,9 @@ def draw_zero(found: Stability, axes: "Axes", *, output: str) -> None:
     axes.set_ylabel(f"{output} [{unit}]")
     write(
         axes,
-        0.0,
+        0.12,  # beside what the numbers along the axis may be multiplied by
         1.02,
-        f"about {about}".replace("-", "−"),
+        f"about {_with_powers(about)}",
         transform=axes.transAxes,
         fontsize=8.0,
         color="#555555",
@@ -93,3 +95,11 @@ def stability_figure(found: Stability) -> "Figure":
 
 def _shown(found: Stability) -> tuple[float, str]:
     return (MICRO_G[found.unit], "µg") if found.unit in MICRO_G else (1.0, found.unit)
+
+
+def _with_powers(text: str) -> str:
+    """Return a number with its unit, 3×10⁻⁵ where it was written 3e-05."""
+    powers = re.sub(
+        r"(?<=\d)e\+?(-?)0*(\d+)", lambda m: f"×10{(m[1] + m[2]).translate(SUPERSCRIPT)}", text
+    )
+    return powers.replace("-", "−")

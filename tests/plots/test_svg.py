@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import multipos as mp
-from multipos.plots import fonts, new_figure, render, to_svg
+from multipos.plots import draw_zero, fonts, new_figure, render, to_svg
 from multipos.plots.hemispheres import draw_map, everywhere
 from multipos.plots.style import name_series
 from multipos.plots.svg import hatch_lines
@@ -88,3 +88,16 @@ def test_a_map_of_one_value_shows_no_rounding():
     for mesh in axes.collections:
         assert np.ptp(mesh.get_array()) == 0.0
         assert mesh.get_clim() == pytest.approx((1.0, 3.0))
+
+
+def test_a_zero_without_a_unit_stands_clear_of_what_its_axis_is_multiplied_by():
+    """Of an output without a unit the numbers along the axis are multiplied, above its left end."""
+    noise = np.random.default_rng(3).standard_normal((4000, 1))
+    found = mp.stability({"time": np.arange(4000) * 0.01, "ax": 3e-5 + 1e-6 * noise[:, 0]})
+    figure, (axes,) = new_figure()
+    draw_zero(found, axes, output="ax")
+    text = to_svg(figure)
+    places = re.findall(r'x="([\d.]+)"[^>]*>(1×10⁻⁶|about 3[^<]*)<', text)
+    (left, _), (right, said) = sorted(places, key=lambda place: float(place[0]))
+    assert re.fullmatch(r"about 3\S*×10⁻⁵ reading|about 2\.\d+×10⁻⁵ reading", said)
+    assert float(right) > float(left) + 40.0
