@@ -23,7 +23,7 @@ from multipos.regression.hysteresis import branch_of
 from multipos.regression.junctions import Junction
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import segment_of
-from multipos.results import Result
+from multipos.results import Result, data_frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +144,19 @@ class Regression(Result):
             rows = np.flatnonzero(place == i)
             predicted[rows] = segment.design(given, rows) @ segment.values
         return predicted
+
+    def to_pandas(self) -> Any:
+        """Return the terms as a data frame: segment, term, value, u, t, p.
+
+        Raises
+        ------
+        MultiposError
+            pandas is not installed.
+        """
+        terms = [(i, c) for i, s in enumerate(self.segments, start=1) for c in s.coefficients]
+        columns = ("term", "value", "u", "t", "p")
+        told = {key: [getattr(c, key) for _, c in terms] for key in columns}
+        return data_frame({"segment": [i for i, _ in terms], **told})
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry, keys as in the formats reference."""

@@ -29,7 +29,7 @@ from multipos.positions.harmonics import (
     transform,
 )
 from multipos.positions.readings import Readings
-from multipos.results import Drawn, Result
+from multipos.results import Drawn, Result, data_frame
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model
 from multipos.sensor.tilt import reading_noise
@@ -115,6 +115,18 @@ class Tumble(Result, Drawn):
     def __getitem__(self, name: str) -> TumbleCoefficient:
         """Return a coefficient by name, as in ``tumble["K2"]``."""
         return self.coefficients[name]
+
+    def to_pandas(self) -> Any:
+        """Return the coefficients as a data frame: name, value, u, k, U, unit.
+
+        Raises
+        ------
+        MultiposError
+            pandas is not installed.
+        """
+        columns = ("value", "u", "k", "U", "unit")
+        told = {key: [getattr(c, key) for c in self.coefficients.values()] for key in columns}
+        return data_frame({"name": list(self.coefficients), **told})
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""

@@ -110,6 +110,21 @@ def test_tables_are_data_frames():
     runs = mp.compare(calibrated(1), calibrated(2)).to_pandas()
     assert_allclose(runs["run 2"], calibrated(2).parameters)
     assert_allclose(runs["mean"], (runs["run 1"] + runs["run 2"]) / 2)
+    coefficients = tumbled().to_pandas()
+    assert coefficients["name"].tolist() == list(tumbled().coefficients)
+    assert coefficients["value"].tolist() == [c.value for c in tumbled().coefficients.values()]
+
+
+def test_terms_of_a_regression_are_a_data_frame():
+    """y = 2 + 3 x below 0, 5 - x from there, without noise."""
+    x = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
+    y = np.where(x < 0.0, 2.0 + 3.0 * x, 5.0 - x) + 1e-9 * np.array([1, -2, 1, 0, 0, 1, -2, 1])
+    found = mp.regress({"x": x, "y": y}, response="y", variables="x", segment="x:0")
+    frame = found.to_pandas()
+    assert frame["segment"].tolist() == [1, 1, 2, 2]
+    assert frame["term"].tolist() == ["1", "x", "1", "x"]
+    assert_allclose(frame["value"], [2.0, 3.0, 5.0, -1.0], atol=1e-7)
+    assert frame["u"].tolist() == [c.u for s in found.segments for c in s.coefficients]
 
 
 def test_ufloats_carry_the_covariance():
