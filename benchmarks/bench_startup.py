@@ -38,12 +38,12 @@ def run() -> list[Ratio]:
                 "numpy, scipy.linalg",
                 goal=2,
             ),
-            # The peer in C++ takes for such a log what the import takes; thrice that is the goal.
+            # The peer in C++ takes for such a log 1.25 times the import; thrice that is the goal.
             against_imports(
                 "multipos calibrate, 51,000 rows",
                 ["calibrate", str(log), "-o", f"{folder}/cal.json"],
                 "argparse, numpy",
-                goal=3,
+                goal=3.75,
             ),
         ]
 
