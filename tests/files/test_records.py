@@ -194,7 +194,7 @@ REMOVED = object()
         ("cal", ["outputs"], ["ax", "ay", "ay"], "'residual_sd' names ax, ay, az, not its outputs"),
         ("cal", ["status"], {"converged": True}, "the key 'status.iterations' is missing"),
         ("cal", ["gravity"], {"value": 9.8, "u": -1}, "gravity.u is -1; a number of at least 0"),
-        ("cal", ["confidence"], 1.0, "confidence is 1.0; a number above 0 and below 1"),
+        ("cal", ["confidence"], 1.0, "confidence is 1.0; a number of at least 1e-40 and below 1"),
         ("cal", ["estimator"], "x", "one of closed-form, linear, uncertain-orientation"),
         ("cal", ["gauge"], "lower", "its parameters are not those of its model"),
         ("cal", ["model"], "own^9" * 3000, "model is 'own^9own^9"),
