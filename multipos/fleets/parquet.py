@@ -12,14 +12,11 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Table
 from multipos.fleets.labels import Labels, joined_labels
 from multipos.logs.extras import require_extra
-
-AnyArray = NDArray[Any]
 
 
 class FileColumn(Sequence[Any]):
