@@ -99,7 +99,7 @@ def stated(n: int, uncertain: bool) -> tuple[Problem, State]:
         environment={},
         precision=np.full((n, 3), NOISE**-2),
         reference=up,
-        spread=np.full(n, np.radians(0.1) if uncertain else np.inf),
+        orientation_sd=np.full(n, np.radians(0.1) if uncertain else np.inf),
         group=np.full(n, -1),
         weight=np.ones(n),
     )

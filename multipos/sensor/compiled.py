@@ -12,6 +12,7 @@ by what they were asked for: a search asks for the slopes by force where it aske
 import threading
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
+from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,7 +62,8 @@ class Compiled:
         columns: int,
         count: int,
     ) -> None:
-        self._sizes = [len(own) for own in places]
+        ends = [*accumulate(map(len, places), initial=0)]
+        self._slopes = [slice(*pair) for pair in pairwise(ends)]
         self._places = places
         self._symbols = _symbols(columns, count)
         self._outputs = _expressions(programs, places, self._symbols)
@@ -78,7 +80,7 @@ class Compiled:
         parameters : (p,) array
         """
         mapped = self._map(self._function, len(force))
-        return _split(mapped.call(force, columns, parameters), self._sizes)
+        return _split(mapped.call(force, columns, parameters), self._slopes)
 
     def _map(self, function: Any, n: int) -> "_Map":
         """Return a function over n rows; the last few are kept."""
@@ -94,7 +96,7 @@ class Compiled:
 
     def bends(self, force: Array, columns: Array, parameters: Array) -> Array:
         """Return the second derivatives d²y/dp² (n, M, p, p)."""
-        n, m, p = len(force), len(self._sizes), len(parameters)
+        n, m, p = len(force), len(self._places), len(parameters)
         found = self._map(self._second, n).call(force, columns, parameters)
         return found.T.reshape(n, m, p, p)
 
@@ -150,7 +152,7 @@ class _Map:
             return np.zeros((self.result.shape[1], 0))
         same = self.last is not None
         for held, new in zip(self.given, given, strict=True):
-            if new.size and not (same and np.array_equal(held, new)):
+            if new.size and not (same and (held == new).all()):
                 held[...] = new
                 same = False
         if not same or self.last is None:
@@ -160,13 +162,11 @@ class _Map:
         return self.last
 
 
-def _split(found: Array, sizes: Sequence[int]) -> Values:
+def _split(found: Array, parts: Sequence[slice]) -> Values:
     """Return the rows of (1) by what they are; positions run fastest in memory."""
-    m, ends = len(sizes), np.cumsum(sizes).tolist()
-    slopes = found[m : m + ends[-1]]
-    by_force = found[m + ends[-1] :].reshape(m, 3, -1)
-    parts = tuple(slopes[end - size : end].T for end, size in zip(ends, sizes, strict=True))
-    return Values(found[:m].T, parts, by_force.transpose(2, 0, 1))
+    m = len(parts)
+    slopes, by_force = found[m : -3 * m], found[-3 * m :].reshape(m, 3, -1)
+    return Values(found[:m].T, tuple(slopes[own].T for own in parts), by_force.transpose(2, 0, 1))
 
 
 def _symbols(columns: int, count: int) -> tuple[Any, Any, Any]:

@@ -163,8 +163,10 @@ class ExpressionModel(Model):
         return self.compiled.evaluate(force, self._columns(force, environment), parameters)
 
     def _columns(self, force: Array, environment: Mapping[str, ArrayLike]) -> Array:
-        variables = self.variables(force, environment)
         columns = np.empty((len(force), len(self.columns_used)))
+        if not self.columns_used:
+            return columns
+        variables = self.variables(force, environment)
         for j, name in enumerate(self.columns_used):
             columns[:, j] = variables[name]
         return columns
