@@ -5,13 +5,10 @@ what the D-optimal design of N poses has, U = k(n − 9) u by the information of
 so that the luck of one session's noise stays out. Guided poses miss the asked direction by up to
 10°. `stop`: sessions with noise, a sensor of their own each, that end by the rule of capture, or at
 the first fit that claims the target; the share of parameters whose U holds the truth.
-`long`: processor time and memory of eight hours at 1 kHz, a pose in ten minutes.
 """
 
 import argparse
 import math
-import resource
-import time
 import warnings
 from collections.abc import Callable, Iterator
 
@@ -19,12 +16,9 @@ import numpy as np
 
 import multipos as mp
 from multipos.capturing.next_pose import best_pose
-from multipos.capturing.running import make_plan, make_reading
-from multipos.capturing.session import Session
 from multipos.capturing.targets import FEWEST_DOF
 from multipos.designs.information import make_setting
 from multipos.designs.prospects import information_of
-from multipos.logs.arrays import log_of_columns
 from multipos.numerics.quantiles import coverage_factor
 from multipos.sensor.stating import build_model
 
@@ -40,7 +34,7 @@ FLOOR, SCATTER = 5e-5, 2e-4  # [g]: what a rest claims, and what it really is
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage_capture")
-    parser.add_argument("what", choices=["poses", "stop", "long"])
+    parser.add_argument("what", choices=["poses", "stop"])
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--target", type=float, default=3e-4, help="U at the stop [g, g/g]")
@@ -49,7 +43,7 @@ def main() -> None:
     if chosen.what == "stop":
         stop(chosen.runs, rng, chosen.target)
     else:
-        {"poses": poses, "long": long}[chosen.what](chosen.runs, rng)
+        poses(chosen.runs, rng)
 
 
 def poses(runs: int, rng: np.random.Generator) -> None:
@@ -186,27 +180,6 @@ def session(rng: np.random.Generator, target: float) -> dict[str, tuple[np.ndarr
         if small == 2:
             ended["capture"] = covered, len(up)
     return ended
-
-
-def long(hours: int, rng: np.random.Generator) -> None:
-    rate, period = 1000, 600
-    session = Session(
-        make_plan((), None, None, {}), make_reading(None, None, None, rate, None, 3e-3)
-    )
-    log = log_of_columns("synthetic", {name: np.zeros(2) for name in ("ax", "ay", "az")}, None)
-    session.begin(log, rng.standard_normal((3, 100)))
-    begun = time.process_time()
-    for second in range(hours * 3600):
-        if second % period == 0:
-            up = next(random(rng, {}))
-        moving = second % period < 4
-        noise = (0.2 if moving else 1e-3) * rng.standard_normal((3, rate))
-        for part in range(0, rate, 50):
-            session.feed(up[:, None] + noise[:, part : part + 50])
-    used = time.process_time() - begun
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"{len(session.poses)} poses, {session.rows.rows} rows")
-    print(f"{100 * used / (hours * 3600):.2f} % of a core, {memory:.0f} MB")
 
 
 if __name__ == "__main__":

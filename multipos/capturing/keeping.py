@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from multipos.capturing.lines import RowSource
 from multipos.capturing.rows import RowOptions
 from multipos.capturing.session import Session
-from multipos.capturing.sources import RowSource
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text
@@ -44,6 +44,7 @@ class Kept:
     session: Path | None = None
     earlier: Mapping[str, Any] = field(default_factory=dict)
     said: list[str] = field(default_factory=list)
+    seen: int = -1  # version of the session
     written: str = ""
 
     @property
@@ -64,6 +65,9 @@ class Kept:
         """Write the session file, where anything in it has changed."""
         if self.session is None or session.rows is None or session.threshold is None:
             return
+        if session.version == self.seen:
+            return
+        self.seen = session.version
         counted = session.rows.clock is None
         text = to_json(
             {

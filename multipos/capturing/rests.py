@@ -21,6 +21,7 @@ from multipos.numerics.arrays import Array
 
 _ENOUGH = 3  # rests that show what stillness is
 _FIRST_PIECE, _PIECE = 512, 64  # samples that the survey is told of at once
+_MANY = 1024  # pieces, each of which costs more than what it holds
 _OFTEN = 4  # windows from one look for provisional rests to the next
 
 
@@ -70,6 +71,8 @@ class LiveRests:
             self._seen += len(sd)
             if self._finder is None:
                 self._sizes.append(sd)
+                if len(self._sizes) > _MANY:
+                    self._sizes = [np.concatenate(self._sizes)]
             else:
                 self._finder.add(sd)
         changed = self._settle() if self._finder is not None else self._look()
@@ -123,11 +126,6 @@ class LiveRests:
         if since is None or self.motion().samples_left:
             return None
         return self._average([Rest(since, self._rows.rows)])[0]
-
-    def short(self) -> list[Rest]:
-        """Return the stretches that stood still for less than a rest."""
-        found = [] if self._finder is None else self._finder.short()
-        return [self._rows.in_log(rest) for rest in found]
 
     def _survey(self, samples: Array, mean: Array, sd: Array) -> None:
         """Add to the survey, in pieces that show the steps between samples."""

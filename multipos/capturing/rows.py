@@ -7,6 +7,7 @@ many, and let go of when no rest can begin before them any more.
 """
 
 import tempfile
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import IO
@@ -17,11 +18,11 @@ from multipos.errors import MultiposError
 from multipos.logs.clock import Clock, read_clock, sample_rate, time_columns
 from multipos.logs.names import choose_outputs
 from multipos.logs.rests import Rest
-from multipos.logs.samples import Timing, good_rows, rows_in_log, usual_size
+from multipos.logs.samples import Timing, good_rows, usual_size
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 
-_IN_MEMORY = 1 << 22  # numbers
+_IN_MEMORY = 1 << 20  # numbers
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
 
@@ -57,8 +58,8 @@ class LiveRows:
         self, log: Log, head: Array, outputs: tuple[str, ...] | None, timing: Timing
     ) -> None:
         self.log = log
-        self.rows = self.gaps = 0
-        self.dropped: list[int] = []
+        self.rows = self.gaps = self.bad = 0
+        self._left_out: list[int] = []  # how many good rows came before each that was left out
         named = None if timing.column is None else log.find(timing.column)
         likely = time_columns(log) if timing.rate is None else []
         chosen = choose_outputs(log, outputs, [*time_columns(log), *([named] if named else [])])
@@ -75,7 +76,6 @@ class LiveRows:
         self._order = [log.numeric.index(name) for name in names]
         self._usual = usual_size(self._arranged(head))
         self._last = -np.inf
-        self._seen = 0
         self._store = _Store(len(names))
 
     def _read_clock(self, column: str, time: Array, timing: Timing) -> None:
@@ -105,9 +105,9 @@ class LiveRows:
         timed = self.clock is not None
         good = good_rows(data, len(self.outputs), timed=timed, usual=self._usual)
         if not good.all():
-            self.dropped += (self._seen + np.flatnonzero(~good)).tolist()
+            self._left_out += (self.rows + np.cumsum(good)[~good]).tolist()
+            self.bad += int((~good).sum())
             data = data[:, good]
-        self._seen += columns.shape[1]
         self.rows += data.shape[1]
         if timed and data.shape[1]:
             steps = np.diff(
@@ -118,11 +118,6 @@ class LiveRows:
         self._store.add(np.ascontiguousarray(data))
         return data[: len(self.outputs)], good.tolist()
 
-    @property
-    def bad(self) -> int:
-        """Rows that were left out."""
-        return len(self.dropped)
-
     def pieces(self) -> Iterator[tuple[int, Array]]:
         """Yield the first row and the numbers (columns, rows) of each piece that is kept."""
         return self._store.pieces()
@@ -130,10 +125,15 @@ class LiveRows:
     def forget(self, row: int) -> None:
         """Let go of the rows before one, as far as that is easy."""
         self._store.forget(row)
+        del self._left_out[: bisect_left(self._left_out, row)]
 
     def in_log(self, rest: Rest) -> Rest:
         """Return the rows of the log that a rest is, those without numbers counted too."""
-        return rows_in_log(rest, self.dropped)
+        forgotten = self.bad - len(self._left_out)
+        before, within = (
+            forgotten + bisect_right(self._left_out, row) for row in (rest.start, rest.end - 1)
+        )
+        return Rest(rest.start + before, rest.end + within)
 
     def time(self, rest: Rest) -> tuple[float, float] | None:
         """Return when a rest begins and ends by the sample rate; None where there is none."""
@@ -166,13 +166,15 @@ class _Store:
                 self._file = tempfile.TemporaryFile()  # noqa: SIM115
             self._file.seek(0, 2)
             together = np.concatenate(self._new, axis=1)
-            self._file.write(np.ascontiguousarray(together).tobytes())
+            self._file.write(together.data)
             self._filed.append(together.shape[1])
             self._new, self._size = [], 0
         elif len(self._new) > 256:
             self._new = [np.concatenate(self._new, axis=1)]
 
     def pieces(self) -> Iterator[tuple[int, Array]]:
+        if len(self._new) > 1:  # one long piece is gone through much faster than many short ones
+            self._new = [np.concatenate(self._new, axis=1)]
         first = self._first
         if self._file is not None:
             self._file.seek(0)

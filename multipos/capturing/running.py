@@ -14,10 +14,11 @@ from typing import Any
 
 from multipos.capturing.evaluation import SessionPlan
 from multipos.capturing.keeping import Kept
+from multipos.capturing.lines import RowSource
 from multipos.capturing.raw_log import RawLog
 from multipos.capturing.rows import RowOptions
 from multipos.capturing.session import Session
-from multipos.capturing.sources import RowSource, open_source
+from multipos.capturing.sources import open_source
 from multipos.capturing.state import line_of, state_of
 from multipos.capturing.targets import Targets, read_targets
 from multipos.errors import MultiposError, UsageError

@@ -17,6 +17,9 @@ _UNKNOWN: dict[str, Any] = {
     "threshold": None,
     "enough": False,
     "refused": None,
+    "rows": 0,
+    "bad_rows": 0,
+    "gaps": 0,
 }
 
 
@@ -49,7 +52,8 @@ def state_of(session: Session) -> dict[str, Any]:
 
 def live_of(session: Session) -> dict[str, Any]:
     """Return what the sensor reads now, where it points, and whether it is still."""
-    if session.rests is None:
+    rows = session.rows
+    if session.rests is None or rows is None:
         return _UNKNOWN
     motion, under_way = session.rests.motion(), session.under_way
     live: dict[str, Any] = plain(
@@ -62,6 +66,9 @@ def live_of(session: Session) -> dict[str, Any]:
             "threshold": session.rests.limit,
             "enough": under_way is not None and under_way.reason is None,
             "refused": None if under_way is None else under_way.reason,
+            "rows": rows.rows,
+            "bad_rows": rows.bad,
+            "gaps": rows.gaps,
         }
     )
     return live

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from multipos.capturing.keeping import Kept, keep
+from multipos.capturing.lines import RowSource
 from multipos.capturing.running import Captured, captured, make_plan, make_reading, run_session
 from multipos.capturing.session import Session
-from multipos.capturing.sources import RowSource, open_source
+from multipos.capturing.sources import open_source
 from multipos.capturing.state import line_of
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, same_file
 from multipos.commands.exporting import check_targets, make_exports

@@ -32,6 +32,7 @@ _WINDOW = 1.0  # [s]
 _WINDOW_SAMPLES = 96  # where the sample rate is not known
 _SMALLEST_BLOCK = 2
 _SHORTEST = 2  # windows in a rest
+_MANY = 1024  # arrays, each of which costs more than the few numbers in it
 
 # The histogram of log10 s.
 _BINS_PER_DECADE = 100
@@ -184,6 +185,8 @@ class Survey:
         if len(sd):
             every = mean[:, -self.windows % BLOCKS :: BLOCKS]
             self._sizes.append(np.linalg.norm(every, axis=0))
+            if len(self._sizes) > _MANY:
+                self._sizes = [np.concatenate(self._sizes)]
             self.windows += len(sd)
             low, high = self._mean_range
             low, high = np.minimum(low, mean.min(axis=1)), np.maximum(high, mean.max(axis=1))
@@ -269,7 +272,12 @@ class Finder:
         self.threshold = threshold
         self._count = 0
         self._still = False
-        self._edges: list[int] = []  # where stillness begins and ends, in windows
+        # The first block of each run, and the one after its last. Runs that share blocks are one
+        # rest with a window in between that was near the threshold; runs that only touch have a
+        # step between them.
+        self._runs: list[list[int]] = []
+        self._ended = 0  # runs that nothing which follows can change
+        self._settled: list[Rest] = []  # those of them that are rests
 
     def add(self, sd: Array) -> None:
         """Add s (k,) of the windows that follow."""
@@ -277,63 +285,54 @@ class Finder:
             return
         still = sd <= self.threshold
         changes = np.flatnonzero(np.diff(still, prepend=self._still))
-        self._edges += (self._count + changes).tolist()
+        for edge in (self._count + changes).tolist():
+            if self._still:
+                self._runs[-1][1] = edge - 1 + BLOCKS
+            elif not self._runs or edge >= self._runs[-1][1]:
+                self._runs.append([edge, edge])
+            self._still = not self._still
         self._count += len(still)
-        self._still = bool(still[-1])
+        if self._still:
+            self._runs[-1][1] = self._count - 1 + BLOCKS
 
     def rests(self, rows: int) -> list[Rest]:
         """Return the rests of a log of so many rows, their ends cut."""
         return [
-            self._cut(first, last, rows)
-            for first, last in self._runs()
-            if (last - first) * self._grid.block >= self._grid.shortest
+            self._cut(first, last, rows) for first, last in self._runs if self._is_rest(first, last)
         ]
 
     @property
     def still_since(self) -> int | None:
         """First row of the stretch that is still as far as seen, None while something moves."""
-        return self._runs()[-1][0] * self._grid.block if self._still else None
+        return self._runs[-1][0] * self._grid.block if self._still else None
 
     @property
     def open_since(self) -> int:
         """First row that a rest which is not settled yet may have."""
-        runs = self._runs()[-1:]
-        open_ = [first for first, last in runs if self._still or last > self._count]
-        return (open_[0] if open_ else self._count) * self._grid.block
+        open_ = bool(self._runs) and self._runs[-1][1] > self._count
+        return (self._runs[-1][0] if open_ else self._count) * self._grid.block
 
     def settled(self) -> list[Rest]:
         """Return the rests that nothing which follows can change: they have long ended."""
-        ended = [(first, last) for first, last in self._runs() if last <= self._count]
-        block = self._grid.block
-        rows = (self._count + BLOCKS) * block  # more than a block behind each of their ends
-        return [
-            self._cut(first, last, rows)
-            for first, last in ended
-            if (last - first) * block >= self._grid.shortest
-        ]
+        rows = (self._count + BLOCKS) * self._grid.block  # more than a block behind their ends
+        while self._ended < len(self._runs) and self._runs[self._ended][1] <= self._count:
+            first, last = self._runs[self._ended]
+            if self._is_rest(first, last):
+                self._settled.append(self._cut(first, last, rows))
+            self._ended += 1
+        return self._settled
 
     def short(self) -> list[Rest]:
         """Return the stretches that stood still, but not for so long as a rest does."""
         block = self._grid.block
         return [
             Rest(first * block, last * block)
-            for first, last in self._runs()
-            if (last - first) * block < self._grid.shortest
+            for first, last in self._runs
+            if not self._is_rest(first, last)
         ]
 
-    def _runs(self) -> list[list[int]]:
-        """Return the first block of each run below the threshold, and the one after its last."""
-        edges = [*self._edges, self._count] if self._still else self._edges
-        runs: list[list[int]] = []
-        for first, after in zip(edges[::2], edges[1::2], strict=True):
-            last = after - 1 + BLOCKS
-            # Runs that share blocks are one rest with a window in between that was near the
-            # threshold; runs that only touch have a step between them.
-            if runs and first < runs[-1][1]:
-                runs[-1][1] = last
-            else:
-                runs.append([first, last])
-        return runs
+    def _is_rest(self, first: int, last: int) -> bool:
+        return (last - first) * self._grid.block >= self._grid.shortest
 
     def _cut(self, first: int, last: int, rows: int) -> Rest:
         """Cut half a window at each end, an eighth of a short rest; not where the log ends."""
