@@ -97,14 +97,13 @@ def long(hours: float) -> None:
         assert process.stdin is not None
         for part in rows(600.0, 3600.0 * hours):
             process.stdin.write("\n".join(part) + "\n")
-        peak = re.search(r"VmHWM:\s*(\d+)", Path(f"/proc/{process.pid}/status").read_text())
-        took = used(process.pid)
         process.stdin.close()
-        process.wait()
-        said = Path(folder, "run.csv").read_text().count("\n") - 1
-    assert peak is not None
-    print(f"{said} poses, {3600 * RATE * hours:.0f} rows in {time.monotonic() - begun:.0f} s")
-    print(f"{100 * took / 3600 / hours:.2f} % of a core, {int(peak[1]) / 1024:.0f} MB at the peak")
+        _, status, spent = os.wait4(process.pid, 0)
+        assert status == 0
+        taken = Path(folder, "run.csv").read_text().count("\n") - 1
+    took = spent.ru_utime + spent.ru_stime
+    print(f"{taken} poses, {3600 * RATE * hours:.0f} rows in {time.monotonic() - begun:.0f} s")
+    print(f"{100 * took / 3600 / hours:.2f} % of a core, {spent.ru_maxrss / 1024:.0f} MB")
 
 
 def send(port: int, seconds: float, sent: list[float]) -> None:

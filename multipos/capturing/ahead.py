@@ -1,7 +1,7 @@
 """Bytes taken as they come, by a thread of its own, so that none is lost while a fit goes on.
 
 A serial port holds a tenth of a second of a fast sensor, a socket a quarter. What has come is
-handed on fifty times a second: row by row would cost ten times as much.
+handed on forty times a second: row by row would cost ten times as much.
 """
 
 import threading
@@ -12,7 +12,7 @@ from itertools import groupby
 
 Chunks = Generator[bytes | None, None, None]  # as they come; None: the connection is lost
 
-_MOMENT = 0.02  # [s]
+_MOMENT = 0.025  # [s]
 _MOST = 1 << 20  # bytes that wait; a pipe waits then
 _PATIENCE = 0.1  # [s] for the thread to end
 

@@ -93,9 +93,9 @@ def _rows_of(source: RowSource, chunks: Chunks, columns: Names | None) -> Iterat
             if chunk != b"":
                 connected = chunk is not None
             content, left = _whole_lines(left, chunk)
-            if head.text is not None:
+            if content and head.text is not None:
                 yield Arrival(None, *head.text.rows(content), connected)
-            elif head.take(content):
+            elif content and head.take(content):
                 yield from head.arrivals()
             else:
                 yield Arrival(None, np.empty((0, 0)), [], connected)

@@ -25,7 +25,7 @@ from multipos.files.lists import Names
 from multipos.logs.opening import open_log
 
 TICK = 0.025  # [s]
-_GATHERED = 0.01  # [s] of bytes that are taken from a port at once
+_GATHERED = 0.02  # [s] of bytes that are taken from a port at once
 _CHUNK = 1 << 16  # bytes
 _BUFFER = 1 << 20  # bytes that the system is asked to hold of datagrams
 _HEAD_ROWS = 4096  # of a replayed log
