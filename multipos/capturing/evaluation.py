@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.capturing.next_pose import NextPose, best_pose, gain_at
+from multipos.capturing.next_pose import NextPose, best_pose, expected, gain_at
 from multipos.capturing.poses import Frame, Pose, find_frame
 from multipos.capturing.targets import FEWEST_DOF, spread_targets
 from multipos.designs.travel import order_positions
@@ -135,7 +135,7 @@ def evaluate(
         problem=problem,
         frame=frame,
         parameters=parameters,
-        doubts=_doubts(averages, calibration),
+        doubts=(*_unreachable(plan, calibration, poses), *_doubts(averages, calibration)),
         enough=bool(wanted) and all(wanted) and problem is None,
     )
 
@@ -197,6 +197,52 @@ def _progress(
 
 def _small(calibration: Calibration, name: str, target: float) -> bool:
     return _dof(calibration) >= FEWEST_DOF and target >= calibration[name].U
+
+
+def _unreachable(
+    plan: SessionPlan, calibration: Calibration | None, poses: list[Pose]
+) -> tuple[dict[str, str], ...]:
+    """Say which targets cannot be met, by the noise as the fit finds it, and why."""
+    if calibration is None or not plan.targets or _dof(calibration) < FEWEST_DOF:
+        return ()
+    targets = _targets_in(plan, calibration.model)
+    further = None if plan.scheme is None else _left_of(plan.scheme, poses)
+    try:
+        ratios, count = expected(calibration, targets, further)
+    except MultiposError:
+        return ()
+    named = [name for name in calibration.names if name in targets]
+    far = [name for name, ratio in zip(named, ratios.tolist(), strict=True) if ratio > 1.0]
+    if not far:
+        return ()
+    text = _out_of_reach(", ".join(far), float(ratios.max()), count, known=further is not None)
+    return ({"severity": "caution", "text": text},)
+
+
+def _left_of(scheme: Scheme, poses: list[Pose]) -> Array:
+    """Return the up vectors of the positions that have not been taken."""
+    done = {pose.position for pose in poses}
+    left = [i for i, label in enumerate(position_labels(scheme)) if label not in done]
+    return scheme.up[left]
+
+
+def _out_of_reach(names: str, ratio: float, count: int, *, known: bool) -> str:
+    if not known:
+        return (
+            f"the target of {names} is out of reach: {count} more poses, all over the sphere, "
+            f"would still leave U at {ratio:.3g} times the target; hold poses for longer, in a "
+            "quieter place, or raise the target"
+        )
+    way_out = "take a scheme with more positions, or raise the target"
+    if not count:
+        return (
+            f"the target of {names} was not reached: at the end of the scheme U is {ratio:.3g} "
+            f"times the target; {way_out}"
+        )
+    return (
+        f"the target of {names} is out of reach: all that is left of the scheme, {count} more, "
+        f"would still leave U at {ratio:.3g} times the target; {way_out}"
+    )
 
 
 def _doubts(averages: Averages, calibration: Calibration | None) -> tuple[dict[str, str], ...]:

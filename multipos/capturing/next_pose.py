@@ -124,6 +124,30 @@ def gain_at(
     return gain_of(state, up, targets)
 
 
+def expected(
+    calibration: Calibration, targets: dict[str, float], further: Array | None = None
+) -> tuple[Array, int]:
+    """Return U over target (m,) once further poses are taken, eq. (1), and how many these are.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Of the poses taken; its noise is that of the others.
+    targets : mapping of parameter to U
+    further : (n, 3) array, optional
+        Their up vectors; a fine set all over the sphere where not given.
+
+    Raises
+    ------
+    MultiposError
+        The calibration states no noise, or a model that depends on more than the position.
+    """
+    state = _known_state(calibration, np.empty((0, 3)))
+    up = _candidates(_FINE) if further is None else further
+    pieces = information_of(state.setting, up).sum(axis=0)[np.newaxis]
+    return _ratios(state, pieces, targets, state.dof + len(up))[0], len(up)
+
+
 @cache
 def _candidates(name: str) -> Array:
     return read_scheme(name).up

@@ -1,18 +1,22 @@
 """The text screen: the state of a session on a terminal, for who has no browser at hand.
 
 It shows what `multipos.capturing.state` says and nothing of its own. A line on the keyboard is a
-command: ``u`` takes the newest pose back, ``r LABEL`` takes one again, ``f`` finishes.
+command: ``u`` takes the newest pose back, ``r LABEL`` takes one again, ``f`` finishes, ``l``
+changes the language, which at first is that of the terminal.
 """
 
+import os
 import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from multipos.capturing.session import Session
 from multipos.capturing.state import state_of
 from multipos.files.numbers import number
+from multipos.reports.translations import Language, Translator
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -37,16 +41,16 @@ def text_screen(session: Session, *, commands: bool) -> Iterator[None]:
     from rich.console import Console
     from rich.live import Live
 
-    ended = threading.Event()
+    ended, chosen = threading.Event(), _Choice(_language_of_terminal())
     if commands and sys.stdin is not None and sys.stdin.isatty():
-        threading.Thread(target=_obey, args=(session,), daemon=True).start()
+        threading.Thread(target=_obey, args=(session, chosen), daemon=True).start()
     with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
 
         def show() -> None:
             while not ended.wait(_OFTEN):
                 with session.changed:
                     state = state_of(session)
-                live.update(picture_of(state), refresh=True)
+                live.update(picture_of(state, chosen.language), refresh=True)
 
         thread = threading.Thread(target=show)
         thread.start()
@@ -57,8 +61,22 @@ def text_screen(session: Session, *, commands: bool) -> Iterator[None]:
             thread.join()
 
 
-def _obey(session: Session) -> None:
+@dataclass
+class _Choice:
+    """The language that is shown."""
+
+    language: Language
+
+
+def _language_of_terminal() -> Language:
+    named = (os.environ.get(name) for name in ("LC_ALL", "LC_MESSAGES", "LANG"))
+    return "zh" if next(filter(None, named), "").lower().startswith("zh") else "en"
+
+
+def _obey(session: Session, chosen: _Choice) -> None:
     for line in sys.stdin:
+        if line.strip() == "l":
+            chosen.language = "en" if chosen.language == "zh" else "zh"
         obey(session, line)
 
 
@@ -77,57 +95,72 @@ def obey(session: Session, line: str) -> None:
         session.changed.notify_all()
 
 
-def picture_of(state: Mapping[str, Any]) -> "RenderableType":
+def picture_of(state: Mapping[str, Any], language: Language = "en") -> "RenderableType":
     """Return what the terminal shows of a state."""
     from rich.console import Group
     from rich.text import Text
 
+    tr = Translator(language)
     next_ = state["next"]
-    lines = [Text(_status(state), style="bold")]
+    lines = [Text(_status(state, tr), style="bold")]
     if next_ is not None:
-        gain = "" if next_["gain"] is None else f"  (gain {number(next_['gain'], 3)})"
+        gain = ""
+        if next_["gain"] is not None:
+            gain = "  " + tr("(gain {size})", size=number(next_["gain"], 3))
         label = "" if next_["label"] is None else f"{next_['label']}: "
-        lines.append(Text(f"next: {label}{next_['words']['en']}{gain}", style="magenta"))
-    lines += [Text(doubt["text"], style="yellow") for doubt in state["doubts"]]
+        lines.append(
+            Text(f"{tr('next')}: {label}{next_['words'][language]}{gain}", style="magenta")
+        )
+    lines += [Text(_said(doubt, "text", tr), style="yellow") for doubt in state["doubts"]]
     if state["problem"]:
-        lines.append(Text(state["problem"], style="dim"))
-    keys = Text("u: undo   r LABEL: redo   f: finish   (then Enter)", style="dim")
-    return Group(*lines, _parameters(state), *map(_pose, state["taken"][-_SHOWN:]), keys)
+        lines.append(Text(_said(state, "problem", tr), style="dim"))
+    keys = Text(tr("u: undo   r LABEL: redo   f: finish   l: 中文   (then Enter)"), style="dim")
+    poses = [_pose(pose, tr) for pose in state["taken"][-_SHOWN:]]
+    return Group(*lines, _parameters(state, tr), *poses, keys)
 
 
-def _status(state: Mapping[str, Any]) -> str:
+def _said(entry: Mapping[str, Any], key: str, tr: Translator) -> str:
+    """Return a sentence of the state in the language that is shown."""
+    return str(entry[key if tr.language == "en" else f"{key}_{tr.language}"])
+
+
+def _status(state: Mapping[str, Any], tr: Translator) -> str:
     live = state["live"]
     taken = sum(pose["accepted"] for pose in state["taken"])
     if state["finished"]:
-        said = "finished"
+        said = tr("finished")
     elif not state["connected"]:
-        said = "the source is lost: plug it in again"
+        said = tr("the source is lost: plug it in again")
     elif live["values"] is None:
-        said = "waiting for rows"
+        said = tr("waiting for rows")
     elif live["refused"]:
-        said = f"not taken: {live['refused']}"
+        said = tr("not taken: {reason}", reason=_said(live, "refused", tr))
     elif live["enough"]:
-        said = "taken: go on to the next pose"
+        said = tr("taken: go on to the next pose")
     elif live["still"]:
         left = live["seconds_left"]
-        said = "hold still" if left is None else f"hold still: {left:.1f} s more"
+        said = tr("hold still")
+        if left is not None:
+            said = tr("hold still: {seconds} s more", seconds=f"{left:.1f}")
     else:
-        said = "moving: hold still"
-    return f"{said}   ({taken} poses, {state['rows']} rows{_motion(live)})"
+        said = tr("moving: hold still")
+    counts = tr("{poses} poses, {rows} rows", poses=str(taken), rows=str(live["rows"]))
+    return f"{said}   ({counts}{_motion(live, tr)})"
 
 
-def _motion(live: Mapping[str, Any]) -> str:
+def _motion(live: Mapping[str, Any], tr: Translator) -> str:
     if live["motion"] is None or live["threshold"] is None:
         return ""
-    return f", motion {number(live['motion'], 3)} of {number(live['threshold'], 3)}"
+    now, limit = number(live["motion"], 3), number(live["threshold"], 3)
+    return ", " + tr("motion {now} of {limit}", now=now, limit=limit)
 
 
-def _parameters(state: Mapping[str, Any]) -> "RenderableType":
+def _parameters(state: Mapping[str, Any], tr: Translator) -> "RenderableType":
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
     for title in ("parameter", "value", "U", "target", ""):
-        table.add_column(title, justify="left" if title in ("parameter", "") else "right")
+        table.add_column(tr(title), justify="left" if title in ("parameter", "") else "right")
     for entry in state["parameters"]:
         target = entry["target"]
         table.add_row(
@@ -135,15 +168,15 @@ def _parameters(state: Mapping[str, Any]) -> "RenderableType":
             number(entry["value"], 6),
             f"{number(entry['U'], 2)} {entry['unit']}",
             "" if target is None else number(target, 3),
-            "met" if entry["met"] else "",
+            tr("met") if entry["met"] else "",
         )
     return table
 
 
-def _pose(pose: Mapping[str, Any]) -> "RenderableType":
+def _pose(pose: Mapping[str, Any], tr: Translator) -> "RenderableType":
     from rich.text import Text
 
     if pose["accepted"]:
         left = pose["residual"]
         return Text(f"{pose['position']:>4}  " + ("" if left is None else f"{1e6 * left:+.0f} µg"))
-    return Text(f"{pose['position']:>4}  {pose['reason']}", style="yellow")
+    return Text(f"{pose['position']:>4}  {_said(pose, 'reason', tr)}", style="yellow")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from multipos.capturing.session import Session
-from multipos.capturing.words import pose_words
+from multipos.capturing.words import chinese, pose_words
 from multipos.results import plain
 
 _UNKNOWN: dict[str, Any] = {
@@ -17,6 +17,7 @@ _UNKNOWN: dict[str, Any] = {
     "threshold": None,
     "enough": False,
     "refused": None,
+    "refused_zh": None,
     "rows": 0,
     "bad_rows": 0,
     "gaps": 0,
@@ -44,7 +45,8 @@ def state_of(session: Session) -> dict[str, Any]:
             "connected": session.connected,
             "positions": session.plan.positions,
             "problem": found.problem,
-            "doubts": found.doubts,
+            "problem_zh": _chinese(found.problem),
+            "doubts": [{**doubt, "text_zh": chinese(doubt["text"])} for doubt in found.doubts],
         }
     )
     return shown
@@ -56,6 +58,7 @@ def live_of(session: Session) -> dict[str, Any]:
     if session.rests is None or rows is None:
         return _UNKNOWN
     motion, under_way = session.rests.motion(), session.under_way
+    refused = None if under_way is None else under_way.reason
     live: dict[str, Any] = plain(
         {
             "values": session.newest,
@@ -64,8 +67,9 @@ def live_of(session: Session) -> dict[str, Any]:
             "seconds_left": None if session.rate is None else motion.samples_left / session.rate,
             "motion": motion.size,
             "threshold": session.rests.limit,
-            "enough": under_way is not None and under_way.reason is None,
-            "refused": None if under_way is None else under_way.reason,
+            "enough": under_way is not None and refused is None,
+            "refused": refused,
+            "refused_zh": _chinese(refused),
             "rows": rows.rows,
             "bad_rows": rows.bad,
             "gaps": rows.gaps,
@@ -86,6 +90,10 @@ def line_of(session: Session) -> dict[str, Any]:
         }
     )
     return line
+
+
+def _chinese(text: str | None) -> str | None:
+    return None if text is None else chinese(text)
 
 
 def _parameters(session: Session) -> list[dict[str, Any]]:
@@ -118,6 +126,7 @@ def _entries(session: Session) -> list[dict[str, Any]]:
                 "residual_u": u,
                 "accepted": pose.accepted,
                 "reason": pose.reason,
+                "reason_zh": _chinese(pose.reason),
                 "provisional": session.threshold is None,
                 "mean": found.mean,
                 "u": found.u,

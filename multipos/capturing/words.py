@@ -1,12 +1,14 @@
-"""A pose in words: which axis points up, and how far the case leans from there.
+"""A pose in words, which axis points up, how far the case leans; and what is said, in Chinese.
 
 Of the direction up, u in case axes, the largest component names the axis to point up. What is left
 is a lean by acos|u_largest| towards the axes that rise with it.
 """
 
 import math
+from functools import lru_cache
 
 from multipos.numerics.arrays import Array
+from multipos.reports.translations import Translator
 
 _LEVEL_DEG = 3.0  # nothing a hand can tell
 _SMALL_SHARE = 0.35  # of the lean, below which an axis is not named
@@ -30,6 +32,12 @@ def pose_words(up: Array) -> dict[str, str]:
         else f"{axis} up, leaning {lean:.0f}° so that {' and '.join(risen)} rise",
         "zh": f"{axis} 轴向上，倾斜 {lean:.0f}°，使 {'、'.join(risen)} 抬高",
     }
+
+
+@lru_cache(1024)
+def chinese(text: str) -> str:
+    """Return what a session says of poses and of the fit, in Chinese."""
+    return Translator("zh").message(text)
 
 
 def _axis(i: int, value: float) -> str:

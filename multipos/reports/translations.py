@@ -35,7 +35,7 @@ class Translator:
     def message(self, text: str) -> str:
         """Return what a fit said: a sentence with numbers and names in it."""
         for pattern, translated in self.messages.items():
-            match = re.fullmatch(_regular(pattern), text)
+            match = _regular(pattern).fullmatch(text)
             if match:
                 inside = {name: self.message(part) for name, part in match.groupdict().items()}
                 return translated.format(**inside)
@@ -51,11 +51,11 @@ class Translator:
         return self.message(words) + bracket + unit
 
 
-def _regular(pattern: str) -> str:
+@lru_cache(None)
+def _regular(pattern: str) -> "re.Pattern[str]":
     parts = re.split(r"\{(\w+)\}", pattern)
-    return "".join(
-        re.escape(part) if i % 2 == 0 else f"(?P<{part}>.+?)" for i, part in enumerate(parts)
-    )
+    texts = (re.escape(part) if i % 2 == 0 else f"(?P<{part}>.+?)" for i, part in enumerate(parts))
+    return re.compile("".join(texts))
 
 
 @lru_cache
