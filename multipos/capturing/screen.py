@@ -144,15 +144,11 @@ def _status(state: Mapping[str, Any], tr: Translator) -> str:
             said = tr("hold still: {seconds} s more", seconds=f"{left:.1f}")
     else:
         said = tr("moving: hold still")
-    counts = tr("{poses} poses, {rows} rows", poses=str(taken), rows=str(live["rows"]))
-    return f"{said}   ({counts}{_motion(live, tr)})"
-
-
-def _motion(live: Mapping[str, Any], tr: Translator) -> str:
-    if live["motion"] is None or live["threshold"] is None:
-        return ""
-    now, limit = number(live["motion"], 3), number(live["threshold"], 3)
-    return ", " + tr("motion {now} of {limit}", now=now, limit=limit)
+    counts = [tr("{poses} poses, {rows} rows", poses=str(taken), rows=str(live["rows"]))]
+    if live["motion"] is not None and live["threshold"] is not None:
+        now, limit = number(live["motion"], 3), number(live["threshold"], 3)
+        counts.append(tr("motion {now} of {limit}", now=now, limit=limit))
+    return f"{said}   ({tr.listed(counts)})"
 
 
 def _parameters(state: Mapping[str, Any], tr: Translator) -> "RenderableType":

@@ -44,6 +44,7 @@ def state_of(session: Session) -> dict[str, Any]:
             "threshold": session.threshold,
             "connected": session.connected,
             "positions": session.plan.positions,
+            "targets": session.plan.targets,
             "problem": found.problem,
             "problem_zh": _chinese(found.problem),
             "doubts": [{**doubt, "text_zh": chinese(doubt["text"])} for doubt in found.doubts],
