@@ -7,6 +7,7 @@ With these and the log the same poses are found again.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -118,8 +119,9 @@ def _make_way(log: Path, *, resume: bool) -> list[str]:
         return []
     if not log.exists():
         return []
-    old = log.with_name(f"{log.stem}.old.csv")
-    log.replace(old)
+    names = (log.with_name(f"{log.stem}.old{i}.csv") for i in count(1))
+    old = next(path for path in names if not path.exists())
+    log.rename(old)
     return [f"the rows of an earlier session are now {old}"]
 
 

@@ -280,6 +280,17 @@ def test_what_was_taken_back_stays_so_when_it_goes_on(log, tmp_path, capsys):
     assert len(mp.read_readings(out).values) == 25
 
 
+def test_rows_of_earlier_sessions_are_never_written_over(log, tmp_path, capsys):
+    rows = log.read_text().splitlines(keepends=True)
+    (tmp_path / "few.csv").write_text("".join(rows[:1200]))
+    for _ in range(3):
+        with stdin_of(tmp_path / "few.csv"):
+            assert main(["capture", "-", "--headless", "-o", str(tmp_path / "run.csv")]) == 0
+    kept = {path.name: path.read_text() for path in tmp_path.glob("run_log*.csv")}
+    assert set(kept) == {"run_log.csv", "run_log.old1.csv", "run_log.old2.csv"}
+    assert set(kept.values()) == {"".join(rows[:1200])}
+
+
 @contextlib.contextmanager
 def stdin_of(path):
     before = sys.stdin
