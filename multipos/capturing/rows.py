@@ -166,7 +166,7 @@ class _Store:
                 self._file = tempfile.TemporaryFile()  # noqa: SIM115
             self._file.seek(0, 2)
             together = np.concatenate(self._new, axis=1)
-            self._file.write(together.data)
+            self._file.write(np.ascontiguousarray(together).data)
             self._filed.append(together.shape[1])
             self._new, self._size = [], 0
         elif len(self._new) > 256:

@@ -1,7 +1,7 @@
 """Where rows come from: a serial port, UDP, stdin, a log that grows, or a log replayed.
 
 Each source is an iterator of arrivals. The first says what the columns are; then rows come as they
-are there, and an empty arrival at least forty times a second, so that whoever waits is never stuck.
+are there, and an empty arrival some forty times a second, so that whoever waits is never stuck.
 What gives bytes is read by a thread of its own (`multipos.capturing.ahead`); None among them says
 that the connection is lost.
 """

@@ -7,7 +7,6 @@ import os
 import sys
 import threading
 import time
-import tty
 
 import log_bench
 import numpy as np
@@ -28,7 +27,8 @@ from multipos.capturing.targets import read_targets, spread_targets
 from multipos.capturing.words import pose_words
 from multipos.cli import main
 from multipos.logs.opening import open_log
-from multipos.logs.samples import Timing
+from multipos.logs.rests import Rest
+from multipos.logs.samples import Timing, rows_in_log
 
 RATE = 100.0
 
@@ -90,6 +90,24 @@ def test_rows_that_are_no_longer_needed_are_let_go(folder):
     session = started(path, threshold=3e-3)
     kept = sum(piece.shape[1] for _, piece in session.rows.pieces())
     assert kept < 0.5 * session.rows.rows
+
+
+def test_rows_of_the_log_are_counted_with_those_left_out_and_let_go(folder):
+    path = log_of(folder / "short.csv", "faces-6", seed=5)
+    source = open_log(path)
+    (piece,) = source.read((), source.numeric)
+    table = np.array([piece.table.columns[name] for name in source.numeric])
+    bad = np.random.default_rng(4).choice(table.shape[1], 200, replace=False)
+    table[1, bad] = np.nan
+    bad = np.sort(bad).tolist()
+    rows = LiveRows(source, table[:, :40], None, Timing())
+    for first in range(0, table.shape[1], 37):
+        rows.take(table[:, first : first + 37])
+        rows.forget(rows.rows - 100)
+        late = Rest(rows.rows - 90, rows.rows - 3)
+        seen = [row for row in bad if row < first + 37]
+        assert rows.in_log(late) == rows_in_log(late, seen)
+    assert rows.bad == 200
 
 
 def test_one_line_a_rest_with_what_follows_from_it(log, capsys):
@@ -395,6 +413,8 @@ class Device:
         self.plug_in()
 
     def plug_in(self):
+        import tty
+
         self.far, self.near = os.openpty()
         os.set_blocking(self.far, False)
         tty.setraw(self.near)
@@ -432,7 +452,7 @@ def test_a_serial_port_may_be_unplugged(log, tmp_path, monkeypatch):
     session = Session(make_plan((), 5, None, {}), make_reading(None, None, None, None, None, 3e-3))
     source = open_source(f"serial:{device.path}:115200")
     kept = Kept(log=tmp_path / "kept.csv")
-    run = threading.Thread(target=run_session, args=(session, source, None, kept))
+    run = threading.Thread(target=run_session, args=(session, source, None, kept), daemon=True)
     run.start()
 
     def wait(condition):
