@@ -27,6 +27,10 @@ PARTS = {
     "fewer terms.",
     "seen": "(7)",
 }
+WAYS_OUT = (  # of a search that did not converge
+    "Check the readings for blunders (--robust huber names them), or choose",
+    "Fit without --robust, or choose",
+)
 OF_SCHEMES = "take a scheme with more positions, or raise the target"
 
 
@@ -46,11 +50,11 @@ def text_of(node, parts):
     return found
 
 
-def raised(name):
+def raised(name, parts):
     """Return what the errors of a file say, but those about options."""
     for node in ast.walk(ast.parse((PACKAGE / name).read_text(encoding="utf-8"))):
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ERRORS:
-            text = text_of(node.args[0], PARTS)
+            text = text_of(node.args[0], parts)
             if text is not None and "--" not in text.partition(";")[0]:
                 yield text
 
@@ -83,11 +87,12 @@ def sentences():
         "known",
         "own_known",
         "problem",
-        "starts",
         "uncertain",
     ):
-        yield from raised(f"estimation/{name}.py")
-    yield from raised("fitting/logs.py")
+        yield from raised(f"estimation/{name}.py", PARTS)
+    for way_out in WAYS_OUT:
+        yield from raised("estimation/starts.py", PARTS | {"way_out": way_out})
+    yield from raised("fitting/logs.py", PARTS)
 
 
 SENTENCES = sorted(set(sentences()) - {OF_SCHEMES, " more pairs", "7 and 7", " and 7 more pairs"})
