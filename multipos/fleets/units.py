@@ -90,8 +90,9 @@ class Units:
         columns |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.names)}
         columns |= {f"dof_{name}": self.dof[:, i] for i, name in enumerate(self.names)}
         columns["rms"] = self.rms
-        columns["doubts"] = np.array(self.doubts, dtype=np.str_)
-        columns["reason"] = np.array(self.reasons, dtype=np.str_)
+        # texts as they are: of one width, all would be as long as the longest
+        columns["doubts"] = np.array(self.doubts, dtype=np.object_)
+        columns["reason"] = np.array(self.reasons, dtype=np.object_)
         return Columns(columns)
 
 

@@ -156,6 +156,9 @@ def test_verdicts_of_units_that_fail_or_are_doubted():
     assert [verdicts[f"U000{i}"] for i in (0, 1, 3, 5)] == ["pass"] * 4
     assert (found["units"], found["fitted"], found["failed"], found["counted"]) == (6, 5, 1, 4)
     assert found["yield"]["value"] == pytest.approx(4 / 6)
+    # one long reason does not make a million others as long
+    assert found.verdicts["reasons"].nbytes <= 8 * 6
+    assert found.calibrations["reason"].nbytes <= 8 * 6
 
 
 def test_one_unit_at_two_stations_does_not_tell_what_is_left_within_units():
