@@ -117,7 +117,7 @@ def _make_way(log: Path, *, resume: bool) -> list[str]:
         if not log.exists():
             raise MultiposError(f"{log}: no such file; the session cannot go on without its rows.")
         return []
-    if not log.exists():
+    if not log.exists() or not log.stat().st_size:
         return []
     names = (log.with_name(f"{log.stem}.old{i}.csv") for i in count(1))
     old = next(path for path in names if not path.exists())
