@@ -33,8 +33,8 @@ MSA = """
 -0.11 -1.13 1.09 0.20 -1.07 -0.67 0.01 -0.56 1.45 -1.77
 -0.15 -0.96 0.67 0.11 -1.45 -0.49 0.21 -0.49 1.87 -2.16
 """
-# Gaskets, after ASQC/AIAG 1990, as the SAS/QC manual has them (GAGE application, table A.1): ten
-# parts, each twice by George, Jane and Robert.
+# Gaskets, after ASQC/AIAG 1990, as the SAS/QC manual has them in table A.1 of its application to
+# gauges: ten parts, each twice by three operators.
 GASKETS = """
 0.65 0.60 0.55 0.55 0.50 0.55
 1.00 1.00 1.05 0.95 1.05 1.00
