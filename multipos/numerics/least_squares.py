@@ -169,6 +169,7 @@ def solve_alike(
     RankError, MultiposError
         As in `solve`; `RankError.problem` says which problem it is, the first one.
     """
+    design_matrix(designs[0])  # refuses one without columns
     _require_finite(designs, responses)
     V = Covariance(variances, designs.shape[1], stacked=True)
     return _solve(designs, responses, V, floor, names, rows)

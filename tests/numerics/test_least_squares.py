@@ -273,6 +273,8 @@ def test_of_alike_problems_the_first_that_cannot_be_solved_is_named():
     with pytest.raises(RankError, match="p") as caught:
         solve_alike(designs, np.ones((3, 4, 1)), names=names)
     assert caught.value.problem == 1
+    with pytest.raises(MultiposError, match=r"\(n, p\) with p > 0, got \(4, 0\)"):
+        solve_alike(np.ones((3, 4, 0)), np.ones((3, 4, 1)), names=[()] * 3)
 
 
 @pytest.mark.parametrize("covariance", [False, True])
