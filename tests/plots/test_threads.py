@@ -138,6 +138,7 @@ def test_reports_from_eight_threads_are_those_from_one():
     assert dict(matplotlib.rcParams) == before
 
 
+@pytest.mark.slow
 def test_no_setting_changes_while_figures_are_drawn():
     before, seen, done = dict(matplotlib.rcParams), [], threading.Event()
 

@@ -61,6 +61,7 @@ def test_what_the_model_follows_is_added_as_ever():
     np.testing.assert_allclose(row.added, row.covariance)
 
 
+@pytest.mark.slow
 def test_u_of_a_leaning_table_is_no_longer_twice_what_it_is():
     rng = np.random.default_rng(4)
     rotation = attitudes(24, 3)

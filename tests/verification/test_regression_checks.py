@@ -62,6 +62,7 @@ def test_before_after_and_u_by_hand():
     assert_allclose(found.after[:, 0], left, rtol=0, atol=1e-14)  # the corrected output's error
 
 
+@pytest.mark.slow
 def test_the_guard_band_covers_what_is_left():
     """At 95 %, of 200 fits, each with one new row in each segment."""
     covered = []
