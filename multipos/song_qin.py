@@ -17,11 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.errors import MultiposError
 from multipos.files.numbers import number, table
 from multipos.files.tables import Column, write_table
 from multipos.files.trees import to_json
-from multipos.files.whole import write_text
+from multipos.files.whole import make_folder, write_text
 from multipos.fitting.readings import fit
 from multipos.positions.readings import Readings
 from multipos.reports.summary import text_report
@@ -181,12 +180,7 @@ def _remarks(found: Demonstration) -> str:
 
 
 def _write(folder: Path, found: Demonstration) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MultiposError(
-            f"{folder}: cannot make the folder: {error.strerror}; give another with -o."
-        ) from None
+    make_folder(folder)
     c = found.calibration
     columns: dict[str, Column] = {"position": c.readings.positions or ()}
     columns |= {output: TABLE_2[:, i] for i, output in enumerate(c.outputs)}

@@ -12,6 +12,7 @@ from multipos.commands.fit import add_fit_options
 from multipos.commands.options import progress_bar
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import to_json
+from multipos.files.whole import no_folder
 from multipos.fleets.fleet import Fleet, fleet
 from multipos.fleets.folder import (
     CSV,
@@ -106,9 +107,7 @@ def _check_place(folder: Path, tables: Sequence[str]) -> None:
             ) from None
         return
     except OSError as error:
-        raise MultiposError(
-            f"{folder}: cannot make the folder: {error.strerror}; give another with -o."
-        ) from None
+        raise no_folder(folder, error) from None
     if taken:
         raise MultiposError(f"{folder}: a file of this name is there; give a folder with -o.")
 

@@ -28,6 +28,21 @@ def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
         ) from None
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it where they are not, or say in one line why not."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise no_folder(folder, error) from None
+
+
+def no_folder(folder: Path, error: OSError) -> MultiposError:
+    """Return what is said of a folder for output that cannot be made."""
+    return MultiposError(
+        f"{folder}: cannot make the folder: {error.strerror}; give another with -o."
+    )
+
+
 class _Draft(NamedTuple):
     """A file on its way: made beside its target, or anywhere where that is no regular file."""
 

@@ -18,7 +18,7 @@ from multipos.files.characters import visible
 from multipos.files.pipes import is_folder
 from multipos.files.tables import format_csv
 from multipos.files.trees import read_json, to_json
-from multipos.files.whole import Content, Pieces, written
+from multipos.files.whole import Content, Pieces, make_folder, written
 from multipos.fleets.fleet import SCHEMA, Fleet
 
 PARQUET, CSV = "calibrations.parquet", "calibrations.csv"
@@ -64,7 +64,7 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
         The folder cannot be made, or a file cannot be written.
     """
     place = Path(folder)
-    _make(place)
+    make_folder(place)
     corrections: Files = dict(_corrections(fleet, place / STATIONS))
     files: Files = {
         place / (PARQUET if has_parquet() else CSV): _table_of(fleet),
@@ -75,7 +75,7 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
     }
     try:
         if corrections:
-            _make(place / STATIONS)
+            make_folder(place / STATIONS)
         with written(files):
             pass
     except MultiposError:
@@ -83,15 +83,6 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
             (place / STATIONS).rmdir()  # if it is empty
         raise
     shutil.rmtree(progress_folder(place), ignore_errors=True)
-
-
-def _make(place: Path) -> None:
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MultiposError(
-            f"{place}: cannot make the folder: {error.strerror}; give another with -o."
-        ) from None
 
 
 def _corrections(fleet: Fleet, place: Path) -> Iterator[tuple[Path, str]]:
