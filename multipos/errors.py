@@ -10,7 +10,9 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 _PACKAGE = str(Path(__file__).parent)
 
@@ -38,8 +40,6 @@ class RankError(MultiposError):
         How many parameters can be separated, and how many there are.
     combinations : tuple of str
         What cannot be told apart, one sentence each; empty where there are simply too few rows.
-    problem : int
-        Which of several problems it is that were solved together, from 0.
 
     Examples
     --------
@@ -58,13 +58,14 @@ class RankError(MultiposError):
         rank: int,
         parameters: int,
         combinations: Sequence[str] = (),
-        problem: int = 0,
     ) -> None:
         super().__init__(message)
         self.rank = rank
         self.parameters = parameters
         self.combinations = tuple(combinations)
-        self.problem = problem
+
+    def __reduce__(self) -> tuple[Any, ...]:  # so that a pool of processes hands it on
+        return partial(type(self), **vars(self)), self.args
 
 
 class ConvergenceError(MultiposError):

@@ -428,3 +428,13 @@ def test_a_process_pool_returns_calibrations():
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         (found,) = pool.map(fit, [session()])
     assert found == fit(session())
+
+
+def test_an_error_comes_back_from_a_pool_of_processes_with_all_that_it_says():
+    with pytest.raises(mp.RankError) as caught:
+        mp.fit({"direction": ["E-U-S", "E-D-N"] * 3, "ay": [1.002, -0.998] * 3}, axes="y")
+    for again in (pickle.loads(pickle.dumps(caught.value)), copy.deepcopy(caught.value)):
+        assert type(again) is mp.RankError
+        assert str(again) == str(caught.value)
+        assert vars(again) == vars(caught.value)
+        assert vars(again)["combinations"] != ()

@@ -12,13 +12,11 @@ from multipos.estimation.solution import Solution
 from multipos.files.moments import now
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
 from multipos.numerics.arrays import Array, row_keys
-from multipos.numerics.terms import COMPONENTS
-from multipos.positions.attitudes import CONVENTIONS, Convention
+from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings
 from multipos.positions.stated_noise import stated_sd
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.diagnostics import Diagnostics, lack_of_fit
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Gravity, add_gravity
 from multipos.sensor.model import Model
@@ -69,7 +67,7 @@ def complete(
         estimator=estimator,
         criterion=criterion,
         confidence=confidence,
-        diagnostics=_diagnose(solution, readings, convention, estimator),
+        diagnostics=_diagnose(solution, readings, estimator),
         status=solution.status,
         created=now(),
         version=__version__,
@@ -101,15 +99,8 @@ def _require_in_files(solution: Solution) -> None:
         )
 
 
-def _diagnose(
-    solution: Solution, readings: Readings, convention: Convention, estimator: Estimator
-) -> Diagnostics:
+def _diagnose(solution: Solution, readings: Readings, estimator: Estimator) -> Diagnostics:
     model, reference = solution.model, solution.reference
-    warnings = [
-        *readings.notes,
-        *solution.warnings,
-    ]
-    warnings += _warn_convention(_own_scales(model, solution, readings), convention)
     return Diagnostics(
         rank=len(solution.parameters),
         parameters=len(solution.parameters),
@@ -120,31 +111,9 @@ def _diagnose(
         else {},
         outliers=solution.outliers,
         unidentifiable=solution.unidentifiable,
-        warnings=tuple(warnings),
+        warnings=(*readings.notes, *solution.warnings),
         claim=solution.claim,
     )
-
-
-def _own_scales(model: Model, solution: Solution, readings: Readings) -> list[float]:
-    """Return the own-axis scale factors, of a model of one's own the mean slopes there."""
-    if isinstance(model, ExpressionModel):
-        slopes = model.force_jacobian(
-            solution.parameters, solution.reference, readings.environment
-        ).mean(axis=0)
-        return [float(slopes[i, COMPONENTS.index(axis)]) for i, axis in enumerate(model.axes)]
-    return [float(solution.parameters[i]) for i in model.own_scales]
-
-
-def _warn_convention(own: list[float], convention: str) -> list[str]:
-    if not own or max(own) >= 0.0:
-        return []
-    other = next(name for name in CONVENTIONS if name != convention)
-    return [
-        (
-            f"every own-axis scale factor is negative under --convention {convention}; "
-            f"the readings look like --convention {other}"
-        )
-    ]
 
 
 def _lack_of_fit(

@@ -25,7 +25,13 @@ from multipos.estimation.identifiability import formal_only
 from multipos.estimation.scatter import find_scatter
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array
-from multipos.numerics.least_squares import LinearFit, block_design, solve, solve_alike
+from multipos.numerics.least_squares import (
+    DependentColumnsError,
+    LinearFit,
+    block_design,
+    solve,
+    solve_alike,
+)
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS, linear_term
@@ -273,7 +279,7 @@ def _solve_groups(
             floor=FLOOR,
             names=[model.names[model.slices[output]] for output in firsts],
         )
-    except RankError as error:
+    except DependentColumnsError as error:
         raise _not_separable(error, model, phi, firsts[error.problem]) from None
 
 

@@ -38,6 +38,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,6 +60,20 @@ from multipos.numerics.separability import separability
 
 _REFINE_COFACTOR = 1e6  # condition from which the cofactor takes twice the working precision
 _STEPS = 7  # of refinement at most; Filip takes two
+
+
+class DependentColumnsError(RankError):
+    """The columns of one of the problems that are solved together depend on each other.
+
+    Attributes
+    ----------
+    problem : int
+        Which of them it is, from 0.
+    """
+
+    def __init__(self, message: str, *, problem: int, **found: Any) -> None:
+        super().__init__(message, **found)
+        self.problem = problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +182,7 @@ def solve_alike(
     Raises
     ------
     RankError, MultiposError
-        As in `solve`; `RankError.problem` says which problem it is, the first one.
+        As in `solve`; of columns that depend on each other it is a `DependentColumnsError`.
     """
     design_matrix(designs[0])  # refuses one without columns
     _require_finite(designs, responses)
@@ -309,7 +324,7 @@ def _refuse(
     if names is None:
         names = [f"column {j + 1}" for j in range(found.parameters)]
     combinations = name_combinations(found.null, names, rows=rows)
-    raise RankError(
+    raise DependentColumnsError(
         f"{found.rank} of {found.parameters} parameters can be separated: "
         f"{'; '.join(combinations)}. Add {rows} that tell them apart, or drop a term.",
         rank=found.rank,

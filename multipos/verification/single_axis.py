@@ -152,7 +152,7 @@ class Tumble(Result, Drawn):
 
 def tumble_output(
     data: Readings,
-    axis: str,
+    facing: str,
     *,
     model: str | None,
     convention: Convention,
@@ -163,11 +163,12 @@ def tumble_output(
     Parameters
     ----------
     data : Readings
-    axis : str
-        Its input axis i; p and o follow in cyclic order.
+    facing : str
+        Its input axis i, with a minus where it faces the other way; p and o follow in cyclic order.
     model, convention, conditions
         As in `multipos.tumble`.
     """
+    axis = facing.removeprefix("-")
     sign = -1.0 if convention == "gravity" else 1.0
     rolls = find_rolls(data, axis, sign)
     limited = _on_part_of_a_turn(data, rolls)
@@ -176,7 +177,7 @@ def tumble_output(
     calibration = fit(
         data,
         model=model or formula_of(names, axis),
-        axes=(axis,),
+        axes=(facing,),
         convention=convention,
         **conditions,
     )

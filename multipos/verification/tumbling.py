@@ -28,7 +28,7 @@ from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
 from multipos.results import Drawn, Result
-from multipos.sensor.stating import default_axes
+from multipos.sensor.stating import default_axes, stated_facing
 from multipos.uncertainty.table_findings import BesideTable, TableErrors
 from multipos.uncertainty.turntable import table_errors
 from multipos.verification.coefficients import (
@@ -143,7 +143,8 @@ def tumble(
     outputs : names, optional
         The outputs, where the readings have other columns.
     axes : names, optional
-        The input axis i of each, p and o following in cyclic order: x of one output, else x, y, z.
+        The input axis i of each, p and o following in cyclic order: x of one output, else x, y, z;
+        -x faces the other way.
     scheme, convention, reading_sd, gravity, gravity_u, latitude, height, unit, range, confidence
         As in `multipos.fit`.
     model : str, optional
@@ -192,13 +193,13 @@ def tumble(
     found = {
         name: tumble_output(
             _alone(data, name),
-            axis,
+            facing,
             model=model,
             convention=convention,
             reading_sd=sd,
             **conditions,
         )
-        for name, axis, sd in zip(data.outputs, own, sds, strict=True)
+        for name, facing, sd in zip(data.outputs, stated_facing(axes) or own, sds, strict=True)
     }
     if len(found) == 1:
         return found[data.outputs[0]]

@@ -191,11 +191,13 @@ def _expected(case: Case, run: Run, changed: set[str]) -> set[str]:
         # An export to C has its self-test beside it.
         companion = str(own.with_name(f"{own.stem}_test{own.suffix}")) if own.name else short
         allowed |= {short, companion}
+    # What lies in the folder above goes by its bare name, as what lies in the folder itself does.
     inside = {
         name
         for name in changed
         for path in allowed
-        if case.argv[0] in ("demo", "fleet") and (path == "." or name.startswith(f"{path}/"))
+        if case.argv[0] in ("demo", "fleet")
+        and (path in (".", "..") or name.startswith(f"{path}/"))
     }
     # A fleet makes the folders above its own.
     above = {str(each) for each in PurePath(output).parents} if case.argv[0] == "fleet" else set()

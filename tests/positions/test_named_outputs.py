@@ -57,6 +57,27 @@ def test_signs_of_axes_settle_which_way_an_output_faces(tmp_path):
     assert [d.code for d in mp.fit(given, axes="-x,y,z").diagnostics.doubts] == ["sign"]
 
 
+def test_a_sensor_made_to_fall_is_not_sent_to_the_other_convention():
+    given = columns("ax", "ay", "az")
+    for name in ("ax", "ay", "az"):
+        given[name] = -given[name]
+    with pytest.warns(mp.CalibrationWarning, match="is negative under .* look like --convention g"):
+        mp.fit(given)
+    assert mp.fit(given, axes="-x,-y,-z").diagnostics.warnings == ()
+    with pytest.warns(mp.CalibrationWarning, match="of the other sign than --axes says"):
+        mp.fit(given, axes="-x,-y,-z", convention="gravity")
+
+
+def test_an_output_of_a_tumble_that_is_made_to_fall_raises_no_doubt():
+    angle = np.arange(0.0, 360.0, 30.0)
+    falling = 0.02 - 1.01 * np.cos(np.radians(angle)) + 1e-5 * np.cos(40.0 * angle)
+    given = {"roll_axis": ["z"] * 12, "angle_deg": angle, "ax": falling}
+    found = mp.tumble(given, axes="-x")
+    assert found.calibration.facing == ("-x",)
+    assert found.warnings == ()
+    assert found["K1"].value == pytest.approx(-1.01, abs=1e-4)
+
+
 def test_a_turned_chip_that_is_said_to_be_turned_raises_no_doubt():
     turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     given = columns("ax", "ay", "az") | dict(
