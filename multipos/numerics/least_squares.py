@@ -201,10 +201,11 @@ def _solve(
     """Solve a stack of problems, designs (G, n, p) and responses (G, n, k)."""
     n, p = X.shape[1:]
     if n < p:
-        raise RankError(
+        raise DependentColumnsError(
             f"{n} readings cannot determine {p} terms; give at least {p}, or drop terms.",
             rank=n,
             parameters=p,
+            problem=0,  # all have as many
         )
     Q, R = factor(V, X)
     singular = singular_values(R)
