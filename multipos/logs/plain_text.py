@@ -24,7 +24,7 @@ _WORD = 8  # digits of a 64-bit word
 _DIGITS = 19  # a 64-bit integer holds any number of so many
 _EXACT = 1 << 53
 _SHARE = 4  # one number in four may be written otherwise; beyond, NumPy's reader is quicker
-_OTHERWISE = re.compile(rb"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\n)*")
+_OTHERWISE = re.compile(rb"(?:[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?\n)*")
 _POWERS = np.array([float(10**k) for k in range(_DIGITS + 1)])  # exact, as no `power` promises
 
 

@@ -169,3 +169,10 @@ def test_damaged_text_gives_the_same_by_both_ways(monkeypatch, tmp_path, mark):
                 assert quick == outcome(path, lenient=lenient)
             taken += not isinstance(quick, str)
     assert taken > 40  # most of them are read after all
+
+
+def test_many_long_numbers_before_one_that_is_none_are_left_to_others_at_once():
+    """A pattern that can split digits in two ways tries all ways of all numbers: it never ends."""
+    rows = [*(["0.5"] * 3 + ["1" + "9" * 30] for _ in range(30)), ["0.5"] * 3 + ["x" * 31]]
+    text = "".join(",".join(row) + "\n" for row in rows)
+    assert read_plain(text, ",", WIDTH, range(WIDTH)) is None
