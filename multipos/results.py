@@ -175,17 +175,18 @@ def data_frame(columns: Mapping[str, Any]) -> Any:
 
 def plain(value: Any) -> Any:
     """Return nested mappings, sequences and arrays as what JSON can carry."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
+    if isinstance(value, _SINGLE):
+        return None if isinstance(value, float) and not math.isfinite(value) else value
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
     return value
+
+
+_SINGLE = (float, str, int, type(None))  # most of what there is
 
 
 _AS_THEY_ARE = (str, float, int, type(None), Frozen, Result)  # most of what is kept

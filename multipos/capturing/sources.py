@@ -1,7 +1,7 @@
 """Where rows come from: a serial port, UDP, stdin, a log that grows, or a log replayed.
 
 Each source is an iterator of arrivals. The first says what the columns are; then rows come as they
-are there, and an empty arrival some forty times a second, so that whoever waits is never stuck.
+are there, and an empty arrival some twenty times a second, so that whoever waits is never stuck.
 What gives bytes is read by a thread of its own (`multipos.capturing.ahead`); None among them says
 that the connection is lost.
 """
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.capturing.ahead import Chunks
+from multipos.capturing.ahead import MOMENT, Chunks
 from multipos.capturing.lines import Arrival, RowSource, bytes_source
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import Names
@@ -193,11 +193,11 @@ def _replay(source: RowSource, columns: Names | None, speed: float) -> Iterator[
         if not opened:
             yield Arrival(log, table[:, :_HEAD_ROWS], [])
             opened = True
-        at_once = _AT_ONCE if not speed else max(1, round(source.rate * speed * TICK))
+        at_once = _AT_ONCE if not speed else max(1, round(source.rate * speed * MOMENT))
         for start in range(0, table.shape[1], at_once):
             part = table[:, start : start + at_once]
             while speed and (ahead := begun + sent / (source.rate * speed) - time.monotonic()) > 0:
-                time.sleep(min(ahead, TICK))
+                time.sleep(min(ahead, MOMENT))
                 yield Arrival(None, part[:, :0], [])
             yield Arrival(None, part, [])
             sent += part.shape[1]
