@@ -128,7 +128,10 @@ class _Head:
             raise
         except MultiposError:
             if len(self._lines) >= _MOST_LINES:
-                raise
+                raise MultiposError(
+                    f"{self._source.name}: {len(self._lines)} lines came, and no rows of numbers "
+                    "among them; check what sends them, and the baud rate of a serial port."
+                ) from None
             return False  # what a device says when it starts; its rows may still come
         untimed = self._source.untimed and text.log.rate is None and not time_columns(text.log)
         if untimed and not self._is_counted():

@@ -14,24 +14,22 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from multipos.capturing.ahead import MOMENT, Chunks
 from multipos.capturing.lines import Arrival, RowSource, bytes_source
+from multipos.capturing.serial_port import read_port, split_port
 from multipos.errors import MultiposError, UsageError
 from multipos.files.lists import Names
 from multipos.logs.opening import open_log
 
-TICK = 0.025  # [s]
-_GATHERED = 0.02  # [s] of bytes that are taken from a port at once
+_TICK = 0.025  # [s] from one look at a log that grows to the next
+_GATHERED = 0.02  # [s] of datagrams that are taken at once
 _CHUNK = 1 << 16  # bytes
 _BUFFER = 1 << 20  # bytes that the system is asked to hold of datagrams
 _HEAD_ROWS = 4096  # of a replayed log
 _AT_ONCE = 2048  # rows of a replay as fast as it goes
-_RETRY = 0.5  # [s] until a lost port is tried again
-_BAUD = 115200
 
 
 def open_source(text: str) -> RowSource:
@@ -83,7 +81,7 @@ def _growing(path: Path) -> Chunks:
                 stream.seek(0)  # it was begun anew
                 yield None
             if not chunk:
-                time.sleep(TICK)
+                time.sleep(_TICK)
             yield chunk
 
 
@@ -121,44 +119,10 @@ def _datagrams(receiver: socket.socket) -> Iterator[bytes]:
 
 
 def _serial_source(rest: str) -> RowSource:
-    device, _, baud = rest.rpartition(":")
-    if not (device and baud.isdigit()):
-        device, baud = rest, str(_BAUD)
-    if not device:
-        raise UsageError("'serial:' names no port; give serial:/dev/ttyUSB0:115200.")
-    source = bytes_source(f"serial:{rest}", lambda: _serial(device, int(baud)))
+    device, baud = split_port(rest)
+    source = bytes_source(f"serial:{rest}", lambda: read_port(device, baud))
     source.untimed = True
     return source
-
-
-def _serial(device: str, baud: int) -> Chunks:
-    """Yield what comes from a port; None where it is lost, until it can be opened again."""
-    try:
-        import serial
-    except ImportError:
-        raise MultiposError("a serial port needs pyserial: pip install 'multipos[live]'.") from None
-    port: Any = None
-    opened = False
-    while True:
-        try:
-            if port is None:
-                port = serial.Serial(device, baud, timeout=TICK)
-                opened = True
-            chunk = port.read(max(1, port.in_waiting))
-            yield chunk
-            if chunk:
-                time.sleep(_GATHERED)  # byte by byte would cost ten times as much
-        except (OSError, serial.SerialException) as error:
-            if not opened:
-                raise MultiposError(
-                    f"{device}: cannot open the port: {error}; check the cable, the name and "
-                    "who may use it."
-                ) from None
-            if port is not None:
-                port.close()
-                port = None
-            yield None
-            time.sleep(_RETRY)
 
 
 def _replay_source(rest: str) -> RowSource:

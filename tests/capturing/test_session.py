@@ -3,7 +3,6 @@
 import contextlib
 import io
 import json
-import os
 import sys
 import threading
 import time
@@ -403,99 +402,6 @@ def test_rows_by_udp(log, tmp_path):
     stop.set()
     sender.join()
     assert len(session.accepted) == 3
-
-
-class Device:
-    """A device at a serial port: the far end of a pseudo terminal, which can be unplugged."""
-
-    def __init__(self, folder):
-        self.path = folder / "ttyUSB0"
-        self.plug_in()
-
-    def plug_in(self):
-        import tty
-
-        self.far, self.near = os.openpty()
-        os.set_blocking(self.far, False)
-        tty.setraw(self.near)
-        self.path.unlink(missing_ok=True)
-        self.path.symlink_to(os.ttyname(self.near))
-
-    def say(self, content, listener):
-        """Write it all, as long as there is who reads it."""
-        while content and listener.is_alive():
-            try:
-                content = content[os.write(self.far, content[:1024]) :]
-            except BlockingIOError:  # a terminal holds four kilobytes
-                time.sleep(0.001)
-
-    def unplug(self):
-        self.path.unlink()
-        os.close(self.near)
-        os.close(self.far)
-
-
-@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo terminals")
-def test_a_serial_port_may_be_unplugged(log, tmp_path, monkeypatch):
-    serial = pytest.importorskip("serial", reason="pyserial is an extra")
-    opened = threading.Event()
-
-    class Port(serial.Serial):
-        def open(self):  # what had come before is thrown away here
-            super().open()
-            opened.set()
-
-    monkeypatch.setattr(serial, "Serial", Port)
-    monkeypatch.setattr("multipos.capturing.sources._RETRY", 0.05)
-    rows = log.read_bytes().splitlines(keepends=True)
-    device = Device(tmp_path)
-    session = Session(make_plan((), 5, None, {}), make_reading(None, None, None, None, None, 3e-3))
-    source = open_source(f"serial:{device.path}:115200")
-    kept = Kept(log=tmp_path / "kept.csv")
-    run = threading.Thread(target=run_session, args=(session, source, None, kept), daemon=True)
-    run.start()
-
-    def wait(condition):
-        for _ in range(1200):
-            with session.changed:
-                if condition():
-                    return
-            time.sleep(0.01)
-        raise AssertionError(state_of(session))
-
-    assert opened.wait(30)
-    opened.clear()
-    device.say(b"".join(rows[:1500]) + b"\xff\x00boot v2\r\n" + rows[1500][:11], run)
-    wait(lambda: session.rows is not None and session.rows.rows == 1499)
-    assert session.connected
-    device.unplug()
-    wait(lambda: not session.connected)
-    assert state_of(session)["connected"] is False
-    device.plug_in()
-    assert opened.wait(30)
-    device.say(rows[1503][7:] + b"".join(rows[1504:2600]), run)
-    wait(lambda: session.rows.rows == 1499 + 1096)
-    assert session.connected
-    assert session.rows.bad == 2  # what is no row, and what was left of one
-    assert session.rows.gaps == 1
-    device.say(b"".join(rows[2600:5000]), run)
-    run.join(60)
-    assert session.finished
-    assert len(session.accepted) == 5
-    device.unplug()
-    read = (tmp_path / "kept.csv").read_bytes().splitlines(keepends=True)
-    whole = [line for line in read if not line.startswith(b"#")]
-    assert whole == [*rows[:1500], *rows[1504:]][: len(whole)]
-    assert len(read) == len(whole) + 2
-
-
-def test_a_port_that_is_not_there_ends_in_one_line(tmp_path, monkeypatch, capsys):
-    pytest.importorskip("serial", reason="pyserial is an extra")
-    monkeypatch.chdir(tmp_path)
-    for _ in range(2):  # rows that never came make way for none
-        assert main(["capture", f"serial:{tmp_path}/none:9600", "--headless"]) == 1
-        assert "cannot open the port" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["capture_log.csv"]
 
 
 @pytest.mark.parametrize(
