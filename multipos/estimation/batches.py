@@ -246,6 +246,28 @@ def model_coefficients(model: Model, parameters: Array) -> Array:
     return theta
 
 
+def force_slopes(
+    model: Model, environment: Mapping[str, Array], theta: Array, force: Array
+) -> Array:
+    """Return dh/df (M, 3, B, n) of parameters (B, p) at forces (3, B, n) [g]."""
+    _, count, n = force.shape
+    coefficients = model_coefficients(model, theta)
+    columns = {name: np.tile(column, count) for name, column in environment.items()}
+    variables = model.variables(force.reshape(3, -1).T, columns)
+    result = np.zeros((len(model.outputs), 3, count, n))
+    for column, axis, factor, lower in model.slopes:
+        if lower is None:
+            slope = model.basis_terms[column].derivative(variables, COMPONENTS[axis])
+        else:
+            slope = factor * np.asarray(lower.evaluate(variables), dtype=np.float64)
+        slope = np.broadcast_to(slope, (count * n,)).reshape(count, n) if np.ndim(slope) else slope
+        for output in range(len(result)):
+            mine = coefficients[:, output, column]
+            if mine.any():
+                result[output, axis] += mine[:, None] * slope
+    return result
+
+
 def _invert(
     model: Model, environment: Mapping[str, Array], theta: Array
 ) -> tuple[Array, NDArray[np.bool_]]:

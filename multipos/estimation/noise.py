@@ -30,7 +30,7 @@ from multipos.numerics.quantiles import chi2_quantile
 from multipos.sensor.diagnostics import Claim
 from multipos.sensor.found import Component, Placed, RestToRest, VarianceComponents
 
-_STILL = 0.99  # χ² point beyond which a scatter does not explain what readings differ by
+STILL = 0.99  # χ² point beyond which a scatter does not explain what readings differ by
 _DETERMINED = 2.0  # factor to either side within which a placement is called determined
 _ROUNDING = 1e-9  # relative, below which no sd is known
 _NOTHING_LEFT = "as many unknowns as equations: nothing is left to estimate the "
@@ -96,7 +96,7 @@ def _beside_stated(first: Problem, start: Optimum, nu: float) -> Found:
         return first, start, Appraisal(1.0, np.inf)
     problem, optimum, posterior = integrate_placed(first, start, nu)
     claim = Claim(start.point.objective, nu)
-    unexplained = optimum.point.objective > chi2_quantile(_STILL, nu)
+    unexplained = optimum.point.objective > chi2_quantile(STILL, nu)
     if unexplained and problem.prior.any() and tells_apart(first, start):
         # the placement is then a floor as well, and no longer what was stated
         problem, optimum, both = integrate_both(first, start, nu, floor=True)
@@ -135,7 +135,7 @@ def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
     problem, optimum, both = integrate_both(first, optimum, nu, believed=stated)
     worth = _worth(problem, both.posterior, stated=stated)
     sd = _widest(problem)
-    low, high = (sd * float(np.sqrt(end / both.factor)) for end in both.span)
+    low, high = (sd * float(np.sqrt(end[0] / both.factor[0])) for end in both.span)
     determined = high <= _DETERMINED**2 * low
     words = (
         f"orientation error {sd:.2g} degrees (68 %: {low:.2g} to {high:.2g})"
@@ -164,7 +164,7 @@ def _worth(problem: Problem, posterior: Posterior, *, stated: bool) -> Appraisal
     else:
         sd = float(problem.precision.mean() ** -0.5)
         components = VarianceComponents(reading_sd=Component(sd, max(u_tau, _ROUNDING * sd)))
-    u = standard_uncertainty(posterior.expanded(np.zeros((1, p)))[0], np.full(p, dof))
+    u = standard_uncertainty(posterior.centred[0], np.full(p, dof))
     return Appraisal(1.0, dof, components=components, u=u)
 
 

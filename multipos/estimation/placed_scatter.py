@@ -10,27 +10,29 @@ parameters is that of `multipos.estimation.posteriors`, with Jeffreys' prior of 
 dτ² (Σ tr V_k⁻²)^½.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from multipos.estimation.descent import maximise, resume
+from multipos.estimation.grids import Both, integrate_grid
 from multipos.estimation.likelihood import eliminate
 from multipos.estimation.linearisation import Linearised, linearised
-from multipos.estimation.posteriors import NEGLIGIBLE, Found, Posterior, belief, integrate
+from multipos.estimation.posteriors import Found, Posterior, integrate
 from multipos.estimation.problem import Optimum, Problem, start_state
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import step_on_sphere
 
-_ROUNDS = 8  # of scatter and solution in turn
-_SETTLED = 1e-4  # relative change of the noise far below what is known of it
-_SETTLED_BOTH = 0.02  # change of a logarithm, where both are known to a tenth of one at best
+ROUNDS = 8  # of scatter and solution in turn
+SETTLED = 1e-4  # relative change of the noise far below what is known of it
+SETTLED_BOTH = 0.02  # change of a logarithm, where both are known to a tenth of one at best
 _ROWS = 50_000  # positions worked on at once
-_COARSE, _FINE = 16, 24  # nodes a side
-_LEAST = 0.03  # of what placement does to a reading: noise of that size changes nothing
-_LEAST_TOLD = 1e-3  # the same where readings tell the noise
-_TELLING = 6  # contrasts from which on they do
+_NOTHING = 1e-4  # of the noise that is stated, as a variance
+LEAST = 0.03  # of what placement does to a reading: noise of that size changes nothing
+LEAST_TOLD = 1e-3  # the same where readings tell the noise
+TELLING = 6  # contrasts from which on they do
 _RANK = 1e-14  # of the largest eigenvalue, scaled, below which nothing is told
 _TOUCHED = 1e-6  # of the largest slope, below which a turn moves nothing
 
@@ -52,7 +54,7 @@ def integrate_placed(
     floor = _covariances(first)
     size = _harmonic_mean(floor)
     problem, before = first, 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         linear = linearised(first, optimum)
         residuals = optimum.point.residuals
         squares = optimum.point.objective * size, float(np.sum(residuals**2))
@@ -64,7 +66,7 @@ def integrate_placed(
         tau2 = float(posterior.summary[0][0])
         problem = replace(first, precision=_precision(first, floor, tau2))
         optimum = resume(problem, optimum)
-        if abs(tau2 - before) <= _SETTLED * (size + before):
+        if abs(tau2 - before) <= SETTLED * (size + before):
             break
         before = tau2
     return problem, optimum, posterior
@@ -77,45 +79,13 @@ def least_floor(problem: Problem, optimum: Optimum) -> Problem:
     a reading, by a small share; elsewhere what is left over is.
     """
     linear = linearised(problem, optimum)
-    share = _LEAST_TOLD if tells_apart(problem, optimum) else _LEAST
+    share = LEAST_TOLD if tells_apart(problem, optimum) else LEAST
     size = share**2 * float(np.sum(linear.spread**2)) / problem.values.size
     if not linear.tied.any():
-        size = _LEAST_TOLD**2 * float(np.mean(optimum.point.residuals**2))
+        size = LEAST_TOLD**2 * float(np.mean(optimum.point.residuals**2))
     rounding = np.finfo(float).eps * float(np.abs(problem.values).max())
     floor = max(size, rounding**2)
     return replace(problem, precision=np.full(problem.values.shape, 1.0 / floor))
-
-
-@dataclass(frozen=True)
-class Both:
-    """The posterior of scatter and placement together.
-
-    Attributes
-    ----------
-    posterior : Posterior
-        Of τ² and the parameters, over nodes of both.
-    factors : (G,) array
-        What s² is multiplied by at each node.
-    """
-
-    posterior: Posterior
-    factors: Array
-
-    @property
-    def factor(self) -> float:
-        """The posterior median of the factor on s²."""
-        return self._quantile(0.5)
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """The central 68 % of the factor on s²."""
-        return self._quantile(0.16), self._quantile(0.84)
-
-    def _quantile(self, share: float) -> float:
-        order = np.argsort(self.factors)
-        total = np.cumsum(self.posterior.weights[0, order])
-        place = min(int(np.searchsorted(total, share)), len(order) - 1)
-        return float(self.factors[order][place])
 
 
 def integrate_both(
@@ -138,9 +108,9 @@ def integrate_both(
     size = _harmonic_mean(least)
     grid = partial(_over_both, floor=least, size=size, nu=nu, placed=floor, believed=believed)
     problem, before = first, np.zeros(2)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         both = grid(linearised(first, optimum))
-        tau2, factor = float(both.posterior.summary[0][0]), both.factor
+        tau2, factor = float(both.posterior.summary[0][0]), float(both.factor[0])
         problem = replace(
             first,
             precision=_precision(first, least, tau2),
@@ -148,7 +118,7 @@ def integrate_both(
         )
         optimum = resume(problem, optimum)
         now = np.log([size + tau2, factor])
-        if np.abs(now - before).max() <= _SETTLED_BOTH:
+        if np.abs(now - before).max() <= SETTLED_BOTH:
             break
         before = now
     return problem, optimum, both
@@ -156,7 +126,7 @@ def integrate_both(
 
 def tells_apart(problem: Problem, optimum: Optimum) -> bool:
     """Tell whether readings tell scatter from placement; where few do, U would not cover."""
-    return _contrasts(problem, optimum) >= _TELLING
+    return _contrasts(problem, optimum) >= TELLING
 
 
 def _contrasts(problem: Problem, optimum: Optimum) -> int:
@@ -190,37 +160,26 @@ def _over_both(
     linear: Linearised, *, floor: Array, size: float, nu: float, placed: bool, believed: bool
 ) -> Both:
     """Return the posterior over a grid of ln(τ² + size) and the logarithm of the factor on s²."""
-    whole = float(np.sum(linear.error**2)) + size
-    slope = float(np.sum(linear.spread**2))
-    tail = 28.0 / nu + 0.5
-    x_ends = np.log(size), np.log(whole) + tail
-    # below, what placement does is nothing beside the noise that is stated
-    least = 0.0 if placed else np.log(1e-4 * size * linear.error.size / slope)
-    y_ends = least, max(np.log(whole / slope), least) + tail
-    for count in (*[_COARSE] * 3, _FINE):
-        x, y = np.linspace(*x_ends, count), np.linspace(*y_ends, count)
-        nodes = np.append(0.0, np.maximum(np.exp(x) - size, 0.0))
-        grid, factors = (each.ravel() for each in np.meshgrid(nodes, np.exp(y), indexing="ij"))
-        found = _evaluate(linear, floor, size, factors, grid)
-        log = found.log.reshape(count + 1, count)
-        x_ends = _told(x, log[1:].max(axis=1))
-        y_ends = _told(y, log.max(axis=0))
-    weights = np.exp(log - log.max()) * (x[1] - x[0])
-    weights[[1, -1]] /= 2.0
-    weights[0] *= believed * belief(nu) / (x[1] - x[0])
-    weights[:, [0, -1]] /= 2.0
-    if placed and y[0] == 0.0:
-        weights[:, 0] += belief(nu) / (y[1] - y[0]) * weights[:, 0] * 2.0
-    weights = weights.ravel() / weights.sum()
-    found = Found(*(each[None] for each in found))
-    posterior = Posterior(grid[None], weights[None], found.moves, found.variances, np.array([size]))
-    return Both(posterior, factors)
+    slopes = float(np.sum(linear.spread**2))
+
+    def evaluate(factors: Array, nodes: Array, *, whole: bool) -> Found:
+        found = _evaluate(linear, floor, size, factors[0], nodes[0])
+        return Found(*(each[None] for each in found))
+
+    return integrate_grid(
+        evaluate,
+        nu,
+        np.array([size]),
+        np.array([np.sum(linear.error**2)]),
+        np.array([slopes]),
+        least=None if placed else np.array([least_factor(size, linear.error.size, slopes)]),
+        believed=believed,
+    )
 
 
-def _told(x: Array, log: Array) -> tuple[float, float]:
-    """Return the range of nodes where something is probable, and one more to either side."""
-    places = np.flatnonzero(log > log.max() - NEGLIGIBLE / 2.0)
-    return float(x[max(places[0] - 1, 0)]), float(x[min(places[-1] + 1, len(x) - 1)])
+def least_factor(size: Any, readings: int, slopes: Any) -> Any:
+    """Return the factor on s² below which what placement does is nothing beside the noise."""
+    return _NOTHING * size * readings / slopes
 
 
 def _harmonic_mean(covariances: Array) -> float:

@@ -14,6 +14,7 @@ number of nodes; a single fit is a batch of one.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -86,6 +87,11 @@ class Posterior:
         """Return U (B, p) about estimates that moved by `moves` (B, p), at 95 %."""
         return self._half(moves, _COVERAGE)
 
+    @cached_property
+    def centred(self) -> Array:
+        """U (B, p) about estimates that did not move, at 95 %."""
+        return self.expanded(np.zeros((len(self.size), self.moves.shape[2])))
+
     def _half(self, moves: Array, share: float) -> Array:
         means = self.moves - moves[:, None]
         return _half_interval(means, np.sqrt(self.variances), self.weights, share)
@@ -94,7 +100,7 @@ class Posterior:
     def shape(self) -> Array:
         """Degrees of freedom (B,) of the Student's t whose tails are those of the parameters."""
         moves = np.zeros((len(self.size), self.moves.shape[2]))
-        ratio = np.median(self.expanded(moves) / self._half(moves, _INNER), axis=1)
+        ratio = np.median(self.centred / self._half(moves, _INNER), axis=1)
         return np.array([_dof_of_tails(each) for each in ratio.tolist()])
 
 
@@ -180,7 +186,8 @@ def _half_interval(means: Array, sds: Array, weights: Array, share: float) -> Ar
 def _search_half(means: Array, sds: Array, weights: Array, share: float) -> Array:
     low = np.zeros((len(means), means.shape[2]))
     high = 2.0 * np.max(np.abs(means) + 2.0 * sds, axis=1)
-    guess = 2.0 * np.sqrt(np.einsum("bg,bgp->bp", weights, sds**2 + means**2))
+    spread = np.sqrt(np.einsum("bg,bgp->bp", weights, sds**2 + means**2))
+    guess = coverage_factor(share, math.inf) * spread
     for _ in range(60):
         above, below = (guess[:, None] - means) / sds, (guess[:, None] + means) / sds
         covered = _erf(above / _ROOT) + _erf(below / _ROOT)
@@ -189,9 +196,10 @@ def _search_half(means: Array, sds: Array, weights: Array, share: float) -> Arra
         high = np.where(inside < share, high, guess)
         density = np.einsum("bg,bgp->bp", weights, (_normal(above) + _normal(below)) / sds)
         following = guess + (share - inside) / np.maximum(density, 1e-300)
-        bad = ~((following > low) & (following < high))
+        near = np.abs(following - guess) <= 1e-10 * guess
+        bad = ~near & ~((following > low) & (following < high))
         following = np.where(bad, 0.5 * (low + high), following)
-        if np.all(np.abs(following - guess) <= 1e-10 * guess):
+        if near.all():
             break
         guess = following
     return np.asarray(following)

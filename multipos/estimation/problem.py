@@ -27,7 +27,7 @@ from multipos.positions.placement import Placement, listed_rows
 from multipos.positions.readings import Readings
 from multipos.sensor.model import Block, Model
 
-_RELATIVE_NOISE = 1e-3  # of the readings' spread: any value serves where only ratios matter
+RELATIVE_NOISE = 1e-3  # of the readings' spread: any value serves where only ratios matter
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ def state_problem(
     noise = readings.noise
     if noise is None:
         size = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)) or 1.0  # of one position
-        precision = np.full((n, m), 1.0 / (_RELATIVE_NOISE * size) ** 2)
+        precision = np.full((n, m), 1.0 / (RELATIVE_NOISE * size) ** 2)
     else:
         precision = precision_of(noise, n, m)
     return Problem(

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from multipos.estimation.batches import (
     Estimates,
     compensated,
+    force_slopes,
     join_estimates,
     model_coefficients,
 )
@@ -240,29 +241,8 @@ def _at(shared: SharedSphere, values: Array, theta: Array, force: Array) -> _Pla
     return _Place(theta, force, phi, residuals, np.einsum("mbn,mbn->b", residuals, residuals))
 
 
-def _slopes(shared: SharedSphere, place: _Place) -> Array:
-    """Return G (3, 3, B, n)."""
-    model = shared.model
-    _, count, n = place.force.shape
-    theta = model_coefficients(model, place.theta)
-    columns = {name: np.tile(column, count) for name, column in shared.environment.items()}
-    variables = model.variables(place.force.reshape(3, -1).T, columns)
-    result = np.zeros((3, 3, count, n))
-    for column, axis, factor, lower in model.slopes:
-        if lower is None:
-            slope = model.basis_terms[column].derivative(variables, COMPONENTS[axis])
-        else:
-            slope = factor * np.asarray(lower.evaluate(variables), dtype=np.float64)
-        slope = np.broadcast_to(slope, (count * n,)).reshape(count, n) if np.ndim(slope) else slope
-        for output in range(3):
-            mine = theta[:, output, column]
-            if mine.any():
-                result[output, axis] += mine[:, None] * slope
-    return result
-
-
 def _linearise(shared: SharedSphere, place: _Place) -> _Surface:
-    G = _slopes(shared, place)
+    G = force_slopes(shared.model, shared.environment, place.theta, place.force)
     upper, lower = G[_NEXT], G[_LAST]
     cofactors = upper[:, _NEXT] * lower[:, _LAST] - upper[:, _LAST] * lower[:, _NEXT]
     determinant = np.einsum("ibn,ibn->bn", G[0], cofactors[0])

@@ -32,14 +32,14 @@ _LEVER = 2.0  # how far above the information that noise pretends
 _FEWEST = 4  # parameters that any turn of the sensor shows: a bias for each output, one scale
 _MEDIAN = 0.6745  # of the modulus of a standard normal
 _SCATTER = 0.2  # of one g: a cloud of noise, not a sphere of positions
-_WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
+WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
 
 
 def search(problem: Problem) -> Optimum:
     """Return the best optimum over the starts; the second is tried where the first may be poor."""
     best: tuple[State, Optimum] | None = None
     fault: MultiposError | None = None
-    wide = bool((problem.orientation_sd[problem.listed] > _WIDE).any())
+    wide = bool((problem.orientation_sd[problem.listed] > WIDE).any())
     for start in ways(problem):
         try:
             state = start(problem)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.tables import Table
 from multipos.fleets.grouping import Conditions, Grouped, Places
 from multipos.fleets.running import solve_all
 from multipos.fleets.solving import LEFT, Pattern, Solved, Task, find_pattern, fit_one
@@ -105,7 +106,7 @@ class Piece:
         """Return the outputs where none of the first units can be fitted, or say why."""
         for unit in range(min(len(self._grouped), _TRIED * 10)):
             try:
-                table = self._rows.select(self._grouped.rows(unit).tolist())
+                table = self._table(unit)
                 wanted = self._known.options.get("outputs")
                 return read_readings(table, outputs=wanted, environment=self._known.used).outputs
             except MultiposError:
@@ -113,10 +114,14 @@ class Piece:
         raise MultiposError(f"none of the first units can be read: {said}")
 
     def _fit(self, unit: int) -> Calibration | str:
-        fitted = fit_one(self._rows.select(self._grouped.rows(unit).tolist()), self._known.options)
+        fitted = fit_one(self._table(unit), self._known.options)
         if isinstance(fitted, Calibration):
             self._known.learn(fitted)
         return fitted
+
+    def _table(self, unit: int) -> Table:
+        """Return the rows of a unit."""
+        return self._rows.select(self._grouped.rows(unit).tolist())
 
     def _tasks(self) -> Iterator[Task]:
         alone: list[Places] = []
@@ -134,7 +139,7 @@ class Piece:
         for unit in units[:_TRIED].tolist():
             fitted = self._fit(unit)
             if isinstance(fitted, Calibration):
-                pattern = find_pattern(fitted, self._known.options)
+                pattern = find_pattern(fitted, self._table(unit), self._known.options)
                 if pattern is not None:
                     return pattern
         return None
@@ -170,10 +175,7 @@ class Piece:
     def _alone(self, units: Places) -> Iterator[Task]:
         for start in range(0, len(units), _ALONE):
             mine = units[start : start + _ALONE]
-            tables = {
-                unit + self._first: self._rows.select(self._grouped.rows(unit).tolist())
-                for unit in mine.tolist()
-            }
+            tables = {unit + self._first: self._table(unit) for unit in mine.tolist()}
             yield Task(
                 mine + self._first, self._stations[mine], None, (), tables, self._known.options
             )

@@ -10,9 +10,14 @@ by far less than any of them needs:
   the others that is not what the stated unit says (all in another unit);
 - two rows that are the same in all outputs (copied).
 
-What is a caution alone and shows in nothing but residuals within that (a missing term, an outlier)
-is asked only of units that are fitted one by one: one in a hundred good units has such a caution
-by chance, and to look at these would take longer than all the others.
+At uncertain orientations residuals are small wherever positions take up what is wrong, so that an
+output that has one end of its range twice, or in common with another (saturated), is asked as well;
+positions that stick out are left to the fit of one unit by the batch itself.
+
+What is a caution alone and shows in nothing but residuals within that (a missing term, an outlier
+at known positions, outputs of unlike noise) is asked only of units that are fitted one by one: one
+in a hundred good units has such a caution by chance, and to look at these would take longer than
+all the others.
 """
 
 import numpy as np
@@ -32,7 +37,9 @@ _OTHER = 1.2  # times the sensitivity of the units beside it
 _WEIGHTS = (1.0, 0.7071067811865476, 0.5773502691896257)  # that make one number of a row
 
 
-def find_suspects(model: Model, values: tuple[Array, ...], found: Estimates) -> NDArray[np.bool_]:
+def find_suspects(
+    model: Model, values: tuple[Array, ...], found: Estimates, *, placed: bool = False
+) -> NDArray[np.bool_]:
     """Tell which units (B,) are to be looked at in full.
 
     Parameters
@@ -40,12 +47,16 @@ def find_suspects(model: Model, values: tuple[Array, ...], found: Estimates) -> 
     model : Model
     values : M arrays (B, n)
     found : Estimates
+    placed : bool
+        Orientations are uncertain.
     """
     square = found.inverse.shape[1] == found.inverse.shape[2]
     matrix = np.asarray((np.linalg.inv if square else np.linalg.pinv)(found.inverse))
     length = np.asarray(np.linalg.norm(matrix, axis=2))
     usual = np.median(length, axis=0).tolist()
     suspect = ~(found.rms <= _RMS) | _repeats(values) | _leans(model, matrix, length)
+    if placed:
+        suspect |= _ends_repeat(values)
     for i, residuals in enumerate(found.residuals):
         size = length[:, i]
         suspect |= ~((size < _OTHER * usual[i]) & (size > usual[i] / _OTHER))
@@ -63,6 +74,17 @@ def _leans(model: Model, matrix: Array, length: Array) -> NDArray[np.bool_]:
         own = matrix[:, i, sensed.index(COMPONENTS.index(axis))]
         leans |= ~(own > _LEANS * length[:, i])
     return leans
+
+
+def _ends_repeat(values: tuple[Array, ...]) -> NDArray[np.bool_]:
+    """Tell which units have an end of the range of an output twice, or in two outputs."""
+    repeat = np.zeros(len(values[0]), dtype=np.bool_)
+    for ends in (np.max, np.min):
+        found = np.stack([ends(column, axis=1) for column in values])
+        for column, end in zip(values, found, strict=True):
+            repeat |= (column == end[:, None]).sum(axis=1) > 1
+        repeat |= (np.diff(np.sort(found, axis=0), axis=0) == 0.0).any(axis=0)
+    return np.asarray(repeat)
 
 
 def _repeats(values: tuple[Array, ...]) -> NDArray[np.bool_]:

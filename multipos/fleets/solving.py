@@ -6,6 +6,7 @@ them; all others, and whatever unit a batch does not answer for, by `fit` itself
 depends on which way was taken.
 """
 
+import math
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -20,6 +21,11 @@ from multipos.doubts.redundancy import are_poorly_known
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates, SharedDesign, estimate_batch, share_design
 from multipos.estimation.known import DENIED
+from multipos.estimation.placed_batches import (
+    SharedPlacement,
+    estimate_placed,
+    share_placement,
+)
 from multipos.estimation.sphere_batches import SharedSphere, estimate_spheres, share_sphere
 from multipos.estimation.stated_batches import estimate_stated
 from multipos.files.tables import Table
@@ -28,13 +34,15 @@ from multipos.fleets.nests import Nest, NestSums, sum_nests
 from multipos.fleets.screening import find_suspects
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor
+from multipos.positions.placement import resolve
+from multipos.positions.reading_tables import read_readings
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Gravity
 
 Places = NDArray[np.intp]
-Shared = SharedDesign | SharedSphere
+Shared = SharedDesign | SharedSphere | SharedPlacement
 
 
 class Solved(NamedTuple):
@@ -70,8 +78,8 @@ class Pattern:
 
     Attributes
     ----------
-    shared : SharedDesign or SharedSphere
-        Known orientations, or unknown ones.
+    shared : SharedDesign, SharedSphere or SharedPlacement
+        Known orientations, unknown ones, or uncertain ones.
     nest : Nest or None
         Where the angles of the positions can be told from residuals.
     gravity : Gravity or None
@@ -115,8 +123,19 @@ class Task:
     claimed: tuple[Array, ...] = ()
 
 
-def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Pattern | None:
-    """Return what units share with one that was fitted; None where there is no batch for them."""
+def find_pattern(
+    calibration: Calibration, table: Table, options: Mapping[str, Any]
+) -> Pattern | None:
+    """Return what units share with one that was fitted; None where there is no batch for them.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    table : Table
+        What it was fitted from.
+    options : mapping
+        Of `fit`.
+    """
     c = calibration
     plain = (
         not isinstance(c.model, ExpressionModel)
@@ -128,7 +147,7 @@ def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Patter
     if not plain or options.get("range") is not None:
         return None
     try:
-        shared = _share(c)
+        shared = _share(c, table, options)
     except RankError:
         return None
     if shared is None:
@@ -139,18 +158,43 @@ def find_pattern(calibration: Calibration, options: Mapping[str, Any]) -> Patter
     return Pattern(shared, nest, c.gravity, _common(c))
 
 
-def _share(c: Calibration) -> Shared | None:
+def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
     columns = c.readings.environment
     if c.estimator is Estimator.LINEAR:
         if _POOR in _codes(c):  # of bad positions all are doubted, of a bad unit this one
             return None
         return share_design(c.model, c.reference, columns)
+    if c.estimator is Estimator.UNCERTAIN:
+        return _share_uncertain(c, table, options)
     sd = c.readings.orientation_sd
     if c.estimator is not Estimator.UNKNOWN or c.readings.u is not None or sd is None:
         return None
     if np.isinf(sd).all():
         return share_sphere(c.model, float(np.linalg.norm(c.reference[0])), columns)
     return None
+
+
+def _share_uncertain(
+    c: Calibration, table: Table, options: Mapping[str, Any]
+) -> SharedPlacement | None:
+    """Return what units at uncertain orientations share, before anything was found of them."""
+    readings = read_readings(table, outputs=c.outputs, environment=c.model.environment)
+    sd = options.get("orientation_sd")
+    estimated = isinstance(sd, str)
+    _, placement = resolve(
+        readings,
+        options.get("scheme"),
+        c.sign * float(np.linalg.norm(c.reference[0])),
+        orientation_sd=None if sd is None or isinstance(sd, str) else math.radians(sd),
+        estimate=estimated,
+    )
+    apart = placement.groups or placement.rolls is not None or c.readings.dof is not None
+    if apart or options.get("level_sd", 0.0):
+        return None
+    columns = {name: c.readings.environment[name] for name in c.model.environment}
+    return share_placement(
+        c.model, placement.reference, placement.orientation_sd, columns, estimated=estimated
+    )
 
 
 _POOR, _DENIED = "no-redundancy", "denied-noise"
@@ -191,17 +235,19 @@ def solve_task(task: Task) -> Solved:
     """Return what a task finds of its units; those a batch does not answer for are left NaN."""
     if task.pattern is None:
         return _solve_each(task)
-    found = _estimate(task.pattern.shared, task)
+    shared = task.pattern.shared
+    found = _estimate(shared, task)
     u, dof = _with_gravity(task.pattern, found)
     count = len(task.units)
     nests: tuple[NestSums, ...] = ()
     if task.pattern.nest is not None:
         nests = sum_nests(task.pattern.nest, found, task.stations)
-    looked_at = ~found.sound | find_suspects(task.pattern.shared.model, task.values, found)
+    placed = isinstance(shared, SharedPlacement)
+    looked_at = ~found.sound | find_suspects(shared.model, task.values, found, placed=placed)
     reasons = [LEFT if left else "" for left in looked_at.tolist()]
     return Solved(
         task.units,
-        task.pattern.shared.model.names,
+        shared.model.names,
         found.parameters,
         u,
         dof,
@@ -216,6 +262,8 @@ def solve_task(task: Task) -> Solved:
 def _estimate(shared: Shared, task: Task) -> Estimates:
     if isinstance(shared, SharedSphere):
         return estimate_spheres(shared, task.values)
+    if isinstance(shared, SharedPlacement):
+        return estimate_placed(shared, task.values, task.stated, task.claimed)
     if task.stated:
         pool = bool(task.options.get("pool"))
         return estimate_stated(shared, task.values, task.stated, task.claimed, pool=pool)

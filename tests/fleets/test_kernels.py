@@ -93,6 +93,82 @@ def test_stated_noise(claims, options, fitted):
     assert worst_difference(found, table, **options) < 1e-9  # no search, but eq. (1) in two turns
 
 
+def placed(units, sd=0.1, **options):
+    """A line whose positions are off by so many degrees."""
+    table = line(units, **options)
+    up = np.column_stack([table[f"up_{axis}"] for axis in "xyz"])
+    turns = np.radians(sd) * np.random.default_rng(7).standard_normal(up.shape)
+    for axis, off in zip("xyz", np.cross(turns, up).T, strict=True):
+        table[f"a{axis}"] = table[f"a{axis}"] + off
+    return table
+
+
+@pytest.mark.parametrize(
+    ("scheme", "options"),
+    [
+        ("fibonacci-24", {"orientation_sd": 0.1}),
+        ("fibonacci-24", {"orientation_sd": 0.02}),  # less than they are off by
+        ("all-26", {"orientation_sd": 0.1, "model": "own-quadratic", "confidence": 0.99}),
+        ("fibonacci-24", {"orientation_sd": 0.1, "model": "1 + x + y + z + temperature"}),
+        ("faces-6", {"orientation_sd": 0.1, "convention": "gravity", "gravity": 9.81}),
+        ("fibonacci-16", {"orientation_sd": 0.1, "gravity": 9.81, "gravity_u": 1e-4}),
+        ("fibonacci-24", {"orientation_sd": 0.1, "reading_sd": 3e-4}),
+        ("icosahedron-12", {"orientation_sd": 0.1, "reading_sd": [2e-4, 3e-4, 5e-4]}),
+        ("fibonacci-24", {"orientation_sd": "auto"}),
+        ("all-26", {"orientation_sd": "auto", "model": "own-quadratic"}),
+        ("fibonacci-16", {"orientation_sd": "auto", "reading_sd": 2e-4}),
+    ],
+)
+def test_uncertain_orientation(scheme, options, fitted):
+    table = placed(4, scheme=scheme, noise=3e-4)
+    surroundings = np.random.default_rng(3).uniform(-10.0, 10.0, len(table["unit"]) // 4)
+    table["temperature"] = np.tile(surroundings, 4)
+    if options.get("convention") == "gravity":
+        for axis in "xyz":
+            table[f"a{axis}"] = -table[f"a{axis}"]
+    found = mp.fit_many(table, **APART, **options)
+    assert len(fitted) <= 3  # for the columns, for what units share, and one that may stick out
+    assert worst_difference(found, table, **options) < 1e-6
+
+
+@pytest.mark.parametrize("claims", [{}, {"low": 1e-5, "high": 1e-3}, {"dof": (3.0, 9.0)}])
+def test_uncertain_orientation_with_u_of_every_reading(claims):
+    table = stated(placed(3, noise=3e-4), **({"low": 2e-4, "high": 4e-4} | claims))
+    found = mp.fit_many(table, orientation_sd=0.1, **APART)
+    assert worst_difference(found, table, orientation_sd=0.1) < 1e-6
+
+
+@pytest.mark.parametrize("options", [{}, {"orientation_sd": "auto"}])
+def test_orientation_sds_of_every_position(options):
+    table = placed(3, noise=3e-4)
+    table["orientation_sd_deg"] = np.tile(np.where(np.arange(24) % 4, 0.1, 0.0), 3)
+    found = mp.fit_many(table, **APART, **options)
+    assert worst_difference(found, table, **options) < 1e-6
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([1e-5, 3e-4, 5e-3]),
+    st.sampled_from([1.0, 16384.0, 1e-7]),
+    st.sampled_from([0.01, 0.3, 4.0]),
+    st.sampled_from(["faces-corners-14", "fibonacci-24"]),
+)
+def test_noise_unit_and_placement_do_not_matter(seed, noise, size, sd, scheme):
+    table = placed(2, sd, scheme=scheme, noise=noise, seed=seed)
+    for axis in "xyz":
+        table[f"a{axis}"] = size * table[f"a{axis}"]
+    found = mp.fit_many(table, orientation_sd=sd, **APART)
+    assert worst_difference(found, table, orientation_sd=sd) < 1e-6
+
+
+def test_placement_that_no_scatter_explains_is_left_to_fit():
+    table = placed(3, 0.5, noise=3e-4)
+    options = {"orientation_sd": 0.05, "reading_sd": 3e-4}
+    found = mp.fit_many(table, **APART, **options)
+    assert worst_difference(found, table, **options) < 1e-6
+
+
 def test_outputs_that_scatter_unlike_are_told_apart_unit_by_unit(fitted):
     table = line(6)
     loud = table["unit"] == "U0003"

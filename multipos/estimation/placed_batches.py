@@ -1,0 +1,398 @@
+"""Many units at uncertain orientations, on positions that they share.
+
+Each unit goes the way of `multipos.estimation.uncertain`, all of them in step: the search for
+parameters and positions (`multipos.estimation.placed_search`) with the noise that is stated, or one
+of any size, and from there as `multipos.estimation.noise` has it,
+
+- a noise that nobody stated gets the least floor that could matter;
+- with stated orientation sds the scatter τ² is integrated over, then searched on from, in turn
+  until it settles (`multipos.estimation.placed_scatter`, the posteriors of all units at once by
+  `multipos.estimation.placed_posteriors`);
+- where their size is to be estimated, the same of τ² and the common factor F on their squares.
+
+A unit that has settled is left out of the turns that follow. One is left to `fit` where a search
+has not ended, where no scatter explains the residuals beside a stated noise, where the positions
+separate parameters badly or noise leaves scale factors open, where a position sticks out, and where
+readings are so loud or so coarse that a doubt may be raised.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.batches import (
+    Estimates,
+    compensated,
+    join_estimates,
+    model_coefficients,
+    share_design,
+)
+from multipos.estimation.noise import STILL
+from multipos.estimation.placed_posteriors import (
+    About,
+    are_alike,
+    integrate_scatter,
+    integrate_scatter_and_placement,
+    typical,
+)
+from multipos.estimation.placed_scatter import (
+    LEAST,
+    LEAST_TOLD,
+    ROUNDS,
+    SETTLED,
+    SETTLED_BOTH,
+    TELLING,
+)
+from multipos.estimation.placed_search import (
+    Noise,
+    Place,
+    Positions,
+    information_of,
+    misfits,
+    objective,
+    place_at,
+    search,
+    turns,
+)
+from multipos.estimation.posteriors import standard_uncertainty
+from multipos.estimation.problem import RELATIVE_NOISE
+from multipos.estimation.starts import WIDE
+from multipos.files.records import LARGEST
+from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import chi2_quantile
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.diagnostics import find_outlying_positions
+from multipos.sensor.model import Model
+
+_AT_ONCE = 1500  # readings of an output, so that what they need stays small
+_ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
+_WORST = 1e-8  # eigenvalue of the scaled information below which a fit is doubted for it
+_LOUD = 0.01  # of a scale factor: noise or U from which on a unit is looked at
+_LEAST, _MOST = 1e-140, 1e140  # of u, whose squares are numbers still
+_APART = 1e3  # times that uncertainties of a unit may differ
+
+
+@dataclass(frozen=True)
+class SharedPlacement:
+    """What units at uncertain orientations share.
+
+    Attributes
+    ----------
+    model : Model
+    reference : (n, 3) array [g]
+        As listed.
+    orientation_sd : (n,) array [rad]
+    environment : mapping of str to (n,) array
+        Other columns of the model.
+    estimated : bool
+        The size of the orientation sds is to be estimated.
+    inverses : tuple of M (p_i, n) arrays
+        Of the designs at the listed positions.
+    """
+
+    model: Model
+    reference: Array
+    orientation_sd: Array
+    environment: Mapping[str, Array]
+    estimated: bool
+    inverses: tuple[Array, ...]
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom that the parameters leave."""
+        return float(len(COMPONENTS) * len(self.reference) - len(self.model.keys))
+
+    @property
+    def listed(self) -> Positions:
+        """The positions."""
+        return Positions(self.reference, self.environment)
+
+
+def share_placement(
+    model: Model,
+    reference: Array,
+    orientation_sd: Array,
+    environment: Mapping[str, Array],
+    *,
+    estimated: bool,
+) -> SharedPlacement | None:
+    """Return what units share, or None where a batch does not do what `fit` does.
+
+    Parameters
+    ----------
+    model : Model
+    reference : (n, 3) array [g]
+        As listed.
+    orientation_sd : (n,) array [rad]
+    environment : mapping of str to (n,) array
+        Other columns that the model uses.
+    estimated : bool
+        The size of the orientation sds is to be estimated.
+
+    Raises
+    ------
+    RankError
+        The positions cannot separate the parameters.
+    """
+    triad = sorted(model.axes) == list(COMPONENTS) and model.inputs == COMPONENTS
+    placed = (orientation_sd <= WIDE).all() and orientation_sd.any()
+    if not (triad and placed and model.has_all_linear):
+        return None
+    design = share_design(model, reference, environment)
+    spare = len(reference) - len(model.keys)
+    if design is None or (spare < TELLING and not orientation_sd.all()):
+        return None
+    return SharedPlacement(
+        model, reference, orientation_sd, design.environment, estimated, design.inverses
+    )
+
+
+def estimate_placed(
+    shared: SharedPlacement,
+    values: Sequence[Array],
+    stated: Sequence[Array],
+    claimed: Sequence[Array],
+) -> Estimates:
+    """Fit B units at uncertain orientations.
+
+    Parameters
+    ----------
+    shared : SharedPlacement
+    values : sequence of 3 arrays (B, n)
+        Readings of each output.
+    stated : sequence of 3 arrays (B, n), or of none
+        Their standard uncertainties.
+    claimed : sequence of 3 arrays (B, n), or of none
+        Degrees of freedom of those, which are left to `fit`.
+    """
+    count, n = values[0].shape
+    step = max(1, _AT_ONCE // n)
+    parts = []
+    for first in range(0, count, step):
+        rows = slice(first, first + step)
+        y = np.stack([each[rows] for each in values], axis=2)
+        u = np.stack([each[rows] for each in stated], axis=2) if stated else None
+        with np.errstate(all="ignore"):  # a unit may run away, and is then left out
+            parts.append(_estimate(shared, y, u))
+    found = join_estimates(parts)
+    u = standard_uncertainty(found.u, found.dof)  # of U at 95 %
+    return found._replace(u=u, sound=found.sound & (not claimed))
+
+
+class _Found(NamedTuple):
+    """What was found of B units."""
+
+    place: Place
+    noise: Noise
+    U: Array  # at 95 %, (B, p)
+    dof: Array  # (B,)
+    sound: NDArray[np.bool_]
+    chi2: Array | None  # of the residuals under the stated noise alone
+
+
+def _estimate(shared: SharedPlacement, values: Array, u: Array | None) -> Estimates:
+    model, listed = shared.model, shared.listed
+    count, n, _ = values.shape
+    sound = (np.ptp(values, axis=1) > 0.0).all(axis=1)
+    if u is None:
+        variance = _any_noise(values)
+    else:
+        claims = ((u > _LEAST) & (u < _MOST)).all(axis=(1, 2))
+        claims &= u.max(axis=(1, 2)) < _APART * u.min(axis=(1, 2))
+        sound &= claims
+        variance = np.where(claims[:, None, None], u, 1.0) ** 2
+    noise = Noise(variance, np.tile(shared.orientation_sd, (count, 1)))
+    theta = np.concatenate(
+        [values[:, :, i] @ inverse.T for i, inverse in enumerate(shared.inverses)], axis=1
+    )
+    start = place_at(model, listed, values, theta, np.zeros((count, n, 2)))
+    least = _ROUNDING**2 * np.einsum("bni,bni->b", values, values)
+    sound &= np.einsum("bni,bni->b", *[start.residuals] * 2) > least
+    place, ended = search(model, listed, values, start, noise)
+    sound &= ended
+    try:
+        judge = _judge_both if shared.estimated else _judge_scatter
+        found = judge(shared, values, place, noise, sound, stated=u is not None)
+    except np.linalg.LinAlgError:  # some unit is as good as singular
+        nothing = np.full(theta.shape, np.nan)
+        found = _Found(place, noise, nothing, nothing[:, 0], np.zeros_like(sound), None)
+    sound = found.sound
+    theta, residuals = found.place.theta, tuple(np.moveaxis(found.place.residuals, 2, 0))
+    left = compensated(
+        model,
+        shared.environment,
+        found.place.force,
+        model_coefficients(model, theta),
+        tuple(np.moveaxis(values, 2, 0)),
+        residuals,
+    )
+    rms = np.sqrt(np.einsum("bnk,bnk->b", left.force, left.force) / n)
+    sound &= left.sound & (np.abs(theta).max(axis=1) <= LARGEST)
+    sound &= np.einsum("bni,bni->b", *[found.place.residuals] * 2) > least
+    if sound.any():
+        sound[sound] = _are_clear(shared, found, sound)
+    dof = np.broadcast_to(found.dof[:, None], theta.shape)
+    return Estimates(theta, found.U, dof, rms, residuals, left.inverse, sound, found.chi2)
+
+
+def _any_noise(values: Array) -> Array:
+    """Return variances (B, n, 3) of any size, as the search takes them where none are stated."""
+    spread = values - values.mean(axis=1, keepdims=True)
+    size = np.sqrt(np.mean(spread**2, axis=(1, 2)))
+    return np.broadcast_to((RELATIVE_NOISE * size[:, None, None]) ** 2, values.shape).copy()
+
+
+def _judge_scatter(
+    shared: SharedPlacement,
+    values: Array,
+    place: Place,
+    noise: Noise,
+    sound: NDArray[np.bool_],
+    *,
+    stated: bool,
+) -> _Found:
+    """Return the solutions with the scatter that was found, orientation sds as stated."""
+    model, listed, dof = shared.model, shared.listed, shared.dof
+    count = len(values)
+    chi2 = objective(place, noise) if stated else None
+    first = noise
+    if not stated:
+        first = _least_floor(shared, values, place, noise)
+        place, ended = search(model, listed, values, place, first)
+        sound = sound & ended
+    size = typical(first.variance)
+    before, tail = np.zeros(count), np.full(count, np.nan)
+    U, variance = np.full(place.theta.shape, np.nan), first.variance.copy()
+    units = np.flatnonzero(sound)
+    for turn in range(ROUNDS):
+        if not len(units):
+            break
+        here, floor, least = place.of(units), first.variance[units], size[units]
+        known = Noise(variance[units], first.orientation_sd[units])
+        weighted = objective(here, known) * (least + before[units])
+        plain = np.einsum("bni,bni->b", here.residuals, here.residuals)
+        posterior = integrate_scatter(
+            _about(shared, here, known), floor, dof, (weighted, plain), believed=stated
+        )
+        tau2 = posterior.summary[0]
+        variance[units] = floor + tau2[:, None, None]
+        following, ended = search(
+            model, listed, values[units], here, Noise(variance[units], known.orientation_sd)
+        )
+        place.put(units, following)
+        sound[units] &= ended
+        settled = np.abs(tau2 - before[units]) <= SETTLED * (least + before[units])
+        before[units] = tau2
+        going = ~settled & ended & (turn < ROUNDS - 1)
+        if not going.all():
+            U[units], tail[units] = posterior.centred, posterior.shape
+        units = units[going]
+    found = Noise(variance, first.orientation_sd)
+    if stated:  # beyond that, placement is a floor as well
+        sound &= objective(place, found) <= chi2_quantile(STILL, dof)
+    return _Found(place, found, U, tail, sound, chi2)
+
+
+def _judge_both(
+    shared: SharedPlacement,
+    values: Array,
+    place: Place,
+    noise: Noise,
+    sound: NDArray[np.bool_],
+    *,
+    stated: bool,
+) -> _Found:
+    """Return the solutions with the scatter and the placement that were found."""
+    model, listed, dof = shared.model, shared.listed, shared.dof
+    count = len(values)
+    chi2 = objective(place, noise) if stated else None
+    first = noise if stated else _least_floor(shared, values, place, noise)
+    size = typical(first.variance)
+    # where readings are unlike, axes would move with the placement
+    sound = sound & _tells_apart(shared, place) & are_alike(first.variance)
+    variance, sd = first.variance.copy(), first.orientation_sd.copy()
+    before, tail = np.zeros((2, count)), np.full(count, np.nan)
+    U = np.full(place.theta.shape, np.nan)
+    units = np.flatnonzero(sound)
+    for turn in range(ROUNDS):
+        if not len(units):
+            break
+        here, known = place.of(units), first.of(units)
+        both = integrate_scatter_and_placement(
+            _about(shared, here, known), known.variance, dof, believed=stated
+        )
+        tau2, factor = both.posterior.summary[0], both.factor
+        variance[units] = known.variance + tau2[:, None, None]
+        sd[units] = known.orientation_sd * np.sqrt(factor)[:, None]
+        following, ended = search(
+            model, listed, values[units], here, Noise(variance[units], sd[units])
+        )
+        place.put(units, following)
+        sound[units] &= ended
+        now = np.log([size[units] + tau2, factor])
+        settled = np.abs(now - before[:, units]).max(axis=0) <= SETTLED_BOTH
+        before[:, units] = now
+        going = ~settled & ended & (turn < ROUNDS - 1)
+        if not going.all():
+            U[units], tail[units] = both.posterior.centred, both.posterior.shape
+        units = units[going]
+    return _Found(place, Noise(variance, sd), U, tail, sound, chi2)
+
+
+def _least_floor(shared: SharedPlacement, values: Array, place: Place, noise: Noise) -> Noise:
+    """Return a noise so small that it changes nothing, as `placed_scatter.least_floor`."""
+    spread = _about(shared, place, noise).spread
+    share = np.where(_tells_apart(shared, place), LEAST_TOLD, LEAST)
+    size = share**2 * np.einsum("bnij,bnij->b", spread, spread) / values[0].size
+    rounding = np.finfo(float).eps * np.abs(values).max(axis=(1, 2))
+    floor = np.maximum(size, rounding**2)
+    whole = np.broadcast_to(floor[:, None, None], values.shape).copy()
+    return Noise(whole, noise.orientation_sd)
+
+
+def _tells_apart(shared: SharedPlacement, place: Place) -> NDArray[np.bool_]:
+    """Tell of which units readings tell scatter from placement, as `placed_scatter.tells_apart`."""
+    count, n, _, p = place.design.shape
+    if n - p >= TELLING:  # contrasts are as many at least
+        return np.ones(count, dtype=np.bool_)
+    J = turns(shared.model, shared.listed, place)
+    normal = np.cross(J[..., 0], J[..., 1])
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    left = np.einsum("bni,bnip->bnp", normal, place.design)
+    left /= np.linalg.norm(place.design, axis=(1, 2))[:, None]
+    whole = np.isfinite(left).all(axis=(1, 2))
+    left[~whole] = 0.0
+    return np.asarray(whole & (n - np.linalg.matrix_rank(left) >= TELLING))
+
+
+def _about(shared: SharedPlacement, place: Place, noise: Noise) -> About:
+    """Return the linear models about solutions, with the turns that `noise` states."""
+    J = turns(shared.model, shared.listed, place)
+    error = place.residuals + np.einsum("bnij,bnj->bni", J, place.step)
+    return About(error, place.design, noise.orientation_sd[:, :, None, None] * J)
+
+
+def _are_clear(
+    shared: SharedPlacement, found: _Found, units: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Tell of which of some units nothing need be doubted that residuals and U tell."""
+    place, noise = found.place.of(units), found.noise.of(units)
+    information = information_of(shared.model, shared.listed, place, noise)
+    scale = np.sqrt(np.einsum("bpp->bp", information))
+    sizes = np.linalg.eigvalsh(information / (scale[:, :, None] * scale[:, None, :]))
+    clear = sizes[:, 0] > _WORST * sizes[:, -1]
+    own = list(shared.model.own_scales)
+    length = np.abs(place.theta[:, own])
+    clear &= (found.U[units][:, own] < _LOUD * length).all(axis=1)
+    clear &= (np.sqrt(noise.variance.mean(axis=1)) < _LOUD * length.min(axis=1)[:, None]).all(
+        axis=1
+    )
+    q = misfits(place, noise)
+    n = q.shape[1]
+    labels, degrees = [""] * n, np.full(n, float(len(COMPONENTS)))
+    for unit in np.flatnonzero(q.max(axis=1) > 4.0 * degrees[0]).tolist():
+        clear[unit] &= not find_outlying_positions(q[unit], degrees, shared.dof, labels)
+    return np.asarray(clear)
