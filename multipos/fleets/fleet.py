@@ -199,7 +199,7 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         {
             "unit": units.unit_column,
             "verdict": judged.verdict,
-            "reasons": np.array(judged.reasons, dtype=np.object_),  # as long as they are
+            "reasons": judged.reasons,
         }
     )
     return Fleet(_settled(summary), units.columns(), verdicts, units.time, now(), __version__)

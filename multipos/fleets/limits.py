@@ -24,7 +24,7 @@ from multipos.files.lists import near
 from multipos.files.records import LARGEST
 from multipos.files.tables import Table, read_table
 from multipos.files.trees import read_toml
-from multipos.fleets.units import Units
+from multipos.fleets.units import Texts, Units
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factors
 
@@ -108,7 +108,7 @@ class Verdicts:
     """The verdict of every unit (B,), the reasons, and how often each kind of reason came."""
 
     verdict: NDArray[np.str_]
-    reasons: tuple[str, ...]
+    reasons: Texts
     causes: Mapping[str, int]
 
 
@@ -128,7 +128,7 @@ def judge_units(units: Units, limits: Sequence[Limit], implausible: NDArray[np.b
         A limit is on a name that there is not.
     """
     failed = units.failed
-    reasons = list(units.reasons)
+    reasons = units.reasons.copy()
     causes: dict[str, int] = {}
     outside = np.zeros(len(units), dtype=np.bool_)
     for limit in limits:
@@ -146,10 +146,10 @@ def judge_units(units: Units, limits: Sequence[Limit], implausible: NDArray[np.b
     if failed.any():
         causes["no calibration"] = int(failed.sum())
     verdict = np.select([failed, implausible, outside], [FAILED, DOUBT, FAIL], PASS)
-    return Verdicts(verdict, tuple(reasons), causes)
+    return Verdicts(verdict, reasons, causes)
 
 
-def _add(reasons: list[str], unit: int, text: str) -> None:
+def _add(reasons: Texts, unit: int, text: str) -> None:
     reasons[unit] = f"{reasons[unit]}; {text}" if reasons[unit] else text
 
 

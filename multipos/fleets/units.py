@@ -1,6 +1,7 @@
 """The numbers of all units, and where they are gathered while tasks come in."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,9 @@ from multipos.fleets.solving import Solved
 from multipos.numerics.arrays import Array
 from multipos.results import Columns
 from multipos.sensor.model import Model
+
+# texts as they are: of one width, all would be as long as the longest
+Texts = NDArray[np.object_]
 
 
 @dataclass(frozen=True)
@@ -27,11 +31,11 @@ class Units:
     names : tuple of p str
     parameters, u, dof : (B, p) arrays
     rms : (B,) array [g]
-    doubts : tuple of B str
+    doubts : (B,) array of str
         Codes, with spaces between them.
     implausible : (B,) array of bool
         Whose calibration is not fit for use.
-    reasons : tuple of B str
+    reasons : (B,) array of str
         Why a unit failed; '' where it did not.
     first, time : (B,) arrays
         The first row of each unit in the tables, and the mean of its column `time`, NaN without.
@@ -54,9 +58,9 @@ class Units:
     u: Array
     dof: Array
     rms: Array
-    doubts: tuple[str, ...]
+    doubts: Texts
     implausible: NDArray[np.bool_]
-    reasons: tuple[str, ...]
+    reasons: Texts
     first: NDArray[np.intp]
     time: Array
     nests: tuple[NestSums, ...]
@@ -74,7 +78,7 @@ class Units:
         """Which units have no numbers."""
         return np.array([bool(reason) for reason in self.reasons])
 
-    @property
+    @cached_property
     def unit_column(self) -> NDArray[Any]:
         """The units as the tables name them, texts or whole numbers (B,)."""
         texts = np.array(self.unit, dtype=np.str_)
@@ -90,10 +94,7 @@ class Units:
         columns |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.names)}
         columns |= {f"dof_{name}": self.dof[:, i] for i, name in enumerate(self.names)}
         columns["rms"] = self.rms
-        # texts as they are: of one width, all would be as long as the longest
-        columns["doubts"] = np.array(self.doubts, dtype=np.object_)
-        columns["reason"] = np.array(self.reasons, dtype=np.object_)
-        return Columns(columns)
+        return Columns(columns | {"doubts": self.doubts, "reason": self.reasons})
 
 
 class UnitsFound:
@@ -104,7 +105,8 @@ class UnitsFound:
         self.names: tuple[str, ...] = ()
         self.parameters = self.u = self.dof = np.empty((count, 0))
         self.rms = np.full(count, np.nan)
-        self.doubts, self.reasons = [""] * count, [""] * count
+        self.doubts: Texts = np.full(count, "", dtype=np.object_)
+        self.reasons: Texts = np.full(count, "", dtype=np.object_)
         self.implausible = np.zeros(count, dtype=np.bool_)
         self.nests: list[NestSums] = []
 
