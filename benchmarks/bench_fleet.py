@@ -10,14 +10,17 @@ import numpy as np
 
 import multipos as mp
 from benchmarks.timing import Ratio, paired_ratio
+from multipos.estimation.batches import fit_output, share_design
 
 _LOOPED = 10
+_BLOCK = 8000  # units, as many as a task has
 
 
 def run() -> list[Ratio]:
     warnings.simplefilter("ignore", mp.CalibrationWarning)
     known = {"scheme": "fibonacci-24"}
     return [
+        _bandwidth(100_000),
         _paired("linear", 20_000, 1 / 200, known),
         _paired("own-quadratic", 20_000, 1 / 100, known | {"model": "own-quadratic"}),
         _paired("unknown orientation", 4000, 1 / 20, {"unknown_orientation": True}),
@@ -26,6 +29,29 @@ def run() -> list[Ratio]:
         _paired("--orientation-sd 0.1", 1000, 1 / 10, known | {"orientation_sd": 0.1}),
         _paired("--orientation-sd auto", 200, 1 / 10, known | {"orientation_sd": "auto"}),
     ]
+
+
+def _bandwidth(count: int) -> Ratio:
+    """Parameters and residuals by the kernel, against a copy that moves as many bytes."""
+    table = _line(count)
+    up = mp.read_scheme("fibonacci-24").up
+    model = mp.fit(_rows(table, 0), scheme="fibonacci-24").model
+    shared = share_design(model, up, {})
+    assert shared is not None
+    values = [table[output].reshape(count, len(up)) for output in model.outputs]
+    given = sum(each.nbytes for each in values)
+    found = given + 8 * count * len(model.keys)
+    source = np.ones((given + found) // 16)  # half of them read, half written
+    target = np.empty_like(source)
+
+    def solve() -> object:
+        blocks = [slice(first, first + _BLOCK) for first in range(0, count, _BLOCK)]
+        outputs = zip(shared.designs, shared.inverses, values, strict=True)
+        return [fit_output(X, inverse, y[rows]) for X, inverse, y in outputs for rows in blocks]
+
+    pairs = paired_ratio(solve, lambda: np.copyto(target, source), repeats=7, inner=1)
+    what = f"parameters and residuals, {count} units, 24 positions"
+    return Ratio(what, "a copy of as many bytes", pairs, 2.0)
 
 
 def _paired(
