@@ -279,7 +279,7 @@ def judge_equality(c: Calibration) -> tuple[float, Array]:
     slopes = parameter_jacobian(c.model, c.parameters, point.force, c.readings.environment)
     A = np.concatenate([slopes, normal.shared], axis=2)
     WA = (normal.marginal @ A).reshape(n * m, -1)
-    P = -WA @ respond(normal, WA.T)
+    P = -WA @ respond(normal.information, WA.T)
     P = P.reshape(n, m, n, m)
     P[np.arange(n), :, np.arange(n)] += normal.marginal
     push = weigh(problem.precision, point.residuals)

@@ -195,13 +195,16 @@ def resolution(values: Array) -> float:
 
 def repeated_rows(c: Calibration) -> Doubt | None:
     """Find rows that are copies of others."""
+    keys = row_keys(c.readings.values)
+    if len(set(keys)) == len(keys):
+        return None
     first: dict[bytes, int] = {}
     copies: list[tuple[int, int]] = []
-    for row, key in enumerate(row_keys(c.readings.values)):
+    for row, key in enumerate(keys):
         origin = first.setdefault(key, row)
         if origin != row:
             copies.append((origin, row))
-    if not copies or not _shows_noise(c):
+    if not _shows_noise(c):
         return None
     labels = c.readings.labels
     reference = listed_reference(c)

@@ -191,7 +191,16 @@ def values_of(
     kinds: Sequence[Kind], force: Array, environment: Mapping[str, Array]
 ) -> tuple[Array, NDArray[np.intp]]:
     """Return all terms as columns (n, M, R) of readings, and the kind of each (R,)."""
-    m = len(kinds[0].terms)
+    rows, output_of, kind_of = terms_of(kinds, force, environment)
+    result = np.zeros((len(force), len(kinds[0].terms), len(rows)))
+    result[:, output_of, np.arange(len(rows))] = rows.T
+    return result, kind_of
+
+
+def terms_of(
+    kinds: Sequence[Kind], force: Array, environment: Mapping[str, Array]
+) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+    """Return all terms as rows (R, n), and the output and kind of each (R,)."""
     variables = {axis: force[:, i] for i, axis in enumerate(COMPONENTS)} | dict(environment)
     places = [
         (k, output, term)
@@ -199,10 +208,11 @@ def values_of(
         for output, terms in enumerate(kind.terms)
         for term in terms
     ]
-    result = np.zeros((len(force), m, len(places)))
-    for column, (_, output, term) in enumerate(places):
-        result[:, output, column] = term.evaluate(variables)
-    return result, np.array([k for k, _, _ in places], dtype=np.intp)
+    result = np.empty((len(places), len(force)))
+    for row, (_, _, term) in enumerate(places):
+        result[row] = term.evaluate(variables)
+    kind_of, output_of = np.array([place[:2] for place in places], dtype=np.intp).reshape(-1, 2).T
+    return result, output_of, kind_of
 
 
 def sphere(c: Calibration) -> tuple[Array, dict[str, Array]]:

@@ -44,8 +44,6 @@ def outlier(c: Calibration) -> Doubt | None:
 
 def lack_of_fit(c: Calibration) -> Doubt | None:
     """Find outputs whose repeats scatter less than the model misses them."""
-    if repeated_rows(c) is not None:  # copies are no repeats
-        return None
     level = _LEVEL / len(c.outputs)
     small = {}
     for output, test in c.diagnostics.lack_of_fit.items():
@@ -55,7 +53,7 @@ def lack_of_fit(c: Calibration) -> Doubt | None:
         # repeats that agree because they are rounded say nothing of the noise
         if c.residual_sd[i] > resolution(c.readings.values[:, i]):
             small[output] = p
-    if not small:
+    if not small or repeated_rows(c) is not None:  # copies are no repeats
         return None
     said = ", ".join(f"{output} (p = {p:.2g})" for output, p in small.items())
     return Doubt(

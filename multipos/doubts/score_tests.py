@@ -26,7 +26,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.doubts.candidates import OF_FORCE, Kind, lacking
-from multipos.doubts.projections import TOLD, Setting, hides, level_of, project, sphere, values_of
+from multipos.doubts.projections import (
+    TOLD,
+    Setting,
+    hides,
+    level_of,
+    project,
+    sphere,
+    terms_of,
+    values_of,
+)
 from multipos.estimation.gains import about_solution
 from multipos.estimation.likelihood import evaluate, linearise, respond, weigh
 from multipos.estimation.problem import Problem
@@ -34,7 +43,7 @@ from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
-from multipos.sensor.inverse import parameter_jacobian, sensed_axes
+from multipos.sensor.inverse import inverses, parameter_jacobian, sensed_axes
 from multipos.sensor.term_tests import ModelTest
 
 LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
@@ -69,7 +78,7 @@ def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
         return Tested((), ())
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            return (_at_known if alone else _by_likelihood)(c, kinds, added)
+            return (_at_known if alone else _as_one)(c, kinds, added)
     except np.linalg.LinAlgError:  # as good as singular: nothing can be said of what is beside it
         return Tested((), ())
 
@@ -139,8 +148,94 @@ def _ratios(
     return tuple(tests)
 
 
-def _by_likelihood(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> Tested:
-    """Test all outputs as one, about the solution of the likelihood."""
+@dataclass(frozen=True)
+class _Sums:
+    """What eq. (1) is made of, with Z in R columns and the p unknowns of the solution.
+
+    Attributes
+    ----------
+    gram, score : (R, R), (R,) arrays
+        V'V and V'e.
+    size : (R,) array
+        Squares of the columns of Z.
+    across : (p, R) array
+        X⁺Z.
+    information : (p, p) array
+        X'X.
+    kind_of : (R,) array of int
+        The kind of each column.
+    whole, left, floor : float
+        e'e, degrees of freedom without the terms, and the least that one of them may leave.
+    """
+
+    gram: Array
+    score: Array
+    size: Array
+    across: Array
+    information: Array
+    kind_of: NDArray[np.intp]
+    whole: float
+    left: float
+    floor: float = 0.0
+
+
+def _as_one(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> Tested:
+    """Test all outputs as one, about the solution."""
+    plain = c.estimator.exact and c.robust_weight is None
+    plain = plain and (c.noise is None or c.noise.ndim == 1)
+    sums = (_sums_at_known if plain else _sums_of_likelihood)(c, kinds)
+    gram, score, left, kind_of = sums.gram, sums.score, sums.left, sums.kind_of
+    names = [kind.name for kind in kinds]
+    for name in added:  # fitted beside the parameters
+        T = _told(gram, sums.size, kind_of == names.index(name))
+        score, gram = score - gram @ T @ (T.T @ score), gram - gram @ T @ (T.T @ gram)
+        left -= T.shape[1]
+    explained, q, least = _explained(gram, score, sums.size, kind_of, len(kinds))
+    asked = np.array([name not in added for name in names])
+    explained, q = explained * asked, q * asked
+    faint = [k for k, name in enumerate(names) if least[k] < _CLEAR and name in OF_FORCE]
+    hidden: tuple[str, ...] = ()
+    if faint and not added:
+        some = np.flatnonzero((kind_of[:, None] == faint).any(axis=1))
+        shown = gram[some[:, None], some], sums.across[:, some], sums.information
+        hidden = _hidden(c, [kinds[k] for k in faint], *shown)
+    floor = np.full(1, sums.floor)
+    alone = explained[:, None], sums.whole, q[:, None], left, floor
+    return Tested(_ratios(names, (), *alone), hidden)
+
+
+def _sums_at_known(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
+    """Return the sums where positions are exact: of each output by itself, (A, Z, e)'(A, Z, e)."""
+    shape, p = c.residuals.shape, len(c.parameters)
+    variances = np.square(c.residual_sd) if c.noise is None else c.noise.reshape(shape)
+    root = np.broadcast_to(1.0 / np.sqrt(variances), shape)
+    outputs, blocks = c.model.respond(c.parameters, c.reference, c.readings.environment)
+    left = c.readings.values - outputs
+    Z, output_of, kind_of = terms_of(kinds, c.reference, c.readings.environment)
+    end = p + len(kind_of)
+    whole = np.zeros((end + 1, end + 1))
+    for i, (own, slopes) in enumerate(blocks):
+        mine = np.flatnonzero(output_of == i)
+        rows = np.concatenate([slopes.T, Z[mine], left[None, :, i]]) * root[:, i]
+        places = np.concatenate([own, p + mine, [end]])
+        whole[places[:, None], places] += rows @ rows.T
+    cross, information = whole[:p, p:end], whole[:p, :p]
+    information.flat[:: p + 1] += c.model.beliefs
+    across = respond(information, cross)
+    return _Sums(
+        gram=whole[p:end, p:end] - cross.T @ across,
+        score=whole[p:end, end] - across.T @ whole[:p, end],
+        size=whole.diagonal()[p:end],
+        across=across,
+        information=information,
+        kind_of=kind_of,
+        whole=float(whole[end, end]),
+        left=float(left.size - p),
+    )
+
+
+def _sums_of_likelihood(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
+    """Return the sums with the marginal weights of the likelihood."""
     problem, state = about_solution(c)
     point = evaluate(problem, state)
     normal = linearise(problem, state, point)
@@ -150,35 +245,22 @@ def _by_likelihood(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ..
     Z, kind_of = values_of(kinds, point.force, surroundings)
     WZ = np.einsum("nij,njq->niq", normal.marginal, Z)
     cross = np.einsum("nip,niq->pq", A, WZ)
-    across = respond(normal, cross)  # X⁺Z
+    across = respond(normal.information, cross)
     gram = np.einsum("niq,nir->qr", Z, WZ)
-    size = np.diag(gram).copy()
-    gram -= cross.T @ across
     push = weigh(problem.precision, point.residuals)
     score = np.einsum("niq,ni->q", Z, push) - across.T @ np.einsum("nip,ni->p", A, push)
-    left = float(problem.degrees[problem.weight == 1.0].sum()) - problem.unknowns
-    names = [kind.name for kind in kinds]
-    for name in added:  # fitted beside the parameters
-        T, _ = _told(gram, size, kind_of == names.index(name))
-        score, gram = score - gram @ T @ (T.T @ score), gram - gram @ T @ (T.T @ gram)
-        left -= T.shape[1]
-    explained, q = np.zeros((len(kinds), 1)), np.zeros((len(kinds), 1))
-    faint = []
-    for k, name in enumerate(names):
-        if name not in added:
-            T, least = _told(gram, size, kind_of == k)
-            along = T.T @ score
-            explained[k], q[k] = along @ along, len(along)
-            faint += [k] if least < _CLEAR and name in OF_FORCE else []
-    hidden: tuple[str, ...] = ()
-    if faint and not added:
-        some = np.isin(kind_of, faint)
-        shown = gram[np.ix_(some, some)], across[:, some], normal.information
-        hidden = _hidden(c, [kinds[k] for k in faint], *shown)
-    whole = float(np.sum(point.q)) + _of_priors(c, problem)
-    # what was stated of positions is a floor: less is no finer scale to judge by
-    floor = np.ones(1) if problem.has_prior else np.zeros(1)
-    return Tested(_ratios(names, (), explained, whole, q, left, floor), hidden)
+    return _Sums(
+        gram=gram - cross.T @ across,
+        score=score,
+        size=gram.diagonal(),
+        across=across,
+        information=normal.information,
+        kind_of=kind_of,
+        whole=float(np.sum(point.q)) + _of_priors(c, problem),
+        left=float(problem.degrees[problem.weight == 1.0].sum()) - problem.unknowns,
+        # what was stated of positions is a floor: less is no finer scale to judge by
+        floor=float(problem.has_prior),
+    )
 
 
 def _of_priors(c: Calibration, problem: Problem) -> float:
@@ -195,14 +277,37 @@ def _of_priors(c: Calibration, problem: Problem) -> float:
     return total
 
 
-def _told(gram: Array, size: Array, mine: NDArray[np.bool_]) -> tuple[Array, float]:
-    """Return T (R, r) of the terms of a kind, T'GT = 1, and the least part left of a term."""
+def _explained(
+    gram: Array, score: Array, size: Array, kind_of: NDArray[np.intp], kinds: int
+) -> tuple[Array, Array, Array]:
+    """Return Δ, q and the least part that is left of a term, (K,) each, of every kind."""
+    explained, q, least = np.zeros(kinds), np.zeros(kinds), np.zeros(kinds)
+    columns: list[list[int]] = [[] for _ in range(kinds)]
+    for column, kind in enumerate(kind_of.tolist()):
+        columns[kind].append(column)
+    alike: dict[int, list[int]] = {}
+    for kind, mine in enumerate(columns):
+        alike.setdefault(len(mine), []).append(kind)
+    scale = np.where(size > 0.0, np.sqrt(np.maximum(size, 0.0)), 1.0)
+    unit, score = gram / (scale[:, None] * scale), score / scale
+    for some in alike.values():  # kinds of as many terms at once
+        places = np.array([columns[kind] for kind in some])
+        values, vectors = np.linalg.eigh(unit[places[:, :, None], places[:, None, :]])
+        told = values > TOLD
+        along = np.einsum("kr,krs->ks", score[places], vectors)
+        explained[some] = np.sum(along**2 / np.where(told, values, np.inf), axis=1)
+        q[some], least[some] = told.sum(axis=1), values[:, 0]
+    return explained, q, least
+
+
+def _told(gram: Array, size: Array, mine: NDArray[np.bool_]) -> Array:
+    """Return T (R, r) of the terms of a kind, T'GT = 1."""
     scale = np.where(size > 0.0, np.sqrt(np.maximum(size, 0.0)), 1.0)
     values, vectors = np.linalg.eigh((gram / (scale[:, None] * scale))[mine][:, mine])
     seen = values > TOLD
     result = np.zeros((len(size), int(seen.sum())))
     result[mine] = vectors[:, seen] / np.sqrt(values[seen]) / scale[mine, None]
-    return result, float(values[0])
+    return result
 
 
 def _hidden(
@@ -221,17 +326,16 @@ def _hidden(
     p = len(c.parameters)
     slopes = parameter_jacobian(c.model, c.parameters, directions, means)
     by_force = c.model.force_jacobian(c.parameters, directions, means)
-    inverse = np.linalg.pinv(by_force[:, :, list(sensed_axes(c.model))])
+    inverse = inverses(by_force[:, :, list(sensed_axes(c.model))])
     values, kind_of = values_of(kinds, directions, means)
-    whole = inverse @ values
-    error = whole - inverse @ slopes @ across[:p]
-    moved = inverse @ slopes
+    whole, moved = inverse @ values, inverse @ slopes
+    error = whole - (moved.reshape(-1, p) @ across[:p]).reshape(whole.shape)
     if c.model.gauge is not None:
         out = directions[:, None, :] / np.linalg.norm(directions, axis=1)[:, None, None]
         whole, error, moved = out @ whole, out @ error, out @ moved
     covariance = np.linalg.inv(information)[:p, :p]
-    size = float(np.einsum("jkp,pq,jkq->", moved, covariance, moved)) / len(directions)
-    size /= moved.shape[1]
+    moved = moved.reshape(-1, p)
+    size = float(np.sum((moved @ covariance) * moved)) / len(moved)
     found = []
     for k, kind in enumerate(kinds):
         mine = kind_of == k

@@ -88,6 +88,7 @@ def _descend(
     plain = problem.robust is None
     enough = _DECREMENT if plain else _DECREMENT_ROBUST
     most = _ITERATIONS if plain else _ITERATIONS_ROBUST
+    lost = _NO_RISE if plain else _FLAT
     held = list(problem.held)
     converged, iterations, refused = False, 0, False
     while iterations < most and not converged:
@@ -100,7 +101,7 @@ def _descend(
             if trial.objective <= place.objective or damping > _STUCK:
                 break
             refused = True
-            flat = decrement <= _FLAT * place.objective  # a shorter step has less to take off
+            flat = decrement <= lost * place.objective  # a shorter step has less to take off
             damping = 10.0 * _STUCK if flat else max(damping * 10.0, 1e-10)
         if damping > _STUCK:  # no descent is left: rounding, or a point that is no minimum
             _, decrement, last_step = _step(place.theta, equations, 0.0, held)

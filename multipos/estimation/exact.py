@@ -70,7 +70,7 @@ class ExactSearch:
             weights = weights * loss_weight(problem.robust, point.q, problem.degrees)[:, None]
         for output, (places, slopes) in enumerate(point.blocks):
             weighted = slopes.T * weights[:, output]
-            information[np.ix_(places, places)] += weighted @ slopes
+            information[places[:, None], places] += weighted @ slopes
             gradient[places] += weighted @ point.residuals[:, output]
         if problem.believed:
             excess, slope = problem.model.belief(theta)

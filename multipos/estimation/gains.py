@@ -102,7 +102,7 @@ def uncertain_gain(calibration: Calibration) -> Array:
     slopes = parameter_jacobian(calibration.model, state.theta, reference, readings.environment)
     everything = np.concatenate([slopes, normal.shared], axis=2)
     weighted = normal.marginal @ everything  # (n, M, p + shared)
-    return respond(normal, weighted.reshape(n * m, -1).T)[:p]
+    return respond(normal.information, weighted.reshape(n * m, -1).T)[:p]
 
 
 def about_solution(calibration: Calibration) -> tuple[Problem, State]:

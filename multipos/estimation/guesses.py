@@ -12,6 +12,7 @@ search starts. Priors are starts.
 
 from collections.abc import Iterator, Mapping
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,22 @@ from multipos.sensor.expressions import ExpressionModel
 
 _TRIED = (0.0, 1.0, 0.1, 10.0)  # values of what has no start
 _ALONE = 3  # parameters of an output up to which all their combinations are tried
+_STEPS = 2  # on each, where one does not explain the readings
 _KEPT = 3  # guesses that are worth a search
 _EXPLAINED = 1e-3  # of the readings' variance: what is left of it where no other is needed
 _RANK = 1e-9  # of the largest, a direction that least squares of a guess leaves alone
+
+
+class _Weighed(NamedTuple):
+    """Readings (n, M), their force and surroundings, and the weight (M,) of each output.
+
+    Each output counts by its spread: what they share must not be that of the largest alone.
+    """
+
+    values: Array
+    force: Array
+    environment: Mapping[str, Array]
+    weight: Array
 
 
 def first_guesses(
@@ -54,23 +68,29 @@ def first_guesses(
     MultiposError
         The model has no value at any of them.
     """
-    linear = linear_parameters(model)
+    linear = model.compiled.linear
     stated = np.isfinite(model.starts)
     free = ~stated & ~linear
     sought = (linear & (model.beliefs == 0.0) & ~(stated & keep)) | free
+    readings = _Weighed(
+        values, force, environment, 1.0 / np.maximum(np.std(values, axis=0), 1e-300)
+    )
     found: list[tuple[float, Array]] = []
+    enough = _EXPLAINED * values.size
     with np.errstate(all="ignore"):
         for start in _trials(model, np.where(stated, model.starts, 0.0), free):
-            theta = model.within(start)
-            for _ in range(2):
-                theta = _improved(model, theta, sought, values, force, environment)
-            misfit = _misfit(model, theta, values, force, environment)
+            theta, misfit = model.within(start), np.inf
+            for _ in range(_STEPS):
+                theta = _improved(model, theta, sought, readings)
+                misfit = _misfit(model, theta, readings)
+                if misfit <= enough:
+                    break
             if not np.isfinite(misfit):  # the steps left where the model has values
                 theta = model.within(start)
-                misfit = _misfit(model, theta, values, force, environment)
+                misfit = _misfit(model, theta, readings)
             if np.isfinite(misfit):
                 found.append((misfit, theta))
-            if misfit <= _EXPLAINED * values.size:
+            if misfit <= enough:
                 break
     if not found:
         names = [name for name, one in zip(model.names, free.tolist(), strict=True) if one]
@@ -80,7 +100,7 @@ def first_guesses(
             "[parameters] of a TOML file."
         )
     found.sort(key=lambda each: each[0])
-    sure = not free.any() or found[0][0] <= _EXPLAINED * values.size
+    sure = not free.any() or found[0][0] <= enough
     return [theta for _, theta in found[: 1 if sure else _KEPT]]
 
 
@@ -98,16 +118,6 @@ def nominal_parameters(model: ExpressionModel) -> Array:
     force = read_scheme("fibonacci-100").up
     own = force[:, [COMPONENTS.index(axis) for axis in model.axes]]
     return first_guesses(model, own, force, {}, keep=True)[0]
-
-
-def linear_parameters(model: ExpressionModel) -> NDArray[np.bool_]:
-    """Return which parameters enter linearly together, (p,): as many as can."""
-    curved = model.compiled.curved
-    chosen: list[int] = []
-    for place in np.argsort(curved.sum(axis=1), kind="stable").tolist():
-        if not curved[place, place] and not curved[place, chosen].any():
-            chosen.append(place)
-    return np.isin(np.arange(len(curved)), chosen)
 
 
 def _trials(model: ExpressionModel, start: Array, free: NDArray[np.bool_]) -> Iterator[Array]:
@@ -130,38 +140,30 @@ def _improved(
     model: ExpressionModel,
     theta: Array,
     sought: NDArray[np.bool_],
-    values: Array,
-    force: Array,
-    environment: Mapping[str, Array],
+    readings: _Weighed,
 ) -> Array:
     """Return parameters after a step of Gauss and Newton on those that are sought, eq. (1)."""
-    outputs, blocks = model.respond(theta, force, environment)
-    n, m = outputs.shape
-    design = np.zeros((m, n, len(theta)))
+    outputs, blocks = model.respond(theta, readings.force, readings.environment)
+    left = readings.values - outputs
+    rows = []
     for output, (places, slopes) in enumerate(blocks):
-        design[output][:, places] = slopes
-    # Each output counts by its spread: what they share must not be that of the largest alone.
-    weight = 1.0 / np.maximum(np.std(values, axis=0), 1e-300)
-    A = (design * weight[:, None, None]).reshape(m * n, -1)[:, sought]
-    left = ((values - outputs) * weight).T.ravel()
-    if not (np.isfinite(A).all() and np.isfinite(left).all()):
-        return theta
-    size = np.linalg.norm(A, axis=0)
+        whole = np.concatenate([slopes.T, left[None, :, output]]).T
+        if not np.isfinite(whole).all():
+            return theta
+        R = np.linalg.qr(whole, mode="r") * readings.weight[output]  # tells what all rows do
+        rows.append(np.zeros((len(R), len(theta) + 1)))
+        rows[-1][:, places], rows[-1][:, -1] = R[:, :-1], R[:, -1]
+    reduced = np.concatenate(rows)
+    A = reduced[:, :-1][:, sought]
+    size = np.sqrt(np.einsum("np,np->p", A, A))
     scale = np.where(size > 0.0, size, 1.0)
     moved = theta.copy()
-    moved[sought] += np.linalg.lstsq(A / scale, left, rcond=_RANK)[0] / scale
+    moved[sought] += np.linalg.lstsq(A / scale, reduced[:, -1], rcond=_RANK)[0] / scale
     return model.within(moved)
 
 
-def _misfit(
-    model: ExpressionModel,
-    theta: Array,
-    values: Array,
-    force: Array,
-    environment: Mapping[str, Array],
-) -> float:
-    outputs, blocks = model.respond(theta, force, environment)
+def _misfit(model: ExpressionModel, theta: Array, readings: _Weighed) -> float:
+    outputs, blocks = model.respond(theta, readings.force, readings.environment)
     if not all(np.isfinite(slopes).all() for _, slopes in blocks):
         return np.inf
-    spread = np.maximum(np.std(values, axis=0), 1e-300)
-    return float(np.sum(((values - outputs) / spread) ** 2))
+    return float(np.sum(((readings.values - outputs) * readings.weight) ** 2))

@@ -67,27 +67,28 @@ def solve_known(
     *,
     pool: bool = False,
     claimed: bool = True,
-    phi: Array | None = None,
+    tangent: tuple[Array, Array] | None = None,
 ) -> Solution:
     """Fit every output by linear least squares, eqs. (1) and (2).
 
-    The noise of the readings is held to their residuals where it is `claimed` by somebody; `phi`
-    (n, T) are the columns of all outputs, where they are not the model's own terms.
+    The noise of the readings is held to their residuals where it is `claimed` by somebody;
+    `tangent` are the columns of all outputs (n, T) and what they shall give (n, M), where these
+    are not the model's own terms and the readings.
 
     Raises
     ------
     RankError
         The positions cannot separate the parameters; the message names them and a way out.
     """
-    phi = model.basis(reference, readings.environment) if phi is None else phi
+    phi, values = tangent or (model.basis(reference, readings.environment), readings.values)
     noise = readings.noise
-    fits = _solve(model, phi, readings, noise)
+    fits = _solve(model, phi, values, noise)
     n = len(readings)
     dof = np.array([n - len(terms) for terms in model.terms], dtype=np.float64)
     if noise is None:
         found = _from_residuals(model, fits, dof, pool)
     else:
-        found = _beside_stated(model, phi, readings, fits, pool)
+        found = _beside_stated(model, phi, values, readings, fits, pool)
         found = found if claimed else replace(found, warnings=(), claim=None)
     fits = found.fits
     covariance = fits.cofactor * np.outer(found.inflation, found.inflation)
@@ -183,10 +184,10 @@ def _from_residuals(model: Model, fits: _Fits, dof: Array, pool: bool) -> _Weigh
 
 
 def _beside_stated(
-    model: Model, phi: Array, readings: Readings, fits: _Fits, pool: bool
+    model: Model, phi: Array, values: Array, readings: Readings, fits: _Fits, pool: bool
 ) -> _Weighed:
     """Add to the stated noise what readings scatter from rest to rest (`scatter`)."""
-    n, m = readings.values.shape
+    n, m = values.shape
     noise = readings.noise
     assert noise is not None
     left = n * m - len(model.keys)
@@ -196,7 +197,7 @@ def _beside_stated(
     stated = noise if noise.ndim == 2 else noise.reshape(1, n, m)
     found = find_scatter(designs, fits.residuals[None], stated, pool=pool)  # of one unit
     (variance,), (u_tau,), (known,) = found.variance, found.u, found.dof
-    weighed = _weigh_again(model, phi, readings, fits, variance)
+    weighed = _weigh_again(model, phi, values, noise, fits, variance)
     moves = weighed.parameters - fits.parameters
     (u,) = found.standard_uncertainty(moves[None], per_parameter(model, known)[None])
     components = VarianceComponents(
@@ -213,28 +214,26 @@ def _beside_stated(
 
 
 def _weigh_again(
-    model: Model, phi: Array, readings: Readings, fits: _Fits, scatter: Array
+    model: Model, phi: Array, values: Array, noise: Array, fits: _Fits, scatter: Array
 ) -> _Fits:
     """Return the fits with a scatter (M,) added to the stated noise."""
-    noise = readings.noise
-    assert noise is not None
-    n, m = readings.values.shape
+    n, m = values.shape
     if noise.ndim == 1 and not np.ptp(noise.reshape(n, m), axis=0).any():
         # where readings of an output are alike, no weight changes
         ratio = per_parameter(model, (noise[:m] + scatter) / noise[:m])
         return replace(fits, cofactor=fits.cofactor * np.sqrt(np.outer(ratio, ratio)))
-    return _solve(model, phi, readings, add_variances(noise, np.tile(scatter, n)))
+    return _solve(model, phi, values, add_variances(noise, np.tile(scatter, n)))
 
 
-def _solve(model: Model, phi: Array, readings: Readings, noise: Array | None) -> _Fits:
+def _solve(model: Model, phi: Array, values: Array, noise: Array | None) -> _Fits:
     if noise is not None and noise.ndim == 2:
-        return _solve_jointly(model, phi, readings, noise)
-    return _solve_each(model, phi, readings, noise)
+        return _solve_jointly(model, phi, values, noise)
+    return _solve_each(model, phi, values, noise)
 
 
-def _solve_each(model: Model, phi: Array, readings: Readings, variances: Array | None) -> _Fits:
+def _solve_each(model: Model, phi: Array, values: Array, variances: Array | None) -> _Fits:
     """One problem per output; outputs that share design and weights share the factorisation."""
-    n, m = readings.values.shape
+    n, m = values.shape
     p = len(model.keys)
     parameters, cofactor = np.empty(p), np.zeros((p, p))
     residuals, leverage, chi2 = np.empty((n, m)), np.empty((n, m)), np.empty(m)
@@ -248,7 +247,7 @@ def _solve_each(model: Model, phi: Array, readings: Readings, variances: Array |
     for group in alike.values():
         of_size.setdefault((len(model.columns[group[0]]), len(group)), []).append(group)
     for groups in of_size.values():
-        solved = _solve_groups(model, phi, readings, stated, groups)
+        solved = _solve_groups(model, phi, values, stated, groups)
         for group, found in zip(groups, solved, strict=True):
             for column, output in enumerate(group):
                 mine = model.slices[output]
@@ -264,7 +263,7 @@ def _solve_each(model: Model, phi: Array, readings: Readings, variances: Array |
 def _solve_groups(
     model: Model,
     phi: Array,
-    readings: Readings,
+    values: Array,
     variances: Array | None,
     groups: list[list[int]],
 ) -> list[LinearFit]:
@@ -274,7 +273,7 @@ def _solve_groups(
     try:
         return solve_alike(
             designs.transpose(0, 2, 1),
-            readings.values.T[np.array(groups)].transpose(0, 2, 1),
+            values.T[np.array(groups)].transpose(0, 2, 1),
             variances=None if variances is None else variances.T[firsts],
             floor=FLOOR,
             names=[model.names[model.slices[output]] for output in firsts],
@@ -283,15 +282,15 @@ def _solve_groups(
         raise _not_separable(error, model, phi, firsts[error.problem]) from None
 
 
-def _solve_jointly(model: Model, phi: Array, readings: Readings, covariance: Array) -> _Fits:
+def _solve_jointly(model: Model, phi: Array, values: Array, covariance: Array) -> _Fits:
     """One problem for all outputs, whose readings are correlated."""
-    n, m = readings.values.shape
+    n, m = values.shape
     p = len(model.keys)
     # each output's own design must be sound before they are taken together
-    _solve_each(model, phi, readings, None)
+    _solve_each(model, phi, values, None)
     design = block_design([phi[:, columns] for columns in model.columns])
     found = solve(
-        design.reshape(n * m, p), readings.values.ravel(), covariance=covariance, names=model.names
+        design.reshape(n * m, p), values.ravel(), covariance=covariance, names=model.names
     )
     residuals = found.residuals.reshape(n, m)
     return _Fits(

@@ -128,9 +128,9 @@ def assemble(
         right[places] += mine.T @ push[:, i]
         for j, (targets, other) in enumerate(blocks[i:], start=i):
             block = (mine * marginal[:, i, j, None]).T @ other
-            information[np.ix_(places, targets)] += block
+            information[places[:, None], targets] += block
             if j > i:
-                information[np.ix_(targets, places)] += block.T
+                information[targets[:, None], places] += block.T
         if extra:
             cross = mine.T @ np.einsum("nm,nms->ns", marginal[:, i], shared)
             information[places, p:] += cross
@@ -142,15 +142,15 @@ def assemble(
     return information, right
 
 
-def respond(normal: Normal, push: Array) -> Array:
+def respond(information: Array, push: Array) -> Array:
     """Return how all unknowns follow a push (p + shared, k), the least where some are free.
 
     Many groups of few positions leave directions of the information that rounding alone fills.
     NaN where the information has no value, as of a file that was damaged.
     """
-    scale = np.sqrt(np.diag(normal.information))
+    scale = np.sqrt(np.diag(information))
     scale = np.where(scale > 0.0, scale, 1.0)[:, None]
-    relative = normal.information / (scale * scale.T)
+    relative = information / (scale * scale.T)
     if not (np.isfinite(relative).all() and np.isfinite(push).all()):
         return np.full(push.shape, np.nan)
     return np.asarray(np.linalg.lstsq(relative, push / scale, rcond=None)[0] / scale)

@@ -30,8 +30,7 @@ from multipos.numerics.arrays import Array
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Status
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.inverse import parameter_jacobian
-from multipos.sensor.model import Model
+from multipos.sensor.model import Block, Model
 
 _ROUNDS = 8  # of scatter and solution in turn
 _SETTLED = 1e-4  # of u
@@ -68,16 +67,18 @@ def solve_own_known(
     """
     how = {"pool": pool, "claimed": claimed}
     if model.all_linear:
-        return _tangent(model, np.zeros(len(model.keys)), reference, readings, how)
+        start = np.zeros(len(model.keys))
+        outputs, blocks = model.respond(start, reference, readings.environment)
+        return _tangent(model, start, readings.values - outputs, blocks, reference, readings, how)
     problem, best = _searched(model, reference, readings)
-    solution = _tangent(model, best.state.theta, reference, readings, how)
+    solution = _about(model, best, reference, readings, how)
     noise = readings.noise
     if noise is not None and np.ptp(noise.reshape(readings.values.shape), axis=0).any():
         for _ in range(_ROUNDS):  # what readings scatter beside the stated noise changes weights
             before = best.state.theta
             variance = noise.reshape(readings.values.shape) + _scatter(solution)
             best = resume(replace(problem, precision=1.0 / variance), best)
-            solution = _tangent(model, best.state.theta, reference, readings, how)
+            solution = _about(model, best, reference, readings, how)
             moved = np.abs(best.state.theta - before)
             if (moved <= _SETTLED * np.sqrt(np.diag(solution.covariance))).all():
                 break
@@ -88,7 +89,7 @@ def solve_own_known(
         best.last_step,
         best.gradient,
     )
-    said = _bends(model, best.state.theta, reference, readings, solution)
+    said = _bends(model, best, reference, readings, solution)
     return replace(solution, status=status, warnings=(*solution.warnings, *said))
 
 
@@ -100,25 +101,36 @@ def _scatter(solution: Solution) -> Array:
     return np.array([found.rest_to_rest[o].value ** 2 for o in solution.model.outputs])
 
 
+def _about(
+    model: ExpressionModel,
+    best: Optimum,
+    reference: Array,
+    readings: Readings,
+    how: Mapping[str, bool],
+) -> Solution:
+    """Return the least squares of the model (1) about where the search ended."""
+    theta, point = best.state.theta, best.point
+    return _tangent(model, theta, point.residuals, point.blocks, reference, readings, how)
+
+
 def _tangent(
     model: ExpressionModel,
     theta: Array,
+    residuals: Array,
+    blocks: tuple[Block, ...],
     reference: Array,
     readings: Readings,
     how: Mapping[str, bool],
 ) -> Solution:
     """Return the least squares of the model (1) about parameters."""
-    outputs, blocks = model.respond(theta, reference, readings.environment)
-    values = readings.values - outputs
-    for output, (places, slopes) in enumerate(blocks):
-        values[:, output] += slopes @ theta[places]
+    reached = [slopes @ theta[places] for places, slopes in blocks]
     design = np.concatenate([slopes.T for _, slopes in blocks]).T
-    linear = replace(readings, values=values)
-    return solve_known(model, reference, linear, phi=design, **how)
+    tangent = design, residuals + np.array(reached).T
+    return solve_known(model, reference, readings, tangent=tangent, **how)
 
 
 def _bends(
-    model: ExpressionModel, theta: Array, reference: Array, readings: Readings, solution: Solution
+    model: ExpressionModel, best: Optimum, reference: Array, readings: Readings, solution: Solution
 ) -> tuple[str, ...]:
     """State the bias (2) of parameters where it matters; of many readings it is nothing beside u.
 
@@ -127,18 +139,20 @@ def _bends(
     sd = solution.residual_sd
     if len(readings) > _MANY or not (np.isfinite(sd) & (sd > 0.0)).all():
         return ()
-    bend = model.second_derivatives(theta, reference, readings.environment)
-    moved = np.einsum("nmpq,pq->nm", bend, solution.covariance)
-    slopes = parameter_jacobian(model, theta, reference, readings.environment)
-    right = np.einsum("nmp,nm->p", slopes, moved / sd**2)
+    bend = model.second_derivatives(best.state.theta, reference, readings.environment)
+    moved = np.tensordot(bend, solution.covariance) / sd**2
+    right = np.zeros(len(solution.parameters))
+    for output, (places, slopes) in enumerate(best.point.blocks):
+        right[places] += moved[:, output] @ slopes
     bias = -0.5 * solution.covariance @ right
     u = np.sqrt(np.diag(solution.covariance))
+    far = np.abs(bias) > _STATED * u
     return tuple(
         f"`{name}` is {'larger' if off > 0.0 else 'smaller'} by about {abs(off):.2g} than it "
         "should be, because the model bends within its uncertainty; average longer, or add "
         "positions"
-        for name, off, one in zip(model.names, bias.tolist(), u.tolist(), strict=True)
-        if abs(off) > _STATED * one
+        for name, off, stated in zip(model.names, bias.tolist(), far.tolist(), strict=True)
+        if stated
     )
 
 

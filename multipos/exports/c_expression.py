@@ -142,7 +142,7 @@ def unseen_part(calibration: Calibration, *, single: bool) -> tuple[list[str], l
     assert isinstance(model, ExpressionModel)
     (third,) = unseen_axes(model)
     force = casadi.SX.sym("f", 3)
-    env = casadi.SX.sym("e", max(len(model.environment), 1))
+    env = casadi.SX.sym("e", len(model.environment))
     without = casadi.vertcat(*(0 if i == third else force[i] for i in range(3)))
     with_it, less = (
         casadi.substitute(
@@ -207,7 +207,7 @@ def _write_step(
     assert isinstance(model, ExpressionModel)
     sensed = list(sensed_axes(model))
     force, raw = casadi.SX.sym("f", len(sensed)), casadi.SX.sym("raw", len(model.outputs))
-    env = casadi.SX.sym("e", max(len(model.environment), 1))
+    env = casadi.SX.sym("e", len(model.environment))
     full = casadi.SX.zeros(3)
     full[sensed] = force
     outputs = casadi.substitute(

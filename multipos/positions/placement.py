@@ -144,8 +144,7 @@ def place(
         A position has no orientation and none is said to be unknown, or lacks a heading.
     """
     labels = readings.group or ("",) * len(readings)
-    grouped = np.array([label != "" for label in labels])
-    sd = _sd_of(readings, grouped, orientation_sd)
+    sd = _sd_of(readings, labels, orientation_sd)
     level = 0.0 if level_sd < _EXACT else level_sd
     unknown = np.isinf(sd)
     rolls = gather_open_rolls(readings.open_roll, labels, unknown, readings.labels)
@@ -169,6 +168,8 @@ def _group_numbers(labels: Sequence[str], rolls: OpenRolls | None) -> NDArray[np
         pairs = zip(labels, rolls.rows.tolist(), strict=True)
         labels = ["" if rolled else label for label, rolled in pairs]
     number = {label: i for i, label in enumerate(dict.fromkeys(filter(None, labels)))}
+    if not number:
+        return np.full(len(labels), -1)
     return np.array([number.get(label, -1) for label in labels])
 
 
@@ -199,7 +200,7 @@ def _directions(readings: Readings, unknown: NDArray[np.bool_], rolls: OpenRolls
     return np.where(unknown[:, None], [1.0, 0.0, 0.0], up)
 
 
-def _sd_of(readings: Readings, grouped: NDArray[np.bool_], stated: float | None) -> Array:
+def _sd_of(readings: Readings, labels: Sequence[str], stated: float | None) -> Array:
     """Return the standard deviation of every position [rad], what rounds to nothing as exact."""
     if stated is not None:
         sd = np.full(len(readings), stated)
@@ -207,6 +208,7 @@ def _sd_of(readings: Readings, grouped: NDArray[np.bool_], stated: float | None)
         sd = np.zeros(len(readings))
     else:  # within a group only the group's rotation is unknown
         own = readings.orientation_sd
+        grouped = np.array([label != "" for label in labels])
         sd = np.where(np.isinf(own) & grouped, 0.0, own)
     return np.where(sd < _EXACT, 0.0, sd)
 

@@ -7,6 +7,7 @@ Columns of a readings file, beside the outputs, are listed in `docs/reference/fo
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -166,7 +167,7 @@ class Readings(Result):
         """The position labels, or 1, 2, … where the readings have none."""
         if self.positions is not None:
             return self.positions
-        return tuple(str(row + 1) for row in range(len(self)))
+        return _numbers(len(self))
 
     @property
     def forced(self) -> NDArray[np.bool_]:
@@ -336,6 +337,12 @@ def require_range(readings: Readings, limits: Sequence[float]) -> None:
             f"{low:g} to {high:g} ({int(outside.sum())} of {outside.size} readings are); measure "
             "these positions again or leave them out."
         )
+
+
+@lru_cache(maxsize=1)
+def _numbers(n: int) -> tuple[str, ...]:
+    """Return 1, 2, … n as labels; those of the last readings are kept."""
+    return tuple(map(str, range(1, n + 1)))
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:

@@ -1,16 +1,14 @@
-"""A model's one compiled function: the outputs, and how they change with parameters and force.
+"""A model's compiled functions: the outputs, and how they change with parameters and force.
 
-The instructions of all outputs (`multipos.sensor.instructions`) become one CasADi function
+The instructions of all outputs (`multipos.sensor.instructions`) become CasADi functions
 
-    (f, e, p)  ->  (y, dy/dp, dy/df),        f (3,) [g], e columns, p (p,)                  (1)
+    (f, e, p)  ->  (y, dy/dp),  dy/df,  d²y/dp²,        f (3,) [g], e columns, p (p,)       (1)
 
-with exact derivatives, mapped once over all rows of readings; of dy/dp only the parameters that an
-output has. Functions are kept by their content, maps by the number of rows, and the last values
-by what they were asked for: a search asks for the slopes by force where it asked for the outputs.
+with exact derivatives, each made when it is first asked for and evaluated on all rows of readings
+at once (`multipos.sensor.row_functions`); of dy/dp only the parameters that an output has.
+Functions are kept by their content.
 """
 
-import threading
-from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
@@ -20,18 +18,16 @@ from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
 from multipos.sensor.instructions import Instruction, read_instructions
-
-_MAPS = 8  # numbers of rows whose maps are kept
+from multipos.sensor.row_functions import RowFunction
 
 Program = tuple[Instruction, ...]
 
 
 class Values(NamedTuple):
-    """The outputs (n, M), of each output dy/dp (n, p_i), and dy/df (n, M, 3)."""
+    """The outputs (n, M), and of each output dy/dp (n, p_i)."""
 
     outputs: Array
     slopes: tuple[Array, ...]
-    by_force: Array
 
 
 @lru_cache(maxsize=64)
@@ -67,11 +63,9 @@ class Compiled:
         self._places = places
         self._symbols = _symbols(columns, count)
         self._outputs = _expressions(programs, places, self._symbols)
-        self._function = _with_slopes(self._outputs, places, self._symbols)
-        self._own = threading.local()  # buffers: threads must not write into each other's
 
     def evaluate(self, force: Array, columns: Array, parameters: Array) -> Values:
-        """Return the values at n rows.
+        """Return the values at n rows, positions running fastest in memory.
 
         Parameters
         ----------
@@ -79,30 +73,60 @@ class Compiled:
         columns : (n, E) array
         parameters : (p,) array
         """
-        mapped = self._map(self._function, len(force))
-        return _split(mapped.call(force, columns, parameters), self._slopes)
+        found = self._values(force, columns, parameters)
+        slopes = found[len(self._outputs) :]
+        return Values(found[: len(self._outputs)].T, tuple(slopes[own].T for own in self._slopes))
 
-    def _map(self, function: Any, n: int) -> "_Map":
-        """Return a function over n rows; the last few are kept."""
-        if not hasattr(self._own, "maps"):
-            self._own.maps = {}
-        maps: dict[tuple[str, int], _Map] = self._own.maps
-        key = (function.name(), n)
-        if key not in maps:
-            if len(maps) >= _MAPS:
-                maps.pop(next(iter(maps)))
-            maps[key] = _Map(function, n)
-        return maps[key]
+    def predict(self, force: Array, columns: Array, parameters: Array) -> Array:
+        """Return the outputs (n, M) alone, of the same arguments."""
+        return self._predicted(force, columns, parameters).T
+
+    def by_force(self, force: Array, columns: Array, parameters: Array) -> Array:
+        """Return dy/df (n, M, 3), of the same arguments."""
+        found = self._by_force(force, columns, parameters)
+        return found.reshape(-1, 3, len(force)).transpose(2, 0, 1)
 
     def bends(self, force: Array, columns: Array, parameters: Array) -> Array:
-        """Return the second derivatives d²y/dp² (n, M, p, p)."""
-        n, m, p = len(force), len(self._places), len(parameters)
-        found = self._map(self._second, n).call(force, columns, parameters)
-        return found.T.reshape(n, m, p, p)
+        """Return the second derivatives d²y/dp² (n, M, p, p), of the same arguments."""
+        p = len(parameters)
+        found = self._bends(force, columns, parameters)
+        return found.T.reshape(len(force), len(self._outputs), p, p)
 
     @cached_property
-    def _second(self) -> Any:
-        return _second_derivatives(self._outputs, self._symbols)
+    def _values(self) -> RowFunction:
+        import casadi
+
+        _, _, unknown = self._symbols
+        slopes = [
+            casadi.jacobian(y, unknown)[:, list(own)].T
+            for y, own in zip(self._outputs, self._places, strict=True)
+        ]
+        return self._over_rows([*self._outputs, *slopes])
+
+    @cached_property
+    def _predicted(self) -> RowFunction:
+        return self._over_rows(self._outputs)
+
+    @cached_property
+    def _by_force(self) -> RowFunction:
+        import casadi
+
+        force, _, _ = self._symbols
+        return self._over_rows([casadi.jacobian(y, force).T for y in self._outputs])
+
+    @cached_property
+    def _bends(self) -> RowFunction:
+        import casadi
+
+        _, _, unknown = self._symbols
+        return self._over_rows([casadi.vec(casadi.hessian(y, unknown)[0]) for y in self._outputs])
+
+    def _over_rows(self, parts: list[Any]) -> RowFunction:
+        """Return expressions, one below the other, as a function of rows."""
+        import casadi
+
+        column = casadi.densify(casadi.vertcat(*parts))
+        return RowFunction(casadi.Function("rows", list(self._symbols), [column], {"cse": True}))
 
     @cached_property
     def curved(self) -> NDArray[np.bool_]:
@@ -115,6 +139,16 @@ class Compiled:
         pattern = np.array(casadi.DM(casadi.hessian(total, unknown)[0].sparsity(), 1.0))
         return np.asarray(pattern != 0.0)
 
+    @cached_property
+    def linear(self) -> NDArray[np.bool_]:
+        """Which parameters enter linearly together, (p,): as many as can."""
+        curved = self.curved
+        chosen: list[int] = []
+        for place in np.argsort(curved.sum(axis=1), kind="stable").tolist():
+            if not curved[place, place] and not curved[place, chosen].any():
+                chosen.append(place)
+        return np.isin(np.arange(len(curved)), chosen)
+
     @property
     def outputs(self) -> list[Any]:
         """The expressions of the outputs (SX), of `symbols`."""
@@ -126,53 +160,10 @@ class Compiled:
         return self._symbols
 
 
-class _Map:
-    """The function over n rows, with the memory that it reads and writes."""
-
-    def __init__(self, function: Any, n: int) -> None:
-        self.mapped = function.map("rows", "serial", max(n, 1), [2], []) if n != 1 else function
-        rows = max(n, 1)
-        sizes = [function.size1_in(i) for i in range(3)]
-        self.given = [
-            np.zeros((rows, sizes[0])),
-            np.zeros((rows, max(sizes[1], 1))),
-            np.zeros(max(sizes[2], 1)),
-        ]
-        self.result = np.zeros((rows, function.size1_out(0)))
-        self.buffer, self.run = self.mapped.buffer()
-        for i, array in enumerate(self.given):
-            self.buffer.set_arg(i, array.data)
-        self.buffer.set_res(0, self.result.data)
-        self.last: Array | None = None
-
-    def call(self, force: Array, columns: Array, parameters: Array) -> Array:
-        """Return what the function gives, one column a row of readings."""
-        given = (force, columns, parameters)
-        if not len(force):
-            return np.zeros((self.result.shape[1], 0))
-        same = self.last is not None
-        for held, new in zip(self.given, given, strict=True):
-            if new.size and not (same and (held == new).all()):
-                held[...] = new
-                same = False
-        if not same or self.last is None:
-            self.run()
-            self.last = np.ascontiguousarray(self.result.T)
-            self.last.flags.writeable = False
-        return self.last
-
-
-def _split(found: Array, parts: Sequence[slice]) -> Values:
-    """Return the rows of (1) by what they are; positions run fastest in memory."""
-    m = len(parts)
-    slopes, by_force = found[m : -3 * m], found[-3 * m :].reshape(m, 3, -1)
-    return Values(found[:m].T, tuple(slopes[own].T for own in parts), by_force.transpose(2, 0, 1))
-
-
 def _symbols(columns: int, count: int) -> tuple[Any, Any, Any]:
     import casadi
 
-    return casadi.SX.sym("f", 3), casadi.SX.sym("e", max(columns, 1)), casadi.SX.sym("p", count)
+    return casadi.SX.sym("f", 3), casadi.SX.sym("e", columns), casadi.SX.sym("p", count)
 
 
 def _expressions(
@@ -187,27 +178,3 @@ def _expressions(
         casadi.SX(read_instructions(program, (force, surroundings, unknown[list(own)])))
         for program, own in zip(programs, places, strict=True)
     ]
-
-
-def _with_slopes(
-    outputs: list[Any], places: tuple[tuple[int, ...], ...], symbols: tuple[Any, Any, Any]
-) -> Any:
-    """Return (1) as one CasADi function with one column."""
-    import casadi
-
-    force, surroundings, unknown = symbols
-    parts = list(outputs)
-    for y, own in zip(outputs, places, strict=True):
-        parts.append(casadi.jacobian(y, unknown)[:, list(own)].T)
-    parts += [casadi.jacobian(y, force).T for y in outputs]
-    column = casadi.densify(casadi.vertcat(*parts))
-    return casadi.Function("model", [force, surroundings, unknown], [column], {"cse": True})
-
-
-def _second_derivatives(outputs: list[Any], symbols: tuple[Any, Any, Any]) -> Any:
-    import casadi
-
-    force, surroundings, unknown = symbols
-    parts = [casadi.vec(casadi.hessian(y, unknown)[0]) for y in outputs]
-    column = casadi.densify(casadi.vertcat(*parts))
-    return casadi.Function("bends", [force, surroundings, unknown], [column], {"cse": True})

@@ -187,13 +187,14 @@ class ExpressionModel(Model):
     ) -> Array:
         """Return dy/df (n, M, 3)."""
         outer = self.outward(parameters)[0] if self.inner else parameters
-        return self.values(outer, force, environment).by_force
+        return self.compiled.by_force(force, self._columns(force, environment), outer)
 
     def predict(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
     ) -> Array:
         """Return the outputs (n, M)."""
-        return self.respond(parameters, force, environment)[0]
+        outer = self.outward(parameters)[0] if self.inner else parameters
+        return self.compiled.predict(force, self._columns(force, environment), outer)
 
     def second_derivatives(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
@@ -204,8 +205,9 @@ class ExpressionModel(Model):
     def linear_part(self, parameters: Array, environment: Mapping[str, float]) -> Array:
         """Return the constant and the slopes by x, y and z (M, 4) of each output, at no force."""
         force = np.zeros((1, 3))
-        found = self.values(parameters, force, {k: np.array([v]) for k, v in environment.items()})
-        return np.column_stack([found.outputs[0], found.by_force[0]])
+        columns = {name: np.array([value]) for name, value in environment.items()}
+        outputs = self.predict(parameters, force, columns)[0]
+        return np.column_stack([outputs, self.force_jacobian(parameters, force, columns)[0]])
 
     @cached_property
     def all_linear(self) -> bool:

@@ -81,7 +81,7 @@ _MOST = 10_000  # instructions, and places, of one output
 
 def write_instructions(function: Any) -> tuple[Instruction, ...]:
     """Return the instructions of a CasADi SX function with one scalar output."""
-    names = _operations()
+    names = operations()
     program: list[Instruction] = []
     for k in range(function.n_instructions()):
         name = names[function.instruction_id(k)]
@@ -165,7 +165,7 @@ def read_instructions(program: Sequence[Sequence[Any]], arguments: Sequence[Any]
     return result
 
 
-def _operations() -> dict[int, str]:
+def operations() -> dict[int, str]:
     """Return CasADi's numbers of the operations that are known, with their names."""
     import casadi
 

@@ -200,7 +200,7 @@ def sensitivities(
 ) -> tuple[Array, Array]:
     """Return J^+ (n, K, M) and dh/dp (n, M, p) of eqs. (1), (2) at force (n, 3) [g]."""
     jacobian = model.force_jacobian(parameters, force, environment)
-    inverse = np.linalg.pinv(jacobian[:, :, list(sensed_axes(model))])
+    inverse = inverses(jacobian[:, :, list(sensed_axes(model))])
     return np.asarray(inverse), parameter_jacobian(model, parameters, force, environment)
 
 
@@ -209,7 +209,7 @@ def unseen_leak(
 ) -> Array:
     """Return J^+ dh/dw (n, K): what a unit of the one unseen component w does to the others."""
     jacobian = model.force_jacobian(parameters, force, environment)
-    inverse = np.linalg.pinv(jacobian[:, :, list(sensed_axes(model))])
+    inverse = inverses(jacobian[:, :, list(sensed_axes(model))])
     leak: Array = inverse @ jacobian[:, :, list(unseen_axes(model))]
     return leak[:, :, 0]
 
@@ -223,6 +223,16 @@ def parameter_jacobian(
     for output, (places, slopes) in enumerate(blocks):
         result[:, output, places] = slopes
     return result
+
+
+def inverses(jacobian: Array) -> Array:
+    """Return J^+ (n, K, M) of J (n, M, K): the inverse where it is one, as pinv takes longer."""
+    if jacobian.shape[1] == jacobian.shape[2]:
+        try:
+            return np.asarray(np.linalg.inv(jacobian))
+        except np.linalg.LinAlgError:  # one that is singular must not cost the others theirs
+            pass
+    return np.asarray(np.linalg.pinv(jacobian))
 
 
 def _apply_inverse(jacobian: Array, misfit: Array) -> Array:

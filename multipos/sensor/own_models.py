@@ -54,6 +54,22 @@ def build_sketch(
     UsageError
         An output without a line, a line without an output, or a component that is no input.
     """
+    known = outputs, axes, inputs, unit, columns, tuple(fixed)
+    if known not in sketch.built:  # what a model knows of itself is found once
+        sketch.built[known] = _build(sketch, *known)
+    model: ExpressionModel = sketch.built[known]
+    return model
+
+
+def _build(
+    sketch: Sketch,
+    outputs: tuple[str, ...],
+    axes: tuple[str, ...],
+    inputs: tuple[str, ...],
+    unit: str,
+    columns: tuple[str, ...],
+    fixed: tuple[tuple[str, str, float], ...],
+) -> ExpressionModel:
     check_axes(outputs, axes, inputs)
     formulas = _formula_of_each(sketch, outputs)
     for formula in formulas:
@@ -84,7 +100,7 @@ def build_sketch(
         tuple(used),
         tuple(sketch.stated.get(n, StatedParameter(n)) for n in names),
         sketch,
-        tuple((output, name, value) for output, name, value in fixed),
+        fixed,
     )
 
 

@@ -20,7 +20,7 @@ import os
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 from multipos.errors import MultiposError, UsageError
@@ -37,6 +37,7 @@ EACH = "each"
 _NAME = re.compile(r"[^\W\d]\w*")
 _TAKEN = (*COMPONENTS, "own", *CONSTANTS, *FUNCTIONS)
 _TELLING = 4  # characters of a name that can be a misspelt column
+_KEPT = 64  # lines
 _ALIKE = 0.8  # of two names, from which one is the other misspelt
 
 
@@ -100,6 +101,11 @@ class Sketch(Result):
             where = self.where if self.in_line else f"{self.where}: [outputs] {name}"
             found[name] = parse_formula(formula, where, start, self.fault)
         return found
+
+    @cached_property
+    def built(self) -> dict[tuple[Any, ...], Any]:
+        """Models that were built of it, by what each is for."""
+        return {}
 
     @cached_property
     def stated(self) -> dict[str, StatedParameter]:
@@ -172,13 +178,14 @@ def read_model(model: "str | os.PathLike[str]") -> "str | Sketch":
         A file that cannot be read, or says what no model does.
     """
     if isinstance(model, str) and "=" in model:
-        return _checked(_from_line(model))
+        return _from_line(model)
     if isinstance(model, str) and not model.strip().lower().endswith(".toml"):
         return model
     path = os.fspath(model).strip()
     return _checked(_from_tables(read_toml(path, "model"), path))
 
 
+@lru_cache(maxsize=_KEPT)
 def _from_line(text: str) -> Sketch:
     where = f"model '{' '.join(text.split())}'"
     lines, starts, at = [], [], 0
@@ -195,7 +202,7 @@ def _from_line(text: str) -> Sketch:
                 at + len(name) + 1 + len(formula) - len(formula.lstrip()) if formula.strip() else at
             )
         at += len(part) + 1
-    return Sketch(tuple(lines), (), where, tuple(starts))
+    return _checked(Sketch(tuple(lines), (), where, tuple(starts)))
 
 
 def _from_tables(tables: Mapping[str, Any], path: str) -> Sketch:
