@@ -1,8 +1,11 @@
 """Models of one's own, as formulas: against SciPy's least squares, and polynomials by name.
 
-The saturating model of three outputs, b + s f/(1 + k f²), beside one call of
-`scipy.optimize.least_squares` on its nine parameters with finite differences, and a linear model
-written as a formula beside the same by name. `fit` also weighs, tests and describes what it found.
+The saturating model of three outputs, b + s f/(1 + k f²), beside `scipy.optimize.least_squares` on
+its nine parameters with finite differences, and a linear model written as a formula beside the
+same by name. SciPy runs twice: told where to start, a few 1e-2 from the truth, for nothing but the
+parameters; and for what `fit` is asked for, from no start, with slopes that scale themselves, the
+scatter of every output and u. Nobody tells `fit` a start, and it also finds outliers, tests the
+terms that the model lacks and asks what does not look right.
 """
 
 import numpy as np
@@ -31,14 +34,25 @@ def ratios(n: int, goal: float) -> list[Ratio]:
         b, s, k = p.reshape(3, 3).T
         return np.ravel(b + s * up / (1 + k * up**2) - values)
 
-    def by_scipy() -> object:
+    def told() -> object:
         return least_squares(left, np.tile([0.0, 1.0, 0.0], 3))
 
-    own = paired_ratio(lambda: mp.fit(readings, model=SATURATING), by_scipy)
+    def with_u() -> object:
+        found = least_squares(left, np.zeros(9), x_scale="jac")
+        scatter = np.sum(found.fun.reshape(n, 3) ** 2, axis=0) / (n - 3)
+        slopes = [found.jac[i::3, 3 * i : 3 * i + 3] for i in range(3)]
+        covariances = [s * np.linalg.inv(A.T @ A) for s, A in zip(scatter, slopes, strict=True)]
+        return found.x, np.sqrt([np.diag(covariance) for covariance in covariances])
+
+    def own() -> object:
+        return mp.fit(readings, model=SATURATING)
+
     named = paired_ratio(
         lambda: mp.fit(readings, model=LINEAR), lambda: mp.fit(readings, model="linear")
     )
+    what, peer = f"fit of a formula, {n} readings", "scipy.optimize.least_squares"
     return [
-        Ratio(f"fit of a formula, {n} readings", "scipy.optimize.least_squares", own, goal),
+        Ratio(what, f"{peer}, told its start", paired_ratio(own, told), goal),
+        Ratio(what, f"{peer}, no start, with u", paired_ratio(own, with_u), goal),
         Ratio(f"linear as a formula, {n} readings", "fit, linear", named, 5),
     ]

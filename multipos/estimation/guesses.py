@@ -6,8 +6,8 @@ are those of least squares,
     l(q) = argmin |y - h(q, 0) - A l|,    A = dh/dl at q,                                    (1)
 
 and where q has no stated start it is tried at a few values, all together and one by one; what
-leaves the least misfit after a step of Gauss and Newton on all that is not stated is where the
-search starts. Priors are starts.
+leaves the least misfit after steps of Gauss and Newton on all that is not stated is where the
+search starts. The first that explains the readings ends the trials. Priors are starts.
 """
 
 from collections.abc import Iterator, Mapping

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 import multipos as mp
 from multipos.positions.scheme import read_scheme
+from multipos.regression.rates import smoothed_rate
 
 UP = read_scheme("all-26").up
 SATURATING = "each = b + s*own/(1 + k*own^2)"
@@ -314,3 +315,20 @@ def test_stated_noise_of_outputs_fitted_apart_reaches_the_file(tmp_path):
     for one in (cal, robust):
         one.save(tmp_path / "cal.json")
         assert_allclose(mp.load(tmp_path / "cal.json").u, one.u, rtol=1e-12)
+
+
+def test_a_rate_of_temperature_is_a_column_like_any_other():
+    """As `regress` has it, which forms the rate by itself."""
+    time = np.linspace(0.0, 500.0, len(UP))
+    temperature = 20.0 + 15.0 * np.sin(time / 120.0)
+    rate = smoothed_rate(time, temperature)
+    noise = 1e-5 * np.random.default_rng(6).standard_normal(len(UP))
+    volts = 0.02 + UP[:, 0] + 0.03 * rate + noise
+    data = mp.Readings(volts, up=UP, outputs=("ax",), environment={"temperature_rate": rate})
+    cal = mp.fit(data, model="each = b + s*own + d*temperature_rate")
+    table = {"time": time, "temperature": temperature, "x": UP[:, 0], "ax": volts}
+    found = mp.regress(table, response="ax", terms="1 + x + temperature_rate").segments[0]
+    assert_allclose(cal.parameters, [one.value for one in found.coefficients], rtol=0, atol=1e-10)
+    assert_allclose(cal.u, [one.u for one in found.coefficients], rtol=1e-9)
+    corrected = mp.apply(cal, {"ax": volts, "temperature_rate": rate})
+    assert_allclose(corrected["f_x"], UP[:, 0], rtol=0, atol=6e-5)  # six sd of a reading
