@@ -84,7 +84,7 @@ class Compiled:
     def by_force(self, force: Array, columns: Array, parameters: Array) -> Array:
         """Return dy/df (n, M, 3), of the same arguments."""
         found = self._by_force(force, columns, parameters)
-        return found.reshape(-1, 3, len(force)).transpose(2, 0, 1)
+        return found.reshape(len(self._outputs), 3, len(force)).transpose(2, 0, 1)
 
     def bends(self, force: Array, columns: Array, parameters: Array) -> Array:
         """Return the second derivatives d²y/dp² (n, M, p, p), of the same arguments."""
