@@ -31,10 +31,10 @@ _DECREMENT_ROBUST = 1e-14
 _XTOL = 1e-13  # relative step that is only rounding
 _DAMPING = 1e-4
 _STUCK = 1e12  # damping beyond which nothing moves
-_FLAT = 1e-15  # of F, below which a step of a robust loss is lost in the rounding of F
+_FLAT = 1e-15  # of F, below which a step is lost in the rounding of F
 _SMALL = 1e-6  # of theta: no step into what the positions cannot tell is as short
 _LAST_STEPS = 2
-_NO_RISE = 1e-12  # of F: what its rounding may do, in which other steps are lost
+_NO_RISE = 1e-12  # of F: what its rounding may do, in which an undamped step is lost
 _ROUNDING = 1e-8  # of F, or of theta: what the last digits of the readings can do
 
 
@@ -88,7 +88,6 @@ def _descend(
     plain = problem.robust is None
     enough = _DECREMENT if plain else _DECREMENT_ROBUST
     most = _ITERATIONS if plain else _ITERATIONS_ROBUST
-    lost = _NO_RISE if plain else _FLAT  # small steps of a robust loss add up
     held = list(problem.held)
     converged, iterations, refused = False, 0, False
     while iterations < most and not converged:
@@ -101,7 +100,10 @@ def _descend(
             if trial.objective <= place.objective or damping > _STUCK:
                 break
             refused = True
-            flat = decrement <= lost * place.objective  # a shorter step has less to take off
+            flat = decrement <= _FLAT * place.objective  # a shorter step has less to take off
+            if plain and not flat:  # of a robust loss small steps add up
+                whole = _step(place.theta, equations, 0.0, held)[1]
+                flat = whole <= _NO_RISE * place.objective
             damping = 10.0 * _STUCK if flat else max(damping * 10.0, 1e-10)
         if damping > _STUCK:  # no descent is left: rounding, or a point that is no minimum
             _, decrement, last_step = _step(place.theta, equations, 0.0, held)
