@@ -5,6 +5,7 @@ come, and READINGS_session.json, the threshold and rate that were fixed and what
 With these and the log the same poses are found again.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import count
@@ -19,6 +20,7 @@ from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text
 
 _SCHEMA = "multipos/capture/1"
+_LAST = 1 << 16  # bytes that hold the last row
 _DEFAULT = Path("capture.csv")  # of a source whose rows would be gone otherwise
 
 
@@ -116,13 +118,26 @@ def _make_way(log: Path, *, resume: bool) -> list[str]:
     if resume:
         if not log.exists():
             raise MultiposError(f"{log}: no such file; the session cannot go on without its rows.")
-        return []
+        return _end_with_a_row(log)
     if not log.exists() or not log.stat().st_size:
         return []
     names = (log.with_name(f"{log.stem}.old{i}.csv") for i in count(1))
     old = next(path for path in names if not path.exists())
     log.rename(old)
     return [f"the rows of an earlier session are now {old}"]
+
+
+def _end_with_a_row(log: Path) -> list[str]:
+    """Leave out what was not written to its end; return what to say of it."""
+    with log.open("r+b") as stream:
+        start = max(stream.seek(0, os.SEEK_END) - _LAST, 0)
+        stream.seek(start)
+        last = stream.read()
+        cut = last[last.rfind(b"\n") + 1 :]
+        if not cut:
+            return []
+        stream.truncate(start + len(last) - len(cut))
+    return [f"the last row of {log}, {cut.decode(errors='replace')!r}, is cut off and left out"]
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -243,12 +243,20 @@ def _begin(session: Session, source: RowSource, log: Log, head: Array) -> None:
     """Settle the columns, or see that they are those that the session began with."""
     if session.rows is None:
         session.begin(log, head)
-    elif session.rows.log.columns != log.columns:
+    elif not _goes_on(session.rows.log, log):
         raise MultiposError(
             f"{source.name}: the columns are {', '.join(log.columns)}, but the session began with "
             f"{', '.join(session.rows.log.columns)}; give another -o, or the same source."
         )
     source.rate = session.rate or source.rate
+
+
+def _goes_on(before: Log, log: Log) -> bool:
+    """Tell whether columns are those of before; a device says their names only when it starts."""
+    if not log.headless:
+        return log.columns == before.columns
+    places = ([each.columns.index(name) for name in each.numeric] for each in (before, log))
+    return len(log.columns) == len(before.columns) and next(places) == next(places)
 
 
 def captured(session: Session) -> Captured:

@@ -184,7 +184,8 @@ SHOWN = """JSON.stringify({
  taken: [...document.querySelectorAll('#taken li')]
   .map(e => [e.dataset.position, e.dataset.accepted]),
  parameters: [...document.querySelectorAll('#parameters tbody tr')]
-  .map(e => [e.dataset.name, e.cells[2].textContent, e.querySelector('.bar.met') !== null]),
+  .map(e => [e.dataset.name, e.cells[2].textContent, e.querySelector('.bar.met') !== null,
+   e.cells[1].textContent]),
  words: document.getElementById('words').textContent,
  gain: document.getElementById('gain').textContent,
  wide: document.documentElement.scrollWidth <= window.innerWidth})"""
@@ -202,12 +203,13 @@ def test_the_page_shows_what_the_state_says(tmp_path):
             shown = settled(page, state)
             assert shown["words"] == state["next"]["words"]["en"]
             assert float(shown["gain"].split()[1]) == pytest.approx(state["next"]["gain"], rel=1e-2)
-            for (name, text, met), entry in zip(
+            for (name, text, met, value), entry in zip(
                 shown["parameters"], state["parameters"], strict=True
             ):
-                factor = 1e6 if "µg" in text or "ppm" in text else 1e3
+                u_shown = in_its_unit(text)
                 assert name == entry["name"]
-                assert float(text.split()[0]) == pytest.approx(factor * entry["U"], rel=0.05)
+                assert u_shown == pytest.approx(entry["U"], rel=0.05)
+                assert in_its_unit(value) == pytest.approx(entry["value"], abs=0.06 * u_shown)
                 assert met == bool(entry["met"])
             assert shown["wide"]
             page.evaluate("document.getElementById('undo').click()")
@@ -226,6 +228,12 @@ def test_the_page_shows_what_the_state_says(tmp_path):
             assert outside == []
     finally:
         live.end()
+
+
+def in_its_unit(text):
+    """The number that a cell shows, in g, or as it is where it is a ratio."""
+    number, _, unit = text.replace("−", "-").partition(" ")
+    return float(number) * {"": 1.0, "g": 1.0, "mg": 1e-3, "µg": 1e-6, "ppm": 1e-6}[unit]
 
 
 def settled(page, state):

@@ -297,6 +297,28 @@ def test_what_was_taken_back_stays_so_when_it_goes_on(log, tmp_path, capsys):
     assert len(mp.read_readings(out).values) == 25
 
 
+def test_it_goes_on_after_a_row_half_written_and_without_a_header(log, tmp_path, capsys):
+    """A device says the names of its columns when it starts, and goes on without us."""
+    rows = log.read_text().splitlines(keepends=True)
+    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    first.write_text("".join(rows[:8000]))
+    second.write_text("".join(rows[8000:]))
+    kept, command = tmp_path / "run_log.csv", ["capture", "-", "--headless"]
+    with stdin_of(first):
+        assert main([*command, "-o", str(tmp_path / "run.csv")]) == 0
+    with kept.open("a") as stream:
+        stream.write(rows[8000][:-9])  # as many cells as a row
+    with stdin_of(second):
+        assert main([*command, "--resume", "-o", str(tmp_path / "run.csv")]) == 0
+    assert "is cut off and left out" in capsys.readouterr().err
+    assert kept.read_text() == log.read_text()
+    assert len(mp.read_readings(tmp_path / "run.csv").values) == 26
+    second.write_text("".join(f"{row[:-1]},1\n" for row in rows[8000:]))
+    with stdin_of(second):
+        assert main([*command, "--resume", "-o", str(tmp_path / "run.csv")]) == 1
+    assert "the columns are 1, 2, 3, 4, 5, but the session began" in capsys.readouterr().err
+
+
 def test_rows_of_earlier_sessions_are_never_written_over(log, tmp_path, capsys):
     rows = log.read_text().splitlines(keepends=True)
     (tmp_path / "few.csv").write_text("".join(rows[:1200]))
