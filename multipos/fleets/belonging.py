@@ -16,6 +16,7 @@ Sources: H. Hotelling 1931, Ann. Math. Statist. 2. P. J. Rousseeuw, K. Van Dries
 41, 1999 (concentration steps). Y. Benjamini, Y. Hochberg, J. R. Stat. Soc. B 57, 1995.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ _KEPT = 0.975  # share of a normal law that S is taken from
 _STEPS = 10
 _FEW = 3  # times as many units as parameters are needed
 _SHOWN = 3  # parameters that are named of a unit
+_ROWS = 50_000  # units that are worked on at once
 
 
 def find_outliers(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, Any]]:
@@ -43,23 +45,28 @@ def find_outliers(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, An
     """
     mine = np.flatnonzero(counted & np.isfinite(units.parameters).all(axis=1))
     mine = mine[np.isfinite(units.rms[mine])]
-    theta = np.column_stack([units.parameters[mine], np.cbrt(units.rms[mine] ** 2)])
-    n, p = theta.shape
+    n, p = len(mine), len(units.names) + 1
     if p == 1 or n < _FEW * (p + 1):
         return []
+    theta = np.empty((n, p))  # column by column, as there may be millions of rows
+    for place in range(p - 1):
+        theta[:, place] = units.parameters[mine, place]
+    theta[:, -1] = np.cbrt(units.rms[mine] ** 2)
     _, station = np.unique(np.array(units.station)[mine], return_inverse=True)
     for place in np.unique(station).tolist():
         theta[station == place] -= np.median(theta[station == place], axis=0)
-    scale = NORMAL * np.median(np.abs(theta), axis=0)
+    scale = NORMAL * np.array([np.median(np.abs(column)) for column in theta.T])
     if not (scale > 0.0).all():
         return []  # as many units are exactly alike, nothing tells how units differ
-    theta = theta / scale
+    theta /= scale
     covariance = _concentrated(theta)
     distance = _squared(theta, covariance)
-    u2 = (np.column_stack([units.u[mine], np.zeros(n)]) / scale) ** 2
     p_values = _tail(distance, n, p)
     near = np.flatnonzero(p_values < RATE)
-    excess = np.maximum(u2[near] - np.median(u2, axis=0), 0.0)
+    excess = np.zeros((len(near), p))
+    for place in range(p - 1):
+        u2 = (units.u[mine, place] / scale[place]) ** 2
+        excess[:, place] = np.maximum(u2[near] - np.median(u2), 0.0)
     for place, row in enumerate(near.tolist()):
         if excess[place].any():
             worse = covariance + np.diag(excess[place])
@@ -86,12 +93,12 @@ def _concentrated(theta: Array) -> Array:
     p = theta.shape[1]
     limit = float(chdtri(p, 1.0 - _KEPT))
     middle = float(chdtri(p, 0.5))
-    kept = np.abs(theta).max(axis=1) <= np.sqrt(limit)
+    kept = np.maximum(theta.max(axis=1), -theta.min(axis=1)) <= np.sqrt(limit)
     if kept.sum() <= 2 * p:
         kept = np.ones(len(theta), dtype=np.bool_)
     covariance = np.eye(p)
     for _ in range(_STEPS):
-        covariance = np.cov(theta[kept], rowvar=False).reshape(p, p)
+        covariance = _covariance(theta, kept)
         distance = _squared(theta, covariance)
         covariance *= np.median(distance) / middle
         before, kept = kept, distance <= limit * np.median(distance) / middle
@@ -102,8 +109,27 @@ def _concentrated(theta: Array) -> Array:
 
 def _squared(theta: Array, covariance: Array) -> Array:
     half = np.linalg.inv(np.linalg.cholesky(covariance)).T
-    white = theta @ half
-    return np.asarray(np.einsum("np,np->n", white, white))
+    distance = np.empty(len(theta))
+    for rows in _blocks(len(theta)):
+        white = theta[rows] @ half
+        distance[rows] = np.einsum("np,np->n", white, white)
+    return distance
+
+
+def _covariance(theta: Array, kept: NDArray[np.bool_]) -> Array:
+    """Return the covariance (p, p) of the rows of (n, p) that are kept."""
+    count, mean = int(kept.sum()), np.mean(theta, axis=0, where=kept[:, None])
+    square = np.zeros((len(mean), len(mean)))
+    for rows in _blocks(len(theta)):
+        left = theta[rows][kept[rows]] - mean
+        square += left.T @ left
+    return square / (count - 1)
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Yield rows, few enough at a time for their copies to be nothing."""
+    for first in range(0, count, _ROWS):
+        yield slice(first, first + _ROWS)
 
 
 def _tail(distance: Array, n: int, p: int) -> Array:

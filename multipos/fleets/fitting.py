@@ -190,7 +190,7 @@ def _solve(
             found.take(solved)
         times[first:last] = piece.times()
     return Units(
-        unit=tuple(grouped.unit),
+        unit=grouped.unit,
         station=tuple(grouped.station),
         model=known.model,
         names=found.names,

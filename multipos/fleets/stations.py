@@ -36,6 +36,7 @@ from multipos.sensor.model import Model
 _FAR = 6.0  # robust standard deviations beyond which a unit tells nothing of its station
 _LEAST = 1e-12  # of the whole variance: what is left within units, where rounding is all there is
 NORMAL = 1.482602218505602  # standard deviation over median absolute deviation, of a normal law
+_AT_ONCE = 50_000  # units that are worked on at once
 
 Codes = NDArray[np.intp]
 
@@ -52,8 +53,7 @@ def describe_stations(units: Units, counted: NDArray[np.bool_]) -> list[dict[str
     names = tuple(dict.fromkeys(units.station))
     places = {name: place for place, name in enumerate(names)}
     stations = np.array([places[name] for name in units.station], dtype=np.intp)
-    same = {name: place for place, name in enumerate(dict.fromkeys(units.unit))}
-    who = np.array([same[name] for name in units.unit], dtype=np.intp)
+    who = units.unit.codes.astype(np.intp)
     told = units.model is not None and len(names) > 1
     levels = _levels(units, counted, stations, who, len(names)) if told else None
     shifts = _shifts(units, counted, stations, who, len(names)) if told else None
@@ -79,12 +79,17 @@ def _levels(
     usable = counted & np.isfinite(matrix).all(axis=(1, 2))
     if not usable.any():
         return None
-    typical = np.median(matrix[usable], axis=0)
-    relative = np.linalg.solve(typical, np.where(usable[:, None, None], matrix, np.eye(3)))
-    turned = np.degrees((relative - relative.transpose(0, 2, 1)) / 2.0)
+    typical = np.array([[np.median(matrix[usable, i, j]) for j in range(3)] for i in range(3)])
+    rows, columns = [2, 0, 1], [1, 2, 0]
+    turned = np.empty((len(matrix), len(COMPONENTS)))
+    for first in range(0, len(matrix), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        known = np.where(usable[some, None, None], matrix[some], np.eye(3))
+        relative = np.linalg.solve(typical, known)
+        turned[some] = np.degrees((relative[:, rows, columns] - relative[:, columns, rows]) / 2.0)
     found = {
-        axis: _against_mean(turned[:, row, col], usable, stations, who, count)
-        for axis, (row, col) in zip(COMPONENTS, ((2, 1), (0, 2), (1, 0)), strict=True)
+        axis: _against_mean(turned[:, place], usable, stations, who, count)
+        for place, axis in enumerate(COMPONENTS)
     }
     return _by_station(found, count)
 

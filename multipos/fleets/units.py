@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.fleets.labels import Labels
 from multipos.fleets.nests import NestSums
 from multipos.fleets.repeats import GaugeStudy
 from multipos.fleets.solving import Solved
@@ -24,8 +25,10 @@ class Units:
 
     Attributes
     ----------
-    unit, station : tuples of B str
-        A station '' where no column names them.
+    unit : Labels
+        Of every unit (B,).
+    station : tuple of B str
+        '' where no column names them.
     model : Model or None
         None where every unit failed.
     names : tuple of p str
@@ -50,7 +53,7 @@ class Units:
         Repeats of units at several stations.
     """
 
-    unit: tuple[str, ...]
+    unit: Labels
     station: tuple[str, ...]
     model: Model | None
     names: tuple[str, ...]
@@ -81,7 +84,7 @@ class Units:
     @cached_property
     def unit_column(self) -> NDArray[Any]:
         """The units as the tables name them, texts or whole numbers (B,)."""
-        texts = np.array(self.unit, dtype=np.str_)
+        texts = np.array(list(self.unit), dtype=np.str_)
         return texts.astype(np.int64) if self.counted else texts
 
     def columns(self) -> Columns:
