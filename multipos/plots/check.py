@@ -1,5 +1,7 @@
 """The figure of an independent run at known positions."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WIDE = 5.0  # times the limit, from which errors are drawn logarithmically beyond it
+_LIMIT = 10.0  # times what is left after, from which a limit would hide it
 _APART = 5.0  # times what is left after, from which errors before have axes of their own
 _BESIDE = 0.8  # of the way to the next known value, over which positions of one share the room
 _SAME = 1e-6  # of the span
@@ -32,7 +35,8 @@ def draw_check(
     """Draw the errors of one axis before and after, U about the latter, and the limit.
 
     Those of a regression are drawn against its segment variable. Positions of one and the same
-    known value, such as a roll that leaves the axis level, stand beside each other.
+    known value, such as a roll that leaves the axis level, stand beside each other. A limit so wide
+    that errors after and their U would shrink to a line is named beside them and not drawn.
     """
     column = found.axes.index(axis)
     used = found.counted[:, column]
@@ -64,7 +68,7 @@ def draw_check(
             label="after, with U",
             clip_on=False,
         )
-        _draw_limit(found, axes)
+        _draw_limit(found, axes, drawn=when == "both" or _limit_fits(found))
     if (
         when == "both"
         and found.limit is not None
@@ -82,10 +86,13 @@ def draw_check(
     name_series(axes, 3)
 
 
-def _draw_limit(found: Check, axes: "Axes") -> None:
+def _draw_limit(found: Check, axes: "Axes", *, drawn: bool) -> None:
     if found.limit is None:
         return
     said = f"limit ±{in_unit(found.limit, found.unit)}"
+    if not drawn:
+        axes.plot([], [], color="#555555", linestyle="--", linewidth=0.8, label=f"{said}, outside")
+        return
     for height, label in ((-found.limit, None), (found.limit, said)):
         axes.axhline(height, color="#555555", linestyle="--", linewidth=0.8, label=label)
 
@@ -108,17 +115,35 @@ def set_beside(known: Array) -> Array:
 
 def errors_apart(found: Check) -> bool:
     """Tell whether errors before would hide those after on one and the same scale."""
-    used = found.counted
-    left = float(np.nanmax((np.abs(found.after) + found.U)[used], initial=found.limit or 0.0))
-    return float(np.nanmax(np.abs(found.before[used]), initial=0.0)) > _APART * left
+    left = _left(found)
+    if _limit_fits(found):
+        left = max(left, found.limit or 0.0)
+    return float(np.nanmax(np.abs(found.before[found.counted]), initial=0.0)) > _APART * left
+
+
+def _left(found: Check) -> float:
+    """Return the largest error after compensation with its U."""
+    return float(np.nanmax((np.abs(found.after) + found.U)[found.counted], initial=0.0))
+
+
+def _limit_fits(found: Check) -> bool:
+    """Tell whether errors after can still be seen where the limit is drawn."""
+    return found.limit is not None and found.limit <= _LIMIT * _left(found)
+
+
+def check_panels(found: Check) -> "list[Callable[[Axes], None]]":
+    """Return what draws each panel: before and after apart, where one would hide the other."""
+    drawn: tuple[Literal["both", "before", "after"], ...]
+    drawn = ("before", "after") if errors_apart(found) else ("both",)
+    return [
+        partial(draw_check, found, axis=axis, when=when) for axis in found.axes for when in drawn
+    ]
 
 
 def check_figure(found: Check) -> "Figure":
     """Return the errors of every axis; before and after apart, where one would hide the other."""
-    drawn: tuple[Literal["both", "before", "after"], ...]
-    drawn = ("before", "after") if errors_apart(found) else ("both",)
-    figure, axes = new_figure(len(drawn) * len(found.axes))
-    panels = [(axis, when) for axis in found.axes for when in drawn]
-    for (axis, when), one in zip(panels, axes, strict=True):
-        draw_check(found, one, axis=axis, when=when)
+    panels = check_panels(found)
+    figure, axes = new_figure(len(panels))
+    for draw, one in zip(panels, axes, strict=True):
+        draw(one)
     return figure

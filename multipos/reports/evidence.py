@@ -160,6 +160,7 @@ def errors_section(c: Calibration, tr: Translator) -> Section:
                 tr("Size of the error") + suffix,
                 (tr("Position"), *heads),
                 tuple(rows),
+                on_paper=False,  # the figure tells it, and the first sheet the largest and the rms
             ),
             PageTable(
                 tr("Linearity [%]"),

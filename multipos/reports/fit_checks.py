@@ -152,7 +152,10 @@ def _single_terms(c: Calibration, tr: Translator) -> list[PageTable]:
         for t in judge_terms(c)
     ]
     header = tuple(map(tr, ("Output", "Term", "Status", "F", "dof", "p", "AICc if changed")))
-    return [PageTable(tr("Tests of single terms"), header, tuple(rows), 3)] if rows else []
+    if not rows:
+        return []
+    # On paper the tests over all outputs speak for them.
+    return [PageTable(tr("Tests of single terms"), header, tuple(rows), 3, on_paper=False)]
 
 
 def _influence(c: Calibration, tr: Translator) -> PageTable:
@@ -207,6 +210,7 @@ def _waves(c: Calibration, tr: Translator) -> list[PageTable]:
             (tr("Roll about"), tr("Output"), *orders),
             tuple(rows),
             2,
+            on_paper=False,  # it follows from the residuals, and a figure shows it
         )
     ]
 

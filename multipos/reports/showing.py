@@ -28,7 +28,7 @@ from multipos.fleets.fleet import Fleet
 from multipos.fleets.text import fleet_text
 from multipos.logs.averages import Averages, averages_text
 from multipos.plots.calibration import draw_budget, draw_errors, residual_panels
-from multipos.plots.check import draw_check
+from multipos.plots.check import check_panels
 from multipos.plots.runs import draw_runs
 from multipos.plots.schemes import draw_scheme
 from multipos.plots.stability import draw_allan
@@ -135,7 +135,7 @@ def _panels(found: Result) -> list[Callable[[Any], None]]:
             return [partial(draw_errors, found)]
         return residual_panels(found)
     if isinstance(found, Check):
-        return [partial(draw_check, found, axis=axis) for axis in found.axes]
+        return check_panels(found)
     if isinstance(found, Tumble):
         return [partial(draw_signal, found), partial(draw_residual_harmonics, found)]
     if isinstance(found, Tumbles):

@@ -61,5 +61,10 @@ def test_before_has_axes_of_its_own_where_it_would_hide_what_is_left():
         figure = check_figure(found)
         assert len(figure.axes) == panels
         assert {one.get_yscale() for one in figure.axes} == {"linear"}
-    near = mp.check(cal, run, limit_deg=5.0, nominal=(2.5, 1.0))
-    assert len(check_figure(near).axes) == 2
+    # A limit of 5° would hide errors of .05° as well: it is named, and not drawn.
+    wide = check_figure(mp.check(cal, run, limit_deg=5.0, nominal=(2.5, 1.0)))
+    assert len(wide.axes) == 4
+    after = wide.axes[1]
+    assert max(map(abs, after.get_ylim())) < 0.5
+    named = [text.get_text() for text in after.get_legend().get_texts()]
+    assert "limit ±5°, outside" in named

@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+from functools import reduce
 
 import browser
 import numpy as np
@@ -35,11 +36,16 @@ def readings(scheme, seed):
 
 
 @pytest.fixture(scope="module")
-def content():
-    """The report of 24 positions in rolls, with a budget and an independent run of 24."""
+def checked():
+    """A calibration of 24 positions in rolls with a budget, and an independent run of 24."""
     given = {"model": "own-quadratic", "gravity": 9.81, "gravity_u": 1e-5, "budget": BUDGET}
     cal = mp.fit(readings(SCHEME, 1), scheme=SCHEME, **given)
-    run = mp.check(cal, readings("fibonacci-24", 9), scheme="fibonacci-24", limit_g=2e-3)
+    return cal, mp.check(cal, readings("fibonacci-24", 9), scheme="fibonacci-24", limit_g=2e-3)
+
+
+@pytest.fixture(scope="module")
+def content(checked):
+    cal, run = checked
     return build_content(cal, lab=LAB, check=run)
 
 
@@ -77,6 +83,23 @@ def test_a_browser_prints_eight_pages(content, tmp_path):
         page.pdf(tmp_path / "report.pdf")
     assert (tmp_path / "report.pdf").stat().st_size < 1e6
     assert_holds_together(pages_of(tmp_path / "report.pdf"), content)
+
+
+@needs_pages
+def test_chinese_is_printed_in_a_megabyte(checked, tmp_path):
+    # The browser embeds glyphs of OpenType fonts one by one, once for each weight.
+    cal, run = checked
+    any_font = html_report(build_content(cal, lab=LAB, check=run, language="zh"))
+    names = re.search("--chinese: ([^;]*), sans-serif;", any_font)[1].split(",")
+    without_truetype = reduce(lambda text, name: text.replace(name.strip(), '"-"'), names, any_font)
+    target, printed = tmp_path / "report.html", tmp_path / "report.pdf"
+    with browser.browse(tmp_path) as page:
+        for text in (any_font, without_truetype):
+            target.write_text(text, encoding="utf-8")
+            page.open(target)
+            page.pdf(printed)
+            assert printed.stat().st_size < 1e6
+            assert len(pages_of(printed)) <= 8
 
 
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="needs pdftotext")
