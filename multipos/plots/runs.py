@@ -1,10 +1,11 @@
 """Figures of repeated calibrations."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
 from multipos.plots.style import COLOURS, MARKERS, name_axis, name_series, new_figure
 from multipos.verification.comparison import Comparison
@@ -14,60 +15,57 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_BESIDE = 0.1  # of a run, between outputs, so that no bar hides another
+
 
 def draw_runs(comparison: Comparison, axes: "Axes", *, term: str = "1") -> None:
     """Draw one parameter of every output against the run: the paper's figure 1 is the bias.
 
     Each less its mean, with U of each run.
     """
-    found = comparison
-    runs = np.arange(1, len(found.calibrations) + 1)
-    model = found.calibrations[0].model
+    model = comparison.calibrations[0].model
     wanted = [
         i
         for i, (_, t) in enumerate(model.keys)
         if (t == CONSTANT if term == "1" else str(t) == term)
     ]
-    for series, i in enumerate(wanted):
-        U = np.array([c.U[i] for c in found.calibrations])
-        values = found.values[:, i] - found.mean[i]
+    draw_values(
+        {
+            model.names[i]: (
+                comparison.values[:, i] - comparison.mean[i],
+                np.array([c.U[i] for c in comparison.calibrations]),
+            )
+            for i in wanted
+        },
+        axes,
+        unit=model.units[wanted[0]] if wanted else model.unit,
+    )
+
+
+def draw_values(values: Mapping[str, tuple[Array, Array]], axes: "Axes", *, unit: str) -> None:
+    """Draw values (R,) less their mean by run, each name a line, with a bar of U (R,).
+
+    A run whose U is not finite has no bar.
+    """
+    runs = 0
+    for series, (name, (found, U)) in enumerate(values.items()):
+        runs = max(runs, len(found))
         axes.errorbar(
-            runs + 0.06 * (series - (len(wanted) - 1) / 2.0),
-            values,
+            np.arange(1, len(found) + 1) + _BESIDE * (series - (len(values) - 1) / 2.0),
+            found,
             yerr=np.where(np.isfinite(U), U, 0.0),
             color=COLOURS[series % 6],
             marker=MARKERS[series % 8],
             capsize=2.0,
             capthick=1.0,
             linewidth=0.9,
-            label=model.names[i],
+            label=name,
         )
-    _dress(axes, len(runs), model.units[wanted[0]] if wanted else model.unit)
-
-
-def _dress(axes: "Axes", runs: int, unit: str) -> None:
-    """Name the runs, the axes and the series of values less their mean."""
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     axes.set_xticks(range(1, runs + 1))
     axes.set_xlabel("run")
     name_axis(axes.yaxis, "less its mean", unit)
     name_series(axes, 3)
-
-
-def draw_values(values: Mapping[str, Sequence[float]], axes: "Axes", *, unit: str) -> None:
-    """Draw values by run, each name a line, as a file of a comparison holds them."""
-    count = 0
-    for series, (name, found) in enumerate(values.items()):
-        count = max(count, len(found))
-        axes.plot(
-            range(1, len(found) + 1),
-            found,
-            color=COLOURS[series % 6],
-            marker=MARKERS[series % 8],
-            linewidth=0.9,
-            label=name,
-        )
-    _dress(axes, count, unit)
 
 
 def runs_figure(comparison: Comparison) -> "Figure":
@@ -77,32 +75,36 @@ def runs_figure(comparison: Comparison) -> "Figure":
     return figure
 
 
-def terms_figure(comparison: RegressionComparison) -> "Figure":
-    """Return the terms of repeated regressions, each less its mean over its u."""
-    figure, axes = new_figure(height=0.9 + 0.22 * len(comparison.terms))
-    one = axes[0]
+def draw_terms(comparison: RegressionComparison, axes: "Axes") -> None:
+    """Draw the terms of repeated regressions, each less its mean over its u, with a bar of u."""
     runs = len(comparison.files)
     for run in range(runs):
-        places, values = [], []
-        for row, term in enumerate(comparison.terms):
-            if not np.isnan(term.values[run]) and term.u[run] > 0.0:
-                typical = float(np.sqrt(np.nanmean(term.u**2)))
-                values.append((term.values[run] - np.nanmean(term.values)) / typical)
-                places.append(row)
-        one.plot(
-            values,
-            places,
+        told = [
+            (row, term, float(np.sqrt(np.nanmean(term.u**2))))
+            for row, term in enumerate(comparison.terms)
+            if not np.isnan(term.values[run]) and term.u[run] > 0.0
+        ]
+        axes.errorbar(
+            [(term.values[run] - np.nanmean(term.values)) / typical for _, term, typical in told],
+            [row + 0.6 * ((run + 0.5) / runs - 0.5) for row, _, _ in told],
+            xerr=[term.u[run] / typical for _, term, typical in told],
             color=COLOURS[run % 6],
             marker=MARKERS[run % 8],
+            elinewidth=0.8,
+            capsize=0.0,
             linestyle="none",
-            label=str(run + 1),
+            label=f"run {run + 1}",
         )
-    one.set_yticks(
-        range(len(comparison.terms)),
-        [f"{t.segment}: {t.term}" for t in comparison.terms],
-    )
-    one.invert_yaxis()
-    one.axvline(0.0, color="#000000", linewidth=0.6)
-    one.set_xlabel("less its mean, over u")
-    name_series(one, min(runs, 6))
+    rows = len(comparison.terms)
+    axes.set_yticks(range(rows), [f"{t.segment}: {t.term}" for t in comparison.terms])
+    axes.set_ylim(rows - 0.5, -0.5)
+    axes.axvline(0.0, color="#000000", linewidth=0.6)
+    axes.set_xlabel("less its mean, over u")
+    name_series(axes, min(runs, 6))
+
+
+def terms_figure(comparison: RegressionComparison) -> "Figure":
+    """Return the terms of repeated regressions."""
+    figure, axes = new_figure(height=0.9 + 0.22 * len(comparison.terms))
+    draw_terms(comparison, axes[0])
     return figure

@@ -1,6 +1,8 @@
 """Figures of a regression and of parameters over temperature."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_APART = 5.0  # times what is left after, from which the response before would hide it
+
 
 def draw_correction(
     regression: Regression,
@@ -32,6 +36,7 @@ def draw_correction(
     *,
     variable: str | None = None,
     column: str | None = None,
+    when: Literal["both", "before", "after"] = "both",
 ) -> None:
     """Draw a column before and after its correction against a variable, with the segments.
 
@@ -44,6 +49,8 @@ def draw_correction(
         What it is drawn against: the segment variable, or the first variable, by default.
     column : str, optional
         What is corrected; the response by default.
+    when : str
+        'before' or 'after' draws that alone, on a scale of its own.
     """
     table = read_table(data, what="data")
     target = column or regression.response
@@ -59,9 +66,16 @@ def draw_correction(
         (before, "before", COLOURS[6], "x"),
         (after, "after", COLOURS[0], "."),
     ):
-        axes.plot(
-            x, values, color=colour, marker=marker, linestyle="none", markersize=3.0, label=label
-        )
+        if when in ("both", label):
+            axes.plot(
+                x,
+                values,
+                color=colour,
+                marker=marker,
+                linestyle="none",
+                markersize=3.0,
+                label=label,
+            )
     if name == regression.segment_variable:
         for edge in regression.edges:
             axes.axvline(edge, color="black", linewidth=0.8, linestyle="--")
@@ -133,24 +147,39 @@ def _draw_step(step: Step, row: int, axes: "Axes") -> None:
 def regression_figure(regression: Regression | Regressions, data: Source) -> "Figure":
     """Return the response before and after, and the path of every selection.
 
-    Of several responses each before and after. Rows with an empty cell, which the regression may
-    have dropped, are not drawn.
+    Before and after stand apart where one would hide the other. Of several responses each before
+    and after. Rows with an empty cell, which the regression may have dropped, are not drawn.
     """
     table = read_table(data, what="data")
     if isinstance(regression, Regressions):
-        figure, axes = new_figure(len(regression))
-        for one, own in zip(regression.values(), axes, strict=True):
-            draw_correction(one, _complete_rows(one, table), own)
-        return figure
+        drawn = [panel for one in regression.values() for panel in _before_and_after(one, table)]
+        return _figure(drawn)
     chosen = [s for s in regression.segments if s.path][: 1 if regression.continuous else None]
-    figure, axes = new_figure(1 + len(chosen))
-    draw_correction(regression, _complete_rows(regression, table), axes[0])
-    for segment, one in zip(chosen, axes[1:], strict=True):
-        draw_path(segment, one)
-        span = format_span(regression.range_variable, segment.range, segment.branch)
-        title = "all segments" if regression.continuous else span
-        write_title(one, title)
+    paths = [partial(_titled_path, regression, segment) for segment in chosen]
+    return _figure([*_before_and_after(regression, table), *paths])
+
+
+def _figure(panels: "Sequence[Callable[[Axes], None]]") -> "Figure":
+    figure, axes = new_figure(len(panels))
+    for draw, one in zip(panels, axes, strict=True):
+        draw(one)
     return figure
+
+
+def _before_and_after(regression: Regression, table: Table) -> "list[Callable[[Axes], None]]":
+    rows = _complete_rows(regression, table)
+    after = np.asarray(correct(regression, rows, column=regression.response)["corrected"])
+    before = np.abs(rows.number(regression.response)).max(initial=0.0)
+    words: tuple[Literal["both", "before", "after"], ...] = ("both",)
+    if before > _APART * np.abs(after).max(initial=0.0):
+        words = ("before", "after")
+    return [partial(draw_correction, regression, rows, when=word) for word in words]
+
+
+def _titled_path(regression: Regression, segment: Segment, axes: "Axes") -> None:
+    draw_path(segment, axes)
+    span = format_span(regression.range_variable, segment.range, segment.branch)
+    write_title(axes, "all segments" if regression.continuous else span.replace(" -", " −"))
 
 
 def _complete_rows(regression: Regression, table: Table) -> Table:

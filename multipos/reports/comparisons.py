@@ -36,6 +36,7 @@ from multipos.files.records import (
     require,
 )
 from multipos.files.trees import read_json_value
+from multipos.numerics.arrays import Array
 from multipos.plots.runs import draw_values
 from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.page import Figure, PageTable, Section, draw_svg
@@ -62,7 +63,8 @@ _CALIBRATIONS = Fields(
                     "drift_p": P_VALUE,
                     "p": P_VALUE,
                     "moved": Flag(),
-                }
+                },
+                {"U": _VALUES},
             ),
             1,
         ),
@@ -120,7 +122,8 @@ def read_comparison(path: str | os.PathLike[str]) -> dict[str, Any] | None:
     require(content, described, str(path), "compare again")
     runs = len(content[kind])
     entries = content["parameters" if kind == "calibrations" else "terms"]
-    if any(len(entry["values"]) != runs for entry in entries):
+    columns = [entry[key] for entry in entries for key in ("values", "U") if key in entry]
+    if any(len(column) != runs for column in columns):
         raise MultiposError(f"{path}: it has not a value for each of {runs} runs; compare again.")
     return content
 
@@ -181,14 +184,16 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
         paragraphs.append(tr("Moved beyond chance: {names}.", names=tr.listed(moved)))
     biases = [entry for entry in found["parameters"] if entry["term"] == "1"]
     picture = Figure(
-        tr("Biases by run, each less its mean"),
+        tr("Biases by run, each less its mean, with U")
+        if all("U" in entry for entry in biases)
+        else tr("Biases by run, each less its mean"),
         tr("One line for each output; the numbers are in the table below."),
         lambda: draw_svg(
             tr,
             1,
             2.4,
             lambda axes: draw_values(
-                {entry["name"]: _less_mean(entry["values"]) for entry in biases},
+                {entry["name"]: _less_mean(entry) for entry in biases},
                 axes[0],
                 unit=biases[0]["unit"],
             ),
@@ -197,10 +202,12 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
     return Section(tr("Result"), tuple(paragraphs), (picture,) if biases else ())
 
 
-def _less_mean(values: Sequence[float | None]) -> list[float]:
-    told = [value for value in values if value is not None]
-    mean = sum(told) / len(told) if told else math.nan
-    return [math.nan if value is None else value - mean for value in values]
+def _less_mean(entry: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Return the values of a parameter less their mean, and their U: NaN where none is told."""
+    values = np.array([_or_nan(value) for value in entry["values"]])
+    told = values[np.isfinite(values)]
+    U = [_or_nan(size) for size in entry.get("U", (None,) * len(values))]
+    return values - (told.mean() if len(told) else math.nan), np.array(U)
 
 
 def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:

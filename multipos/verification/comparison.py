@@ -155,12 +155,18 @@ class Comparison(Result, Drawn):
                     "term": str(term),
                     "name": name,
                     "unit": unit,
+                    "U": U,
                     **dict(zip(names, row, strict=True)),
                     "drift_unit": f"{unit}/{'s' if self.per == 'time' else 'run'}",
                     "moved": name in self.moved,
                 }
-                for (output, term), name, unit, row in zip(
-                    first.keys, first.names, first.units, zip(*columns, strict=True), strict=True
+                for (output, term), name, unit, U, row in zip(
+                    first.keys,
+                    first.names,
+                    first.units,
+                    zip(*(c.U.tolist() for c in self.calibrations), strict=True),
+                    zip(*columns, strict=True),
+                    strict=True,
                 )
             ],
             "bias_stability": self.bias_stability,

@@ -272,4 +272,10 @@ def test_figures_draw_what_they_are_given(tmp_path):
     plots.draw_curve(curve, axes[2])
     assert_allclose(axes[2].lines[-1].get_ydata(), curve.value)
     figure.savefig(Path(tmp_path) / "figure.svg")
+    # Before is many times what is left: each has a scale of its own.
+    drawn = plots.regression_figure(found, data).axes
+    named = [one.get_legend().get_texts()[0].get_text() for one in drawn[:2]]
+    assert named == ["before", "after"]
+    left = np.abs(after.get_ydata()).max()
+    assert left < drawn[1].get_ylim()[1] < 2.0 * left
     assert (tmp_path / "figure.svg").stat().st_size > 0

@@ -7,6 +7,9 @@ import pytest
 
 import multipos as mp
 from multipos.cli import main
+from multipos.plots.style import new_figure
+from multipos.reports import comparisons
+from multipos.reports.comparisons import comparison_content
 from multipos.results import plain
 
 UP = mp.read_scheme("faces-edges-18").up
@@ -48,6 +51,35 @@ def test_the_report_says_what_moved_and_every_value(compared, tmp_path, capsys):
     assert main(argv) == 0
     assert "变化超出偶然的参数：bias_ay。" in chinese.read_text("utf-8")
     assert "Bias" not in chinese.read_text("utf-8")
+
+
+def test_the_figure_has_the_u_of_each_run(compared, monkeypatch):
+    drawn = []
+
+    def keep(tr, rows, height, draw):
+        axes = new_figure(rows)[1]
+        draw(axes)
+        drawn.append(axes[0])
+
+    monkeypatch.setattr(comparisons, "draw_svg", keep)
+    of_file = json.loads(json.dumps(plain(compared.to_dict())))
+    before_u = [{k: v for k, v in entry.items() if k != "U"} for entry in of_file["parameters"]]
+    for content, said, has in (
+        (of_file, "Biases by run, each less its mean, with U", True),
+        ({**of_file, "parameters": before_u}, "Biases by run, each less its mean", False),
+    ):
+        (figure,) = comparison_content(content).result.figures
+        assert figure.caption == said
+        figure.draw()
+        bars = drawn[-1].containers
+        assert len(bars) == 3
+        for i, bar in enumerate(bars):
+            place = compared.calibrations[0].names.index(f"bias_a{'xyz'[i]}")
+            values = compared.values[:, place] - compared.mean[place]
+            assert bar[0].get_ydata() == pytest.approx(values, abs=1e-12)
+            U = np.array([c.U[place] for c in compared.calibrations]) if has else np.zeros(4)
+            ends = [segment[:, 1] for segment in bar[2][0].get_segments()]
+            assert np.ptp(ends, axis=1) == pytest.approx(2.0 * U, abs=1e-12)
 
 
 def test_a_damaged_file_and_options_of_one_calibration_are_refused(compared, tmp_path, capsys):
