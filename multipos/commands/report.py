@@ -73,18 +73,10 @@ def _of_fleet(arguments: argparse.Namespace) -> Answer:
     """Return the report of a fleet, from its folder or its fleet.json."""
     if arguments.station is not None:
         raise UsageError("--station needs --unit.")
-    if (
-        arguments.lab
-        or arguments.nominal
-        or arguments.check
-        or arguments.monte_carlo
-        or arguments.language != "en"
-    ):
-        raise UsageError(
-            "--lab, --nominal, --check, --language and --monte-carlo are of one calibration."
-        )
+    if arguments.lab or arguments.nominal or arguments.check or arguments.monte_carlo:
+        raise UsageError("--lab, --nominal, --check and --monte-carlo are of one calibration.")
     found = read_summary(arguments.calibration)
-    content = fleet_content(found)
+    content = fleet_content(found, language=arguments.language)
     listing = {"report": arguments.output, "created": found["created"]}
     return _answer(arguments, content, listing, _no_certificate)
 

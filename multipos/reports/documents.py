@@ -132,7 +132,7 @@ def report(
     ----------
     calibration : Calibration, or what `compare`, `regress` or `fleet` returns
         Only a calibration has a digital certificate, `simulated` and `check`; the report of a fleet
-        is in English, without a laboratory.
+        is without a laboratory.
     path : path
         The rows of a regression, for its figures, are looked for beside it.
     lab : path or mapping, optional
@@ -197,9 +197,9 @@ def _content(
             f"{type(found).__name__} has no report; give what fit, compare, regress or fleet "
             "returned."
         )
-    if lab is not None or language != "en":
-        raise UsageError("the report of a fleet is in English, and has no `lab`.")
-    return fleet_content(found.to_dict())
+    if lab is not None:
+        raise UsageError("the report of a fleet has no `lab`.")
+    return fleet_content(found.to_dict(), language=language)
 
 
 def xml_report(calibration: Calibration, content: Content) -> str:

@@ -23,7 +23,7 @@ from multipos.fleets.text import (
 from multipos.plots.fleets import draw_causes, draw_chart, draw_histogram
 from multipos.reports.certificate import Content
 from multipos.reports.page import Figure, PageTable, Section, draw_svg
-from multipos.reports.translations import Translator
+from multipos.reports.translations import Language, Translator
 
 _ROUNDING = 1e-9  # [deg]
 _SHOWN = 50  # units of a table; fleet.json has all
@@ -37,36 +37,43 @@ _TOLD = (
 )
 
 
-def fleet_content(found: Mapping[str, Any]) -> Content:
+def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Content:
     """Return what the report of a fleet says.
 
     Parameters
     ----------
     found : mapping
         As `fleet.json` holds it.
+    language
+        As of `multipos.report`.
     """
-    tr = Translator("en")
+    tr = Translator(language)
     good = found["yield"]
-    counts = ", ".join(f"{count} {name}" for name, count in found["verdicts"].items())
+    counts = [tr(f"{{count}} {name}", count=str(n)) for name, n in found["verdicts"].items()]
+    outliers, named = outlier_rows(found)
     sections = [
-        _section("Why units do not pass", cause_rows(found), (), _causes(found, tr)),
-        _section("Parameters", parameter_rows(found), _TOLD, _histograms(found, tr)),
-        _risks(found),
-        _section("Stations", station_rows(found), (_STATIONS,)),
-        _nests(found),
-        _gauge(found),
-        _section("What moved", drift_rows(found), (), _charts(found, tr)),
-        _section("Units that do not belong", outlier_rows(found), (_OUTLIERS,)),
-        _origin(found),
+        _section("Why units do not pass", cause_rows(found), tr, (), _causes(found, tr)),
+        _section("Parameters", parameter_rows(found), tr, _TOLD, _histograms(found, tr)),
+        _risks(found, tr),
+        _section("Stations", station_rows(found), tr, (_STATIONS,)),
+        _nests(found, tr),
+        _gauge(found, tr),
+        _section("What moved", _moves(found), tr, (), _charts(found, tr)),
+        _section("Units that do not belong", ((_WHICH, *outliers[1:]), named), tr, (_OUTLIERS,)),
+        _origin(found, tr),
     ]
     return Content(
-        language="en",
-        title="Report of a fleet",
-        subtitle=f"{found['units']} units: {counts}",
-        verdict=f"Yield {percent(good['value'])} "
-        f"({percent(good['low'])} to {percent(good['high'])} with 95 % confidence)",
+        language=language,
+        title=tr("Report of a fleet"),
+        subtitle=tr(
+            "{count} units: {verdicts}", count=str(found["units"]), verdicts=tr.listed(counts)
+        ),
+        verdict=tr(
+            "Yield {value} ({low} to {high} with 95 % confidence)",
+            **{key: percent(good[key]) for key in ("value", "low", "high")},
+        ),
         warnings=(),
-        fields=(("Units", str(found["units"])), ("Computed", found["created"])),
+        fields=((tr("Units"), str(found["units"])), (tr("Computed"), found["created"])),
         sections=tuple(section for section in sections if section is not None),
     )
 
@@ -82,40 +89,66 @@ _GAUGE = (
     "or in each otherwise, in brackets the interval of both together. Share is that of both in "
     "all that measured units differ by; 'of limits' is six times both over the width of the limits."
 )
+_WHICH = "name of the unit"  # a parameter has a unit of another kind
 _OUTLIERS = (
     "Far from the others in all parameters together, as at most one in a hundred of those named "
     "is by chance. The page of one: multipos report DIR --unit ID -o ID.html."
+)
+_RISKS = (
+    "With the uncertainty of the measurement, some units pass although their true value is "
+    "outside the limits (consumer's risk), and some fail although it is inside (producer's "
+    "risk); shares of all units."
+)
+_NESTS = (
+    "By how much every position of a nest is turned, from what units leave in common; a turn "
+    "that all positions share is not seen. From ten units on, stations/NAME.csv lists the "
+    "positions where they are, as a scheme, and NAME.toml how well that is known, as a budget."
 )
 
 
 def _section(
     title: str,
     grid: Rows,
+    tr: Translator,
     paragraphs: tuple[str, ...] = (),
     figures: tuple[Figure, ...] = (),
 ) -> Section | None:
-    header, rows = grid
-    if not rows:
+    if not grid[1]:
         return None
-    caption = title
+    table = _table(tr(title), grid, tr)
+    return Section(tr(title), tuple(map(tr, paragraphs)), figures, (table,))
+
+
+def _table(caption: str, grid: Rows, tr: Translator) -> PageTable:
+    """Return the first rows of a table, each cell in the language of the page."""
+    header, rows = grid
     if len(rows) > _SHOWN:
-        caption = f"{title} (the first {_SHOWN} of {len(rows)}; fleet.json has all)"
-    table = PageTable(caption, header, tuple(rows[:_SHOWN]))
-    return Section(title, paragraphs, figures, (table,))
+        more = " (the first {shown} of {count}; fleet.json has all)"
+        caption += tr(more, shown=str(_SHOWN), count=str(len(rows)))
+    shown = tuple(tuple(map(tr.message, row)) for row in rows[:_SHOWN])
+    return PageTable(caption, tuple(_heading(cell, tr) for cell in header), shown)
+
+
+def _heading(text: str, tr: Translator) -> str:
+    word, _, rest = text.partition(" ")  # level x [°], shift ax
+    return f"{tr(word)} {rest}" if word in ("level", "shift") else tr.label(text)
 
 
 def _causes(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
     if not found["causes"]:
         return ()
     draw = partial(_drawn, tr, draw_causes, found["causes"])
-    return (Figure("Why units do not pass", "bars, the commonest cause first", draw),)
+    return (Figure(tr("Why units do not pass"), tr("bars, the commonest cause first"), draw),)
 
 
 def _histograms(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
     return tuple(
         Figure(
             each["name"],
-            f"histogram of {each['count']} units, with limits where there are any",
+            tr(
+                "histogram of {count} units, with limits where there are any",
+                count=str(each["count"]),
+            ),
             partial(_drawn, tr, draw_histogram, each),
         )
         for each in found["parameters"]
@@ -125,10 +158,11 @@ def _histograms(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
 
 def _charts(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
     moved = {each["name"] for each in found["drift"]}
+    said = "medians of consecutive units, one line a station, dotted the limits of its EWMA"
     return tuple(
         Figure(
-            f"{each['name']} by station",
-            "medians of consecutive units, one line a station, dotted the limits of its EWMA",
+            tr("{name} by station", name=each["name"]),
+            tr(said),
             partial(_drawn, tr, draw_chart, each),
         )
         for each in found["parameters"]
@@ -140,26 +174,22 @@ def _drawn(tr: Translator, draw: Any, what: Any) -> str:
     return draw_svg(tr, 1, 2.2, lambda axes: draw(what, axes[0]))
 
 
-def _risks(found: Mapping[str, Any]) -> Section | None:
+def _moves(found: Mapping[str, Any]) -> Rows:
+    header, rows = drift_rows(found)
+    return header, [(*row[:2], f"a {row[2]}", *row[3:]) for row in rows]
+
+
+def _risks(found: Mapping[str, Any], tr: Translator) -> Section | None:
     rows = [
         (each["name"], percent(each["risk"]["consumer"]), percent(each["risk"]["producer"]))
         for each in found["parameters"]
         if each["risk"] is not None
     ]
-    if not rows:
-        return None
     header = ("parameter", "pass although outside", "fail although inside")
-    told = (
-        "With the uncertainty of the measurement, some units pass although their true value is "
-        "outside the limits (consumer's risk), and some fail although it is inside (producer's "
-        "risk); shares of all units."
-    )
-    return Section(
-        "Wrong verdicts", (told,), (), (PageTable("Wrong verdicts", header, tuple(rows)),)
-    )
+    return _section("Wrong verdicts", (header, rows), tr, (_RISKS,))
 
 
-def _nests(found: Mapping[str, Any]) -> Section | None:
+def _nests(found: Mapping[str, Any], tr: Translator) -> Section | None:
     tables = []
     for station in found["stations"]:
         rows = [
@@ -168,17 +198,13 @@ def _nests(found: Mapping[str, Any]) -> Section | None:
             if any(each[axis] is not None for axis in "xyz")
         ]
         if rows:
-            name = f"Station {station['station']}" if station["station"] else "All units"
-            header = ("position", "x [deg]", "y [deg]", "z [deg]")
-            tables.append(PageTable(name, header, tuple(rows)))
+            name = station["station"]
+            caption = tr("Station {name}", name=name) if name else tr("All units")
+            header = (tr("position"), "x [deg]", "y [deg]", "z [deg]")
+            tables.append(PageTable(caption, header, tuple(rows)))
     if not tables:
         return None
-    told = (
-        "By how much every position of a nest is turned, from what units leave in common; a turn "
-        "that all positions share is not seen. From ten units on, stations/NAME.csv lists the "
-        "positions where they are, as a scheme, and NAME.toml how well that is known, as a budget."
-    )
-    return Section("Angles of the positions", (told,), (), tuple(tables))
+    return Section(tr("Angles of the positions"), (tr(_NESTS),), (), tuple(tables))
 
 
 def _angle(figure: Mapping[str, float] | None) -> str:
@@ -188,15 +214,15 @@ def _angle(figure: Mapping[str, float] | None) -> str:
     return uncertain(figure["value"], figure["u"])
 
 
-def _gauge(found: Mapping[str, Any]) -> Section | None:
+def _gauge(found: Mapping[str, Any], tr: Translator) -> Section | None:
     gauge = found.get("gauge")
     if gauge is None:
         return None
-    header, rows = gauge_rows(gauge)
-    table = PageTable(gauge_title(gauge), header, tuple(rows))
-    return Section("Repeatability and reproducibility", (_GAUGE,), (), (table,))
+    table = _table(tr.message(gauge_title(gauge)), gauge_rows(gauge), tr)
+    return Section(tr("Repeatability and reproducibility"), (tr(_GAUGE),), (), (table,))
 
 
-def _origin(found: Mapping[str, Any]) -> Section:
+def _origin(found: Mapping[str, Any], tr: Translator) -> Section:
     rows = tuple((each["file"], each["sha256"] or "-") for each in found["input"])
-    return Section("Data", tables=(PageTable("Tables", ("table", "SHA-256"), rows, left=2),))
+    table = PageTable(tr("Tables"), (tr("table"), "SHA-256"), rows, left=2)
+    return Section(tr("Data"), tables=(table,))

@@ -21,8 +21,8 @@ def line():
 def test_a_fleet(line, tmp_path):
     mp.report(line, tmp_path / "fleet.md")
     assert (tmp_path / "fleet.md").read_text(encoding="utf-8").startswith("# Report of a fleet")
-    with pytest.raises(UsageError, match="in English"):
-        mp.report(line, tmp_path / "zh.md", language="zh")
+    with pytest.raises(UsageError, match="has no `lab`"):
+        mp.report(line, tmp_path / "lab.md", lab={})
 
 
 def test_a_regression(tmp_path, monkeypatch):
