@@ -9,7 +9,7 @@ Arrays are read-only and mappings `Frozen`, and they are still so after pickling
 Nothing that a `cached_property` has worked out goes along: it is worked out again.
 
 A result that is one thing with parts is `Keyed`: its fields are the keys of its JSON, and are read
-as attributes or by key. One that is a table is `Columns`.
+as attributes or by key. One that is a table is `Columns`, one that has a table is `Tabular`.
 
 How a result shows itself, printed, in a notebook or drawn, is for `multipos.reports.showing`, which
 knows results and is found by its name when it is asked: nothing here knows a report.
@@ -110,6 +110,24 @@ class Drawn:
         return import_module(_SHOWING).draw(self, ax)
 
 
+class Tabular:
+    """A result that is a table."""
+
+    def columns(self) -> Mapping[str, Any]:
+        """Return the columns of the table."""
+        raise NotImplementedError
+
+    def to_pandas(self) -> Any:
+        """Return the columns as a pandas data frame.
+
+        Raises
+        ------
+        MultiposError
+            pandas is not installed.
+        """
+        return data_frame(self.columns())
+
+
 class Keyed(Result, Mapping[str, Any]):
     """A result whose fields are read by key as well: ``found["positions"]``, ``dict(found)``."""
 
@@ -154,6 +172,16 @@ class Columns(Frozen[str, Any]):
             pandas is not installed.
         """
         return data_frame(self)
+
+
+def stacked(what: str, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return tables of the same columns, one below the other, the name of each in a column."""
+    rows = [(name, table, len(next(iter(table.values())))) for name, table in tables.items()]
+    columns = list(rows[0][1]) if rows else []
+    return {
+        what: [name for name, _, count in rows for _ in range(count)],
+        **{key: [value for _, table, _ in rows for value in table[key]] for key in columns},
+    }
 
 
 def data_frame(columns: Mapping[str, Any]) -> Any:

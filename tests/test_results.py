@@ -7,9 +7,11 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
 from functools import cache, partial
+from inspect import isfunction
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -20,7 +22,7 @@ import multipos as mp
 from multipos.doubts.criticism import find_influence, judge_terms
 from multipos.doubts.joint_tests import judge_terms_jointly
 from multipos.files.trees import to_json
-from multipos.results import Columns, Frozen, Keyed
+from multipos.results import Columns, Frozen, Keyed, Result, Tabular
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.uncertainty.propagation import evaluate_budget
@@ -189,7 +191,9 @@ RESULTS = {
     "Regressions": lambda: mp.Regressions({"one": regressed()}),
     "Stability": rested,
     "Verification": verified,
+    "RegressionComparison": lambda: mp.compare(regressed(), regressed()),
     "Scheme": lambda: mp.read_scheme("faces-6"),
+    "Sphere": lambda: mp.evaluate_sphere(calibrated(), directions="faces-6"),
     "Term tests": lambda: tuple(judge_terms(calibrated())),
     "Tumble": tumbled,
     "Tumbles": tumbled_all,
@@ -202,6 +206,42 @@ RESULTS = {
     "simulate_log": lambda: mp.simulate_log(sensor(), "faces-6", rate=10.0, rest=1.0, seed=1),
     "table_errors": lambda: tumbled().table_errors,
     "worth": lambda: mp.worth(calibrated(), parameter="ax:x", target=1e-4),
+}
+# Of what public functions return, who has a table, a figure, and correlated numbers. What has none
+# is no table, or needs the rows that a regression does not hold.
+METHODS = {
+    "Applied": {"to_pandas"},
+    "Averages": {"to_pandas"},
+    "Calibration": {"plot", "to_pandas", "to_ufloats"},
+    "Captured": set(),
+    "Check": {"plot", "to_pandas"},
+    "Columns": {"to_pandas"},
+    "Comparison": {"plot", "to_pandas"},
+    "Corrected": {"to_pandas"},
+    "Curve": {"plot", "to_pandas"},
+    "Demonstration": set(),
+    "Design": {"plot", "to_pandas"},
+    "Evaluation": {"plot", "to_pandas"},
+    "Exported": set(),
+    "Fleet": {"plot", "to_pandas"},
+    "JointTest": set(),
+    "MonteCarlo": {"to_pandas"},
+    "Readings": {"to_pandas"},
+    "Regression": {"to_pandas"},
+    "RegressionComparison": {"plot", "to_pandas"},
+    "Regressions": {"to_pandas"},
+    "Replay": set(),
+    "Scheme": {"plot", "to_pandas"},
+    "Schemes": {"to_pandas"},
+    "SimulatedLog": {"to_pandas"},
+    "Simulation": {"to_pandas"},
+    "Sphere": {"to_pandas"},
+    "Stability": {"plot", "to_pandas"},
+    "TableErrors": {"to_pandas"},
+    "Tumble": {"plot", "to_pandas"},
+    "Tumbles": {"plot", "to_pandas"},
+    "Verification": set(),
+    "Worth": {"to_pandas"},
 }
 every_result = pytest.mark.parametrize("name", RESULTS)
 
@@ -283,6 +323,61 @@ def test_every_public_type_of_results_is_among_them():
     kinds = {type(make()) for make in RESULTS.values()}
     public = {getattr(mp, name) for name in mp.__all__ if isinstance(getattr(mp, name), type)}
     assert {kind for kind in public if not issubclass(kind, Exception)} <= kinds
+
+
+def returned(annotation):
+    """The types of results in what a function returns: one of several, a tuple or a list of one."""
+    inside = [kind for part in get_args(annotation) for kind in returned(part)]
+    own = isinstance(annotation, type) and issubclass(annotation, Result | Columns)
+    return [annotation, *inside] if own else inside
+
+
+def test_every_result_of_a_public_function_has_the_methods_it_should():
+    functions = [getattr(mp, name) for name in mp.__all__]
+    kinds = {
+        kind
+        for function in filter(isfunction, functions)
+        for kind in returned(get_type_hints(function)["return"])
+    }
+    names = ("plot", "to_pandas", "to_ufloats")
+    assert {
+        kind.__name__: {name for name in names if hasattr(kind, name)} for kind in kinds
+    } == METHODS
+    assert all(hasattr(kind, "_repr_html_") for kind in kinds)
+
+
+@every_result
+def test_tables_are_frames_and_figures_are_axes(name):
+    result = RESULTS[name]()
+    for one in result if isinstance(result, tuple) else [result]:
+        has = METHODS.get(type(one).__name__, set())
+        if "to_pandas" in has:
+            frame = one.to_pandas()
+            assert min(frame.shape) > 0
+            if isinstance(one, Tabular):
+                assert list(frame) == list(one.columns())
+        if "plot" in has:
+            axes = one.plot()
+            assert all(panel.has_data() for panel in np.atleast_1d(axes))
+
+
+def test_tables_hold_what_the_results_hold():
+    budget = RESULTS["Evaluation"]()
+    frame = budget.to_pandas()
+    held = frame[~frame["contained"]]
+    u = np.sqrt((held["contribution"] ** 2).groupby(held["parameter"], sort=False).sum())
+    np.testing.assert_allclose(u[list(budget.names)], np.sqrt(np.diag(budget.covariance)))
+    sphere = RESULTS["Sphere"]()
+    assert sphere.to_pandas()["U"].tolist() == [
+        told["U"] for axes in (sphere.force, sphere["tilt_deg"]) for told in axes.values()
+    ]
+    both = mp.Regressions({"one": regressed(), "two": regressed()}).to_pandas()
+    assert both["response"].tolist() == ["one"] * (len(both) // 2) + ["two"] * (len(both) // 2)
+    assert both["value"].tolist() == 2 * regressed().to_pandas()["value"].tolist()
+    tumbles = tumbled_all().to_pandas()
+    assert set(tumbles["output"]) == {"ax", "ay"}
+    trials = RESULTS["MonteCarlo"]()
+    assert (trials.to_pandas()["low"] < trials.mean).all()
 
 
 def test_time_and_file_names_make_no_difference(tmp_path):

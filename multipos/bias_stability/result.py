@@ -18,7 +18,7 @@ from multipos.files.tables import Column
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.numerics.arrays import Array
-from multipos.results import Drawn, Result, data_frame
+from multipos.results import Drawn, Result, Tabular
 from multipos.units import STANDARD_GRAVITY
 
 # What a unit of the readings is in µg, where it is one of acceleration.
@@ -137,7 +137,7 @@ class StaticRecord(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Stability(Result, Drawn):
+class Stability(Result, Drawn, Tabular):
     """How stable a sensor at rest is, from one static record or several.
 
     Attributes
@@ -187,16 +187,6 @@ class Stability(Result, Drawn):
         for name, output in self.outputs.items():
             found |= {f"adev_{name}": output.adev, f"u_{name}": output.u}
         return found
-
-    def to_pandas(self) -> Any:
-        """Return the Allan deviations as a pandas data frame.
-
-        Raises
-        ------
-        MultiposError
-            pandas is not installed.
-        """
-        return data_frame(self.columns())
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it, keys as in docs/reference/stability.md."""

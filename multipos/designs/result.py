@@ -11,11 +11,11 @@ from multipos.files.numbers import table
 from multipos.files.tables import format_csv
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.results import Drawn, Keyed, data_frame
+from multipos.results import Drawn, Keyed, Tabular
 
 
 @dataclass(frozen=True, eq=False)
-class Design(Keyed, Drawn):
+class Design(Keyed, Drawn, Tabular):
     """The best positions for a model on a bench, with the proof.
 
     Attributes
@@ -83,16 +83,6 @@ class Design(Keyed, Drawn):
     def _set_by(self) -> tuple[str, ...]:
         """What the bench is set by, as the settings name it."""
         return tuple(dict.fromkeys(n for s in self.settings for n in s if n != "position"))
-
-    def to_pandas(self) -> Any:
-        """Return the positions as a data frame: position, up_x, up_y, up_z.
-
-        Raises
-        ------
-        MultiposError
-            pandas is not installed.
-        """
-        return data_frame(self.columns())
 
 
 def design_text(found: Design) -> str:

@@ -37,13 +37,13 @@ from multipos.fleets.running import Engine, open_engine
 from multipos.fleets.single import asked
 from multipos.fleets.stations import describe_stations
 from multipos.fleets.units import Units
-from multipos.results import Columns, Result, plain
+from multipos.results import Columns, Drawn, Result, plain
 
 SCHEMA = "multipos/fleet/1"
 
 
 @dataclass(frozen=True, eq=False)
-class Fleet(Result):
+class Fleet(Result, Drawn):
     """Many units: each one's calibration and verdict, and what only all of them tell.
 
     Attributes

@@ -14,7 +14,7 @@ from multipos.logs.rest_means import RestMean
 from multipos.logs.rests import Rest
 from multipos.numerics.arrays import Array
 from multipos.positions.readings import Readings
-from multipos.results import Result, plain
+from multipos.results import Result, Tabular, plain
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class RestAverage(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Averages(Result):
+class Averages(Result, Tabular):
     """The rests of a log, averaged: readings, and where they came from.
 
     Attributes

@@ -8,6 +8,7 @@ Columns of a readings file, beside the outputs, are listed in `docs/reference/fo
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,11 +19,11 @@ from multipos.files.lists import require_columns
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
 from multipos.positions.forces import along_forces, known_rows
-from multipos.results import Frozen, Result
+from multipos.results import Frozen, Result, Tabular
 
 
 @dataclass(frozen=True, eq=False)
-class Readings(Result):
+class Readings(Result, Tabular):
     """Averaged readings of M outputs at n positions, with all that is known of them.
 
     Attributes
@@ -98,6 +99,16 @@ class Readings(Result):
     reference_u: Array | None = None
     dof: Array | None = None
     open_roll: tuple[str, ...] | None = None
+
+    def columns(self) -> dict[str, Any]:
+        """Return the means with their u, beside the up vectors and the other columns."""
+        found: dict[str, Any] = {"position": self.labels}
+        if self.up is not None:
+            found |= dict(zip(("up_x", "up_y", "up_z"), self.up.T, strict=True))
+        found |= dict(zip(self.outputs, self.values.T, strict=True))
+        if self.u is not None:
+            found |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.outputs)}
+        return found | dict(self.environment)
 
     def __post_init__(self) -> None:
         """Check shapes and values once, and keep read-only copies of the arrays."""

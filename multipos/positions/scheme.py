@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,14 +34,14 @@ from multipos.positions.attitudes import (
     rows_with_orientation,
 )
 from multipos.positions.forces import along_forces, known_rows, read_forces, states_forces
-from multipos.results import Drawn, Result
+from multipos.results import Drawn, Result, Tabular
 
 LARGEST = 1_000_000  # positions; a typing slip in fibonacci-N should not fill the memory
 _LONGEST = 40  # digits of an N that are read and shown
 
 
 @dataclass(frozen=True, eq=False)
-class Scheme(Result, Drawn):
+class Scheme(Result, Drawn, Tabular):
     """The positions of a calibration, in order.
 
     Attributes
@@ -71,6 +71,15 @@ class Scheme(Result, Drawn):
     rotation: Array
     labels: tuple[str, ...] | None
     force: Array | None = None
+
+    def columns(self) -> dict[str, Any]:
+        """Return the positions: label, up vector, and known force where there is any."""
+        labels = self.labels or tuple(str(i + 1) for i in range(len(self.up)))
+        found: dict[str, Any] = {"position": labels}
+        found |= dict(zip(("up_x", "up_y", "up_z"), self.up.T, strict=True))
+        if self.force is not None:
+            found |= dict(zip(("f_x", "f_y", "f_z"), self.force.T, strict=True))
+        return found
 
     @property
     def reference(self) -> Array:

@@ -23,11 +23,11 @@ from multipos.regression.hysteresis import branch_of
 from multipos.regression.junctions import Junction
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import segment_of
-from multipos.results import Result, data_frame
+from multipos.results import Result, Tabular
 
 
 @dataclass(frozen=True, eq=False)
-class Regression(Result):
+class Regression(Result, Tabular):
     """Piecewise regression of one column on others, with its tests.
 
     Attributes
@@ -145,18 +145,12 @@ class Regression(Result):
             predicted[rows] = segment.design(given, rows) @ segment.values
         return predicted
 
-    def to_pandas(self) -> Any:
-        """Return the terms as a data frame: segment, term, value, u, t, p.
-
-        Raises
-        ------
-        MultiposError
-            pandas is not installed.
-        """
+    def columns(self) -> dict[str, Any]:
+        """Return the terms: segment, term, value, u, t, p."""
         terms = [(i, c) for i, s in enumerate(self.segments, start=1) for c in s.coefficients]
-        columns = ("term", "value", "u", "t", "p")
-        told = {key: [getattr(c, key) for _, c in terms] for key in columns}
-        return data_frame({"segment": [i for i, _ in terms], **told})
+        names = ("term", "value", "u", "t", "p")
+        told = {key: [getattr(c, key) for _, c in terms] for key in names}
+        return {"segment": [i for i, _ in terms], **told}
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry, keys as in the formats reference."""

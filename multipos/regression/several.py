@@ -9,11 +9,11 @@ from multipos.doubt import Doubt
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.regression.result import Regression
-from multipos.results import Result
+from multipos.results import Result, Tabular, stacked
 
 
 @dataclass(frozen=True, eq=False)
-class Regressions(Result, Mapping[str, Regression]):
+class Regressions(Result, Tabular, Mapping[str, Regression]):
     """Regressions by the response that each describes: ``found["error_x"]``.
 
     Attributes
@@ -56,6 +56,10 @@ class Regressions(Result, Mapping[str, Regression]):
             for name, r in self.items()
             for doubt in r.doubts
         )
+
+    def columns(self) -> dict[str, Any]:
+        """Return the terms of every regression: response, then as of one."""
+        return stacked("response", {name: r.columns() for name, r in self.items()})
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry, keys as in the formats reference."""

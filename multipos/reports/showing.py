@@ -29,7 +29,8 @@ from multipos.fleets.text import fleet_text
 from multipos.logs.averages import Averages, averages_text
 from multipos.plots.calibration import draw_budget, draw_errors, residual_panels
 from multipos.plots.check import check_panels
-from multipos.plots.runs import draw_runs
+from multipos.plots.fleets import draw_histogram
+from multipos.plots.runs import draw_runs, draw_terms
 from multipos.plots.schemes import draw_scheme
 from multipos.plots.stability import draw_allan
 from multipos.plots.style import new_figure, to_svg
@@ -49,6 +50,7 @@ from multipos.sensor.temperature import Curve
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.table_findings import TableErrors
 from multipos.verification.comparison import Comparison, comparison_text
+from multipos.verification.regression_comparison import RegressionComparison
 from multipos.verification.single_axis import Tumble
 from multipos.verification.tumbling import Tumbles
 from multipos.verification.verdicts import Check
@@ -56,6 +58,7 @@ from multipos.verification.verdicts import Check
 _LINES = 60  # of a summary that a notebook shows
 _ROWS = 10  # of a table of columns, half of them from its end
 _WIDE = 12  # columns
+_PARAMETERS = 3  # of a fleet that are drawn
 _PAPER = "background:#ffffff;color:#000000;max-width:46rem"  # also where the notebook is dark
 _TEXTS: dict[type, Callable[[Any], str]] = {
     Averages: averages_text,
@@ -142,14 +145,24 @@ def _panels(found: Result) -> list[Callable[[Any], None]]:
         return [partial(draw_signal, one) for one in found.outputs.values()]
     if isinstance(found, Design):
         return [partial(draw_scheme, found.columns())]
+    if isinstance(found, Fleet):
+        return [partial(draw_histogram, each) for each in _limited(found)]
     one = _ONE_PANEL.get(type(found))
     return [] if one is None else [partial(one, found)]
+
+
+def _limited(found: Fleet) -> list[Mapping[str, Any]]:
+    """Return the first parameters of a fleet that have limits, or the first where none has."""
+    counted = [each for each in found.summary["parameters"] if each["histogram"] is not None]
+    held = [each for each in counted if each["lsl"] is not None or each["usl"] is not None]
+    return (held or counted)[:_PARAMETERS]
 
 
 _ONE_PANEL: dict[type, Callable[[Any, Any], None]] = {
     Comparison: draw_runs,
     Curve: draw_curve,
     Evaluation: draw_budget,
+    RegressionComparison: draw_terms,
     Scheme: draw_scheme,
     Stability: draw_allan,
 }

@@ -15,6 +15,7 @@ Sources: H. Scheffé, The Analysis of Variance, Wiley 1959, section 3.5.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +24,7 @@ from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
-from multipos.results import Drawn, Result
+from multipos.results import Drawn, Result, Tabular
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.names import parameter_name
 
@@ -31,7 +32,7 @@ _POINTS = 101
 
 
 @dataclass(frozen=True, eq=False)
-class Curve(Result, Drawn):
+class Curve(Result, Drawn, Tabular):
     """One parameter over temperature.
 
     Attributes
@@ -51,6 +52,11 @@ class Curve(Result, Drawn):
     u: Array
     U: Array
     band: Array
+
+    def columns(self) -> dict[str, Any]:
+        """Return temperature, value, u, U and band."""
+        names = ("temperature", "value", "u", "U", "band")
+        return {name: getattr(self, name) for name in names}
 
 
 def over_temperature(

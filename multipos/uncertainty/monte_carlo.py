@@ -33,7 +33,7 @@ from multipos.estimation.problem import start_state
 from multipos.estimation.restatement import restate
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
-from multipos.results import Result
+from multipos.results import Result, Tabular
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.uncertainty.draws import Draws
@@ -46,7 +46,7 @@ _MOST = 1_000_000  # all are kept until they are sorted
 
 
 @dataclass(frozen=True, eq=False)
-class MonteCarlo(Result):
+class MonteCarlo(Result, Tabular):
     """What the trials gave.
 
     Attributes
@@ -75,6 +75,20 @@ class MonteCarlo(Result):
     shortest: Array
     tolerance: Array
     valid: NDArray[np.bool_]
+
+    def columns(self) -> dict[str, Any]:
+        """Return the parameters: mean, u and both coverage intervals, tolerance and verdict."""
+        return {
+            "name": self.names,
+            "mean": self.mean,
+            "u": self.u,
+            "low": self.symmetric[:, 0],
+            "high": self.symmetric[:, 1],
+            "shortest_low": self.shortest[:, 0],
+            "shortest_high": self.shortest[:, 1],
+            "tolerance": self.tolerance,
+            "valid": self.valid,
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions.stated_noise import diagonal
-from multipos.results import Drawn, Result
+from multipos.results import Drawn, Result, Tabular
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
 from multipos.sensor.inverse import parameter_jacobian
@@ -101,7 +101,7 @@ class Row(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation(Result, Drawn):
+class Evaluation(Result, Drawn, Tabular):
     """A budget evaluated for one calibration: its rows, and their sum."""
 
     rows: tuple[Row, ...]
@@ -121,6 +121,20 @@ class Evaluation(Result, Drawn):
     def dof(self) -> Array:
         """Effective degrees of freedom (p,) of the parameters."""
         return self.combine(np.eye(len(self.names)))[1]
+
+    def columns(self) -> dict[str, Any]:
+        """Return what each quantity contributes to u of each parameter, in the parameter's unit."""
+        pairs = [(row, i) for row in self.rows for i in range(len(self.names))]
+        return {
+            "quantity": [row.quantity for row, _ in pairs],
+            "parameter": [self.names[i] for _, i in pairs],
+            "contribution": [float(np.sqrt(row.covariance[i, i])) for row, i in pairs],
+            "contained": [bool(row.contained[i]) for row, i in pairs],
+            "dof": [float(row.dof[i]) for row, i in pairs],
+            "common": [row.common for row, _ in pairs],
+            "evaluation": [row.evaluation for row, _ in pairs],
+            "distribution": [row.distribution for row, _ in pairs],
+        }
 
     def combine(self, gradient: Array) -> tuple[Array, Array, Array]:
         """Return what the budget means for quantities derived from the parameters.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from multipos.numerics.arrays import Array
-from multipos.results import Result
+from multipos.results import Result, Tabular
 
 _FOUND = 1e-3  # chance of a table's errors where there are none
 
@@ -67,7 +67,7 @@ class BesideTable(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class TableErrors(Result):
+class TableErrors(Result, Tabular):
     """What the rolls of a calibration tell of the table, and of the sensor's zero between them.
 
     `errors` are of the angle, `shaft` is of the shaft; a plane is a roll, or a mounting on a head
@@ -79,6 +79,13 @@ class TableErrors(Result):
     dof: float
     shaft: tuple[TableError, ...] = ()
     beside: BesideTable | None = None
+
+    def columns(self) -> dict[str, Any]:
+        """Return the errors of the angle and of the shaft; None where one cannot be told."""
+        found = (*self.errors, *self.shaft)
+        of = ["angle"] * len(self.errors) + ["shaft"] * len(self.shaft)
+        names = ("plane", "quantity", "value_deg", "u_deg", "U_deg", "confounded_with")
+        return {"of": of, **{name: [getattr(error, name) for error in found] for name in names}}
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it."""

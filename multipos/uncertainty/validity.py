@@ -14,7 +14,8 @@ show are in the uncertainty as far as the budget states them (`multipos.uncertai
 between the directions applied, and beyond what was applied.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import read_scheme
+from multipos.results import Keyed, Tabular
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.inverse import sensitivities as inverse_sensitivities
@@ -89,9 +91,35 @@ def applied(calibration: Calibration) -> ForcesSeen:
     return ForcesSeen(sphere, largest, np.asarray(low), np.asarray(high), margin)
 
 
+@dataclass(frozen=True, eq=False)
+class Sphere(Keyed, Tabular):
+    """How well force and tilt are known over a sphere of directions.
+
+    Attributes
+    ----------
+    force, tilt_deg : mapping of str to mapping
+        By sensed axis: `worst`, the largest u; `U`, `k` and `dof` there; `at`, the force along
+        the sensed axes where it is [g]; `rms` of u. Force is in g; tilt is
+        told of a triad only.
+    """
+
+    force: Mapping[str, Mapping[str, Any]]
+    tilt_deg: Mapping[str, Mapping[str, Any]]
+
+    def columns(self) -> dict[str, Any]:
+        """Return a row for each quantity and axis."""
+        rows = [(what, axis, told) for what in self for axis, told in self[what].items()]
+        names = ("worst", "U", "k", "dof", "rms")
+        return {
+            "quantity": [what for what, _, _ in rows],
+            "axis": [axis for _, axis, _ in rows],
+            **{name: [told[name] for _, _, told in rows] for name in names},
+        }
+
+
 def evaluate_sphere(
     calibration: Calibration, *, size: float = 1.0, directions: str = POINTS
-) -> dict[str, dict[str, dict[str, Any]]]:
+) -> Sphere:
     """Return how well force and tilt are known over a sphere of directions.
 
     Parameters
@@ -104,10 +132,10 @@ def evaluate_sphere(
 
     Returns
     -------
-    dict
-        {"force": {axis: entry}, "tilt_deg": {axis: entry}}, the entry {"worst": largest u,
-        "U", "k", "dof": there, "at": [x, y, z], "rms": of u}; force in g. `tilt_deg` is of a
-        triad only. The environment is the mean of the readings'.
+    Sphere
+        ``found["force"]["x"]["U"]``: `force` [g] and, of a triad, `tilt_deg`, by axis; of each
+        `worst`, the largest u; `U`, `k`, `dof` and the force `at` that direction; `rms` of u.
+        The environment is the mean of the readings'.
 
     Examples
     --------
@@ -124,9 +152,8 @@ def evaluate_sphere(
     if len(sensed) == len(COMPONENTS):
         turns["tilt_deg"] = np.degrees(_tilt_gradient(force))
     budget = evaluate_budget(c)
-    result: dict[str, dict[str, dict[str, Any]]] = {}
+    result: dict[str, dict[str, dict[str, Any]]] = {"force": {}, "tilt_deg": {}}
     for name, turn in turns.items():
-        result[name] = {}
         for row, i in enumerate(sensed):
             u, dof, _ = budget.combine(np.einsum("nk,nkp->np", turn[:, row], gradient))
             beyond = np.einsum("nk,nkl,nl->n", turn[:, row], extra, turn[:, row])
@@ -140,10 +167,10 @@ def evaluate_sphere(
                 "U": k * float(total[worst]),
                 "k": k,
                 "dof": nu,
-                "at": force[worst].tolist(),
+                "at": tuple(force[worst].tolist()),
                 "rms": float(np.sqrt(np.mean(total**2))),
             }
-    return result
+    return Sphere(**result)
 
 
 def vector_uncertainty(calibration: Calibration, force: Array) -> Array:

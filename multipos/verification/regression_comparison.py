@@ -29,7 +29,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.regression.result import Regression, format_span
 from multipos.regression.segment import Segment
-from multipos.results import Result, plain
+from multipos.results import Drawn, Result, Tabular, plain
 from multipos.verification.repeat_doubts import doubt_repeated_regressions
 
 
@@ -57,7 +57,7 @@ class ComparedTerm(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class RegressionComparison(Result):
+class RegressionComparison(Result, Drawn, Tabular):
     """Repeated regressions.
 
     Attributes
@@ -78,6 +78,18 @@ class RegressionComparison(Result):
     consistent: bool
     warnings: tuple[str, ...]
     doubts: tuple[Doubt, ...] = ()
+
+    def columns(self) -> dict[str, Any]:
+        """Return the terms: their values by run, sd, F and p."""
+        of_terms = {
+            name: [getattr(term, name) for term in self.terms]
+            for name in ("response", "segment", "term", "sd", "F", "p")
+        }
+        runs = {
+            f"run {i + 1}": [float(term.values[i]) for term in self.terms]
+            for i in range(len(self.files))
+        }
+        return of_terms | runs
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""

@@ -29,7 +29,7 @@ from multipos.positions.harmonics import (
     transform,
 )
 from multipos.positions.readings import Readings
-from multipos.results import Drawn, Result, data_frame
+from multipos.results import Drawn, Result, Tabular
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model
 from multipos.sensor.tilt import reading_noise
@@ -54,7 +54,7 @@ _ROUNDING = 1e-12  # residuals below this part of the largest reading are roundi
 
 
 @dataclass(frozen=True, eq=False)
-class Tumble(Result, Drawn):
+class Tumble(Result, Drawn, Tabular):
     """A single-axis tumble: coefficients, harmonics, and the calibration that they come from.
 
     Attributes
@@ -116,17 +116,11 @@ class Tumble(Result, Drawn):
         """Return a coefficient by name, as in ``tumble["K2"]``."""
         return self.coefficients[name]
 
-    def to_pandas(self) -> Any:
-        """Return the coefficients as a data frame: name, value, u, k, U, unit.
-
-        Raises
-        ------
-        MultiposError
-            pandas is not installed.
-        """
-        columns = ("value", "u", "k", "U", "unit")
-        told = {key: [getattr(c, key) for c in self.coefficients.values()] for key in columns}
-        return data_frame({"name": list(self.coefficients), **told})
+    def columns(self) -> dict[str, Any]:
+        """Return the coefficients: name, value, u, k, U, unit."""
+        names = ("value", "u", "k", "U", "unit")
+        told = {key: [getattr(c, key) for c in self.coefficients.values()] for key in names}
+        return {"name": list(self.coefficients), **told}
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""

@@ -27,7 +27,7 @@ from multipos.positions.placement import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
-from multipos.results import Drawn, Result
+from multipos.results import Drawn, Result, Tabular, stacked
 from multipos.sensor.stating import default_axes, stated_facing
 from multipos.uncertainty.table_findings import BesideTable, TableErrors
 from multipos.uncertainty.turntable import table_errors
@@ -42,7 +42,7 @@ from multipos.verification.single_axis import SCHEMA, Tumble, tumble_output
 
 
 @dataclass(frozen=True, eq=False)
-class Tumbles(Result, Drawn):
+class Tumbles(Result, Drawn, Tabular):
     """The tumbles of several outputs on one table.
 
     Attributes
@@ -97,6 +97,10 @@ class Tumbles(Result, Drawn):
     def doubts(self) -> tuple[Doubt, ...]:
         """The doubts about every output."""
         return tuple(doubt for found in self.outputs.values() for doubt in found.doubts)
+
+    def columns(self) -> dict[str, Any]:
+        """Return the coefficients of every output: output, then as of one."""
+        return stacked("output", {name: found.columns() for name, found in self.outputs.items()})
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
