@@ -14,6 +14,7 @@ _PLAIN = re.compile(r"[-+]?\d+(?P<rest>(?:\.\d+)?)(?:\(\d+\))?")
 _POWER = re.compile(r"(?<![\w.])([-+]?\d+(?:\.\d+)?(?:\(\d+\))?)e([-+]?\d+)(?![\w.])")
 _UNIT = re.compile(r"(/[A-Za-z]+)\^(\d)(?!\d)")  # of a unit; a formula stays as it is typed
 _MINUS = re.compile(r"(^|[\[( ])-(?=\d)")  # elsewhere it may be a date or a name
+_ZERO = re.compile(r"(^|[\[( ])-(?=0(?:\.0+)?(?![\d.]))")  # what rounds to it has no sign
 _CELSIUS = re.compile(r"(?<=[/\[])degC\b")
 _DEGREES = re.compile(r"(?<=\[)deg(?=\])|^deg$")
 
@@ -37,7 +38,7 @@ def readable(text: str) -> str:
     text = _UNIT.sub(lambda m: m[1] + m[2].translate(SUPERSCRIPT), text)
     if text == "inf":
         return "∞"
-    return _MINUS.sub(r"\1−", text)
+    return _MINUS.sub(r"\1−", _ZERO.sub(r"\1", text))
 
 
 def _aligned(column: Sequence[str], figure: str, space: str) -> list[str]:

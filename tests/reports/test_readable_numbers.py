@@ -16,6 +16,7 @@ from multipos.files.numbers import (
 )
 from multipos.plots.calibration import draw_size_residuals, residual_panels, size_residuals
 from multipos.plots.style import name_axis, new_figure
+from multipos.reports.cells import readable
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report
 from multipos.reports.quantities import column, with_u
@@ -154,3 +155,17 @@ def test_an_axis_has_the_unit_that_its_numbers_are_read_in():
         "12.5",
         "25.0",
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("-0", "0"),
+        ("-0.0000(45)", "0.0000(45)"),
+        ("[-0.00, -0.05]", "[0.00, −0.05]"),
+        ("-0.0500", "−0.0500"),
+        ("bias_ax -1.4, a-0", "bias_ax −1.4, a-0"),
+    ],
+)
+def test_what_rounds_to_zero_has_no_sign(text, shown):
+    assert readable(text) == shown
