@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 
 _FAR = 8.0  # standard deviations: of normal noise once in 1e15
 _ALONE = 4.0  # times what is before and after
@@ -38,8 +39,8 @@ def find_movement(means: Array) -> Movement | None:
     if len(means) < _FEWEST:
         return None
     jump = means[2:] - means[:-2]
-    size = np.abs(jump - np.median(jump))
-    sd = _NORMAL * float(np.median(size))
+    size = np.abs(jump - median(jump))
+    sd = _NORMAL * float(median(size))
     beside = np.maximum(size[: -2 * _BESIDE], size[2 * _BESIDE :])
     if not sd:  # of a few codes only: nothing tells what is usual
         return None

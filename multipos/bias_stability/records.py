@@ -44,7 +44,7 @@ class RecordOptions:
     drop_bad: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RawRecord:
     """One record in samples: blocks (K, b) and sums (K, T) of `octaves(samples)`."""
 

@@ -43,7 +43,7 @@ _TOGETHER = 1e-13  # of a column: what the others leave of it when it is one wit
 _LEAST = 1e-3  # of a variance that is left where a trend is taken off
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Blocks:
     """One output of one record as means of blocks.
 
@@ -79,7 +79,7 @@ class TrendEstimate(NamedTuple):
     dof: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Description:
     """Trends and noise of one output, in samples and one sample time.
 

@@ -17,6 +17,7 @@ from multipos.logs.log_faults import is_factor
 from multipos.logs.rest_faults import at_one_value
 from multipos.logs.still import Still
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.positions.attitudes import Convention
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
@@ -61,7 +62,7 @@ class Pose(Result):
         return replace(self, accepted=True, undone=False, reason=None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """How readings show directions: f = (y − centre)/size, or a calibration."""
 
@@ -99,9 +100,9 @@ def find_frame(
         return None
     centre = _centre(means)
     if centre is not None:
-        return Frame(centre, float(np.median(_sizes(means, centre))), order, sign)
+        return Frame(centre, float(median(_sizes(means, centre))), order, sign)
     zero = np.zeros(3)
-    size = float(np.median(_sizes(means, zero)))
+    size = float(median(_sizes(means, zero)))
     if any(abs(size / one - 1.0) < _NEAR for one in _ONE_G):
         return Frame(zero, size, order, sign)
     return None
@@ -154,7 +155,7 @@ def refuse_unit(still: Still, frame: Frame | None, means: Array) -> str | None:
     if frame is None or len(means) < 2:
         return None
     size = float(frame.force_size(still.found.mean[np.newaxis])[0])
-    usual = float(np.median(frame.force_size(means)))
+    usual = float(median(frame.force_size(means)))
     if size > 0.0 and usual > 0.0 and is_factor(size / usual):
         return f"another unit: it reads gravity {size / usual:.3g} times as large as before"
     return None

@@ -10,7 +10,7 @@ from multipos.plots.check import check_figure
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.regression.result import Regression
 from multipos.regression.several import Regressions
-from multipos.reports.sheets import check_text
+from multipos.reports.check_sheets import check_text
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.loading import load
 from multipos.verification.checks import check

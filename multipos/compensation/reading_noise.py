@@ -52,7 +52,7 @@ _NOTHING = (
 _TELLING = 2.0  # times the noise of an averaged reading is no chance
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Noise:
     """Which noise one reading is taken to have.
 

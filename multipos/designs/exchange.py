@@ -174,7 +174,7 @@ def _forms(rows: Blocks, middle: list[Array]) -> tuple[list[Array], list[Array]]
     return own, left
 
 
-@dataclass
+@dataclass(eq=False)
 class _Bordered:
     """[[own_j, cross_j], [cross_j', last]] for each candidate j; plain numbers where K = 1."""
 

@@ -41,7 +41,7 @@ _AS_UNKNOWN = 2e7
 _PIECE = 200_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Setting:
     """What is to be learned, and how well a position is known.
 

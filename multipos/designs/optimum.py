@@ -55,7 +55,7 @@ _SAME = 1.0 - 1e-9  # cosine from which two directions are one
 _SPECIAL = "all-26+icosahedron-12+dodecahedron-20"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ContinuousOptimum:
     """A continuous design and its certificate.
 

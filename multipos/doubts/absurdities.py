@@ -26,6 +26,7 @@ from multipos.doubts.repairs import Repair, candidates
 from multipos.doubts.scales import are_of_unit, factor_in_words, output_unit, unit
 from multipos.files.lists import quoted
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
@@ -102,7 +103,7 @@ def _bends(c: Calibration, sizes: dict[str, float]) -> bool:
 def _silent(c: Calibration) -> Doubt | None:
     """Find outputs that only scatter, and as the others do; in another unit they would do less."""
     response = np.linalg.norm(c.sensitivity, axis=1)
-    middle, scatter = float(np.median(response)), float(np.median(c.residual_sd))
+    middle, scatter = float(median(response)), float(median(c.residual_sd))
     if not (response < _SILENT * middle).any() or not scatter > 0.0:
         return None
     alike = c.residual_sd / scatter > np.sqrt(response / middle)

@@ -61,7 +61,7 @@ _TURNS = 6  # of scatter and placement in turn
 _SETTLED = 0.01  # of the deviance
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Known:
     """A fit at known positions as a linear model of its residuals."""
 

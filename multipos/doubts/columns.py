@@ -27,6 +27,7 @@ from multipos.doubt import Doubt
 from multipos.doubts.linear_view import listed_reference
 from multipos.files.lists import quoted
 from multipos.numerics.arrays import Array, row_keys
+from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 
@@ -228,7 +229,7 @@ def _shows_noise(c: Calibration) -> bool:
     """Tell whether readings have digits enough for noise to show in repeats."""
     n, outputs = c.readings.values.shape
     left = max(1.0 - len(c.parameters) / outputs / n, 1e-3)
-    scatter = float(np.median(np.abs(c.residuals))) / (_MEDIAN * math.sqrt(left))
+    scatter = float(median(np.abs(c.residuals))) / (_MEDIAN * math.sqrt(left))
     return resolution(c.readings.values) < scatter / 2.0
 
 

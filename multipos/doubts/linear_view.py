@@ -28,7 +28,7 @@ from multipos.sensor.calibration import Calibration
 _RANK = 1e-9  # of the largest singular value: columns of a roll that stays in one plane
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
     """Readings under eq. (1).
 

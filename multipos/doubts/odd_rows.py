@@ -12,6 +12,7 @@ import numpy as np
 
 from multipos.doubts.repairs import FACTORS
 from multipos.errors import MultiposError
+from multipos.numerics.medians import median
 from multipos.positions.readings import Readings
 
 _APART = 3.0  # times the median size of a row
@@ -38,7 +39,7 @@ def explain_breakdown(
 ) -> MultiposError | np.linalg.LinAlgError:
     """Return an error that names the largest reading, if the others drown in it; else the same."""
     size = np.abs(readings.values)
-    largest, typical = float(size.max()), float(np.median(size[size > 0.0]))
+    largest, typical = float(size.max()), float(median(size[size > 0.0]))
     if not largest > _DROWNED * typical:
         return error
     row, column = divmod(int(size.argmax()), size.shape[1])

@@ -59,7 +59,7 @@ class Setting:
         return isinstance(other, Setting) and self._key == other._key
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Projection:
     """V at known orientations, as orthonormal rows in blocks of a kind and an output.
 
@@ -97,7 +97,7 @@ class Projection:
         return np.asarray((self.whitener @ residuals.ravel())[:, None])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Part:
     """The design of one output, or of all, and the terms of each kind; here and on the sphere."""
 

@@ -14,6 +14,7 @@ import numpy as np
 from multipos.doubt import Doubt
 from multipos.doubts.columns import repeated_rows, resolution
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.sensor.calibration import Calibration
 
 _LEVEL = 0.01  # at which repeats deny the model, all outputs together
@@ -81,7 +82,7 @@ def time_correlated(c: Calibration) -> Doubt | None:
     phi = c.model.basis(c.reference, c.readings.environment)
     basis = np.linalg.svd(phi, full_matrices=False)[0][:, :terms]
     expected = -float(np.sum(basis[1:] * basis[:-1])) / left
-    if product - expected < enough or float(np.median(_angles_between(c.reference))) < _APART:
+    if product - expected < enough or float(median(_angles_between(c.reference))) < _APART:
         return None
     return Doubt(
         "time-correlated",

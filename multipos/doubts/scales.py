@@ -15,6 +15,7 @@ from multipos.doubt import Doubt
 from multipos.doubts.directions import is_triad
 from multipos.doubts.repairs import FACTORS
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY
 
@@ -122,7 +123,7 @@ def _usual(c: Calibration, size: Array) -> float:
     """Return what the other outputs respond: by the unit where it is known, else the median."""
     one_g = _ONE_G.get(c.model.unit)
     near = [] if one_g is None else [s for s in size.tolist() if _is_near(s, one_g, 3.0)]
-    return float(np.median(near)) if near else float(np.median(size))
+    return float(median(near)) if near else float(median(size))
 
 
 def _stands_apart(ratio: float, *, lone: bool) -> bool:

@@ -48,7 +48,7 @@ _XTOL = 1e-15  # [g], where a step is only rounding
 _SINGULAR = 1e-8  # determinant of A'A, its rows of length one, below which A is not inverted
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SharedDesign:
     """What units on the same positions share, output by output.
 

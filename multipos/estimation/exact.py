@@ -19,7 +19,7 @@ from multipos.numerics.arrays import Array
 from multipos.sensor.model import Block
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spot:
     """Parameters with the model there."""
 
@@ -32,7 +32,7 @@ class Spot:
         return self.point.objective
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Equations:
     """The normal equations (1)."""
 

@@ -18,6 +18,7 @@ from multipos.estimation.guesses import first_guesses
 from multipos.estimation.problem import Problem, State, start_state
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
+from multipos.numerics.medians import median
 from multipos.numerics.rotations import align
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import invert
@@ -169,7 +170,7 @@ def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tupl
         rest = np.delete(values, np.s_[part::parts], axis=0)
         bias, matrix = ellipsoid_start(rest, magnitude, crossed=crossed)
         force = np.linalg.solve(matrix, (values - bias).T)
-        misfit = float(np.median(np.abs(np.linalg.norm(force, axis=0) - magnitude)))
+        misfit = float(median(np.abs(np.linalg.norm(force, axis=0) - magnitude)))
         if misfit < least:
             best, least = (bias, matrix), misfit
     return best

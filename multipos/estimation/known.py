@@ -144,7 +144,7 @@ def _outliers(
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Fits:
     """Least squares of all outputs together; `chi2` is of whitened residuals, per output."""
 
@@ -156,7 +156,7 @@ class _Fits:
     condition: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Weighed:
     """Fits with the noise that was found; u is `inflation` times the cofactor's root."""
 

@@ -18,7 +18,7 @@ from multipos.numerics.arrays import Array
 from multipos.sensor.inverse import parameter_jacobian
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Linearised:
     """A solution as a linear model of its readings, eq. (1)."""
 

@@ -41,7 +41,7 @@ _INSEPARABLE = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Appraisal:
     """What the covariance of the likelihood is to be multiplied by, and how well that is known."""
 

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.numerics.quantiles import coverage_factor, coverage_factors
 
 _BELIEF = 1.4  # what "the claim is right" weighs, in units of ln V, from six degrees of freedom on
@@ -47,7 +48,7 @@ class Found(NamedTuple):
     variances: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Posterior:
     """What is known of τ² of B units, and with it of their parameters.
 
@@ -100,7 +101,7 @@ class Posterior:
     def shape(self) -> Array:
         """Degrees of freedom (B,) of the Student's t whose tails are those of the parameters."""
         moves = np.zeros((len(self.size), self.moves.shape[2]))
-        ratio = np.median(self.centred / self._half(moves, _INNER), axis=1)
+        ratio = median(self.centred / self._half(moves, _INNER), axis=1)
         return np.array([_dof_of_tails(each) for each in ratio.tolist()])
 
 

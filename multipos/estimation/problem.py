@@ -30,7 +30,7 @@ from multipos.sensor.model import Block, Model
 RELATIVE_NOISE = 1e-3  # of the readings' spread: any value serves where only ratios matter
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Problem:
     """Readings and what is known of their positions, eqs. (1)–(3) of `likelihood`.
 
@@ -156,7 +156,7 @@ class Problem:
         return bool(self.prior.any()) or self.level_sd > 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class State:
     """A point of the search: parameters, steps on the sphere and shared rotations."""
 
@@ -169,7 +169,7 @@ class State:
     inclination: Array  # (C,) [rad], beta of the axes that rolls share
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Point:
     """The model and objective at a state."""
 
@@ -180,7 +180,7 @@ class Point:
     objective: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Normal:
     """The reduced normal equations at a point, eqs. (5), (6) of `likelihood`."""
 

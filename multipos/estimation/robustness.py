@@ -32,6 +32,7 @@ from multipos.estimation.known import DENIED
 from multipos.estimation.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.estimation.noise import Appraisal
 from multipos.estimation.problem import Optimum, Problem
+from multipos.numerics.medians import median
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.sensor.diagnostics import Claim
 
@@ -110,13 +111,13 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
     """Scale the noise to the median misfit, which a few bad positions do not move."""
     kept = problem.weight == 1.0
     degrees = problem.degrees[kept]
-    median = {m: chi2_quantile(0.5, m) for m in set(degrees.tolist())}
-    typical = np.array([median[m] for m in degrees.tolist()])
+    middle = {m: chi2_quantile(0.5, m) for m in set(degrees.tolist())}
+    typical = np.array([middle[m] for m in degrees.tolist()])
     tied = np.isfinite(problem.orientation_sd)
     widest = float(problem.orientation_sd[tied].max()) if tied.any() else 0.0
     finest = (_FINEST + _FINEST_OF_PLACEMENT * widest) * float(np.abs(problem.values).max())
     for _ in range(_ROUNDS):
-        ratio = float(np.median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
+        ratio = float(median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
         ratio = max(ratio, float(np.abs(problem.precision[kept]).max()) * finest**2)
         problem = replace(problem, precision=problem.precision / ratio)
         optimum = resume(problem, optimum)

@@ -51,7 +51,7 @@ _RIDGE = 1e-13  # of rounding, so that floors of any size leave a matrix that ca
 Places = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Part:
     """Outputs that share a design and floors, as linear models about the solutions of B units.
 
@@ -116,7 +116,7 @@ class Part:
         return np.tile(own, self.residuals.shape[2])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scatter:
     """What readings of M outputs scatter beyond what they state, and how well that is known.
 

@@ -11,7 +11,7 @@ from multipos.sensor.model import Model
 DIRECT = Status(True, 0, "solved directly")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
     """What an estimator finds, before it is completed to a `Calibration`.
 

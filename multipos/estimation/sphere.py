@@ -28,7 +28,7 @@ from multipos.sensor.model import Model
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # the other two axes, in cyclic order
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Place:
     """The model and objective at a point of the search."""
 
@@ -40,7 +40,7 @@ class Place:
     objective: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """The normal equations at a place, eqs. (1), (2)."""
 

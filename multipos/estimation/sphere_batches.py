@@ -34,6 +34,7 @@ from multipos.estimation.batches import (
 from multipos.estimation.identifiability import plausible_range
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.model import Model
 
@@ -54,7 +55,7 @@ _TOLD = 200.0  # of the readings: information beyond which no noise hides a para
 _ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SharedSphere:
     """What units of unknown orientation share.
 
@@ -343,7 +344,7 @@ def _is_told(
 ) -> NDArray[np.bool_]:
     """Tell which units show every parameter far beyond what noise could pretend."""
     model = shared.model
-    typical = np.median(place.theta, axis=0)
+    typical = median(place.theta, axis=0)
     limit = plausible_range(model, typical, shared.size)
     if limit is None:
         return np.zeros(len(factor), dtype=np.bool_)

@@ -24,6 +24,7 @@ from multipos.estimation.identifiability import (
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Normal, Optimum, Problem, State, start_state
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS, Term
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
@@ -135,7 +136,7 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
         return
     scale = _own_scale(problem, optimum)
     # by the median, so that a few bad positions of a robust fit do not condemn the others
-    size = float(np.median(np.linalg.norm(optimum.point.residuals, axis=1)))
+    size = float(median(np.linalg.norm(optimum.point.residuals, axis=1)))
     nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
     spread = size / _MEDIAN * np.sqrt(len(problem.values) / nu)
     scatter = spread / max(scale * float(np.linalg.norm(problem.reference[0])), 1e-300)

@@ -29,7 +29,7 @@ _BEYOND = 0.05  # of a range, on both sides
 _CLOSE = {False: 1e-12, True: 1e-5}  # of the largest value, by single precision
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Drive:
     """Rows that are replayed.
 

@@ -28,6 +28,7 @@ from multipos.files.lists import Names, split_names
 from multipos.files.numbers import number, table
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.regression.rates import filter_time
 from multipos.regression.result import Regression
 from multipos.results import Result, plain
@@ -252,7 +253,7 @@ def _plain(value: float) -> float:
 def _allowed(c: Correction, drive: Drive, out: Array, single: bool) -> Array:
     """Return how far C may be from Python in each output (K,), by rounding."""
     steps = np.diff(drive.time)[~drive.begins[1:]]
-    pace = float(np.median(steps)) if len(steps) else 1.0
+    pace = float(median(steps)) if len(steps) else 1.0
     windows = [window for _, window in c.rates]
     longest = filter_time(max(windows)) / pace if windows else 0.0
     found = np.empty(len(c.regressions))

@@ -22,6 +22,7 @@ from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
+from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings
@@ -229,7 +230,7 @@ def readings_of(found: Averages, unit: str | None) -> Readings:
     readings = replace(found.readings, notes=found.warnings)
     if unit is not None or found.unit is not None:
         return replace(readings, unit=unit or found.unit or "")
-    size = float(np.median(np.linalg.norm(readings.values, axis=1)))
+    size = float(median(np.linalg.norm(readings.values, axis=1)))
     if readings.values.shape[1] == 3:
         for likely, one in _ONE_G.items():
             if abs(size / one - 1.0) < _NEAR:

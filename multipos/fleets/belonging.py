@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from multipos.fleets.stations import NORMAL
 from multipos.fleets.units import Units
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 
 RATE = 0.01  # of false discoveries
 _KEPT = 0.975  # share of a normal law that S is taken from
@@ -54,8 +55,8 @@ def find_outliers(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, An
     theta[:, -1] = np.cbrt(units.rms[mine] ** 2)
     _, station = np.unique(np.array(units.station)[mine], return_inverse=True)
     for place in np.unique(station).tolist():
-        theta[station == place] -= np.median(theta[station == place], axis=0)
-    scale = NORMAL * np.array([np.median(np.abs(column)) for column in theta.T])
+        theta[station == place] -= median(theta[station == place], axis=0)
+    scale = NORMAL * np.array([median(np.abs(column)) for column in theta.T])
     if not (scale > 0.0).all():
         return []  # as many units are exactly alike, nothing tells how units differ
     theta /= scale
@@ -66,7 +67,7 @@ def find_outliers(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, An
     excess = np.zeros((len(near), p))
     for place in range(p - 1):
         u2 = (units.u[mine, place] / scale[place]) ** 2
-        excess[:, place] = np.maximum(u2[near] - np.median(u2), 0.0)
+        excess[:, place] = np.maximum(u2[near] - median(u2), 0.0)
     for place, row in enumerate(near.tolist()):
         if excess[place].any():
             worse = covariance + np.diag(excess[place])
@@ -100,8 +101,8 @@ def _concentrated(theta: Array) -> Array:
     for _ in range(_STEPS):
         covariance = _covariance(theta, kept)
         distance = _squared(theta, covariance)
-        covariance *= np.median(distance) / middle
-        before, kept = kept, distance <= limit * np.median(distance) / middle
+        covariance *= median(distance) / middle
+        before, kept = kept, distance <= limit * median(distance) / middle
         if np.array_equal(before, kept):
             break
     return covariance

@@ -103,7 +103,7 @@ def _limit(where: str, name: str, pair: Any) -> Limit:
     return Limit(name, lsl, usl)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Verdicts:
     """The verdict of every unit (B,), the reasons, and how often each kind of reason came."""
 

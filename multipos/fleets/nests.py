@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from multipos.estimation.batches import Estimates, SharedDesign
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.numerics.rotations import cross_matrix
 from multipos.numerics.terms import COMPONENTS
 
@@ -32,7 +33,7 @@ _TOLD = 1e-6  # part of an angle that may be unseen
 _WILD = 5.0  # times the median of the residuals, beyond which a unit tells nothing of its nest
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Nest:
     """Positions and G⁺ of eq. (1).
 
@@ -109,7 +110,7 @@ def sum_nests(nest: Nest, found: Estimates, stations: NDArray[np.intp]) -> tuple
     usable = found.sound & np.isfinite(rms)
     if not usable.any():
         return ()
-    usable &= rms <= _WILD * np.median(rms[usable])
+    usable &= rms <= _WILD * median(rms[usable])
     angles = _angles(nest, found)
     n = len(nest.labels)
     sums = []

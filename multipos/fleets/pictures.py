@@ -9,6 +9,7 @@ from multipos.fleets.control import judge_control
 from multipos.fleets.stations import NORMAL
 from multipos.fleets.units import Units
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 
 _BINS = 40
 _REACH = 6.0  # robust standard deviations that a histogram goes to at most
@@ -22,8 +23,8 @@ def histogram(values: Array) -> dict[str, Any] | None:
     finest = _BINS * float(np.spacing(np.max(np.abs(told), initial=0.0)))
     if len(told) < 2 or np.ptp(told) <= finest:
         return None  # alike but for rounding
-    middle = float(np.median(told))
-    reach = _REACH * NORMAL * float(np.median(np.abs(told - middle)))
+    middle = float(median(told))
+    reach = _REACH * NORMAL * float(median(np.abs(told - middle)))
     low, high = float(told.min()), float(told.max())
     if reach > finest:
         low, high = max(low, middle - reach), min(high, middle + reach)
@@ -55,7 +56,7 @@ def charts(units: Units, counted: NDArray[np.bool_]) -> list[list[dict[str, Any]
             continue
         parts = np.array_split(places, groups)
         share = [float(np.mean(part)) / len(order) for part in parts]
-        table = np.array([np.median(units.parameters[order[part]], axis=0) for part in parts])
+        table = np.array([median(units.parameters[order[part]], axis=0) for part in parts])
         mine = order[places]
         for place, lines in enumerate(result):
             line = {"station": station, "place": share, "median": table[:, place].tolist()}

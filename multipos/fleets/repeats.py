@@ -31,7 +31,7 @@ class Trials(NamedTuple):
     repeats: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GaugeStudy:
     """What the trials of p units at s stations gave.
 

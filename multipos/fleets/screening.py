@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from multipos.doubts.scales import are_of_unit
 from multipos.estimation.batches import Estimates
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.model import Model
@@ -53,7 +54,7 @@ def find_suspects(
     square = found.inverse.shape[1] == found.inverse.shape[2]
     matrix = np.asarray((np.linalg.inv if square else np.linalg.pinv)(found.inverse))
     length = np.asarray(np.linalg.norm(matrix, axis=2))
-    usual = np.median(length, axis=0).tolist()
+    usual = median(length, axis=0).tolist()
     suspect = ~(found.rms <= _RMS) | _repeats(values) | _leans(model, matrix, length)
     if placed:
         suspect |= _ends_repeat(values)

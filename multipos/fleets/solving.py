@@ -93,7 +93,7 @@ class Pattern:
     doubts: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Task:
     """Units to solve.
 

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from multipos.fleets.corrections import describe_nests
 from multipos.fleets.units import Units
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
 from multipos.sensor.model import Model
 
@@ -79,7 +80,7 @@ def _levels(
     usable = counted & np.isfinite(matrix).all(axis=(1, 2))
     if not usable.any():
         return None
-    typical = np.array([[np.median(matrix[usable, i, j]) for j in range(3)] for i in range(3)])
+    typical = np.array([[median(matrix[usable, i, j]) for j in range(3)] for i in range(3)])
     rows, columns = [2, 0, 1], [1, 2, 0]
     turned = np.empty((len(matrix), len(COMPONENTS)))
     for first in range(0, len(matrix), _AT_ONCE):
@@ -157,8 +158,8 @@ def near_median(values: Array, usable: NDArray[np.bool_], stations: Codes) -> ND
     near = np.zeros(len(values), dtype=np.bool_)
     for station in np.unique(stations[usable]).tolist():
         mine = np.flatnonzero(usable & (stations == station))
-        away = np.abs(values[mine] - np.median(values[mine]))
-        spread = NORMAL * float(np.median(away))
+        away = np.abs(values[mine] - median(values[mine]))
+        spread = NORMAL * float(median(away))
         near[mine] = away <= _FAR * spread if spread > 0.0 else True
     return near
 

@@ -19,7 +19,7 @@ from multipos.sensor.model import Model
 Texts = NDArray[np.object_]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Units:
     """Every unit's numbers, (B,) or (B, p); NaN and a reason where a unit failed.
 

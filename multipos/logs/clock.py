@@ -15,6 +15,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.logs.rests import FASTEST, SLOWEST
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.positions.column_names import unit_of
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
@@ -116,7 +117,7 @@ def _unit_of_steps(time: Array) -> str:
 def usual_step(time: Array) -> float:
     """Return the usual step between times (n,), which may come in bursts; 0 where there is none."""
     steps = np.diff(time)
-    usual = float(np.median(steps)) if len(steps) else 0.0
+    usual = float(median(steps)) if len(steps) else 0.0
     if usual <= 0.0:
         usual = float(np.mean(steps)) if len(steps) else 0.0
     return max(usual, 0.0)

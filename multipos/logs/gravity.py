@@ -10,6 +10,7 @@ import numpy as np
 
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 
 _BLOCK = 32  # rows
 _FEWEST = 12  # blocks
@@ -30,7 +31,7 @@ def triad_of_gravity(log: Log, names: tuple[str, ...]) -> tuple[str, ...] | None
         return None
     blocks = data[:, : count * _BLOCK].reshape(len(names), count, _BLOCK)
     mean, sd = blocks.mean(axis=2), blocks.std(axis=2)
-    usual = np.median(sd, axis=1, keepdims=True)
+    usual = median(sd, axis=1)[:, None]
     moves = (sd / np.where(usual > 0.0, usual, 1.0)).max(axis=0)
     quiet = mean[:, moves <= np.quantile(moves, 1.0 / 3.0)]
     varies = [_variation(quiet[i : i + 3]) for i in range(0, len(names), 3)]
@@ -44,7 +45,7 @@ def triad_of_gravity(log: Log, names: tuple[str, ...]) -> tuple[str, ...] | None
 def _variation(means: Array) -> float:
     """Return how the size of means (3, n) varies, relatively; infinite where they do not turn."""
     size = np.linalg.norm(means, axis=0)
-    usual = float(np.median(size))
+    usual = float(median(size))
     if not usual or float(np.ptp(means, axis=1).max()) < _TURNS * usual:
         return np.inf
     low, high = np.quantile(size, [0.1, 0.9]).tolist()

@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -154,7 +154,7 @@ def _stated(lines: Sequence[str]) -> tuple[str | None, list[Line]]:
 
 def _body(rows: Sequence[Line], begin: int, shape: "_Shape") -> list[list[str]]:
     """Return the cells of the first rows, of those that have as many as they should."""
-    first = [line.text for line in rows if line.number >= begin][:_LAST]
+    first = islice((line.text for line in rows if line.number >= begin), _LAST)
     cells = [cells_of(row, shape.mark) for row in first]
     return [row[: shape.columns] for row in cells if len(row) == shape.cells]
 

@@ -5,10 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from multipos.logs.rest_faults import at_one_value, is_saturated, suspects
-from multipos.logs.rest_means import Counts, RestMean
+from multipos.logs.rest_means import RestMean
+from multipos.logs.rest_sums import Counts
 from multipos.logs.rests import Rest, Survey
 from multipos.logs.samples import Kept, Samples
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 
 _BITS = (8, 10, 12, 14, 16, 18, 20, 24, 32)
 _FULL = 0.98  # of what so many bits hold: a sensor that wraps has been near both ends
@@ -89,9 +91,11 @@ def find_second_unit(survey: Survey) -> list[str]:
     if not len(places):
         return []
     logs = np.log(np.maximum(sizes, np.finfo(float).tiny))
-    steps = [float(np.median(logs[at:]) - np.median(logs[:at])) for at in places]
+    if np.ptp(logs) < np.log((1.0 - _NEAR) * min(_FACTORS)):
+        return []  # no two medians of them can differ by a factor
+    steps = [float(median(logs[at:]) - median(logs[:at])) for at in places]
     at = int(places[int(np.argmax(np.abs(steps)))])
-    before, after = float(np.median(logs[:at])), float(np.median(logs[at:]))
+    before, after = float(median(logs[:at])), float(median(logs[at:]))
     # Where the fewest windows lie nearer to the size of the other part.
     nearer = np.where(np.abs(logs - before) < np.abs(logs - after), 1, -1)
     at = int(np.argmax(np.cumsum(nearer))) + 1
@@ -113,14 +117,14 @@ def is_factor(ratio: float) -> bool:
 def _alike(sizes: Array) -> bool:
     if not len(sizes):
         return False
-    usual = np.median(sizes)
+    usual = median(sizes)
     return bool((np.abs(sizes - usual) <= _ALIKE * usual).mean() >= _MOST)
 
 
 def differ_in_unit(surveys: Sequence[Survey]) -> tuple[int, float] | None:
     """Return which log reads how many times what the first does, by a factor of units."""
     sizes = [survey.sizes() for survey in surveys]
-    usual = [float(np.median(each)) if len(each) else 0.0 for each in sizes]
+    usual = [float(median(each)) if len(each) else 0.0 for each in sizes]
     for i, each in enumerate(usual):
         if usual[0] > 0.0 and each > 0.0 and is_factor(each / usual[0]):
             return i, each / usual[0]

@@ -21,6 +21,7 @@ from multipos.numerics.arrays import Array
 _SEPARATORS = ("", ",", ";", "\t")
 _BLOCK = 1 << 17  # bytes at a time, whose arrays stay in the processor's cache
 _WORD = 8  # digits of a 64-bit word
+_OTHERS = (8 * np.arange(_WORD, -1, -1)).astype(np.uint64)  # bits of a word that are no digits
 _DIGITS = 19  # a 64-bit integer holds any number of so many
 _EXACT = 1 << 53
 _SHARE = 4  # one number in four may be written otherwise; beyond, NumPy's reader is quicker
@@ -29,12 +30,12 @@ _POWERS = np.array([float(10**k) for k in range(_DIGITS + 1)])  # exact, as no `
 
 
 class _Cells(NamedTuple):
-    """Cells of numbers, in one order, and where they stand in a block of text."""
+    """Cells of numbers, row by row, and where they stand in a block of text."""
 
     block: bytes
-    start: NDArray[np.int64]  # of each, in bytes
-    end: NDArray[np.int64]
+    end: NDArray[np.int64]  # of each, in bytes
     last: NDArray[np.int64]  # end of each in the block without points
+    length: NDArray[np.int64]
     digits: NDArray[np.int64]
     decimals: NDArray[np.int64]
     negative: NDArray[np.bool_]
@@ -42,30 +43,30 @@ class _Cells(NamedTuple):
 
     def texts(self, which: NDArray[np.bool_]) -> list[bytes]:
         """Return what some cells hold."""
-        ends = zip(self.start[which].tolist(), self.end[which].tolist(), strict=True)
-        return [self.block[start:end] for start, end in ends]
+        pairs = zip(self.end[which].tolist(), self.length[which].tolist(), strict=True)
+        return [self.block[end - length : end] for end, length in pairs]
 
     def of_columns(self, width: int, columns: Sequence[int]) -> "_Cells":
-        """Return the cells of some columns, one column after the other."""
-        order = np.arange(len(self.odd)).reshape(-1, width).T[columns].ravel()
+        """Return the cells of some columns."""
+        which = np.arange(len(self.odd)).reshape(-1, width)[:, columns].ravel()
         return _Cells(
             self.block,
-            self.start[order],
-            self.end[order],
-            self.last[order],
-            self.digits[order],
-            self.decimals[order],
-            self.negative[order],
-            self.odd[order],
+            self.end[which],
+            self.last[which],
+            self.length[which],
+            self.digits[which],
+            self.decimals[which],
+            self.negative[which],
+            self.odd[which],
         )
 
 
-def read_plain(text: str, delimiter: str, width: int, columns: Sequence[int]) -> Array | None:
+def read_plain(text: bytes, delimiter: str, width: int, columns: Sequence[int]) -> Array | None:
     """Return columns of numbers (k, n), None where text holds anything else.
 
     Parameters
     ----------
-    text : str
+    text : bytes
         Rows, a line each.
     delimiter : str
         '' is white space; a comma, a semicolon or a tabulator otherwise.
@@ -74,20 +75,21 @@ def read_plain(text: str, delimiter: str, width: int, columns: Sequence[int]) ->
     columns : sequence of int
         Which of them are wanted.
     """
-    if not text or not text.isascii() or delimiter not in _SEPARATORS:
+    if not text or delimiter not in _SEPARATORS:
         return None
-    whole, mark = text.encode(), delimiter.encode()
-    found: list[Array] = []
-    start = 0
-    while start < len(whole):
-        end = whole.rfind(b"\n", start, start + _BLOCK) + 1 or len(whole)
-        cells = _find_cells(whole[start:end], mark, width)
+    every = [*columns] == [*range(width)]
+    found = np.empty((len(columns), text.count(b"\n") + (not text.endswith(b"\n"))))
+    start = row = 0
+    while start < len(text):
+        end = text.rfind(b"\n", start, start + _BLOCK) + 1 or len(text)
+        cells = _find_cells(text[start:end], delimiter.encode(), width)
         if cells is None:
             return None
-        values = _values(cells.of_columns(width, columns))
-        found.append(values.reshape(len(columns), len(cells.odd) // width))
-        start = end
-    return np.concatenate(found, axis=1)
+        rows = len(cells.odd) // width
+        wanted = cells if every else cells.of_columns(width, columns)
+        found[:, row : row + rows] = _values(wanted).reshape(rows, len(columns)).T
+        start, row = end, row + rows
+    return found
 
 
 def _find_cells(rows: bytes, mark: bytes, width: int) -> _Cells | None:
@@ -116,24 +118,27 @@ def _between(block: bytes, mark: bytes, width: int) -> _Cells | None:
     places = np.flatnonzero(characters - np.uint8(ord("0")) > 9)[_WORD - 1 :]  # of no digits
     kinds = characters[places]
     between = np.flatnonzero((kinds == ord(mark)) | (kinds == ord("\n")))
-    before, after = between[:-1], between[1:]
+    after = between[1:]
     row = mark * (width - 1) + b"\n"
     if kinds[after].tobytes() != row * (len(after) // width):
         return None
     points = kinds == ord(".")
+    ends = places[between]
+    end, length = ends[1:], np.diff(ends) - 1
+    others = np.diff(between) - 1  # characters that are no digits
+    digits = length - others
     pointed = points[after - 1]
-    start, end = places[before] + 1, places[after]
-    negative = (kinds[before + 1] == ord("-")) & (places[before + 1] == start)
-    others = after - before - 1
-    digits = end - start - others
+    # A minus, first behind a separator, where the next character that is no digit stands.
+    first = between[:-1] + 1
+    negative = (kinds[first] == ord("-")) & (places[first] == ends[:-1] + 1)
     odd = (others != pointed.astype(np.int64) + negative) | (digits < 1) | (digits > _DIGITS)
     if _SHARE * np.count_nonzero(odd) > len(odd):
         return None
     cells = _Cells(
         block,
-        start,
         end,
         last=end - np.cumsum(points)[after],
+        length=length,
         digits=digits,
         decimals=(end - places[after - 1] - 1) * pointed,
         negative=negative,
@@ -146,7 +151,9 @@ def _between(block: bytes, mark: bytes, width: int) -> _Cells | None:
 def _values(cells: _Cells) -> Array:
     """Return the numbers of cells."""
     words = _words(cells.block.translate(None, b"."))
-    digits = np.where(cells.odd, 0, cells.digits)
+    digits, decimals, odd = cells.digits, cells.decimals, cells.odd
+    if odd.any():
+        digits, decimals = np.where(odd, 0, digits), np.where(odd, 0, decimals)
     whole = _eight(words, cells.last, digits)
     for place in range(_WORD, _DIGITS, _WORD):
         longer = np.flatnonzero(digits > place)
@@ -155,9 +162,9 @@ def _values(cells: _Cells) -> Array:
         more = _eight(words, cells.last[longer] - place, digits[longer] - place)
         whole[longer] += more * np.uint64(10**place)
     values = whole.astype(np.float64)
-    values /= _POWERS[np.where(cells.odd, 0, cells.decimals)]
+    values /= _POWERS[decimals]
     np.negative(values, out=values, where=cells.negative)
-    other = cells.odd | ((whole > _EXACT) & (cells.decimals > 0))
+    other = odd | ((whole > _EXACT) & (decimals > 0))
     values[other] = [float(text) for text in cells.texts(other)]
     return values
 
@@ -172,7 +179,7 @@ def _eight(
 ) -> NDArray[np.uint64]:
     """Return the integers of up to eight digits that end at given bytes."""
     word = words[end - _WORD] & np.uint64(0x0F0F0F0F0F0F0F0F)
-    before = (8 * (_WORD - np.clip(digits, 0, _WORD))).astype(np.uint64)
+    before = _OTHERS[np.minimum(digits, _WORD)]
     word = (word >> before) << before
     word = (word * np.uint64(10) + (word >> np.uint64(8))) & np.uint64(0x00FF00FF00FF00FF)
     word = (word * np.uint64(100) + (word >> np.uint64(16))) & np.uint64(0x0000FFFF0000FFFF)

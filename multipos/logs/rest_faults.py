@@ -1,13 +1,13 @@
 """What is wrong with rests: saturated or stuck outputs, mixed units, motion, drift, gaps, twins."""
 
 from collections.abc import Sequence
-from itertools import combinations
 
 import numpy as np
 
 from multipos.logs.rest_means import RestMean
 from multipos.logs.rests import Survey
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 
 # A share of the samples at one value, the extreme of the log, that noise does not explain.
 _SATURATED = 0.01
@@ -61,7 +61,7 @@ def find_stuck(
 
     At an extreme of its log it is saturated, elsewhere stuck.
     """
-    usual = np.median([each.sd for each in found], axis=0)
+    usual = median([each.sd for each in found], axis=0)
     said = []
     for each, survey in zip(found, surveys, strict=True):
         constant = (each.sd == 0.0) & (usual > 0.5 * np.nan_to_num(survey.resolution))
@@ -116,7 +116,7 @@ def find_faults(
     labels: Sequence[str],
 ) -> tuple[list[list[str]], list[str]]:
     """Return what is to be said of each rest, and of all of them together."""
-    usual = np.median([each.sd for each in found], axis=0)
+    usual = median([each.sd for each in found], axis=0)
     faults = []
     for each, gap, moved in zip(found, gaps, moving, strict=True):
         own = [] if moved else _rest_faults(outputs, each, usual, resolution)
@@ -186,11 +186,11 @@ def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[str]:
     means = np.array([each.mean for each in found])
     half_range = float(np.ptp(means, axis=0).max()) / 2.0
     near = np.radians(_TWIN_DEG) * half_range
-    pairs = [
-        f"{labels[i]} and {labels[k]}"
-        for i, k in combinations(range(len(means)), 2)
-        if labels[i] != labels[k] and np.linalg.norm(means[i] - means[k]) < near
-    ]
+    pairs = []
+    for i, mean in enumerate(means):
+        apart = np.linalg.norm(means[i + 1 :] - mean, axis=1)
+        others = (i + 1 + np.flatnonzero(apart < near)).tolist()
+        pairs += [f"{labels[i]} and {labels[k]}" for k in others if labels[i] != labels[k]]
     if not pairs:
         return []
     listed = ", ".join(pairs[:6]) + (f" and {len(pairs) - 6} more pairs" if len(pairs) > 6 else "")

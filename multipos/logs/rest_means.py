@@ -40,19 +40,17 @@ References
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multipos.logs.rest_sums import Counts, RestSum
 from multipos.numerics.arrays import Array
 from multipos.results import Result
 
-Counts = NDArray[np.signedinteger[Any]]
-
-_BATCHES = 512
 _LAGS = 30  # 10 log10(1023), the highest order of an autoregression
 _SMALLEST = np.finfo(np.float64).tiny
+_TOGETHER = 64  # rests whose means are worked out at once
+_ROWS = 32  # rows whose spectra stay in the processor's cache
 _EDGE = 10  # an edge is a tenth of a rest
 # Parts of a rest that eq. (3) averages over, and the degrees of freedom of their Allan variances
 # for white noise, which are about as many as they overlap.
@@ -111,162 +109,158 @@ class RestMean(Result):
         return np.asarray(np.where(self.u > 0.0, ratio, self.n))
 
 
-class RestSum:
-    """Take up the samples of one rest piece by piece."""
-
-    def __init__(self, n: int, outputs: int) -> None:
-        self.n = n
-        self._length = max(1, n // _BATCHES)
-        self._left = np.empty((outputs, 0))
-        self.batches: list[Array] = []
-        self.origin: Array | None = None  # near the samples, so that squares do not cancel
-        self.sum = np.zeros(outputs)
-        self.square = np.zeros(outputs)
-        self.ends = [_End(outputs, -1.0), _End(outputs, 1.0)]
-        self._last = np.full(outputs, np.nan)
-        self._run = np.zeros(outputs, dtype=np.int64)
-        self.longest = np.zeros(outputs, dtype=np.int64)
-
-    def feed(self, samples: Array) -> None:
-        """Add samples (M, k)."""
-        if not samples.shape[1]:
-            return
-        if self.origin is None:
-            self.origin = samples.mean(axis=1)
-        centred = samples - self.origin[:, None]
-        self.sum += centred.sum(axis=1)
-        self.square += np.einsum("ji,ji->j", centred, centred)
-        for end in self.ends:
-            end.feed(samples)
-        self._feed_runs(samples)
-        together = np.concatenate([self._left, centred], axis=1)
-        count = together.shape[1] // self._length
-        whole = together[:, : count * self._length].reshape(len(samples), count, self._length)
-        self.batches.append(whole.mean(axis=2))
-        self._left = together[:, count * self._length :]
-
-    def _feed_runs(self, samples: Array) -> None:
-        for j, row in enumerate(samples):
-            changes = np.flatnonzero(np.diff(row, prepend=self._last[j]) != 0.0)
-            if not len(changes):
-                self._run[j] += len(row)
-                self.longest[j] = max(self.longest[j], self._run[j])
-                continue
-            inner = int(np.diff(changes).max()) if len(changes) > 1 else 0
-            first = int(self._run[j] + changes[0])
-            self._run[j] = len(row) - changes[-1]
-            self.longest[j] = max(self.longest[j], first, inner, self._run[j])
-        self._last = samples[:, -1]
-
-
-class _End:
-    """The lowest (sign −1) or highest (sign 1) sample of each output, and how many are there."""
-
-    def __init__(self, outputs: int, sign: float) -> None:
-        self._sign = sign
-        self.value = np.full(outputs, -sign * np.inf)
-        self.count = np.zeros(outputs, dtype=np.int64)
-
-    def feed(self, samples: Array) -> None:
-        here = samples.max(axis=1) if self._sign > 0.0 else samples.min(axis=1)
-        count = (samples == here[:, None]).sum(axis=1)
-        beyond = self._sign * (here - self.value)
-        self.count = np.where(beyond > 0.0, count, self.count + np.where(beyond == 0.0, count, 0))
-        self.value = np.where(beyond > 0.0, here, self.value)
-
-
 def rest_means(sums: Sequence[RestSum]) -> list[RestMean]:
     """Return what the samples of rests say; all of them must have been fed."""
-    whole = [np.concatenate(each.batches, axis=1) for each in sums]
-    rises = [_rise(batches) for batches in whole]
-    lagged = [_about_both(*each) for each in zip(whole, rises, strict=True)]
-    count = [np.full(len(both), z.shape[1]) for both, z in zip(lagged, whole, strict=True)]
-    removed = [np.repeat([1, 2], len(rise)) for rise in rises]
-    found = density_with_dof(*map(np.concatenate, (lagged, count, removed)))
-    parts = zip(*(np.split(each, len(sums)) for each in found), strict=True)
+    found: list[RestMean] = []
+    for first in range(0, len(sums), _TOGETHER):
+        found += _means_of_some(sums[first : first + _TOGETHER])
+    return found
+
+
+def _means_of_some(sums: Sequence[RestSum]) -> list[RestMean]:
+    n = np.array([[each.n] for each in sums])
+    longest = np.array([each.longest for each in sums])
+    total = np.array([each.sum for each in sums])
+    mean = total / n
+    square = np.array([each.square for each in sums])
+    variance = np.maximum(square - n * mean**2, 0.0) / np.maximum(n - 1, 1)
+    variance[longest == n] = 0.0  # what rounding leaves of equal samples
+
+    batches, count = _centred_batches(sums)
+    rise, left = _lines(batches, count)
+    (density, around), (dof, _) = _densities(batches, left, count)
+    # Less than white noise would say is luck, or a hum that fits into the rest.
+    plain = np.maximum(np.where(variance > 0.0, density / count, 0.0), variance / n)
+    phases = np.concatenate([np.zeros((*plain.shape, 1)), np.cumsum(batches, axis=2)], axis=2)
+    dof = np.where(variance > 0.0, dof, n - 1.0)
+    u2, dof, wander = _wandering(phases, count[:, 0], plain, dof)
+    dof = np.maximum(np.minimum(dof, n - 1.0), 1.0)
+
+    sd, u, drift_u = np.sqrt(variance), np.sqrt(u2), np.sqrt(12.0 * around / count)
+    edge = _edge(phases, count, around)
     return [
-        _rest_mean(each, batches, rise, *part)
-        for each, batches, rise, part in zip(sums, whole, rises, parts, strict=True)
+        RestMean(
+            n=each.n,
+            mean=each.origin + mean[i],
+            sd=sd[i],
+            u=u[i],
+            drift=rise[i],
+            drift_u=drift_u[i],
+            edge=edge[i],
+            low=each.ends[0].value,
+            high=each.ends[1].value,
+            at_low=each.ends[0].count,
+            at_high=each.ends[1].count,
+            longest=each.longest,
+            dof=dof[i],
+            wander=wander[i],
+        )
+        for i, each in enumerate(sums)
     ]
 
 
-def _rest_mean(
-    taken: RestSum, batches: Array, rise: Array, densities: Array, freedom: Array
-) -> RestMean:
-    """Return the mean of a rest, from the densities about its mean and about its line."""
-    assert taken.origin is not None
-    n, count = taken.n, batches.shape[1]
-    mean = taken.sum / n
-    variance = np.maximum(taken.square - n * mean**2, 0.0) / max(n - 1, 1)
-    variance[taken.longest == n] = 0.0  # what rounding leaves of equal samples
-    (density, around), (dof, _) = np.split(densities, 2), np.split(freedom, 2)
-    # Less than white noise would say is luck, or a hum that fits into the rest.
-    plain = np.maximum(np.where(variance > 0.0, density / count, 0.0), variance / n)
-    centred = batches - batches.mean(axis=1, keepdims=True)
-    square, dof, wander = _wandering(centred, plain, np.where(variance > 0.0, dof, n - 1.0))
-    low, high = taken.ends
-    return RestMean(
-        n=n,
-        mean=taken.origin + mean,
-        sd=np.sqrt(variance),
-        u=np.sqrt(square),
-        drift=rise,
-        drift_u=np.sqrt(12.0 * around / count),
-        edge=_edge(batches, around),
-        low=low.value,
-        high=high.value,
-        at_low=low.count,
-        at_high=high.count,
-        longest=taken.longest,
-        dof=np.maximum(np.minimum(dof, n - 1.0), 1.0),
-        wander=wander,
-    )
+def _centred_batches(sums: Sequence[RestSum]) -> tuple[Array, Counts]:
+    """Return the batch means (R, M, b) of rests less their mean, zeros behind them, and counts."""
+    count = np.array([[sum(part.shape[1] for part in each.batches)] for each in sums])
+    batches = np.zeros((len(sums), len(sums[0].sum), count.max()))
+    for row, each in zip(batches, sums, strict=True):
+        end = 0
+        for part in each.batches:
+            begin, end = end, end + part.shape[1]
+            row[:, begin:end] = part
+    batches -= batches.sum(axis=2, keepdims=True) / count[:, :, None]
+    batches[np.broadcast_to(np.arange(count.max()) >= count[:, :, None], batches.shape)] = 0.0
+    return batches, count
 
 
-def _wandering(z: Array, square: Array, dof: Array) -> tuple[Array, Array, Array]:
-    """Return u² (M,) by eq. (3) where it is larger, its degrees of freedom, and by how much.
+def _lines(batches: Array, count: Counts) -> tuple[Array, Array]:
+    """Return the rise (R, M) of each least-squares line from begin to end, and what it leaves."""
+    place = np.arange(batches.shape[2])
+    time = np.where(place < count, place - (count - 1) / 2.0, 0.0)  # (R, b)
+    square = np.einsum("rb,rb->r", time, time)
+    slope = np.einsum("rmb,rb->rm", batches, time) / np.where(square > 0.0, square, 1.0)[:, None]
+    return slope * count, batches - slope[:, :, None] * time[:, None]
+
+
+def _densities(batches: Array, left: Array, count: Counts) -> tuple[Array, Array]:
+    """Return b u² and its degrees of freedom (2, R, M): about the mean, and about the line."""
+    outputs, length = batches.shape[1:]
+    counts = np.repeat(count, outputs)
+    lagged = [autocovariances(each.reshape(-1, length), counts) for each in (batches, left)]
+    removed = np.repeat([1, 2], len(counts))
+    found = density_with_dof(np.concatenate(lagged), np.tile(counts, 2), removed)
+    density, dof = (each.reshape(2, -1, outputs) for each in found)
+    return density, dof
+
+
+def _wandering(
+    phases: Array, count: Counts, square: Array, dof: Array
+) -> tuple[Array, Array, Array]:
+    """Return u² (R, M) by eq. (3) where it is larger, its degrees of freedom, and by how much.
 
     Parameters
     ----------
-    z : (M, b) array
-        Batch means less their mean.
-    square, dof : (M,) arrays
+    phases : (R, M, b + 1) array
+        Sums of the batch means less their mean, from the begin.
+    count : (R,) array
+        How many batch means each rest has.
+    square, dof : (R, M) arrays
         Of eqs. (1) and (2).
     """
-    count = z.shape[1]
-    wander = np.ones(len(z))
-    if count < 2 * _PARTS[0][0] or not (square > 0.0).any():
+    wander = np.ones_like(square)
+    long = np.flatnonzero((count >= 2 * _PARTS[0][0]) & (square > 0.0).any(axis=1))
+    if not len(long):
         return square, dof, wander
-    phases = np.concatenate([np.zeros((len(z), 1)), np.cumsum(z, axis=1)], axis=1)
-    parts = np.array([count // part for part, _ in _PARTS])
+    lengths = count[long, None] // np.array([part for part, _ in _PARTS])
     weights = np.array([nu for _, nu in _PARTS])
-    slope, end, spread = _allan_line(phases, parts, weights, count)
-    if not (slope > _SETTLES).any():
-        return square, dof, wander
-    short = np.array([1 << i for i in range(int(parts[0]).bit_length())])
-    rise, _, _ = _allan_line(phases, short, 1.0 / short, count)
-    wanders = np.where(rise < _RISES, slope > _SETTLES, slope > _WALKS)
-    raised = 2.0 * np.exp(end)
+    slope, end, spread = _allan_line(phases[long], lengths, weights, count[long])
+    wanders = np.zeros(square.shape, dtype=np.bool_)
+    for i in np.flatnonzero((slope > _SETTLES).any(axis=1)).tolist():
+        short = np.array([[1 << k for k in range(int(lengths[i, 0]).bit_length())]])
+        rest = long[i : i + 1]
+        rise, _, _ = _allan_line(phases[rest], short, 1.0 / short[0], count[rest])
+        wanders[rest] = np.where(rise < _RISES, slope[i] > _SETTLES, slope[i] > _WALKS)
+    raised, told = np.zeros_like(square), np.ones_like(square)
+    raised[long], told[long] = 2.0 * np.exp(end), 1.0 / spread[:, None]
     more = wanders & (raised > square) & (square > 0.0)
     wander[more] = np.sqrt(raised[more] / square[more])
-    return np.where(more, raised, square), np.where(more, 1.0 / spread, dof), wander
+    return np.where(more, raised, square), np.where(more, told, dof), wander
 
 
 def _allan_line(
-    phases: Array, lengths: Array, weights: Array, end: int
-) -> tuple[Array, Array, float]:
-    """Return slope and end (M,) of the line in ln σ²(m), and the variance of its end by weights."""
-    curves = []
-    for m in lengths.tolist():
-        second = phases[:, 2 * m :] - 2.0 * phases[:, m:-m] + phases[:, : -2 * m]
-        curves.append(np.einsum("ji,ji->j", second, second) / (2.0 * m * m * second.shape[1]))
-    curve = np.log(np.maximum(np.array(curves), _SMALLEST))  # (T, M)
-    x = np.log(lengths / end)
-    middle = weights @ x / weights.sum()
-    pulls = weights * (x - middle) / (weights @ (x - middle) ** 2)
-    slope = pulls @ curve
-    at_end = weights @ curve / weights.sum() - slope * middle
-    return slope, at_end, float(1.0 / weights.sum() + middle**2 / (weights @ (x - middle) ** 2))
+    phases: Array, lengths: Counts, weights: Array, end: Counts
+) -> tuple[Array, Array, Array]:
+    """Return slope and end (R, M) of the line in ln σ²(m), and the variance (R,) of its end.
+
+    Parameters
+    ----------
+    phases : (R, M, b + 1) array
+    lengths : (R, T) array
+        m, for each rest its own.
+    weights : (T,) array
+        Degrees of freedom of σ²(m).
+    end : (R,) array
+        Batch means of each rest: where the line ends.
+    """
+    variances = [
+        [_allan_variance(rest[:, : b + 1], m) for m in row]
+        for rest, row, b in zip(phases, lengths.tolist(), end.tolist(), strict=True)
+    ]
+    curve = np.log(np.maximum(np.array(variances), _SMALLEST))  # (R, T, M)
+    x = np.log(lengths / end[:, None])
+    middle = x @ weights / weights.sum()
+    off = x - middle[:, None]
+    square = off**2 @ weights
+    slope = np.einsum("rt,rtm->rm", weights * off / square[:, None], curve)
+    height = np.einsum("t,rtm->rm", weights, curve) / weights.sum()
+    return slope, height - slope * middle[:, None], 1.0 / weights.sum() + middle**2 / square
+
+
+def _allan_variance(phases: Array, m: int) -> Array:
+    """Return σ²(m) (M,) from the sums of batch means."""
+    first = phases[:, m:] - phases[:, :-m]
+    second = first[:, m:] - first[:, :-m]
+    return np.asarray(np.einsum("ji,ji->j", second, second) / (2.0 * m * m * second.shape[1]))
 
 
 def density_with_dof(lagged: Array, count: Counts, removed: Counts) -> tuple[Array, Array]:
@@ -315,13 +309,18 @@ def density_with_dof(lagged: Array, count: Counts, removed: Counts) -> tuple[Arr
     return found, np.where(there, np.maximum(2.0 / spread - 1.0, 1.0), np.inf)
 
 
-def autocovariances(z: Array) -> Array:
-    """Return Σ z_i z_(i+k) / b (M, 31), k = 0 … 30, of rows (M, b), by way of their spectrum."""
-    count = z.shape[1]
-    length = 1 << (count + _LAGS).bit_length()  # so that no lag meets the other end
-    spectrum = np.fft.rfft(z, length)
-    power = spectrum.real**2 + spectrum.imag**2
-    return np.asarray(np.fft.irfft(power, length)[:, : _LAGS + 1] / count)
+def autocovariances(z: Array, count: Counts) -> Array:
+    """Return Σ z_i z_(i+k) / b (J, 31), k = 0 … 30, of rows (J, n), by way of their spectrum.
+
+    Of each row `count` (J,) numbers count, b, and zeros stand behind them.
+    """
+    length = (z.shape[1] + _LAGS) // 128 * 128 + 128  # so that no lag meets the other end
+    products = []
+    for first in range(0, len(z), _ROWS):
+        spectrum = np.fft.rfft(z[first : first + _ROWS], length)
+        power = spectrum.real**2 + spectrum.imag**2
+        products.append(np.fft.irfft(power, length)[:, : _LAGS + 1])
+    return np.asarray(np.concatenate(products) / count[:, None])
 
 
 def _criterion(variance: Array, order: int, count: Counts) -> Array:
@@ -330,30 +329,13 @@ def _criterion(variance: Array, order: int, count: Counts) -> Array:
     return np.asarray(count * np.log(variance) + 2.0 * (order + 1) * count / free)
 
 
-def _rise(z: Array) -> Array:
-    """Return the rise of each least-squares line from begin to end."""
-    time = _times(z)
-    square = float(time @ time)
-    return np.asarray(z @ time / square * z.shape[1]) if square else np.zeros(len(z))
-
-
-def _about_both(z: Array, rise: Array) -> Array:
-    """Return the autocovariances (2 M, k) of rows about their mean, then about their line."""
-    centred = z - z.mean(axis=1, keepdims=True)
-    left = centred - (rise / z.shape[1])[:, None] * _times(z)
-    return np.concatenate([autocovariances(centred), autocovariances(left)])
-
-
-def _times(z: Array) -> Array:
-    return np.asarray(np.arange(z.shape[1]) - (z.shape[1] - 1) / 2.0)
-
-
-def _edge(batches: Array, density: Array) -> Array:
-    count = max(batches.shape[1] // _EDGE, 1)
-    middle = batches.mean(axis=1)
-    off = np.maximum(
-        np.abs(batches[:, :count].mean(axis=1) - middle),
-        np.abs(batches[:, -count:].mean(axis=1) - middle),
-    )
+def _edge(phases: Array, count: Counts, density: Array) -> Array:
+    """Return how far the first and the last tenth of each rest (R, M) are off, the larger."""
+    tenth = np.maximum(count // _EDGE, 1)  # (R, 1)
+    rest = np.arange(len(phases))[:, None]
+    output = np.arange(phases.shape[1])
+    first = phases[rest, output, tenth]
+    last = phases[rest, output, count] - phases[rest, output, count - tenth]
+    off = np.maximum(np.abs(first), np.abs(last)) / tenth
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.where(density > 0.0, off / np.sqrt(density / count), 0.0))
+        return np.asarray(np.where(density > 0.0, off / np.sqrt(density / tenth), 0.0))

@@ -14,6 +14,7 @@ from multipos.logs.labels import Runs
 from multipos.logs.rests import LARGEST_SAMPLE, PIECE, Rest, Survey, Windows, choose_grid
 from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 
 Progress = Callable[[float], object]  # is told how much of the log has been read, 0 to 1
 
@@ -100,14 +101,16 @@ class Samples:
         self._seen = 0  # rows of the log
         self._dropped: list[int] = []
         self._last = -np.inf
-        self._sizes: list[int] = []
-        self._kept: IO[bytes] = tempfile.SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115
+        self._few: list[Array] = []  # pieces, while they are few
+        self._sizes: list[int] = []  # of those in the file
+        self._file: IO[bytes] | None = None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._kept.close()
+        if self._file is not None:
+            self._file.close()
 
     def survey(self, min_duration: float | None, progress: Progress | None = None) -> Survey:
         """Read the log; return what it is like."""
@@ -134,13 +137,29 @@ class Samples:
 
     def pieces(self) -> Iterator[tuple[int, Array]]:
         """Yield the first row and the numbers (columns, rows) of each piece, in order."""
-        self._kept.seek(0)
-        width = len(self.outputs) + len(self.others) + (self.clock is not None)
         first = 0
+        for numbers in self._in_file() if self._file is not None else self._few:
+            yield first, numbers
+            first += numbers.shape[1]
+
+    def _in_file(self) -> Iterator[Array]:
+        assert self._file is not None
+        width = len(self.outputs) + len(self.others) + (self.clock is not None)
+        self._file.seek(0)
         for rows in self._sizes:
-            numbers = np.frombuffer(self._kept.read(8 * width * rows))
-            yield first, numbers.reshape(width, rows)
-            first += rows
+            numbers = np.frombuffer(self._file.read(8 * width * rows))
+            yield numbers.reshape(width, rows)
+
+    def _keep(self, data: Array) -> None:
+        """Keep a piece: in memory while they are few, all of them in a file when many."""
+        self._few.append(data)
+        if self._file is None and sum(each.nbytes for each in self._few) > _IN_MEMORY:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115  # closed on leaving
+        if self._file is not None:
+            for each in self._few:
+                self._file.write(each.tobytes())
+                self._sizes.append(each.shape[1])
+            self._few = []
 
     def time(self, rest: Rest) -> tuple[float, float] | None:
         """Return when a rest begins and ends by the sample rate; None where there is none."""
@@ -206,7 +225,7 @@ class Samples:
         good = np.ones(table.rows, dtype=np.bool_)
         if self._drop_bad:
             good = good_rows(data, len(self.outputs), timed=self.clock is not None)
-        kept: list[int] = np.flatnonzero(good).tolist()
+        kept = np.flatnonzero(good)
         if len(kept) < table.rows:
             self._dropped += (self._seen + np.flatnonzero(~good)).tolist()
             data = np.ascontiguousarray(data[:, kept])
@@ -214,20 +233,19 @@ class Samples:
             self._check_time(table, data[-1], kept)
         if self.labels is not None:
             labels = table.text(self.labels.column)
-            self.labels.feed([labels[i] for i in kept])
-        self._kept.write(data.tobytes())
-        self._sizes.append(data.shape[1])
+            self.labels.feed([labels[i] for i in kept.tolist()])
+        self._keep(data)
         self._seen += table.rows
         self.rows += data.shape[1]
         return data
 
-    def _check_time(self, table: Table, time: Array, rows: Sequence[int]) -> None:
+    def _check_time(self, table: Table, time: Array, rows: NDArray[np.intp]) -> None:
         assert self.clock is not None
         back = np.flatnonzero(np.diff(time, prepend=self._last) < 0.0)
         if len(back):
             row = int(back[0])
             raise MultiposError(
-                f"{table.where(rows[row], self.clock.column)}: the time runs backwards, to "
+                f"{table.where(int(rows[row]), self.clock.column)}: the time runs backwards, to "
                 f"{time[row]:.10g} s; sort the rows, or give --rate instead."
             )
         self._last = time[-1] if len(time) else self._last
@@ -265,7 +283,7 @@ def good_rows(data: Array, outputs: int, *, timed: bool, usual: Array | None = N
 def usual_size(data: Array) -> Array:
     """Return the median size of what is a number in each column (k,), 0 where nothing is."""
     there = [np.abs(row[np.isfinite(row)]) for row in data]
-    return np.array([np.median(row) if len(row) else 0.0 for row in there])
+    return np.array([median(row) if len(row) else 0.0 for row in there])
 
 
 def _rises(table: Table, name: str) -> bool:

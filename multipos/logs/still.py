@@ -10,7 +10,8 @@ from multipos.logs.clock import Clock, time_columns
 from multipos.logs.known_rests import Sections
 from multipos.logs.log_faults import find_saturated, find_second_unit, find_wrapped
 from multipos.logs.names import choose_outputs
-from multipos.logs.rest_means import RestMean, RestSum, rest_means
+from multipos.logs.rest_means import RestMean, rest_means
+from multipos.logs.rest_sums import RestSum
 from multipos.logs.rests import Finder, Grid, Rest, Survey, Windows
 from multipos.logs.samples import Kept, Progress, Samples, Timing, small_pieces
 from multipos.logs.table import Log
@@ -259,8 +260,9 @@ class _Sum:
                 self._seen += len(sd)
                 self._moved += int((sd > self._threshold).sum())
         others = inside[len(outputs) : len(outputs) + len(self._total)]
-        self._total += np.nansum(others, axis=1)
-        self._count += np.isfinite(others).sum(axis=1)
+        there = np.isfinite(others)
+        self._total += others.sum(axis=1, where=there)
+        self._count += np.count_nonzero(there, axis=1)
         if self._samples.clock is not None:
             time = np.concatenate([self._time[-1:], inside[-1]])
             self._gaps += int((np.diff(time) > _GAP * self._samples.step).sum())

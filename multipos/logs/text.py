@@ -1,9 +1,12 @@
 """Logs that are text, read in pieces of some megabytes."""
 
 import os
+import re
+from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from operator import methodcaller
 from pathlib import Path
 from typing import NamedTuple
@@ -24,16 +27,21 @@ from multipos.numerics.arrays import Array
 HEAD = 1 << 16  # bytes that must hold what stands above the table, and its first row
 _PIECE = 1 << 22  # bytes read at a time
 _SHOWN = 40  # characters of a line in a message
+_LINE_END = re.compile(rb"\r\n|\r|\n")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Text:
     """A text file, and how its rows are laid out."""
 
     path: os.PathLike[str]
     columns: tuple[str, ...]
     layout: Layout
+    begin: int  # byte of the file at which the first row begins
     end: int  # bytes of the file, without a row that is cut off
+    # Numbers of the first lines, once they are read, where nothing names the columns: what they
+    # show of gravity is looked at before the log is gone through.
+    kept: list[Array | None] | None = None
 
     @property
     def dates(self) -> frozenset[str]:
@@ -44,13 +52,14 @@ class _Text:
 
 def open_text(path: os.PathLike[str], head: bytes, given: Sequence[str] | None) -> Log:
     """Return a log of text, whose first bytes are given."""
-    lines = _decode(path, head).split("\n")
+    lines = _decode(path, head).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     if len(head) == HEAD and len(lines) > 1:
         lines = lines[:-1]  # its last line may be cut
     layout = find_layout(str(path), lines)
     named = name_header(str(path), layout.header, layout.width, given)
     cut = _cut_row(path, layout)
-    text = _Text(path, named.columns, layout, cut.end)
+    kept: list[Array | None] | None = [] if named.headless else None
+    text = _Text(path, named.columns, layout, _begin(head, layout.first), cut.end, kept)
     return _log(text, named, partial(_read_text, text), cut.said)
 
 
@@ -64,7 +73,7 @@ def open_lines(source: str, lines: Sequence[str], given: Sequence[str] | None) -
     """
     layout = find_layout(source, lines)
     named = name_header(source, layout.header, layout.width, given)
-    text = _Text(Path(source), named.columns, layout, 0)
+    text = _Text(Path(source), named.columns, layout, 0, 0)
     head = "\n".join(lines[layout.first - 1 :])
     log = _log(text, named, partial(_read_head, text, head), ())
     return LiveText(log, text, head)
@@ -135,6 +144,13 @@ def _log(text: _Text, named: Named, read: ReadPieces, left_out: tuple[str, ...])
     )
 
 
+def _begin(head: bytes, line: int) -> int:
+    """Return the byte at which a line begins, behind a mark of the byte order."""
+    ends = islice(_LINE_END.finditer(head), line - 1)
+    begin = len(BOM_UTF8) if head.startswith(BOM_UTF8) else 0
+    return max([begin, *(end.end() for end in ends)])
+
+
 class _Cut(NamedTuple):
     """Where the last whole row ends, and what is said of the one after it."""
 
@@ -176,30 +192,51 @@ def _read_text(
 ) -> Iterator[Piece]:
     first = 0
     wanted = _Wanted(tuple(names), tuple(optional), tuple(texts), lenient)
-    for part, done in _text_parts(text):
-        table = _plain_table(text, part, first, wanted)
+    for block in _blocks(text):
+        table = _plain_table(text, block, first, wanted)
         if table is not None:
-            yield Piece(table, part.lines, done)
+            yield Piece(table, partial(_lines, text, block), block.done)
             first += table.rows
-        elif (rows := rows_only(text.layout, part)).lines:
-            yield Piece(_parse(text, rows, first, wanted), partial(list, rows.lines), done)
+        elif (rows := rows_only(text.layout, _part(text, block))).lines:
+            yield Piece(_parse(text, rows, first, wanted), partial(list, rows.lines), block.done)
             first += len(rows.lines)
 
 
-def _text_parts(text: _Text) -> Iterator[tuple[Part, float]]:
-    line, rest = 1, b""
+class _Block(NamedTuple):
+    """Whole lines of a file, line feeds between them."""
+
+    content: bytes
+    line: int  # of the first of them
+    done: float  # how much of the file has been read, 0 to 1
+
+
+def _blocks(text: _Text) -> Iterator[_Block]:
+    line, rest = text.layout.first, b""
     size = max(text.end, 1)
     with Path(text.path).open("rb") as stream:
+        stream.seek(text.begin)
         while block := stream.read(min(_PIECE, text.end - stream.tell())):
             block = rest + block
             end = max(block.rfind(b"\n"), block.rfind(b"\r", 0, -1)) + 1
             block, rest = block[:end], block[end:]
             if block:
-                content = _decode(text.path, block)
-                yield table_text(text.layout, content, line), min(stream.tell() / size, 1.0)
-                line += content.count("\n")
+                content = _one_line_end(block)
+                yield _Block(content, line, min(stream.tell() / size, 1.0))
+                line += content.count(b"\n")
         if rest:
-            yield table_text(text.layout, _decode(text.path, rest), line), 1.0
+            yield _Block(_one_line_end(rest), line, 1.0)
+
+
+def _one_line_end(block: bytes) -> bytes:
+    return block.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in block else block
+
+
+def _part(text: _Text, block: _Block) -> Part:
+    return table_text(text.layout, _decode(text.path, block.content), block.line)
+
+
+def _lines(text: _Text, block: _Block) -> list[str]:
+    return _part(text, block).lines()
 
 
 class _Wanted(NamedTuple):
@@ -215,21 +252,31 @@ class _Wanted(NamedTuple):
         return tuple(dict.fromkeys((*self.names, *self.optional)))
 
 
-def _plain_table(text: _Text, part: Part, first: int, wanted: _Wanted) -> Table | None:
+def _plain_table(text: _Text, block: _Block, first: int, wanted: _Wanted) -> Table | None:
     """Return the wanted columns of lines that are nothing but rows of numbers, None of others."""
     layout = text.layout
     if wanted.texts or layout.trailing or not all(layout.numeric):
         return None
-    # With semicolons between them numbers have a decimal comma, and rows stay as they are written.
-    comma = layout.delimiter == ";"
-    numbers = part.content.replace(",", ".") if comma else part.content
-    index = [text.columns.index(name) for name in wanted.numbers]
-    values = read_plain(numbers, layout.delimiter, layout.width, index)
+    values = _numbers(text, block, [text.columns.index(name) for name in wanted.numbers])
     if values is None or not np.isfinite(values).all():
         return None
-    rows = range(part.line, part.line + values.shape[1])
+    rows = range(block.line, block.line + values.shape[1])
     columns = dict(zip(wanted.numbers, values, strict=True))
     return replace(_table(text, rows, first), columns=columns)
+
+
+def _numbers(text: _Text, block: _Block, columns: Sequence[int]) -> Array | None:
+    """Return columns of lines that are nothing but rows of numbers, None of others."""
+    layout = text.layout
+    # With semicolons between them numbers may have a decimal comma.
+    comma = layout.decimal_comma or layout.delimiter == ";"
+    content = block.content.replace(b",", b".") if comma else block.content
+    if text.kept is None or block.line != layout.first:
+        return read_plain(content, layout.delimiter, layout.width, columns)
+    if not text.kept:
+        text.kept.append(read_plain(content, layout.delimiter, layout.width, range(layout.width)))
+    found = text.kept[0]
+    return None if found is None else found[columns]
 
 
 def _table(text: _Text, numbers: Sequence[int], first: int) -> Table:
@@ -339,4 +386,4 @@ def _decode(path: os.PathLike[str], block: bytes) -> str:
             f"{path}: neither text nor a format that is read ({formats_read()}); "
             "convert the log to CSV."
         )
-    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+    return text

@@ -29,11 +29,10 @@ class Rows(NamedTuple):
 
 
 def table_text(layout: Layout, content: str, first: int) -> Part:
-    """Return lines, the number of whose first is given, without those above the table."""
+    """Return lines of the table, the number of whose first is given."""
     if layout.decimal_comma and layout.delimiter != ";":
         content = content.replace(",", ".")
-    above = max(layout.first - first, 0)
-    return Part(content.split("\n", above)[-1] if above else content, first + above)
+    return Part(content, first)
 
 
 def rows_only(layout: Layout, part: Part) -> Rows:

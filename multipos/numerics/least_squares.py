@@ -76,7 +76,7 @@ class DependentColumnsError(RankError):
         self.problem = problem
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class LinearFit:
     """Least-squares estimate with what its uncertainty needs.
 

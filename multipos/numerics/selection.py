@@ -50,7 +50,7 @@ NOTHING = 1e-12  # part of a column's length below which what the forced terms l
 _EXACT = 1e-14  # part of the response below which a residual is rounding
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Triangle:
     """Triangular factor of a design and its response, which stands for all rows, eq. (1).
 

@@ -27,7 +27,7 @@ from multipos.numerics.factoring import (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Separability:
     """What the rows of a design can tell apart.
 

@@ -23,7 +23,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import rows_without_angle
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OpenRolls:
     """Which positions are rolls of open angle.
 

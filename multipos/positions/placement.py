@@ -26,7 +26,7 @@ _ONE_G = 0.01  # within which a known force may pass for gravity
 _EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no position is known
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Placement:
     """What is known of the positions.
 

@@ -44,13 +44,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 
 _GAP = 5.0  # median intervals without a row that end a run
 _CLEARLY = 2.33  # standard deviations of the lag-1 correlation of independent rows: 1 % above it
 _HALF = 0.97  # largest lag-1 correlation that is taken at its word
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TimeOrder:
     """Rows in the order of time, and which run without a gap each belongs to."""
 
@@ -77,7 +78,7 @@ def time_order(time: ArrayLike, run: NDArray[np.intp] | None = None) -> TimeOrde
     apart = np.diff(runs[order]) > 0
     steps = np.diff(t[order])
     moving = steps[(steps > 0.0) & ~apart]  # rows may share a time stamp
-    gap = apart | (steps > (_GAP * float(np.median(moving)) if len(moving) else 0.0))
+    gap = apart | (steps > (_GAP * float(median(moving)) if len(moving) else 0.0))
     return TimeOrder(order, np.concatenate(([0], np.cumsum(gap))).astype(np.intp))
 
 

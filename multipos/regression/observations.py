@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
 from multipos.numerics.arrays import LARGEST, Array
+from multipos.numerics.medians import median
 from multipos.regression.correlation import TimeOrder, time_order
 from multipos.regression.rates import default_window, form_rate, rows_of_runs
 from multipos.regression.whitening import Noise
@@ -28,7 +29,7 @@ _TIME = re.compile(
 _SAME = 1e-10  # relative difference below which two columns are one
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Data:
     """Columns of the rows that are fitted, with order in time, clusters, runs and their noise."""
 
@@ -211,7 +212,7 @@ def _usual_window(time: Array, runs: Rows | None) -> float:
     if runs is None:
         return default_window(time)
     windows = [default_window(time[rows]) for rows in rows_of_runs(runs) if len(rows) > 1]
-    return float(np.median(windows)) if windows else np.nan
+    return float(median(windows)) if windows else np.nan
 
 
 def _labelled(table: Table, column: str, kept: Rows, what: str) -> Rows:

@@ -79,7 +79,7 @@ class Plan:
         return CONSTANT in self.terms
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Fit:
     """Chosen columns of a design and their least squares."""
 

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import SMALLEST, Array
+from multipos.numerics.medians import median
 
 _WINDOW_ROWS = 20  # of the default window: quiet enough to be of use, short beside a soak
 
@@ -35,7 +36,7 @@ _WINDOW_ROWS = 20  # of the default window: quiet enough to be of use, short bes
 def default_window(time: ArrayLike) -> float:
     """Return twenty times the median interval between rows, in the unit of `time`; NaN of one."""
     steps = np.diff(np.asarray(time, dtype=np.float64))
-    return _WINDOW_ROWS * float(np.median(steps)) if len(steps) else np.nan
+    return _WINDOW_ROWS * float(median(steps)) if len(steps) else np.nan
 
 
 def form_rate(

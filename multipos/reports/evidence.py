@@ -19,14 +19,11 @@ from multipos.plots.calibration import (
 )
 from multipos.plots.check import draw_check, errors_apart
 from multipos.plots.tumble import draw_harmonics, draw_rolls
+from multipos.reports.check_sheets import check_sheets
 from multipos.reports.page import Figure, PageTable, Section, draw_svg, largest_positions
 from multipos.reports.quantities import column
 from multipos.reports.result import readings_table
-from multipos.reports.sheets import (
-    Sheet,
-    check_sheets,
-    table_error_sheets,
-)
+from multipos.reports.sheets import Sheet, table_error_sheets
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator

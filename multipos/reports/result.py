@@ -11,6 +11,7 @@ import numpy as np
 from multipos.files.numbers import decimals_of, in_unit
 from multipos.plots.calibration import compensated_error, nominal_error
 from multipos.plots.errors import draw_error_sphere
+from multipos.reports.check_sheets import run_conclusions
 from multipos.reports.page import Figure, PageTable, Section, draw_svg, largest_positions
 from multipos.reports.quantities import (
     Quantity,
@@ -19,7 +20,6 @@ from multipos.reports.quantities import (
     leaning_quantities,
     quantity_rows,
 )
-from multipos.reports.sheets import run_conclusions
 from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes

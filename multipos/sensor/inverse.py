@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.model import Model
 
@@ -145,7 +146,7 @@ def _turns_back(
     axes = [line if i in sensed else np.zeros(1) for i in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     middle = {
-        name: np.full(len(grid), np.median(np.asarray(environment[name])))
+        name: np.full(len(grid), median(np.asarray(environment[name])))
         for name in model.environment
     }
     jacobian = model.force_jacobian(parameters, grid, middle)[:, :, sensed]

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
@@ -55,7 +56,7 @@ class Mounting(NamedTuple):
     @property
     def name(self) -> str:
         """The plane, the sense and the start in degrees: ``xy+0``."""
-        start = float(np.degrees(np.median(_wrap(self.roll.angle - self.sense * self.head))))
+        start = float(np.degrees(median(_wrap(self.roll.angle - self.sense * self.head))))
         return f"{self.roll.plane}{'+' if self.sense > 0.0 else '-'}{round(start) % 360}"
 
 

@@ -18,6 +18,7 @@ from multipos.estimation.circles import circle_basis
 from multipos.estimation.gains import estimator_gain
 from multipos.estimation.restatement import noise_factor, restate, return_to_optimum
 from multipos.numerics.arrays import Array
+from multipos.numerics.medians import median
 from multipos.numerics.rotations import directions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator, VarianceComponents
@@ -188,7 +189,7 @@ def _noise_root(c: Calibration, covariance: Any) -> Array:
         unscaled = gain * root
     claimed = np.sqrt(np.diag(covariance))
     plain = np.linalg.norm(unscaled, axis=1)
-    factor = [float(np.median(claimed[part] / plain[part])) for part in c.model.slices]
+    factor = [float(median(claimed[part] / plain[part])) for part in c.model.slices]
     scale = np.tile(factor, n)
     return np.asarray(root * (scale[:, None] if root.ndim == 2 else scale))
 

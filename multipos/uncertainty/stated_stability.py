@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from multipos.bias_stability.stability_file import load_stability
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS
@@ -74,6 +73,9 @@ def _check_keys(where: str, table: Mapping[str, Any]) -> None:
 def _from_file(where: str, name: Any, beside: str) -> dict[str, Any]:
     if not isinstance(name, str):
         raise MultiposError(f"{where}: 'file' must be the name of a file, got {name!r}.")
+    # Imported here, for a budget seldom names such a file, and every fit may have a budget.
+    from multipos.bias_stability.stability_file import load_stability
+
     found = load_stability(Path(beside).parent / name)
     if not found.run_to_run:
         raise MultiposError(

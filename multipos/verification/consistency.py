@@ -61,7 +61,7 @@ _WORDS = Words(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Judgement:
     """What is said of repeated calibrations; arrays (p,), in the order of the parameters.
 
@@ -115,7 +115,7 @@ class Judgement:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Family:
     """Parameters that share one scatter: their cofactors K_r (R, d, d), s_r² and ν_r (R,)."""
 

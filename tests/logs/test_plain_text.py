@@ -43,7 +43,9 @@ def test_numbers_are_the_nearest_doubles(monkeypatch, mark, block):
     text = "\n".join((mark or " ").join(row) for row in rows)
     expected = bits([[float(cell) for cell in row] for row in rows])
     for columns in ([0, 1, 2, 3], [2], [3, 0]):
-        assert_array_equal(bits(read_plain(text, mark, WIDTH, columns)), expected[:, columns].T)
+        assert_array_equal(
+            bits(read_plain(text.encode(), mark, WIDTH, columns)), expected[:, columns].T
+        )
 
 
 @pytest.mark.parametrize(
@@ -59,7 +61,7 @@ def test_numbers_are_the_nearest_doubles(monkeypatch, mark, block):
 def test_single_numbers_at_the_borders(cell):
     """Beyond 2^53, 19 digits, 8 and 16 digits, and zeros of both signs."""
     text = f"{cell},1,2,3\n-4,5.5,6,7\n"
-    read = read_plain(text, ",", WIDTH, [0, 1])
+    read = read_plain(text.encode(), ",", WIDTH, [0, 1])
     assert_array_equal(bits(read), bits([[float(cell), -4.0], [1.0, 5.5]]))
 
 
@@ -72,16 +74,16 @@ def test_single_numbers_at_the_borders(cell):
     ],
 )
 def test_white_space_in_any_amount(text):
-    assert_array_equal(read_plain(text, "", WIDTH, [0, 3]), [[1.0, 5.0], [4.0, 8.0]])
+    assert_array_equal(read_plain(text.encode(), "", WIDTH, [0, 3]), [[1.0, 5.0], [4.0, 8.0]])
 
 
 def test_blanks_around_separators():
     text = " 1, 2,  3 ,4\n5 ,6 , 7, 8 \n"
-    assert_array_equal(read_plain(text, ",", WIDTH, [0, 2, 3]), [[1, 5], [3, 7], [4, 8]])
+    assert_array_equal(read_plain(text.encode(), ",", WIDTH, [0, 2, 3]), [[1, 5], [3, 7], [4, 8]])
 
 
 def test_no_columns_of_some_rows():
-    assert read_plain("1,2\n3,4\n", ",", 2, []).shape == (0, 2)
+    assert read_plain(b"1,2\n3,4\n", ",", 2, []).shape == (0, 2)
 
 
 @pytest.mark.parametrize(
@@ -112,7 +114,7 @@ def test_anything_else_is_left_to_others(cell, place):
     row = ["1", "2", "3", "4"]
     row[place] = cell
     text = "1,2,3,4\n" * 20 + ",".join(row) + "\n" + "1,2,3,4\n" * 20
-    assert read_plain(text, ",", WIDTH, [1, 2]) is None
+    assert read_plain(text.encode(), ",", WIDTH, [1, 2]) is None
 
 
 @pytest.mark.parametrize(
@@ -120,7 +122,7 @@ def test_anything_else_is_left_to_others(cell, place):
     ["", "\n", "1,2,3,4\n\n5,6,7,8\n", "1,2,3\n4,5,6,7,8\n", "1,2,3,4,\n", "1,2,3,4,5,6,7,8"],
 )
 def test_rows_of_another_width_are_left_to_others(text):
-    assert read_plain(text, ",", WIDTH, [0]) is None
+    assert read_plain(text.encode(), ",", WIDTH, [0]) is None
 
 
 def outcome(path, *, lenient):
@@ -174,5 +176,5 @@ def test_damaged_text_gives_the_same_by_both_ways(monkeypatch, tmp_path, mark):
 def test_many_long_numbers_before_one_that_is_none_are_left_to_others_at_once():
     """A pattern that can split digits in two ways tries all ways of all numbers: it never ends."""
     rows = [*(["0.5"] * 3 + ["1" + "9" * 30] for _ in range(30)), ["0.5"] * 3 + ["x" * 31]]
-    text = "".join(",".join(row) + "\n" for row in rows)
+    text = "".join(",".join(row) + "\n" for row in rows).encode()
     assert read_plain(text, ",", WIDTH, range(WIDTH)) is None

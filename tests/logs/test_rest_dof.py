@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.logs.rest_means import RestSum, autocovariances, density_with_dof, rest_means
+from multipos.logs.rest_means import autocovariances, density_with_dof, rest_means
+from multipos.logs.rest_sums import RestSum
 
 N = 1000
 
@@ -41,7 +42,8 @@ def test_degrees_of_freedom_by_the_delta_method():
     z -= z.mean()
     lag = [float((z[:, : 400 - k] * z[:, k:]).sum()) / 400 for k in (0, 1)]
     phi = lag[1] / lag[0]
-    density, dof = density_with_dof(autocovariances(z), np.array([400]), np.zeros(1))
+    count = np.array([400])
+    density, dof = density_with_dof(autocovariances(z, count), count, np.zeros(1))
     assert density == pytest.approx(lag[0] * (1 - phi**2) / (1 - phi) ** 2, rel=1e-12)  # order 1
     # var phi = (1 − phi²)/b, and ln u² has the derivative 2/(1 − phi); var ln s² = 2/b
     spread = 2 / 400 + 4 * (1 - phi**2) / (400 * (1 - phi) ** 2)
@@ -62,7 +64,7 @@ def test_higher_orders_by_solving_their_equations(memory):
             x[i] += sum(phi * x[i - k] for k, phi in enumerate(memory, 1))
         rows.append(x - x.mean())
     expected = [by_linear_systems(z) for z in rows]
-    lagged = np.concatenate([autocovariances(z[None]) for z in rows])
+    lagged = np.concatenate([autocovariances(z[None], np.array([len(z)])) for z in rows])
     found = density_with_dof(lagged, np.array([len(z) for z in rows]), np.zeros(3))
     assert found[0] == pytest.approx([density for density, _, _ in expected], rel=1e-9)
     assert found[1] == pytest.approx([dof for _, dof, _ in expected], rel=1e-9)

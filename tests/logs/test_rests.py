@@ -1,13 +1,15 @@
 """Static detection and the uncertainty of means, against truth made here."""
 
 import re
+from itertools import groupby, pairwise
 
 import numpy as np
 import pytest
 from log_bench import ar1, shared
 
 from multipos import MultiposError, UsageError
-from multipos.logs.rest_means import RestSum, autocovariances, density_with_dof, rest_means
+from multipos.logs.rest_means import autocovariances, density_with_dof, rest_means
+from multipos.logs.rest_sums import RestSum
 from multipos.logs.rests import (
     PIECE,
     Finder,
@@ -261,6 +263,44 @@ def test_longest_run_counts_across_pieces():
     assert rest_means([taken])[0].longest[0] == 5
 
 
+def test_longest_runs_of_several_outputs():
+    """Runs of whole numbers by going through them one by one, in pieces of any length."""
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        samples = rng.integers(0, 2, size=(3, 40)).astype(float)
+        taken = RestSum(40, 3)
+        cuts = np.sort(rng.integers(0, 41, 4)).tolist()
+        for start, end in pairwise([0, *cuts, 40]):
+            taken.feed(samples[:, start:end])
+        runs = [max(len([*run]) for _, run in groupby(row)) for row in samples.tolist()]
+        assert rest_means([taken])[0].longest.tolist() == runs
+
+
+def test_rests_beside_each_other_are_as_each_alone():
+    """Rests of any length: white, wandering, in whole steps, and with a constant output.
+
+    Zeros stand behind the shorter ones, so that sums round otherwise; 1e-9 is far above a thousand
+    roundings and far below any uncertainty. A drift may be nothing beside the noise.
+    """
+    rng = np.random.default_rng(6)
+    sums = []
+    for i, n in enumerate([2, 9, 60, 500, 513, 1100, 2500, 130, 1023, 4000, 700, 1500] * 6):
+        samples = rng.normal(size=(2, n))
+        samples = [samples, np.cumsum(samples, axis=1), np.round(samples)][i % 3]
+        samples[1] = samples[1] if i % 5 else 0.25
+        sums.append(RestSum(n, 2))
+        sums[-1].feed(samples)
+    for together, taken in zip(rest_means(sums), sums, strict=True):
+        (alone,) = rest_means([taken])
+        for name in ("mean", "sd", "u", "drift_u", "edge", "dof", "wander"):
+            np.testing.assert_allclose(
+                getattr(together, name), getattr(alone, name), rtol=1e-9, atol=0, err_msg=name
+            )
+        np.testing.assert_allclose(
+            together.drift / alone.sd.max(), alone.drift / alone.sd.max(), atol=1e-9
+        )
+
+
 def test_drift_is_found_and_noise_is_not():
     rng = np.random.default_rng(8)
     noise = ar1(rng, (200, 1000), 0.8)
@@ -280,7 +320,8 @@ WAVE = np.array([1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1], dtype=
 
 def zero_density(z, removed):
     """Return b u² of eq. (1) of one row."""
-    return density_with_dof(autocovariances(z[None]), np.array([len(z)]), np.array([removed]))[0]
+    count = np.array([len(z)])
+    return density_with_dof(autocovariances(z[None], count), count, np.array([removed]))[0]
 
 
 def test_spectral_density_of_a_short_series_by_hand():

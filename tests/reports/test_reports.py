@@ -16,8 +16,8 @@ from multipos.files.numbers import markdown_text, plain_number, uncertain
 from multipos.positions.scheme import read_scheme
 from multipos.reports.cells import readable
 from multipos.reports.certificate import LAB_FIELDS, build_content
+from multipos.reports.check_sheets import check_text
 from multipos.reports.documents import html_report, markdown_report, plain_report
-from multipos.reports.sheets import check_text
 from multipos.reports.summary import text_report
 from multipos.reports.translations import Translator
 from multipos.results import plain
