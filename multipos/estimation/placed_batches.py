@@ -11,9 +11,9 @@ of any size, and from there as `multipos.estimation.noise` has it,
 - where their size is to be estimated, the same of τ² and the common factor F on their squares.
 
 A unit that has settled is left out of the turns that follow. One is left to `fit` where a search
-has not ended, where no scatter explains the residuals beside a stated noise, where the positions
-separate parameters badly or noise leaves scale factors open, where a position sticks out, and where
-readings are so loud or so coarse that a doubt may be raised.
+has not ended, where no scatter explains the residuals beside a stated noise, or where stated noise
+is unlike and placement to be estimated; where the positions separate parameters badly or noise
+leaves scale factors open, where a position sticks out, and where readings are too loud.
 """
 
 from collections.abc import Mapping, Sequence
