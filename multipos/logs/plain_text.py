@@ -128,7 +128,7 @@ def _between(block: bytes, mark: bytes, width: int) -> _Cells | None:
     others = np.diff(between) - 1  # characters that are no digits
     digits = length - others
     pointed = points[after - 1]
-    # A minus, first behind a separator, where the next character that is no digit stands.
+    # A minus stands right behind a separator: the first character there that is no digit.
     first = between[:-1] + 1
     negative = (kinds[first] == ord("-")) & (places[first] == ends[:-1] + 1)
     odd = (others != pointed.astype(np.int64) + negative) | (digits < 1) | (digits > _DIGITS)
