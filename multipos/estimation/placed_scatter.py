@@ -228,7 +228,7 @@ def _evaluate_few(
     n, m = linear.error.shape
     G = len(nodes)
     covariance = floor + nodes[:, None, None, None] * np.eye(m)
-    P = np.asarray(np.linalg.inv(covariance), dtype=np.float64).reshape(G * n, m, m)
+    P, log_det = _inverses(covariance.reshape(G * n, m, m))
     J = np.tile(linear.jacobian, (G, 1, 1))
     sd = np.tile(linear.orientation_sd, G)
     tied, rolled = np.tile(linear.tied, G), np.tile(linear.rolled, G)
@@ -239,9 +239,8 @@ def _evaluate_few(
     W = own.marginal.reshape(G, n, m, m)
     H = own.determinant
     # ln det V = ln det (Σ + τ²) + ln det H + 2 ln s² (of a roll ln s²), less what is constant
-    log_det = np.linalg.slogdet(covariance)[1].sum(axis=1)
     angles = np.where(rolled, 1.0, 2.0)  # that have a prior
-    log_det += (np.log(np.where(H > 0.0, H, 1.0)) + angles * np.log(variance)).reshape(G, n).sum(1)
+    log_det += np.log(np.where(H > 0.0, H, 1.0)) + angles * np.log(variance)
     A = linear.design.reshape(n * m, -1)
     X = (W @ linear.design).reshape(G, n * m, -1)  # V⁻¹A
     plain = np.einsum("gnij,nj->gni", W, linear.error).reshape(G, -1)
@@ -249,13 +248,23 @@ def _evaluate_few(
     right = plain @ A + linear.pull
     moves = np.einsum("gpq,gq->gp", C, right)
     log = -0.5 * (
-        log_det
+        log_det.reshape(G, n).sum(axis=1)
         + log_information
         + plain @ linear.error.ravel()
         - np.einsum("gp,gp->g", right, moves)
     )
     log += _log_prior(linear, W, factors) + np.log(nodes + size)
     return Found(log, moves[:, : linear.p], np.einsum("gpp->gp", C)[:, : linear.p])
+
+
+def _inverses(covariances: Array) -> tuple[Array, Array]:
+    """Return inverses and ln det of covariances (k, M, M), at once where all are diagonal."""
+    variances = np.einsum("kii->ki", covariances)
+    if np.count_nonzero(covariances) > np.count_nonzero(variances):
+        return np.asarray(np.linalg.inv(covariances)), np.linalg.slogdet(covariances)[1]
+    inverses = np.zeros_like(covariances)
+    np.einsum("kii->ki", inverses)[:] = 1.0 / variances
+    return inverses, np.log(variances).sum(axis=1)
 
 
 def _invert(information: Array) -> tuple[Array, Array]:
