@@ -157,8 +157,12 @@ def nominal_error(calibration: Calibration) -> Array:
     """Return the size (n,) [g] of the error by the nominal conversion of the calibration.
 
     Where it has none, by one nominal scale factor without bias: 1 for readings in g, else the mean
-    own-axis one.
+    own-axis one. Of an unknown orientation it is what lies along up: across, the error is against
+    an orientation that the fit itself chose.
     """
+    if calibration.estimator is Estimator.UNKNOWN:
+        up = directions(calibration.reference)
+        return np.asarray(np.abs(np.einsum("ni,ni->n", nominal_errors(calibration), up)))
     return np.asarray(np.linalg.norm(_nominal_off(calibration), axis=1))
 
 

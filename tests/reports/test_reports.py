@@ -12,7 +12,7 @@ import pytest
 import multipos as mp
 from multipos import plots
 from multipos.cli import main
-from multipos.files.numbers import markdown_text, plain_number, uncertain
+from multipos.files.numbers import in_unit, markdown_text, plain_number, uncertain
 from multipos.positions.scheme import read_scheme
 from multipos.reports.cells import readable
 from multipos.reports.certificate import LAB_FIELDS, build_content
@@ -164,6 +164,18 @@ def test_errors_before_and_after(calibration):
     assert plots.compensated_error(c) == pytest.approx(np.linalg.norm(after, axis=1))
     volts = mp.fit(mp.Readings(2.0 * read_scheme("faces-6").up, unit="V"), scheme="faces-6")
     assert plots.nominal_error(volts) == pytest.approx(np.zeros(6), abs=1e-15)
+
+
+def test_before_of_an_unknown_orientation_is_the_error_of_the_size():
+    up = read_scheme("fibonacci-24").up
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(up.shape)
+    values = [0.03, -0.02, 0.01] + up * [1.02, 0.98, 1.01] + noise
+    c = mp.fit(mp.Readings(values, unit="g"), unknown_orientation=True)
+    along = np.einsum("ni,ni->n", values - c.reference, c.reference)  # of 1 g
+    assert plots.nominal_error(c) == pytest.approx(np.abs(along), abs=1e-12)
+    rms = np.sqrt(np.mean(plots.nominal_error(c) ** 2))
+    (said,) = (text for text in build_content(c).result.paragraphs if "rms" in text)
+    assert in_unit(rms, "g") in said
 
 
 def test_warnings_stand_on_top(calibration, pages):
