@@ -190,6 +190,7 @@ TEXT = """
  2 fleet fleet.csv --unit-column unit --station-column station --limits limits.csv --json -o o
  2 fleet fleet.csv --unit-column unit --limits limits.toml --json -o o
  1 fleet fleet.csv --unit-column unit --unknown-orientation --json -o o
+ 1 fleet fleet.csv --unit-column unit --orientation-sd 0.2 --json -o o
  1 fleet fleet.csv --unit-column unit --reading-sd 0.001 --model own-quadratic --json -o o
 .5 capture replay:log.csv:0 --headless
 .5 capture replay:log.csv:0 --headless --scheme faces-6 -o o.csv
