@@ -8,6 +8,7 @@
 """
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -45,6 +46,8 @@ def outlier(c: Calibration) -> Doubt | None:
 
 def lack_of_fit(c: Calibration) -> Doubt | None:
     """Find outputs whose repeats scatter less than the model misses them."""
+    if c.effective_rows:  # neighbours are no repeats
+        return None
     level = _LEVEL / len(c.outputs)
     small = {}
     for output, test in c.diagnostics.lack_of_fit.items():
@@ -67,7 +70,9 @@ def lack_of_fit(c: Calibration) -> Doubt | None:
 
 
 def time_correlated(c: Calibration) -> Doubt | None:
-    """Find residuals that are alike from row to row, where the positions are not."""
+    """Find rows that are worth fewer, and residuals alike where the positions are not."""
+    if c.effective_rows:
+        return _worth_fewer(c, c.effective_rows)
     n, outputs = c.residuals.shape
     terms = min(map(len, c.model.terms))
     left = n - terms
@@ -90,6 +95,21 @@ def time_correlated(c: Calibration) -> Doubt | None:
         "residuals are alike from one row to the next though the positions are not: something "
         "drifted while it was measured, and U is too small; take the positions in random order, "
         "or fit a term of time or temperature",
+    )
+
+
+def _worth_fewer(c: Calibration, effective: Mapping[str, float]) -> Doubt:
+    """Return the doubt about rows whose correlation U follows from."""
+    n = len(c.residuals)
+    fewer = {output: rows for output, rows in effective.items() if rows < n}
+    said = ", ".join(f"{output} {max(rows, 1.0):.2g}" for output, rows in fewer.items())
+    return Doubt(
+        "time-correlated",
+        "caution",
+        f"neighbouring rows have nearly the same error: the mean of {n} is worth that of fewer "
+        f"independent ones, {said}, and U is larger for it; take the positions several times, in "
+        "random order",
+        outputs=tuple(fewer),
     )
 
 

@@ -11,6 +11,8 @@ freedom: no model is fitted again, and at known orientations (1) is the F test o
 - Elsewhere outputs are whitened by what was found of their noise and share one R. Uncertain and
   unknown orientations have the marginal weights W_k of `multipos.estimation.likelihood`, so that
   V'V = Z'WZ − Z'WA S⁻¹ A'WZ, and V'e = Z'Σ⁻¹r − Z'WA S⁻¹ A'Σ⁻¹r.
+- Rows that are correlated count as the effective number of them: R is multiplied by their share in
+  all rows, and so is ν.
 
 What positions cannot show, and how V is made and kept, is said in `multipos.doubts.projections`.
 
@@ -20,7 +22,7 @@ C. R. Rao 1948, Proc. Cambridge Phil. Soc. 44, 50 (the score test); IEEE Std 129
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,9 +80,22 @@ def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
         return Tested((), ())
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            return (_at_known if alone else _as_one)(c, kinds, added)
+            tested = (_at_known if alone else _as_one)(c, kinds, added)
     except np.linalg.LinAlgError:  # as good as singular: nothing can be said of what is beside it
         return Tested((), ())
+    if not c.effective_rows:
+        return tested
+    share = min(c.effective_rows.values()) / len(c.residuals)
+    return replace(tested, tests=tuple(_of_fewer(test, share) for test in tested.tests))
+
+
+def _of_fewer(test: ModelTest, share: float) -> ModelTest:
+    """Return a test as if there were only a share of the rows, as correlated ones are worth."""
+    return replace(
+        test,
+        ratios=tuple(ratio * share for ratio in test.ratios),
+        dofs=tuple((q, max(nu * share, 1.0)) for q, nu in test.dofs),
+    )
 
 
 def significant(tests: Sequence[ModelTest]) -> tuple[ModelTest, ...]:

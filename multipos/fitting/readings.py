@@ -16,6 +16,7 @@ from multipos.doubts.odd_rows import explain_breakdown, explain_failure
 from multipos.errors import MultiposError, UsageError, warn_of
 from multipos.estimation.claimed_noise import carry_dof, steady_floors
 from multipos.estimation.completion import complete
+from multipos.estimation.correlated_rows import spread_correlation
 from multipos.estimation.known import solve_known
 from multipos.estimation.losses import Loss
 from multipos.estimation.model_selection import select_terms, with_selection
@@ -229,8 +230,13 @@ def calibrate_at(
     placement: Placement,
     options: Options,
     gravity: Gravity | None,
+    *,
+    ordered: bool = True,
 ) -> Calibration:
-    """Return the calibration of readings whose positions are resolved; no doubt is asked yet."""
+    """Return the calibration of readings whose positions are resolved; no doubt is asked yet.
+
+    Rows that are `ordered` stand in the order of time, and may be correlated.
+    """
     tied = _TIED if placement.listed.any() else placement.rolls and _ROLLED
     if options.gauge != GAUGES[0] and tied:
         note = f"--gauge {options.gauge} has no effect: {tied}"
@@ -247,6 +253,8 @@ def calibrate_at(
         readings = add_reference_noise(readings, solution)
         solution = _solver(estimator, readings, placement, options, claimed=claimed)(model)
     solution = carry_dof(solution, readings, joint=not estimator.exact)
+    if ordered:
+        solution = spread_correlation(solution, readings, placement, estimator)
     found = solution.orientation_sd
     calibration = complete(
         solution,

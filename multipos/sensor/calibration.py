@@ -215,6 +215,12 @@ class Calibration(Result, Drawn):
         scatter = found is not None and found.rest_to_rest is not None
         return self.noise is not None and (scatter or bool(np.isinf(self.dof).all()))
 
+    @property
+    def effective_rows(self) -> Mapping[str, float] | None:
+        """How many independent rows each output is worth; None where rows are taken as such."""
+        found = self.variance_components
+        return None if found is None else found.effective_rows
+
     @cached_property
     def sd_of_readings(self) -> Array:
         """Standard deviation of every reading (n, M): by `noise`, else as the residuals show it."""

@@ -162,6 +162,7 @@ CALIBRATION = Fields(
                 "rest_to_rest": _REST_TO_REST,
                 "reading_sd": _COMPONENT,
                 "orientation_sd_deg": _PLACED,
+                "effective_rows": Named(NOT_NEGATIVE),
             },
         ),
         "facing": Listed(Text(tuple(f"{sign}{axis}" for sign in ("", "-") for axis in COMPONENTS))),

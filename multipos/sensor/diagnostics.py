@@ -5,7 +5,18 @@ Studentised residuals: with the leverage h_k and residual degrees of freedom ν,
     r_k = e_k / (s sqrt(1 - h_k)),    t_k = r_k sqrt((ν - 1) / (ν - r_k²)),                (1)
 
 t_k follows Student's t with ν − 1 degrees of freedom [1]_; a position is an outlier where it
-passes the 1 % point divided by the number of readings (Bonferroni).
+passes the 1 % point divided by the number of readings (Bonferroni). Where some rows are noisier
+than others, all outputs together, that names them too often. So with σ² the variance that N
+readings have without the g that pass, q_k a row's sum of r² over its M outputs, and t the density
+of M normal numbers whose common variance is v d/χ²_d, what passes is named as it is where
+
+    −½ (N − g)(ln 2πσ² + 1) − Σ ln 2N|r|  >  max Σ_k ln t(q_k; d, v) − 2,  d ≥ 5,           (2)
+
+an outlier lying anywhere within ±|r|. Elsewhere it must pass the same point beside its own row,
+
+    r² (d + M − 1)/(d v + q_k − r²),    t² on d + M − 1 degrees of freedom,                 (3)
+
+d and v of the other rows.
 
 Linearity of an output against its own reference: with the least-squares line through the
 readings and its span S from −1 to +1 g (where forces are known, to the largest), the largest
@@ -34,6 +45,9 @@ from multipos.sensor.term_tests import ModelTest
 
 UNEQUAL = 0.05  # level at which outputs are called unequally noisy
 OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named
+_IN_DOUBT = 2.0  # of a logarithm, within which an outlier is named all the same
+_ROWS_TOLD = 12  # from which on rows tell that they are unlike
+_LEAST_D = 5.0  # of eq. (2): heavier tails would hide what sticks out of noisy rows
 
 
 class Claim(NamedTuple):
@@ -114,22 +128,59 @@ def find_outliers(
     # A position that alone fixes a parameter (leverage 1) has no residual to judge.
     r2 = error**2 / (np.where(judged, s2, 1.0) * np.maximum(left, 1e-9))
     suspect = judged & (left > 1e-9) & (r2 > 4.0)  # below 2 sd no position can be one
-    found = []
+    beyond = []
     for column in np.flatnonzero(suspect.any(axis=0)).tolist():
         suspects = np.flatnonzero(suspect[:, column])
         sizes = r2[suspects, column]
-        beyond = []
         for place in np.argsort(-sizes, kind="stable").tolist():
             if not _is_outlier(float(sizes[place]), float(nu[column]), residuals.size):
                 break  # and none that is smaller is beyond chance
-            beyond.append(place)
-        found += [
-            f"position {labels[suspects[place]]}: {outputs[column]} is off by "
-            f"{residuals[suspects[place], column]:.3g}, {np.sqrt(sizes[place]):.1f} times its "
-            "standard deviation"
-            for place in sorted(beyond)
-        ]
-    return tuple(found)
+            beyond.append((column, int(suspects[place])))
+    if beyond and judged.all() and (left > 1e-9).all():
+        beyond = _beyond_unlike_rows(r2, beyond)
+    return tuple(
+        f"position {labels[row]}: {outputs[column]} is off by {residuals[row, column]:.3g}, "
+        f"{np.sqrt(r2[row, column]):.1f} times its standard deviation"
+        for column, row in sorted(beyond)
+    )
+
+
+def _beyond_unlike_rows(r2: Array, beyond: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return the outputs and rows that are beyond chance where rows are unlike, eqs. (2), (3)."""
+    n, m = r2.shape
+    if m < 2 or n < _ROWS_TOLD:
+        return beyond
+    columns, rows = (list(places) for places in zip(*beyond, strict=True))
+    passing = r2[rows, columns]
+    kept = r2.size - len(passing)
+    variance = float(r2.sum() - passing.sum()) / kept
+    if variance <= 0.0:
+        return beyond
+    alone = -0.5 * kept * (math.log(2.0 * math.pi * variance) + 1.0)
+    alone -= float(np.log(2.0 * r2.size * np.sqrt(passing)).sum())
+    q = r2.sum(axis=1)
+    if alone > _law_of_rows(q, m)[0] - _IN_DOUBT:
+        return beyond
+    _, d, v = _law_of_rows(np.delete(q, rows), m)
+    found = []
+    for (column, row), own in zip(beyond, passing.tolist(), strict=True):
+        t = math.sqrt(own * (d + m - 1.0) / (d * v + float(q[row]) - own))
+        if t_tail(t, d + m - 1.0) < OUTLIER_LEVEL / r2.size:
+            found.append((column, row))
+    return found
+
+
+def _law_of_rows(q: Array, m: int) -> tuple[float, float, float]:
+    """Return the largest logarithm of the likelihood of eq. (2), and its d and v."""
+    best = (-math.inf, 0.0, 0.0)
+    v = np.geomspace(0.02, 4.0, 30)  # the mean of r² is one
+    for d in np.geomspace(_LEAST_D, 100.0, 12).tolist():
+        constant = math.lgamma((d + m) / 2.0) - math.lgamma(d / 2.0)
+        shape = constant - 0.5 * m * np.log(math.pi * d * v)
+        log = len(q) * shape - 0.5 * (d + m) * np.log1p(q / (d * v[:, None])).sum(axis=1)
+        top = int(np.argmax(log))
+        best = max(best, (float(log[top]), d, float(v[top])))
+    return best
 
 
 def _is_outlier(r2: float, nu: float, readings: int) -> bool:
@@ -152,7 +203,7 @@ def find_correlated_outliers(
 
     With the covariance C, a shift of reading i alone is seen best by (Baarda's data snooping)
 
-        w_i = (C⁻¹ r)_i / √Q_ii,    Q = C⁻¹ − C⁻¹ X (X' C⁻¹ X)⁻¹ X' C⁻¹,                   (2)
+        w_i = (C⁻¹ r)_i / √Q_ii,    Q = C⁻¹ − C⁻¹ X (X' C⁻¹ X)⁻¹ X' C⁻¹,                   (4)
 
     of variance one where the reading is sound; r'C⁻¹r on its degrees of freedom scales it, as in
     eq. (1). Where C is diagonal both are the same.

@@ -82,11 +82,14 @@ class VarianceComponents(Keyed):
     reading_sd : Component or None
         In reading units.
     orientation_sd_deg : Placed or None
+    effective_rows : mapping of output to float, or None
+        Of a record whose rows are correlated: how many independent ones a mean of it is worth.
     """
 
     rest_to_rest: Mapping[str, RestToRest] | None = None
     reading_sd: Component | None = None
     orientation_sd_deg: Placed | None = None
+    effective_rows: Mapping[str, float] | None = None
 
 
 def add_scatter(

@@ -244,6 +244,7 @@ def _components(said: Mapping[str, Any]) -> VarianceComponents:
         scatter,
         None if reading is None else Component(reading["value"], reading["u"]),
         None if placed is None else Placed(**{"determined": True, **_known_keys(placed, _PLACED)}),
+        said.get("effective_rows"),
     )
 
 
@@ -264,8 +265,10 @@ def _check_shapes(c: Mapping[str, Any]) -> None:
         if np.shape(value) != shape:
             raise ValueError(f"'{key}' has shape {np.shape(value)}, but {shape} fits its others")
     by_output = {key: c[key] for key in ("residual_sd", "dof", "selection") if key in c}
-    if "rest_to_rest" in (components := c.get("variance_components", {})):
-        by_output["variance_components.rest_to_rest"] = components["rest_to_rest"]
+    components = c.get("variance_components", {})
+    for key in ("rest_to_rest", "effective_rows"):
+        if key in components:
+            by_output[f"variance_components.{key}"] = components[key]
     for key, value in by_output.items():
         if set(value) != set(c["outputs"]):
             raise ValueError(f"'{key}' names {', '.join(value)}, not its outputs")

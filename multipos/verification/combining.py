@@ -14,6 +14,9 @@ S is the sample covariance of R normal vectors. Where sessions agree as well as 
 the noise of a whole session in it, and U is longer than the pooled fit alone would need; only more
 sessions shorten it.
 
+Where readings are correlated, or only some sessions state their uncertainty, all are fitted again
+with equal weights: (1) then holds for them all, and (2) asks nothing of what they state.
+
 What all sessions share (gravity, the level of the table) does not show in S and is added as in
 any fit. How the zero repeats, `[stability]` in a budget, is in S, and is not added again.
 """
@@ -40,6 +43,10 @@ from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.propagation import state_budget
 
 _IN_S = "stability"  # the table of a budget that sessions show by themselves
+_PLAIN = (
+    "the sessions do not all state their uncertainty, or state correlated readings: each was "
+    "fitted again with equal weights, and U follows from how they differ"
+)
 
 
 def combine_sessions(found: Sequence[Calibration], files: Sequence[str]) -> Calibration:
@@ -59,7 +66,8 @@ def combine_sessions(found: Sequence[Calibration], files: Sequence[str]) -> Cali
     """
     _require_alike(found, files)
     first = found[0]
-    readings = _joined([c.readings for c in found])
+    alike = _state_alike([c.readings for c in found])
+    readings = _joined([c.readings if alike else _plain(c.readings) for c in found])
     level = first.orientations.level_sd_deg if first.orientations else None
     options = Options(
         convention=first.convention,
@@ -68,20 +76,25 @@ def combine_sessions(found: Sequence[Calibration], files: Sequence[str]) -> Cali
         unknown_orientation=first.estimator is Estimator.UNKNOWN,
         level_sd=math.radians(level or 0.0),
     )
-    placement = place(
-        readings, signed_size(first.gravity, first.convention), level_sd=options.level_sd
-    )
-    pooled = calibrate_at(first.model, readings, placement, options, None)
+
+    def solved(readings: Readings) -> Calibration:
+        size = signed_size(first.gravity, first.convention)
+        placement = place(readings, size, level_sd=options.level_sd)
+        # rows of one session are alike by what S holds
+        return calibrate_at(first.model, readings, placement, options, None, ordered=False)
+
+    pooled = solved(readings)
+    each = found if alike else [solved(_plain(c.readings)) for c in found]
     pooled = replace(
         pooled,
         gravity=first.gravity,
         selection=first.selection,
         nominal=first.nominal,
         facing=first.facing,
-        diagnostics=_diagnosed(found, pooled.diagnostics),
-        residual_sd=_within(found, lambda c: c.residual_sd),
+        diagnostics=_diagnosed(found, pooled.diagnostics, () if alike else (_PLAIN,)),
+        residual_sd=_within(each, lambda c: c.residual_sd),
     )
-    return _with_budget(_with_spread(_with_scatter(pooled, found), found, files), first)
+    return _with_budget(_with_spread(_with_scatter(pooled, each), each, files), first)
 
 
 def _require_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
@@ -114,8 +127,6 @@ def _require_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
 def _joined(sessions: Sequence[Readings]) -> Readings:
     """Return the readings of all sessions as one set; a group is one of its session."""
     first = sessions[0]
-
-    _require_independent(sessions)
     shared = [n for n in first.environment if all(n in r.environment for r in sessions)]
     sources = dict.fromkeys(r.source for r in sessions if r.source is not None)
     return Readings(
@@ -144,14 +155,15 @@ def _stacked(sessions: Sequence[Readings], name: str) -> Array | None:
     return None if any(part is None for part in parts) else np.concatenate(parts)
 
 
-def _require_independent(sessions: Sequence[Readings]) -> None:
-    correlated = [r.covariance is not None for r in sessions]
-    states = [r.u is not None or own for r, own in zip(sessions, correlated, strict=True)]
-    if any(correlated) or len(set(states)) > 1:
-        raise MultiposError(
-            "sessions whose readings are not independent, or of which only some state their "
-            "uncertainty, cannot be combined; fit all with u_… columns, or none."
-        )
+def _state_alike(sessions: Sequence[Readings]) -> bool:
+    """Tell whether all sessions state their noise, reading by reading, or none does."""
+    correlated = any(r.covariance is not None for r in sessions)
+    return not correlated and len({r.u is not None for r in sessions}) == 1
+
+
+def _plain(readings: Readings) -> Readings:
+    """Return readings without what they state of their noise: U follows from S all the same."""
+    return replace(readings, u=None, dof=None, covariance=None)
 
 
 def _groups(sessions: Sequence[Readings]) -> tuple[str, ...] | None:
@@ -164,7 +176,9 @@ def _groups(sessions: Sequence[Readings]) -> tuple[str, ...] | None:
     return tuple(found) if any(found) else None
 
 
-def _diagnosed(found: Sequence[Calibration], pooled: Diagnostics) -> Diagnostics:
+def _diagnosed(
+    found: Sequence[Calibration], pooled: Diagnostics, said: tuple[str, ...]
+) -> Diagnostics:
     """Return what is said of the sessions; the pooled residuals show how sessions differ."""
     each = [c.diagnostics for c in found]
     doubts = {doubt.code: doubt for d in reversed(each) for doubt in d.doubts}
@@ -173,7 +187,7 @@ def _diagnosed(found: Sequence[Calibration], pooled: Diagnostics) -> Diagnostics
         lack_of_fit={},
         outliers=(),
         doubts=tuple(sorted(doubts.values(), key=lambda doubt: not doubt.implausible)),
-        warnings=tuple(dict.fromkeys(doubt.text for doubt in doubts.values())),
+        warnings=(*dict.fromkeys(doubt.text for doubt in doubts.values()), *said),
         hidden=tuple(kind for kind in each[0].hidden if all(kind in d.hidden for d in each)),
         claim=None,
     )

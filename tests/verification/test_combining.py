@@ -147,6 +147,31 @@ def test_on_the_command_line(tmp_path, capsys):
     assert "scatter from session to session" in (tmp_path / "report.txt").read_text()
 
 
+def test_what_sessions_state_unlike_is_left_out():
+    """One that states its u, unlike from row to row, counts as if it did not, and so does S."""
+    a, b, c = sessions(8, 3)
+    u = np.resize([1.0, 2.0, 4.0, 1.0], (6, 3)) * SD
+    stated = mp.fit(replace(b.readings, u=u))
+    assert np.abs(stated.parameters - b.parameters).max() > 1e-5
+    one, all_plain = combined([a, stated, c]), combined([a, b, c])
+    assert_allclose(one.parameters, all_plain.parameters, rtol=0, atol=1e-13)
+    assert_allclose(one.covariance, all_plain.covariance, rtol=1e-9, atol=1e-15)
+    assert_allclose(one.residual_sd, all_plain.residual_sd, rtol=1e-9)
+    assert "fitted again with equal weights" in one.diagnostics.warnings[-1]
+    assert not any("equal weights" in said for said in all_plain.diagnostics.warnings)
+    correlated = mp.fit(replace(b.readings, covariance=SD**2 * (np.eye(18) + 0.2)))
+    again = combined([a, correlated, c])
+    assert_allclose(again.covariance, all_plain.covariance, rtol=1e-9, atol=1e-15)
+    assert again.readings.covariance is None
+
+
+def test_sessions_of_many_rows_are_no_record():
+    """What sessions differ by is in S, and not a correlation from row to row."""
+    rng = np.random.default_rng(21)
+    found = [session(rng, scheme="faces-6+faces-6+faces-6")[0] for _ in range(4)]
+    assert combined(found).effective_rows is None
+
+
 def test_what_cannot_be_combined():
     a, b = sessions(8, 2)
     with pytest.raises(MultiposError, match="has the readings of calibration 1"):
@@ -157,8 +182,6 @@ def test_what_cannot_be_combined():
         combined([a, sessions(9, 1, orientation_sd=0.1)[0]])
     with pytest.raises(MultiposError, match="robust"):
         combined([a, replace(b, robust_weight=np.ones(6))])
-    with pytest.raises(MultiposError, match="only some state"):
-        combined([a, sessions(9, 1, reading_sd=SD)[0]])
     x = np.arange(8.0)
     regression = mp.regress({"x": x, "y": 2 * x + np.sin(9 * x)}, response="y", variables="x")
     with pytest.raises(UsageError, match="--run"):

@@ -1,0 +1,281 @@
+"""Rows of one record in the order of time, whose noise is correlated from row to row.
+
+A record given row by row, many rows a position, has n rows and far less than n independent ones:
+u by the scatter of rows alone is then too small. Where rows repeat positions, the scatter within
+positions tells noise from what the model lacks. Its sums S_b over runs of m rows,
+
+    Σ S_b² / s² Σ (m − Σ_j n_bj²/n_j)     over runs b, n_bj of the n_j rows of position j,  (1)
+
+follow χ² on the number of runs, over that number, where rows are independent, m = 2, 4, 8, …; rows
+of unknown orientation show it by their misfit along the force, of which no mean is taken. Where a
+sum is beyond chance, noise is taken as slow noise and white noise together,
+
+    e_k − ρ e_{k−1} = w_k − θ w_{k−1},     0 ≤ θ ≤ ρ < 1,                                   (2)
+
+whose covariance R is known for any ρ and θ. The estimate stays least squares, b = B e off the truth
+with B = (X'X)⁻¹X', so that for the variance s² that rows leave when whitened by the law,
+
+    cov b = s² B R B'.                                                                      (3)
+
+The law is not decided upon but integrated over by its restricted likelihood and Jeffreys' prior of
+a long correlation, dρ (1 − ρ)^−½, at nodes even in ln(1 − ρ) up to times longer than the record. So
+U is half the interval that holds the mixture of (3), never less than that of independent rows, with
+the degrees of freedom that its tails have. The effective number of rows is what a mean is worth,
+
+    n_eff = n² Σ_g p_g r_g / 1'R_g 1,                                                       (4)
+
+p_g the probabilities of the nodes, r_g the variance of a row.
+
+Sources: D. M. Cooper, R. Thompson, Biometrika 64, 1977 (the restricted likelihood of (2));
+G. V. Bayley, J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (4).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import erfc, log, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.posteriors import Posterior
+from multipos.estimation.solution import Solution
+from multipos.numerics.arrays import Array, row_keys
+from multipos.numerics.quantiles import coverage_factor, coverage_factors
+from multipos.numerics.recursions import recur
+from multipos.positions.placement import Placement
+from multipos.positions.readings import Readings
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.found import Estimator, VarianceComponents, add_scatter
+from multipos.sensor.inverse import parameter_jacobian
+
+_FEWEST = 40  # rows of which any law can be told
+_FEWEST_UNKNOWN = 100  # where no position repeats that tells noise from model
+_LEVEL = 0.01  # at which rows are taken as correlated
+_RUNS = 6  # of a length, that tell whether sums are beyond chance
+_NODES = 12  # of ρ
+_LONGEST = 0.4  # 1 − ρ of the last of them, over 1/n
+_SHARES = (0.0, 0.4, 0.7, 0.85, 0.93, 0.97, 0.99)  # θ/ρ: even in what white noise adds
+_ROWS = 20_000  # more are taken as means of neighbours
+_COVERAGE = 0.95  # that of `posteriors`
+_ROUNDING = 1e-12  # of the largest reading, below which a residual is nothing
+
+Places = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class _Worth:
+    """What correlated rows are worth."""
+
+    ratio: Array  # (p,) of U over that of independent rows
+    dof: float
+    rows: float  # of eq. (4)
+
+
+def spread_correlation(
+    solution: Solution, readings: Readings, placement: Placement, estimator: Estimator
+) -> Solution:
+    """Return a solution with what correlation from row to row makes of its uncertainty.
+
+    Outputs of known orientation have noises of their own; unknown orientation leaves one misfit a
+    row, along the force. Left as they are: fits that are robust, expressions, readings whose
+    covariance is given or that have other columns beside them, positions that are only uncertain.
+    """
+    if len(solution.residuals) < _FEWEST or solution.robust_weight is not None:
+        return solution
+    if isinstance(solution.model, ExpressionModel) or readings.covariance is not None:
+        return solution
+    if readings.environment:  # what wanders with a column is for the model, and its tests, to say
+        return solution
+    if estimator is Estimator.LINEAR:
+        return _at_known(solution, readings)
+    loose = np.isinf(placement.orientation_sd).all() and not placement.listed.any()
+    if estimator is Estimator.UNKNOWN and loose and placement.rolls is None:
+        return _at_unknown(solution, readings)
+    return solution
+
+
+def _at_known(solution: Solution, readings: Readings) -> Solution:
+    n, model = len(readings), solution.model
+    _, place = np.unique(np.array(row_keys(solution.reference)), return_inverse=True)
+    count = np.bincount(place)
+    if 2 * len(count) > n:
+        return solution
+    sd = _sd(solution, readings)
+    phi = model.basis(solution.reference, readings.environment)
+    found = []
+    for i, columns in enumerate(model.columns):
+        error = solution.residuals[:, i] / sd[:, i]
+        scatter = error - (np.bincount(place, weights=error) / count)[place]
+        quiet = _ROUNDING * float(np.abs(readings.values[:, i]).max()) / float(sd[:, i].min())
+        told = float(np.abs(scatter).max()) > quiet  # repeats to the last digit are rounding
+        if told and _is_beyond_chance(scatter, place, float(n - len(count))):
+            worth = _judge(phi[:, columns] / sd[:, i, None], error)
+            found.append(((i,), model.slices[i], worth))
+    return _with(solution, found)
+
+
+def _at_unknown(solution: Solution, readings: Readings) -> Solution:
+    """Judge the misfit along the force: n'e with M'n = f, M the slopes of the outputs."""
+    n, model = len(readings), solution.model
+    degrees = float(n - len(solution.parameters))
+    if n < _FEWEST_UNKNOWN:
+        return solution
+    force = solution.reference
+    slopes = model.force_jacobian(solution.parameters, force, readings.environment)
+    # M'⁻¹ f but for its length, which a slope of nothing leaves defined
+    across = np.cross(slopes[:, :, [1, 2, 0]], slopes[:, :, [2, 0, 1]], axis=1)
+    normal = np.einsum("nmk,nk->nm", across, force)
+    sd = np.sqrt(np.sum((normal * _sd(solution, readings)) ** 2, axis=1))
+    quiet = np.abs(solution.residuals).max() <= _ROUNDING * np.abs(readings.values).max()
+    if quiet or not (sd > 0.0).all():
+        return solution
+    error = np.sum(normal * solution.residuals, axis=1) / sd
+    if not _is_beyond_chance(error, np.zeros(n, dtype=np.intp), degrees):
+        return solution
+    jacobian = parameter_jacobian(model, solution.parameters, force, readings.environment)
+    worth = _judge(np.einsum("nm,nmp->np", normal / sd[:, None], jacobian), error)
+    return _with(solution, [(tuple(range(len(model.outputs))), slice(None), worth)])
+
+
+def _sd(solution: Solution, readings: Readings) -> Array:
+    """Return the standard deviation of every reading (n, M), up to a factor common to all."""
+    outputs = solution.model.outputs
+    noise = add_scatter(readings.noise, solution.variance_components, outputs)
+    if noise is None:
+        return np.ones(solution.residuals.shape)
+    return np.asarray(np.sqrt(noise).reshape(solution.residuals.shape))
+
+
+def _with(solution: Solution, found: Sequence[tuple[tuple[int, ...], slice, _Worth]]) -> Solution:
+    """Return the solution with U and dof of what was found of outputs and their parameters."""
+    if not found:
+        return solution
+    outputs, dof = solution.model.outputs, solution.dof.copy()
+    ratio, own = np.ones(len(solution.parameters)), solution.parameter_dof.copy()
+    effective = dict.fromkeys(outputs, float(len(solution.residuals)))
+    for judged, members, worth in found:
+        dof[list(judged)] = np.minimum(dof[list(judged)], worth.dof)
+        before = coverage_factors(_COVERAGE, own[members])
+        own[members] = np.minimum(own[members], worth.dof)
+        ratio[members] = worth.ratio * before / coverage_factors(_COVERAGE, own[members])
+        effective |= {outputs[i]: worth.rows for i in judged}
+    components = solution.variance_components or VarianceComponents()
+    return replace(
+        solution,
+        covariance=solution.covariance * np.outer(ratio, ratio),
+        inflation=solution.inflation * ratio,
+        parameter_dof=own,
+        dof=dof,
+        variance_components=replace(components, effective_rows=effective),
+    )
+
+
+def _judge(design: Array, error: Array) -> _Worth:
+    """Return what rows (n, p) of equal variance are worth, by their errors (n,)."""
+    n, p = design.shape
+    variance = float(error @ error) / (n - p)
+    together = -(-n // _ROWS)
+    X, e = (_means(rows, together) for rows in (design, error))
+    Q, R = np.linalg.qr(X)
+    inverse = np.linalg.inv(R)
+    plain = np.einsum("ij,ij->i", inverse, inverse) * variance / together
+    gains = np.column_stack([Q @ inverse.T, np.full(len(e), 1.0 / len(e))])
+    log_weight, variances, of_row = _at_nodes(Q, e, gains)
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    still = np.zeros((1, len(weight), p))
+    mixture = Posterior(still[:, :, 0], weight[None], still, variances[None, :, :p], np.ones(1))
+    usual = coverage_factor(_COVERAGE, float(n - p)) * np.sqrt(plain)
+    effective = together * float(weight @ (of_row / variances[:, p]))
+    return _Worth(
+        ratio=np.maximum(mixture.expanded(still[:, 0])[0] / usual, 1.0),
+        dof=min(float(mixture.shape[0]), float(n - p)),
+        rows=min(effective, float(n)),
+    )
+
+
+def _is_beyond_chance(scatter: Array, place: Places, degrees: float) -> bool:
+    """Tell whether sums of neighbours are larger than those of independent rows, eq. (1).
+
+    χ² by the cube root of Wilson and Hilferty, which is normal.
+    """
+    square, n = float(scatter @ scatter), len(scatter)
+    if degrees <= 0.0 or square <= 0.0:
+        return False
+    share = 1.0 / np.bincount(place)
+    sums = np.concatenate([[0.0], np.cumsum(scatter)])
+    chances = []
+    m = 2
+    while (count := n // m) >= _RUNS:
+        whole = count * m
+        runs = np.diff(sums[: whole + 1 : m])
+        expected = whole - _of_means(place[:whole], m, share)
+        if expected < whole / 2.0:  # means of positions hold most of such sums
+            break
+        ratio = float(runs @ runs) * degrees / (square * expected)
+        by = 2.0 / (9.0 * count)
+        chances.append(erfc((ratio ** (1.0 / 3.0) - 1.0 + by) / sqrt(2.0 * by)) / 2.0)
+        m *= 2
+    return bool(chances) and min(chances) * len(chances) < _LEVEL
+
+
+def _of_means(place: Places, m: int, share: Array) -> float:
+    """Return Σ n_bj²/n_j of eq. (1), of runs of m rows."""
+    n = len(place)
+    if len(share) == 1:
+        return float(n * m * share[0])
+    met, times = np.unique(np.arange(n) // m * len(share) + place, return_counts=True)
+    return float(times**2 @ share[met % len(share)])
+
+
+def _means(rows: Array, together: int) -> Array:
+    """Return the means of so many neighbours each; what is left over at the end is left out."""
+    whole = len(rows) // together
+    groups = rows[: whole * together].reshape(whole, together, *rows.shape[1:])
+    return np.asarray(groups.mean(axis=1))
+
+
+def _at_nodes(Q: Array, e: Array, gains: Array) -> tuple[Array, Array, Array]:
+    """Return what is known of laws (G,) as a logarithm, eq. (3) of columns B' (G, q), and s²r.
+
+    Parameters
+    ----------
+    Q : (n, p) array
+        Orthonormal columns that span the design.
+    e : (n,) array
+    gains : (n, q) array
+        B'.
+    """
+    n, p = Q.shape
+    both = np.column_stack([Q, e])
+    square = np.einsum("nq,nq->q", gains, gains)
+    before = np.vstack([np.zeros((1, gains.shape[1])), gains[:-1]])
+    logs, variances, of_row = [], [], []
+    for rho in (1.0 - np.geomspace(0.9, _LONGEST / n, _NODES)).tolist():
+        # what the rows before a row bring with it, each rho times the one after it
+        product = np.einsum("nq,nq->q", gains, recur(before, rho))
+        for share in _SHARES:
+            theta = share * rho
+            r = (1.0 - 2.0 * rho * theta + theta**2) / (1.0 - rho**2)  # variance of a row over w
+            next_one = (1.0 - rho * theta) * (rho - theta) / (1.0 - rho**2)
+            size = np.abs(np.diag(np.linalg.qr(_whitened(both, rho, theta, r), mode="r")))
+            inside = float(np.log(size[:p]).sum()) + (n - p) * log(size[p])
+            logs.append(0.5 * log(1.0 - rho) - 0.5 * log(r) - inside)
+            # the mean of s² as the rows leave it, χ² on n − p
+            s2 = float(size[p]) ** 2 / (n - p - 2.0)
+            variances.append(s2 * (r * square + 2.0 * next_one * product))
+            of_row.append(s2 * r)
+    return np.array(logs), np.array(variances), np.array(of_row)
+
+
+def _whitened(z: Array, rho: float, theta: float, r: float) -> Array:
+    """Return rows (n, p) by eq. (2) solved for w, the first as one of its kind.
+
+    Exact for θ = 0; else the first 1/(1 − θ) rows or so lack what a longer past would tell.
+    """
+    white = z.copy()
+    white[1:] -= rho * z[:-1]
+    white[0] = z[0] / r  # what the second row remembers
+    white = recur(white, theta)
+    white[0] = z[0] / sqrt(r)
+    return white
