@@ -47,6 +47,7 @@ from multipos.positions.readings import Readings
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator, VarianceComponents, add_scatter
 from multipos.sensor.inverse import parameter_jacobian
+from multipos.sensor.model import Model
 
 _FEWEST = 40  # rows of which any law can be told
 _FEWEST_UNKNOWN = 100  # where no position repeats that tells noise from model
@@ -80,26 +81,30 @@ def spread_correlation(
     row, along the force. Left as they are: fits that are robust, expressions, readings whose
     covariance is given or that have other columns beside them, positions that are only uncertain.
     """
-    if len(solution.residuals) < _FEWEST or solution.robust_weight is not None:
-        return solution
-    if isinstance(solution.model, ExpressionModel) or readings.covariance is not None:
-        return solution
-    if readings.environment:  # what wanders with a column is for the model, and its tests, to say
+    asked = are_asked(solution.model, readings, solution.reference, estimator)
+    if solution.robust_weight is not None or not asked:
         return solution
     if estimator is Estimator.LINEAR:
         return _at_known(solution, readings)
     loose = np.isinf(placement.orientation_sd).all() and not placement.listed.any()
-    if estimator is Estimator.UNKNOWN and loose and placement.rolls is None:
-        return _at_unknown(solution, readings)
-    return solution
+    return _at_unknown(solution, readings) if loose and placement.rolls is None else solution
+
+
+def are_asked(model: Model, readings: Readings, reference: Array, estimator: Estimator) -> bool:
+    """Tell whether rows at some forces (n, 3) [g] can show whether they are correlated."""
+    if isinstance(model, ExpressionModel) or readings.covariance is not None:
+        return False
+    if readings.environment:  # what wanders with a column is for the model, and its tests, to say
+        return False
+    if estimator is Estimator.LINEAR:
+        return len(reference) >= max(_FEWEST, 2 * len(set(row_keys(reference))))
+    return estimator is Estimator.UNKNOWN and len(reference) >= _FEWEST_UNKNOWN
 
 
 def _at_known(solution: Solution, readings: Readings) -> Solution:
     n, model = len(readings), solution.model
     _, place = np.unique(np.array(row_keys(solution.reference)), return_inverse=True)
     count = np.bincount(place)
-    if 2 * len(count) > n:
-        return solution
     sd = _sd(solution, readings)
     phi = model.basis(solution.reference, readings.environment)
     found = []
@@ -118,8 +123,6 @@ def _at_unknown(solution: Solution, readings: Readings) -> Solution:
     """Judge the misfit along the force: n'e with M'n = f, M the slopes of the outputs."""
     n, model = len(readings), solution.model
     degrees = float(n - len(solution.parameters))
-    if n < _FEWEST_UNKNOWN:
-        return solution
     force = solution.reference
     slopes = model.force_jacobian(solution.parameters, force, readings.environment)
     # M'⁻¹ f but for its length, which a slope of nothing leaves defined

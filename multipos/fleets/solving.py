@@ -20,6 +20,7 @@ from multipos.doubt import implausible
 from multipos.doubts.redundancy import are_poorly_known
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates, SharedDesign, estimate_batch, share_design
+from multipos.estimation.correlated_rows import are_asked
 from multipos.estimation.known import DENIED
 from multipos.estimation.placed_batches import (
     SharedPlacement,
@@ -143,6 +144,8 @@ def find_pattern(
         and c.robust_weight is None
         and c.budget is None
         and not c.readings.forced.any()
+        # each has a U by its own correlation from row to row
+        and not are_asked(c.model, c.readings, c.reference, c.estimator)
     )
     if not plain or options.get("range") is not None:
         return None

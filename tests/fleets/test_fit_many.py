@@ -89,6 +89,18 @@ def test_noise_unit_and_scheme_do_not_matter(seed, noise, size, scheme, model):
     assert worst_difference(found, table, model=model) < 1e-10 + rounding
 
 
+def test_units_whose_rows_are_correlated_have_the_u_of_fit():
+    table = line(3, scheme="fibonacci-24+fibonacci-24", noise=0.0)
+    rng = np.random.default_rng(5)
+    wander = np.cumsum(1e-3 * rng.standard_normal((48, 3, 3)), axis=0)
+    for i, name in enumerate(("ax", "ay", "az")):
+        table[name] = table[name] + wander[:, :, i].T.ravel() + 1e-4 * rng.standard_normal(144)
+    found = mp.fit_many(table, unit_column="unit", station_column="station")
+    assert worst_difference(found, table) < 1e-10
+    alone = mp.fit(rows_of(table, "U0000"))
+    assert "time-correlated" in [doubt.code for doubt in alone.diagnostics.doubts]
+
+
 def test_units_may_be_ragged_and_their_rows_anywhere():
     table = line(12)
     rng = np.random.default_rng(1)
