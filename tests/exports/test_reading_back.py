@@ -124,7 +124,8 @@ def test_the_file_of_another_calibration_is_refused(cal, tmp_path):
     ],
 )
 def test_foreign_code_that_fails(cal, body, message, tmp_path, monkeypatch):
-    monkeypatch.setattr("multipos.exports.c_running._SECONDS", 1)
+    if "for (;;)" in body:  # the others end by themselves, on a busy machine too
+        monkeypatch.setattr("multipos.exports.c_running._SECONDS", 1)
     head = "#include <stdlib.h>\nvoid a_compensate(const double raw[3], double accel[3])\n"
     (tmp_path / "f.c").write_text(head + body + "\n")
     with pytest.raises(mp.MultiposError, match=message):
