@@ -32,7 +32,7 @@ G. V. Bayley, J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (4).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import erfc, log, sqrt
+from math import log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from multipos.estimation.posteriors import Posterior
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array, row_keys
-from multipos.numerics.quantiles import coverage_factor, coverage_factors
+from multipos.numerics.quantiles import coverage_factor, coverage_factors, normal_quantile
 from multipos.numerics.recursions import recur
 from multipos.positions.placement import Placement
 from multipos.positions.readings import Readings
@@ -101,22 +101,54 @@ def are_asked(model: Model, readings: Readings, reference: Array, estimator: Est
     return estimator is Estimator.UNKNOWN and len(reference) >= _FEWEST_UNKNOWN
 
 
+def find_correlated(
+    reference: Array, values: Sequence[Array], residuals: Sequence[Array]
+) -> NDArray[np.bool_]:
+    """Tell of which of B units the rows of an output are correlated, without stated noise.
+
+    Parameters
+    ----------
+    reference : (n, 3) array [g]
+        At which rows are asked (`are_asked`), the same of all units.
+    values, residuals : sequences of M (B, n) arrays
+    """
+    place = _places(reference)
+    found = np.zeros(len(values[0]), dtype=np.bool_)
+    for signal, error in zip(values, residuals, strict=True):
+        found |= _are_correlated(error, _ROUNDING * np.abs(signal).max(axis=1), place)
+    return found
+
+
 def _at_known(solution: Solution, readings: Readings) -> Solution:
-    n, model = len(readings), solution.model
-    _, place = np.unique(np.array(row_keys(solution.reference)), return_inverse=True)
-    count = np.bincount(place)
+    model = solution.model
+    place = _places(solution.reference)
     sd = _sd(solution, readings)
     phi = model.basis(solution.reference, readings.environment)
     found = []
     for i, columns in enumerate(model.columns):
         error = solution.residuals[:, i] / sd[:, i]
-        scatter = error - (np.bincount(place, weights=error) / count)[place]
-        quiet = _ROUNDING * float(np.abs(readings.values[:, i]).max()) / float(sd[:, i].min())
-        told = float(np.abs(scatter).max()) > quiet  # repeats to the last digit are rounding
-        if told and _is_beyond_chance(scatter, place, float(n - len(count))):
+        quiet = _ROUNDING * np.abs(readings.values[:, i]).max() / sd[:, i].min()
+        if _are_correlated(error[None], quiet[None], place)[0]:
             worth = _judge(phi[:, columns] / sd[:, i, None], error)
             found.append(((i,), model.slices[i], worth))
     return _with(solution, found)
+
+
+def _places(reference: Array) -> Places:
+    """Return at which position each row (n,) is."""
+    return np.unique(np.array(row_keys(reference)), return_inverse=True)[1]
+
+
+def _are_correlated(error: Array, quiet: Array, place: Places) -> NDArray[np.bool_]:
+    """Tell of which records (B, n) the scatter within positions is correlated.
+
+    What is below `quiet` (B,) is rounding: positions that repeat to the last digit.
+    """
+    order, count = np.argsort(place, kind="stable"), np.bincount(place)
+    sums = np.add.reduceat(error[:, order], np.cumsum(count) - count, axis=1)
+    scatter = error - (sums / count)[:, place]
+    beyond = _are_beyond_chance(scatter, place, float(len(place) - len(count)))
+    return np.asarray((np.abs(scatter).max(axis=1) > quiet) & beyond)
 
 
 def _at_unknown(solution: Solution, readings: Readings) -> Solution:
@@ -133,7 +165,7 @@ def _at_unknown(solution: Solution, readings: Readings) -> Solution:
     if quiet or not (sd > 0.0).all():
         return solution
     error = np.sum(normal * solution.residuals, axis=1) / sd
-    if not _is_beyond_chance(error, np.zeros(n, dtype=np.intp), degrees):
+    if not _are_beyond_chance(error[None], np.zeros(n, dtype=np.intp), degrees)[0]:
         return solution
     jacobian = parameter_jacobian(model, solution.parameters, force, readings.environment)
     worth = _judge(np.einsum("nm,nmp->np", normal / sd[:, None], jacobian), error)
@@ -197,29 +229,30 @@ def _judge(design: Array, error: Array) -> _Worth:
     )
 
 
-def _is_beyond_chance(scatter: Array, place: Places, degrees: float) -> bool:
-    """Tell whether sums of neighbours are larger than those of independent rows, eq. (1).
+def _are_beyond_chance(scatter: Array, place: Places, degrees: float) -> NDArray[np.bool_]:
+    """Tell of which records (B, n) sums of neighbours are too large for independent rows, eq. (1).
 
     χ² by the cube root of Wilson and Hilferty, which is normal.
     """
-    square, n = float(scatter @ scatter), len(scatter)
-    if degrees <= 0.0 or square <= 0.0:
-        return False
+    square, n = np.einsum("bn,bn->b", scatter, scatter), scatter.shape[1]
     share = 1.0 / np.bincount(place)
-    sums = np.concatenate([[0.0], np.cumsum(scatter)])
-    chances = []
+    sums = np.cumsum(np.pad(scatter, ((0, 0), (1, 0))), axis=1)
+    deviates = []
     m = 2
     while (count := n // m) >= _RUNS:
         whole = count * m
-        runs = np.diff(sums[: whole + 1 : m])
+        runs = np.diff(sums[:, : whole + 1 : m], axis=1)
         expected = whole - _of_means(place[:whole], m, share)
         if expected < whole / 2.0:  # means of positions hold most of such sums
             break
-        ratio = float(runs @ runs) * degrees / (square * expected)
+        per_degree = np.where(square > 0.0, square, 1.0) / degrees
+        ratio = np.einsum("bi,bi->b", runs, runs) / (per_degree * expected)
         by = 2.0 / (9.0 * count)
-        chances.append(erfc((ratio ** (1.0 / 3.0) - 1.0 + by) / sqrt(2.0 * by)) / 2.0)
+        deviates.append((np.cbrt(ratio) - 1.0 + by) / sqrt(by))
         m *= 2
-    return bool(chances) and min(chances) * len(chances) < _LEVEL
+    if not deviates:
+        return np.zeros(len(scatter), dtype=np.bool_)
+    return np.asarray(np.max(deviates, axis=0) > normal_quantile(1.0 - _LEVEL / len(deviates)))
 
 
 def _of_means(place: Places, m: int, share: Array) -> float:

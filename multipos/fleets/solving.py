@@ -20,7 +20,7 @@ from multipos.doubt import implausible
 from multipos.doubts.redundancy import are_poorly_known
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates, SharedDesign, estimate_batch, share_design
-from multipos.estimation.correlated_rows import are_asked
+from multipos.estimation.correlated_rows import are_asked, find_correlated
 from multipos.estimation.known import DENIED
 from multipos.estimation.placed_batches import (
     SharedPlacement,
@@ -86,12 +86,15 @@ class Pattern:
     gravity : Gravity or None
     doubts : str
         Codes that the positions alone give, whatever the unit.
+    asked : bool
+        Rows can show whether they are correlated: a unit whose rows are is looked at in full.
     """
 
     shared: Shared
     nest: Nest | None
     gravity: Gravity | None
     doubts: str
+    asked: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,10 +147,10 @@ def find_pattern(
         and c.robust_weight is None
         and c.budget is None
         and not c.readings.forced.any()
-        # each has a U by its own correlation from row to row
-        and not are_asked(c.model, c.readings, c.reference, c.estimator)
     )
-    if not plain or options.get("range") is not None:
+    asked = are_asked(c.model, c.readings, c.reference, c.estimator)
+    alike = c.estimator is Estimator.LINEAR and c.readings.noise is None
+    if not plain or options.get("range") is not None or (asked and not alike):
         return None
     try:
         shared = _share(c, table, options)
@@ -158,7 +161,7 @@ def find_pattern(
     nest = None
     if isinstance(shared, SharedDesign) and c.readings.up is not None:
         nest = Nest.of(shared, c.readings.labels, c.readings.up)
-    return Pattern(shared, nest, c.gravity, _common(c))
+    return Pattern(shared, nest, c.gravity, _common(c), asked)
 
 
 def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
@@ -247,6 +250,8 @@ def solve_task(task: Task) -> Solved:
         nests = sum_nests(task.pattern.nest, found, task.stations)
     placed = isinstance(shared, SharedPlacement)
     looked_at = ~found.sound | find_suspects(shared.model, task.values, found, placed=placed)
+    if task.pattern.asked and isinstance(shared, SharedDesign):
+        looked_at |= find_correlated(shared.reference, task.values, found.residuals)
     reasons = [LEFT if left else "" for left in looked_at.tolist()]
     return Solved(
         task.units,

@@ -89,16 +89,21 @@ def test_noise_unit_and_scheme_do_not_matter(seed, noise, size, scheme, model):
     assert worst_difference(found, table, model=model) < 1e-10 + rounding
 
 
-def test_units_whose_rows_are_correlated_have_the_u_of_fit():
-    table = line(3, scheme="fibonacci-24+fibonacci-24", noise=0.0)
+@pytest.mark.parametrize("options", [{}, {"reading_sd": 1e-3}], ids=str)
+def test_units_whose_rows_are_correlated_have_the_u_of_fit(options):
+    table = line(6, scheme="fibonacci-24+fibonacci-24")
     rng = np.random.default_rng(5)
-    wander = np.cumsum(1e-3 * rng.standard_normal((48, 3, 3)), axis=0)
+    wander = np.cumsum(1e-3 * rng.standard_normal((48, 3, 6)), axis=0)
+    wander[:, :, ::2] = 0.0
     for i, name in enumerate(("ax", "ay", "az")):
-        table[name] = table[name] + wander[:, :, i].T.ravel() + 1e-4 * rng.standard_normal(144)
-    found = mp.fit_many(table, unit_column="unit", station_column="station")
-    assert worst_difference(found, table) < 1e-10
-    alone = mp.fit(rows_of(table, "U0000"))
-    assert "time-correlated" in [doubt.code for doubt in alone.diagnostics.doubts]
+        table[name] = table[name] + wander[:, i].T.ravel()
+    found = mp.fit_many(table, unit_column="unit", station_column="station", **options)
+    assert worst_difference(found, table, **options) < 1e-10
+    codes = [
+        [doubt.code for doubt in mp.fit(rows_of(table, unit), **options).diagnostics.doubts]
+        for unit in ("U0000", "U0001")
+    ]
+    assert ["time-correlated" in each for each in codes] == [False, True]
 
 
 def test_units_may_be_ragged_and_their_rows_anywhere():
