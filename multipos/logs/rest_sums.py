@@ -48,7 +48,7 @@ class RestSum:
         count = together.shape[1] // self._length
         whole = together[:, : count * self._length].reshape(len(samples), count, self._length)
         self.batches.append(whole.mean(axis=2))
-        self._left = together[:, count * self._length :]
+        self._left = together[:, count * self._length :].copy()  # a view would keep all of them
 
     def _feed_runs(self, samples: Array) -> None:
         outputs, count = samples.shape
@@ -60,7 +60,7 @@ class RestSum:
         lengths[first] += np.where(samples[:, 0] == self._last, self._run, 0)
         self.longest = np.maximum(self.longest, np.maximum.reduceat(lengths, first))
         self._run = lengths[np.append(first[1:], len(lengths)) - 1]
-        self._last = samples[:, -1]
+        self._last = samples[:, -1].copy()
 
 
 class _End:
