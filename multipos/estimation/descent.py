@@ -11,6 +11,7 @@ K. Levenberg 1944; D. Marquardt 1963.
 """
 
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,7 +35,8 @@ _STUCK = 1e12  # damping beyond which nothing moves
 _FLAT = 1e-15  # of F, below which a step is lost in the rounding of F
 _SMALL = 1e-6  # of theta: no step into what the positions cannot tell is as short
 _LAST_STEPS = 2
-_NO_RISE = 1e-12  # of F: what its rounding may do, in which an undamped step is lost
+_NO_RISE = 1e-12  # of F: what its rounding may do at least, in which an undamped step is lost
+_DIGITS = 8.0 * np.finfo(float).eps  # of a reading, which its residual may be off
 _ROUNDING = 1e-8  # of F, or of theta: what the last digits of the readings can do
 
 
@@ -88,7 +90,7 @@ def _descend(
     plain = problem.robust is None
     enough = _DECREMENT if plain else _DECREMENT_ROBUST
     most = _ITERATIONS if plain else _ITERATIONS_ROBUST
-    held = list(problem.held)
+    held, size = list(problem.held), _largest(problem)
     converged, iterations, refused = False, 0, False
     while iterations < most and not converged:
         iterations += 1
@@ -103,7 +105,7 @@ def _descend(
             flat = decrement <= _FLAT * place.objective  # a shorter step has less to take off
             if plain and not flat:  # of a robust loss small steps add up
                 whole = _step(place.theta, equations, 0.0, held)[1]
-                flat = whole <= _NO_RISE * place.objective
+                flat = whole <= _rise(size, place)
             damping = 10.0 * _STUCK if flat else max(damping * 10.0, 1e-10)
         if damping > _STUCK:  # no descent is left: rounding, or a point that is no minimum
             _, decrement, last_step = _step(place.theta, equations, 0.0, held)
@@ -114,16 +116,30 @@ def _descend(
         following = decrement if np.isinf(before) else decrement * min(decrement / before, 1.0)
         converged = following <= enough * place.objective or last_step <= _XTOL
     if converged and refused and last_step <= _SMALL:
-        place = _settled(steps, place, held)
+        place = _settled(steps, place, held, size)
     return place, (converged, iterations, last_step, float(np.sqrt(max(decrement, 0.0))))
 
 
-def _settled(steps: _Steps, place: Any, held: list[int]) -> Any:
+def _largest(problem: Problem) -> float:
+    """Return the largest reading in units of its noise."""
+    precision = problem.precision
+    if precision.ndim == 3:
+        precision = np.einsum("nii->ni", precision)
+    return float(np.sqrt((problem.values**2 * precision).max()))
+
+
+def _rise(size: float, place: Any) -> float:
+    """Return how far F may rise by rounding where the largest reading has a size."""
+    F = float(place.objective)
+    return max(_NO_RISE * F, _DIGITS * size * sqrt(F))
+
+
+def _settled(steps: _Steps, place: Any, held: list[int], size: float) -> Any:
     """Return the place where the slope of F vanishes, of which F itself tells half the digits."""
     for _ in range(_LAST_STEPS):
         equations = steps.linearise(place)
         trial = steps.move(place, equations, _step(place.theta, equations, 0.0, held)[0], 0.0)
-        if not trial.objective <= place.objective * (1.0 + _NO_RISE):
+        if not trial.objective <= place.objective + _rise(size, place):
             break  # into what nothing tells, as a parameter that is at its bound
         place = trial
     return place

@@ -6,7 +6,7 @@ Searches end within 1e-7 u of the optimum, wherever they began: numbers are held
 import numpy as np
 import pytest
 from fleet_bench import line, rows_of
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import multipos as mp
@@ -203,6 +203,7 @@ def test_claims_that_are_none_are_left_to_fit():
     assert [bool(reason) for reason in found["reason"]] == [False, False, True, False, True]
 
 
+# In one unit of the two last lines a step towards the minimum takes less off F than F is rounded by.
 @settings(max_examples=8, deadline=None)
 @given(
     st.integers(0, 2**32 - 1),
@@ -210,6 +211,8 @@ def test_claims_that_are_none_are_left_to_fit():
     st.sampled_from([1.0, 16384.0, 1e-7]),
     st.sampled_from([1e-3, 0.1]),
 )
+@example(3874861665, 1e-4, 16384.0, 1e-3)
+@example(129428, 1e-4, 1e-7, 1e-3)
 def test_noise_unit_and_lot_do_not_matter(seed, noise, size, lot):
     table = line(3, noise=noise, seed=seed, lot=lot)
     for axis in "xyz":
