@@ -203,7 +203,7 @@ def test_claims_that_are_none_are_left_to_fit():
     assert [bool(reason) for reason in found["reason"]] == [False, False, True, False, True]
 
 
-# In one unit of the two last lines a step towards the minimum takes less off F than F is rounded by.
+# In one unit of each example a step towards the minimum takes less off F than F is rounded by.
 @settings(max_examples=8, deadline=None)
 @given(
     st.integers(0, 2**32 - 1),
