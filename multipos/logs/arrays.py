@@ -64,9 +64,11 @@ def _read_arrays(
     for start in range(0, rows, _ROWS):
         end = min(start + _ROWS, rows)
         part: dict[str, Column] = {
-            name: _numbers(columns[name][start:end]) for name in dict.fromkeys((*names, *optional))
+            name: _numbers(_cells(columns[name][start:end]))
+            for name in dict.fromkeys((*names, *optional))
         }
-        plain = Table(source, {name: columns[name][start:end] for name in texts}, rows=end - start)
+        cells = {name: _cells(columns[name][start:end]) for name in texts}
+        plain = Table(source, cells, rows=end - start)
         part |= {name: list(plain.text(name)) for name in texts}
         table = Table(source, part, rows=end - start, first=start)
         for name in names:
@@ -74,9 +76,14 @@ def _read_arrays(
         yield Piece(table, None, end / rows)
 
 
+def _cells(column: NDArray[Any]) -> NDArray[Any]:
+    """Return cells as they are, of bytes their text."""
+    return np.char.decode(column, "utf-8", "replace") if column.dtype.kind == "S" else column
+
+
 def _numbers(column: NDArray[Any]) -> Column:
-    if column.dtype.kind in "US":  # cells that the table reads, and names where they are no numbers
-        return [str(cell) for cell in column.astype(np.str_).tolist()]
+    if column.dtype.kind == "U":  # cells that the table reads, and names where they are no numbers
+        return [str(cell) for cell in column.tolist()]
     if column.dtype.kind != "M":
         return np.array(column, dtype=np.float64)
     seconds = column.astype("datetime64[ns]").astype(np.int64) * 1e-9

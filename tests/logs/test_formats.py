@@ -24,6 +24,7 @@ from log_files import (
 import multipos as mp
 from multipos.cli import main
 from multipos.logs import extras
+from multipos.logs.opening import open_log
 from multipos.logs.readers import READERS
 
 OUTPUTS = ("ax", "ay", "az")
@@ -336,3 +337,16 @@ def test_the_found_is_in_the_json_of_any_kind(log, tmp_path, capsys):
     np.savez(tmp_path / "log.npz", **log)
     assert main(["average", str(tmp_path / "log.npz"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["found"] == []
+
+
+def test_bytes_of_an_array_are_texts(tmp_path):
+    rows = np.array([(b"one", b"1.5"), (b"\xbb", b"-2")], dtype=[("label", "S8"), ("ax", "S8")])
+    np.save(tmp_path / "log.npy", rows)
+    log = open_log(tmp_path / "log.npy")
+    (piece,) = log.read(["ax"], [], ["label"])
+    assert piece.table.number("ax").tolist() == [1.5, -2.0]
+    assert piece.table.text("label") == ("one", "\ufffd")
+    rows["ax"][1] = b"\xbb"
+    np.save(tmp_path / "log.npy", rows)
+    with pytest.raises(mp.MultiposError, match=r"row 2, column 'ax': .* is not a number"):
+        list(open_log(tmp_path / "log.npy").read(["ax"]))
