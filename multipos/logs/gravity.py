@@ -8,6 +8,7 @@ least there while its direction changes.
 
 import numpy as np
 
+from multipos.logs.rests import LARGEST_SAMPLE
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.numerics.medians import median
@@ -25,7 +26,7 @@ def triad_of_gravity(log: Log, names: tuple[str, ...]) -> tuple[str, ...] | None
         return None
     table = next(iter(log.read((), names, lenient=True))).table
     data = np.array([table.columns[name] for name in names], dtype=np.float64)
-    data = data[:, np.isfinite(data).all(axis=0)]
+    data = data[:, (np.abs(data) <= LARGEST_SAMPLE).all(axis=0)]  # and no NaN
     count = data.shape[1] // _BLOCK
     if count < _FEWEST:
         return None

@@ -399,3 +399,13 @@ def test_a_clock_of_steps_that_are_no_numbers_has_a_unit():
     """What is wrong with it is said where the sample rate is formed."""
     clock = read_clock(SimpleNamespace(dates=(), units={}), "ticks", np.array([0.0, np.inf]), None)
     assert clock.unit == "s"
+
+
+def test_numbers_that_no_sensor_gives_do_not_end_the_search_for_gravity(tmp_path):
+    rng = np.random.default_rng(0)
+    rows = 1.0 + 1e-3 * rng.standard_normal((600, 7))
+    rows[:, 0] = 0.02 * np.arange(600)
+    rows[::3, 2] = -3.6e210
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",")
+    with pytest.raises(mp.UsageError, match="6 columns could be outputs"):
+        mp.average(tmp_path / "log.csv")
