@@ -16,7 +16,7 @@ is unlike and placement to be estimated; where the positions separate parameters
 leaves scale factors open, where a position sticks out, and where readings are too loud.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -57,7 +57,7 @@ from multipos.estimation.placed_search import (
     search,
     turns,
 )
-from multipos.estimation.posteriors import standard_uncertainty
+from multipos.estimation.posteriors import Posterior, standard_uncertainty
 from multipos.estimation.problem import RELATIVE_NOISE
 from multipos.estimation.starts import WIDE
 from multipos.files.records import LARGEST
@@ -74,8 +74,10 @@ _LOUD = 0.01  # of a scale factor: noise or U from which on a unit is looked at
 _LEAST, _MOST = 1e-140, 1e140  # of u, whose squares are numbers still
 _APART = 1e3  # times that uncertainties of a unit may differ
 
+Places = NDArray[np.intp]
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class SharedPlacement:
     """What units at uncertain orientations share.
 
@@ -182,6 +184,14 @@ def estimate_placed(
     return found._replace(u=u, sound=found.sound & (not claimed))
 
 
+class _Judged(NamedTuple):
+    """What a turn finds of the noise of some units, and of which it has settled."""
+
+    posterior: Posterior
+    noise: Noise
+    settled: NDArray[np.bool_]
+
+
 class _Found(NamedTuple):
     """What was found of B units."""
 
@@ -190,7 +200,6 @@ class _Found(NamedTuple):
     U: Array  # at 95 %, (B, p)
     dof: Array  # (B,)
     sound: NDArray[np.bool_]
-    chi2: Array | None  # of the residuals under the stated noise alone
 
 
 def _estimate(shared: SharedPlacement, values: Array, u: Array | None) -> Estimates:
@@ -213,12 +222,13 @@ def _estimate(shared: SharedPlacement, values: Array, u: Array | None) -> Estima
     sound &= np.einsum("bni,bni->b", *[start.residuals] * 2) > least
     place, ended = search(model, listed, values, start, noise)
     sound &= ended
+    chi2 = None if u is None else objective(place, noise)  # under the stated noise alone
     try:
         judge = _judge_both if shared.estimated else _judge_scatter
         found = judge(shared, values, place, noise, sound, stated=u is not None)
     except np.linalg.LinAlgError:  # some unit is as good as singular
         nothing = np.full(theta.shape, np.nan)
-        found = _Found(place, noise, nothing, nothing[:, 0], np.zeros_like(sound), None)
+        found = _Found(place, noise, nothing, nothing[:, 0], np.zeros_like(sound))
     sound = found.sound
     theta, residuals = found.place.theta, tuple(np.moveaxis(found.place.residuals, 2, 0))
     left = compensated(
@@ -235,7 +245,7 @@ def _estimate(shared: SharedPlacement, values: Array, u: Array | None) -> Estima
     if sound.any():
         sound[sound] = _are_clear(shared, found, sound)
     dof = np.broadcast_to(found.dof[:, None], theta.shape)
-    return Estimates(theta, found.U, dof, rms, residuals, left.inverse, sound, found.chi2)
+    return Estimates(theta, found.U, dof, rms, residuals, left.inverse, sound, chi2)
 
 
 def _any_noise(values: Array) -> Array:
@@ -255,45 +265,31 @@ def _judge_scatter(
     stated: bool,
 ) -> _Found:
     """Return the solutions with the scatter that was found, orientation sds as stated."""
-    model, listed, dof = shared.model, shared.listed, shared.dof
-    count = len(values)
-    chi2 = objective(place, noise) if stated else None
     first = noise
     if not stated:
         first = _least_floor(shared, values, place, noise)
-        place, ended = search(model, listed, values, place, first)
+        place, ended = search(shared.model, shared.listed, values, place, first)
         sound = sound & ended
-    size = typical(first.variance)
-    before, tail = np.zeros(count), np.full(count, np.nan)
-    U, variance = np.full(place.theta.shape, np.nan), first.variance.copy()
-    units = np.flatnonzero(sound)
-    for turn in range(ROUNDS):
-        if not len(units):
-            break
-        here, floor, least = place.of(units), first.variance[units], size[units]
-        known = Noise(variance[units], first.orientation_sd[units])
+    size, before = typical(first.variance), np.zeros(len(values))
+
+    def judge(units: Places, here: Place, known: Noise) -> _Judged:
+        floor, least = first.variance[units], size[units]
         weighted = objective(here, known) * (least + before[units])
         plain = np.einsum("bni,bni->b", here.residuals, here.residuals)
         posterior = integrate_scatter(
-            _about(shared, here, known), floor, dof, (weighted, plain), believed=stated
+            _about(shared, here, known), floor, shared.dof, (weighted, plain), believed=stated
         )
         tau2 = posterior.summary[0]
-        variance[units] = floor + tau2[:, None, None]
-        following, ended = search(
-            model, listed, values[units], here, Noise(variance[units], known.orientation_sd)
-        )
-        place.put(units, following)
-        sound[units] &= ended
         settled = np.abs(tau2 - before[units]) <= SETTLED * (least + before[units])
         before[units] = tau2
-        going = ~settled & ended & (turn < ROUNDS - 1)
-        if not going.all():
-            U[units], tail[units] = posterior.centred, posterior.shape
-        units = units[going]
-    found = Noise(variance, first.orientation_sd)
-    if stated:  # beyond that, placement is a floor as well
-        sound &= objective(place, found) <= chi2_quantile(STILL, dof)
-    return _Found(place, found, U, tail, sound, chi2)
+        return _Judged(posterior, Noise(floor + tau2[:, None, None], known.orientation_sd), settled)
+
+    found = _in_turn(shared, values, place, first, sound, judge)
+    if not stated:
+        return found
+    # beyond that, placement is a floor as well
+    explained = objective(found.place, found.noise) <= chi2_quantile(STILL, shared.dof)
+    return found._replace(sound=found.sound & explained)
 
 
 def _judge_both(
@@ -306,40 +302,56 @@ def _judge_both(
     stated: bool,
 ) -> _Found:
     """Return the solutions with the scatter and the placement that were found."""
-    model, listed, dof = shared.model, shared.listed, shared.dof
-    count = len(values)
-    chi2 = objective(place, noise) if stated else None
     first = noise if stated else _least_floor(shared, values, place, noise)
-    size = typical(first.variance)
+    size, before = typical(first.variance), np.zeros((2, len(values)))
+
+    def judge(units: Places, here: Place, _: Noise) -> _Judged:
+        known = first.of(units)
+        both = integrate_scatter_and_placement(
+            _about(shared, here, known), known.variance, shared.dof, believed=stated
+        )
+        tau2, factor = both.posterior.summary[0], both.factor
+        now = np.log([size[units] + tau2, factor])
+        settled = np.abs(now - before[:, units]).max(axis=0) <= SETTLED_BOTH
+        before[:, units] = now
+        following = Noise(
+            known.variance + tau2[:, None, None],
+            known.orientation_sd * np.sqrt(factor)[:, None],
+        )
+        return _Judged(both.posterior, following, settled)
+
     # where readings are unlike, axes would move with the placement
     sound = sound & _tells_apart(shared, place) & are_alike(first.variance)
-    variance, sd = first.variance.copy(), first.orientation_sd.copy()
-    before, tail = np.zeros((2, count)), np.full(count, np.nan)
-    U = np.full(place.theta.shape, np.nan)
+    return _in_turn(shared, values, place, first, sound, judge)
+
+
+def _in_turn(
+    shared: SharedPlacement,
+    values: Array,
+    place: Place,
+    first: Noise,
+    sound: NDArray[np.bool_],
+    judge: Callable[[Places, Place, Noise], _Judged],
+) -> _Found:
+    """Judge the noise and search on from there, in turn until it settles; `place` follows."""
+    noise = Noise(*(each.copy() for each in first))
+    U, tail = np.full(place.theta.shape, np.nan), np.full(len(values), np.nan)
+    sound = sound.copy()
     units = np.flatnonzero(sound)
     for turn in range(ROUNDS):
         if not len(units):
             break
-        here, known = place.of(units), first.of(units)
-        both = integrate_scatter_and_placement(
-            _about(shared, here, known), known.variance, dof, believed=stated
-        )
-        tau2, factor = both.posterior.summary[0], both.factor
-        variance[units] = known.variance + tau2[:, None, None]
-        sd[units] = known.orientation_sd * np.sqrt(factor)[:, None]
-        following, ended = search(
-            model, listed, values[units], here, Noise(variance[units], sd[units])
-        )
+        here = place.of(units)
+        posterior, known, settled = judge(units, here, noise.of(units))
+        noise.put(units, known)
+        following, ended = search(shared.model, shared.listed, values[units], here, known)
         place.put(units, following)
         sound[units] &= ended
-        now = np.log([size[units] + tau2, factor])
-        settled = np.abs(now - before[:, units]).max(axis=0) <= SETTLED_BOTH
-        before[:, units] = now
         going = ~settled & ended & (turn < ROUNDS - 1)
         if not going.all():
-            U[units], tail[units] = both.posterior.centred, both.posterior.shape
+            U[units], tail[units] = posterior.centred, posterior.shape
         units = units[going]
-    return _Found(place, Noise(variance, sd), U, tail, sound, chi2)
+    return _Found(place, noise, U, tail, sound)
 
 
 def _least_floor(shared: SharedPlacement, values: Array, place: Place, noise: Noise) -> Noise:

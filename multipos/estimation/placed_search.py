@@ -74,6 +74,11 @@ class Noise(NamedTuple):
         """Return some of the units."""
         return Noise(*(each[units] for each in self))
 
+    def put(self, units: NDArray[np.intp], other: "Noise") -> None:
+        """Put what is known of other units in places of these."""
+        for mine, new in zip(self, other, strict=True):
+            mine[units] = new
+
 
 def place_at(model: Model, listed: Positions, values: Array, theta: Array, step: Array) -> Place:
     """Return units at parameters (B, p) and steps (B, n, 2)."""
