@@ -11,9 +11,9 @@ from multipos.numerics.arrays import Array
 from multipos.plots.style import (
     COLOURS,
     MARKERS,
+    figure_of,
     name_axis,
     name_series,
-    new_figure,
     scale_by_powers,
 )
 from multipos.verification.verdicts import Check
@@ -142,8 +142,4 @@ def check_panels(found: Check) -> "list[Callable[[Axes], None]]":
 
 def check_figure(found: Check) -> "Figure":
     """Return the errors of every axis; before and after apart, where one would hide the other."""
-    panels = check_panels(found)
-    figure, axes = new_figure(len(panels))
-    for draw, one in zip(panels, axes, strict=True):
-        draw(one)
-    return figure
+    return figure_of(check_panels(found))

@@ -1,9 +1,10 @@
 """The figure of a fit: what is left of every output, and its parameters over temperature."""
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from multipos.plots.calibration import residual_panels
-from multipos.plots.style import new_figure
+from multipos.plots.style import figure_of
 from multipos.plots.temperature import draw_curve
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
@@ -26,12 +27,5 @@ def temperature_curves(calibration: Calibration) -> tuple[Curve, ...]:
 
 def calibration_figure(calibration: Calibration) -> "Figure":
     """Return the residuals of every output, and below them what changes over temperature."""
-    c = calibration
-    curves = temperature_curves(c)
-    panels = residual_panels(c)
-    figure, axes = new_figure(len(panels) + len(curves))
-    for draw, one in zip(panels, axes, strict=False):
-        draw(one)
-    for curve, one in zip(curves, axes[len(panels) :], strict=True):
-        draw_curve(curve, one)
-    return figure
+    curves = [partial(draw_curve, curve) for curve in temperature_curves(calibration)]
+    return figure_of([*residual_panels(calibration), *curves])

@@ -10,7 +10,7 @@ decided here: sizes and colours when the axes are made, type and ids when the fi
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise
 from threading import Lock
@@ -60,6 +60,14 @@ def new_figure(rows: int = 1, *, width: float = 5.8, height: float = 2.6) -> "tu
     for one in axes:
         _dress(one)
     return figure, axes
+
+
+def figure_of(panels: "Sequence[Callable[[Axes], object]]") -> "Figure":
+    """Return a figure of panels below each other, each drawn by its own function."""
+    figure, axes = new_figure(len(panels))
+    for draw, one in zip(panels, axes, strict=True):
+        draw(one)
+    return figure
 
 
 def to_svg(figure: "Figure", words: Words = str) -> str:

@@ -1,19 +1,20 @@
 """Figures of a regression and of parameters over temperature."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
 from multipos.files.tables import Source, Table, read_table
+from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Step
 from multipos.plots.style import (
     COLOURS,
+    figure_of,
     name_axis,
     name_series,
-    new_figure,
     scale_by_powers,
     write_title,
 )
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_When = Literal["both", "before", "after"]
+
 _APART = 5.0  # times what is left after, from which the response before would hide it
 
 
@@ -36,7 +39,7 @@ def draw_correction(
     *,
     variable: str | None = None,
     column: str | None = None,
-    when: Literal["both", "before", "after"] = "both",
+    when: _When = "both",
 ) -> None:
     """Draw a column before and after its correction against a variable, with the segments.
 
@@ -53,6 +56,22 @@ def draw_correction(
         'before' or 'after' draws that alone, on a scale of its own.
     """
     table = read_table(data, what="data")
+    _draw_corrected(regression, _corrected(regression, table, variable, column), axes, when=when)
+
+
+class _Corrected(NamedTuple):
+    """A column before and after its correction, and what it is drawn against."""
+
+    column: str
+    before: Array
+    after: Array
+    variable: str
+    x: Array
+
+
+def _corrected(
+    regression: Regression, table: Table, variable: str | None = None, column: str | None = None
+) -> _Corrected:
     target = column or regression.response
     columns = read_predictors(regression, table, read_runs(regression, table))
     name, x = (
@@ -60,15 +79,20 @@ def draw_correction(
         if variable is None
         else (variable, table.number(variable))
     )
-    found = correct(regression, table, column=target)
-    before, after = table.number(target), np.asarray(found["corrected"])
+    after = np.asarray(correct(regression, table, column=target)["corrected"])
+    return _Corrected(target, table.number(target), after, name, x)
+
+
+def _draw_corrected(
+    regression: Regression, found: _Corrected, axes: "Axes", *, when: _When
+) -> None:
     for values, label, colour, marker in (
-        (before, "before", COLOURS[6], "x"),
-        (after, "after", COLOURS[0], "."),
+        (found.before, "before", COLOURS[6], "x"),
+        (found.after, "after", COLOURS[0], "."),
     ):
         if when in ("both", label):
             axes.plot(
-                x,
+                found.x,
                 values,
                 color=colour,
                 marker=marker,
@@ -76,11 +100,11 @@ def draw_correction(
                 markersize=3.0,
                 label=label,
             )
-    if name == regression.segment_variable:
+    if found.variable == regression.segment_variable:
         for edge in regression.edges:
             axes.axvline(edge, color="black", linewidth=0.8, linestyle="--")
     axes.axhline(0.0, color="black", linewidth=0.5)
-    axes.set(xlabel=name, ylabel=target)
+    axes.set(xlabel=found.variable, ylabel=found.column)
     name_series(axes, 2)
 
 
@@ -153,27 +177,17 @@ def regression_figure(regression: Regression | Regressions, data: Source) -> "Fi
     table = read_table(data, what="data")
     if isinstance(regression, Regressions):
         drawn = [panel for one in regression.values() for panel in _before_and_after(one, table)]
-        return _figure(drawn)
+        return figure_of(drawn)
     chosen = [s for s in regression.segments if s.path][: 1 if regression.continuous else None]
     paths = [partial(_titled_path, regression, segment) for segment in chosen]
-    return _figure([*_before_and_after(regression, table), *paths])
-
-
-def _figure(panels: "Sequence[Callable[[Axes], None]]") -> "Figure":
-    figure, axes = new_figure(len(panels))
-    for draw, one in zip(panels, axes, strict=True):
-        draw(one)
-    return figure
+    return figure_of([*_before_and_after(regression, table), *paths])
 
 
 def _before_and_after(regression: Regression, table: Table) -> "list[Callable[[Axes], None]]":
-    rows = _complete_rows(regression, table)
-    after = np.asarray(correct(regression, rows, column=regression.response)["corrected"])
-    before = np.abs(rows.number(regression.response)).max(initial=0.0)
-    words: tuple[Literal["both", "before", "after"], ...] = ("both",)
-    if before > _APART * np.abs(after).max(initial=0.0):
-        words = ("before", "after")
-    return [partial(draw_correction, regression, rows, when=word) for word in words]
+    found = _corrected(regression, _complete_rows(regression, table))
+    before, after = (np.abs(y).max(initial=0.0) for y in (found.before, found.after))
+    words: tuple[_When, ...] = ("before", "after") if before > _APART * after else ("both",)
+    return [partial(_draw_corrected, regression, found, when=word) for word in words]
 
 
 def _titled_path(regression: Regression, segment: Segment, axes: "Axes") -> None:

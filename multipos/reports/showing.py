@@ -33,7 +33,7 @@ from multipos.plots.fleets import draw_histogram
 from multipos.plots.runs import draw_runs, draw_terms
 from multipos.plots.schemes import draw_scheme
 from multipos.plots.stability import draw_allan
-from multipos.plots.style import new_figure, to_svg
+from multipos.plots.style import figure_of, new_figure, to_svg
 from multipos.plots.temperature import draw_curve
 from multipos.plots.tumble import draw_residual_harmonics, draw_signal
 from multipos.positions.scheme import Scheme
@@ -90,10 +90,8 @@ def show_html(found: Result | Columns) -> str:
     parts = [f"<p><strong>{type(found).__name__}</strong></p>", *_doubts(found), _body(found)]
     panels = _panels(found)
     if panels:
-        figure, axes = new_figure(len(panels))
-        for draw, one in zip(panels, axes, strict=True):
-            draw(one)
-        parts.append(f'<div style="{_PAPER}">{_own_ids(to_svg(figure))}</div>')
+        figure = to_svg(figure_of(panels))
+        parts.append(f'<div style="{_PAPER}">{_own_ids(figure)}</div>')
     return f'<div class="multipos">{"".join(parts)}</div>'
 
 
