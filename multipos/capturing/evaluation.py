@@ -146,14 +146,9 @@ def average_poses(plan: SessionPlan, log: StillLog, poses: list[Pose]) -> Averag
     averages = complete([log], chosen, None, plan.convention, [])
     if plan.scheme is None:
         return averages
-    labels = position_labels(plan.scheme)
-    rows = [labels.index(pose.position) for pose in poses]
+    names = plan.scheme.names
+    rows = [names.index(pose.position) for pose in poses]
     return replace(averages, scheme_up=plan.scheme.up[rows])
-
-
-def position_labels(scheme: Scheme) -> list[str]:
-    """Return what the positions of a scheme are called."""
-    return list(scheme.labels or map(str, range(1, len(scheme) + 1)))
 
 
 def _fit(plan: SessionPlan, averages: Averages) -> tuple[Calibration | None, str | None]:
@@ -222,7 +217,7 @@ def _unreachable(
 def _left_of(scheme: Scheme, poses: list[Pose]) -> Array:
     """Return the up vectors of the positions that have not been taken."""
     done = {pose.position for pose in poses}
-    left = [i for i, label in enumerate(position_labels(scheme)) if label not in done]
+    left = [i for i, label in enumerate(scheme.names) if label not in done]
     return scheme.up[left]
 
 
@@ -322,7 +317,7 @@ def _next_of_scheme(
     targets: dict[str, float],
 ) -> NextPose | None:
     """Return the next position of the scheme, in an order that is short to travel."""
-    labels = position_labels(scheme)
+    labels = scheme.names
     done = {pose.position for pose in poses}
     left = [i for i, label in enumerate(labels) if label not in done]
     if not left:

@@ -20,7 +20,6 @@ from multipos.capturing.evaluation import (
     evaluate,
     model_of,
     next_pose,
-    position_labels,
 )
 from multipos.capturing.next_pose import NextPose
 from multipos.capturing.poses import (
@@ -300,7 +299,7 @@ class Session:
         up = self.direction(still.found.mean)
         if up is None:
             return asked, None
-        labels = position_labels(scheme)
+        labels = scheme.names
         off = np.degrees(2.0 * np.arcsin(np.minimum(np.linalg.norm(scheme.up - up, axis=1) / 2, 1)))
         if off[labels.index(asked)] <= _OFF_DEG:
             return asked, None

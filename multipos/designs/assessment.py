@@ -262,11 +262,10 @@ class Assessor:
         """Return what one scheme tells."""
         n, model = len(scheme), self.setting.model
         unidentifiable, condition = self.separate(scheme.reference)
-        labels = scheme.labels or map(str, range(1, n + 1))
         told = Assessment(
             name=scheme.name,
             positions=n,
-            up=dict(zip(labels, map(tuple, scheme.reference.tolist()), strict=True)),
+            up=dict(zip(scheme.names, map(tuple, scheme.reference.tolist()), strict=True)),
             identifiable=not unidentifiable,
             unidentifiable=tuple(unidentifiable),
             rank=len(model.keys) - len(unidentifiable),

@@ -1,6 +1,7 @@
 """Names and numbers as people list them: 'ax, ay, az', or a sequence; and as they are told."""
 
 from collections.abc import Collection, Iterable, Sequence
+from functools import lru_cache
 from typing import TypeVar
 
 from multipos.errors import MultiposError, UsageError
@@ -49,6 +50,12 @@ def spread(given: Sequence["T | Sequence[T]"]) -> tuple[T, ...]:
     if len(given) == 1 and isinstance(given[0], list | tuple):
         return tuple(given[0])
     return tuple(given)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=1)
+def numbered(count: int, start: int = 1) -> tuple[str, ...]:
+    """Return 1, 2, … as labels of what has none; the last ones are kept."""
+    return tuple(map(str, range(start, start + count)))
 
 
 def near(name: str, known: Collection[str]) -> str:

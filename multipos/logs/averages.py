@@ -13,6 +13,7 @@ from multipos.files.tables import Column, write_table
 from multipos.logs.rest_means import RestMean
 from multipos.logs.rests import Rest
 from multipos.numerics.arrays import Array
+from multipos.positions.attitudes import UP
 from multipos.positions.readings import Readings
 from multipos.results import Result, Tabular, plain
 
@@ -133,7 +134,7 @@ class Averages(Result, Tabular):
         readings = self.readings
         columns: dict[str, Column] = {"position": [rest.position for rest in self.rests]}
         if self.scheme_up is not None:
-            columns |= dict(zip(("up_x", "up_y", "up_z"), self.scheme_up.T, strict=True))
+            columns |= dict(zip(UP, self.scheme_up.T, strict=True))
         columns["n"] = [rest.found.n for rest in self.rests]
         columns |= dict(zip(self.outputs, readings.values.T, strict=True))
         for prefix, values in (

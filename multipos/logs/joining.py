@@ -192,7 +192,7 @@ def _matched(
         scheme,
         convention,
     )
-    known = scheme.labels or [*map(str, range(1, len(scheme) + 1))]
+    known = scheme.names
     missed = sorted({*range(len(known))}.difference(match.rows))
     said = f"no rest at position {', '.join(known[i] for i in missed)} of scheme '{scheme.name}'"
     return match, [known[row] for row in match.rows], [said] if missed else []

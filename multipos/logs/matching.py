@@ -71,7 +71,7 @@ def match_rests(
         A rest is far from its position, or as near to another; or rests of fewer than three
         outputs are not as many as the positions.
     """
-    known = scheme.labels or [str(i + 1) for i in range(len(scheme))]
+    known = scheme.names
     if all(label in known for label in labels):
         rows = [known.index(label) for label in labels]
         match = _match_rows(means, axes, rows, scheme, convention)

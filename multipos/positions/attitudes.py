@@ -33,9 +33,10 @@ _E, _N, _U = np.eye(3)
 _LETTERS = {"E": _E, "N": _N, "U": _U, "W": -_E, "S": -_N, "D": -_U}
 _CHINESE = {"东": "E", "東": "E", "北": "N", "天": "U", "西": "W", "南": "S", "地": "D"}
 
+UP = ("up_x", "up_y", "up_z")
 FORMS = {
     "direction": ("direction",),
-    "up vector": ("up_x", "up_y", "up_z"),
+    "up vector": UP,
     "roll and pitch": ("roll_deg", "pitch_deg"),
     "quaternion": ("qw", "qx", "qy", "qz"),
     "roll about an axis": ("roll_axis", "angle_deg"),

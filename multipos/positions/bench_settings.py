@@ -79,10 +79,9 @@ def _of_name(name: str) -> list[tuple[Array, dict[str, Any]]]:
         return _of_rolls(name, match[1])
     name = AS_SCHEMES.get(name, name)
     scheme = read_scheme(name)
-    labels = scheme.labels or [str(i + 1) for i in range(len(scheme))]
     return [
         (vector, {"scheme": name, "number": label})
-        for vector, label in zip(scheme.up, labels, strict=True)
+        for vector, label in zip(scheme.up, scheme.names, strict=True)
     ]
 
 

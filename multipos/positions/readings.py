@@ -7,7 +7,6 @@ Columns of a readings file, beside the outputs, are listed in `docs/reference/fo
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import control_characters, visible
-from multipos.files.lists import require_columns
+from multipos.files.lists import numbered, require_columns
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
 from multipos.positions.forces import along_forces, known_rows
@@ -104,7 +103,7 @@ class Readings(Result, Tabular):
         """Return the means with their u, beside the up vectors and the other columns."""
         found: dict[str, Any] = {"position": self.labels}
         if self.up is not None:
-            found |= dict(zip(("up_x", "up_y", "up_z"), self.up.T, strict=True))
+            found |= dict(zip(attitudes.UP, self.up.T, strict=True))
         found |= dict(zip(self.outputs, self.values.T, strict=True))
         if self.u is not None:
             found |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.outputs)}
@@ -178,7 +177,7 @@ class Readings(Result, Tabular):
         """The position labels, or 1, 2, … where the readings have none."""
         if self.positions is not None:
             return self.positions
-        return _numbers(len(self))
+        return numbered(len(self))
 
     @property
     def forced(self) -> NDArray[np.bool_]:
@@ -348,12 +347,6 @@ def require_range(readings: Readings, limits: Sequence[float]) -> None:
             f"{low:g} to {high:g} ({int(outside.sum())} of {outside.size} readings are); measure "
             "these positions again or leave them out."
         )
-
-
-@lru_cache(maxsize=1)
-def _numbers(n: int) -> tuple[str, ...]:
-    """Return 1, 2, … n as labels; those of the last readings are kept."""
-    return tuple(map(str, range(1, n + 1)))
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:

@@ -21,10 +21,12 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.characters import visible
+from multipos.files.lists import numbered
 from multipos.files.pipes import is_file
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import (
+    UP,
     Attitudes,
     from_rotation,
     from_up,
@@ -33,7 +35,7 @@ from multipos.positions.attitudes import (
     roll,
     rows_with_orientation,
 )
-from multipos.positions.forces import along_forces, known_rows, read_forces, states_forces
+from multipos.positions.forces import FORCE, along_forces, known_rows, read_forces, states_forces
 from multipos.results import Drawn, Result, Tabular
 
 LARGEST = 1_000_000  # positions; a typing slip in fibonacci-N should not fill the memory
@@ -73,13 +75,20 @@ class Scheme(Result, Drawn, Tabular):
     force: Array | None = None
 
     def columns(self) -> dict[str, Any]:
-        """Return the positions: label, up vector, and known force where there is any."""
-        labels = self.labels or tuple(str(i + 1) for i in range(len(self.up)))
-        found: dict[str, Any] = {"position": labels}
-        found |= dict(zip(("up_x", "up_y", "up_z"), self.up.T, strict=True))
-        if self.force is not None:
-            found |= dict(zip(("f_x", "f_y", "f_z"), self.force.T, strict=True))
-        return found
+        """Return the positions as `read_scheme` takes them: label, and up vector or known force."""
+        found: dict[str, Any] = {"position": self.names}
+        if self.force is None:
+            return found | dict(zip(UP, self.up.T, strict=True))
+        forced = known_rows(self.force)
+        if not forced.all():
+            up = np.where(forced[:, None], np.nan, self.up)
+            found |= dict(zip(UP, up.T, strict=True))
+        return found | dict(zip(FORCE, self.force.T, strict=True))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The position labels, or 1, 2, … where the scheme has none."""
+        return self.labels or numbered(len(self))
 
     @property
     def reference(self) -> Array:
@@ -124,8 +133,8 @@ def join(name: str, parts: list[Scheme]) -> Scheme:
     labels: list[str] = []
     for part in parts:
         own = part.labels or ()
-        numbered = own == _numbers(len(part))
-        labels += _numbers(len(part), start=len(labels) + 1) if numbered else own
+        goes_on = own == numbered(len(part))
+        labels += numbered(len(part), start=len(labels) + 1) if goes_on else own
     labelled = all(part.labels is not None for part in parts)
     up = np.concatenate([part.up for part in parts])
     rotation = np.concatenate([part.rotation for part in parts])
@@ -202,11 +211,7 @@ def _refuse_twice(name: str, labels: tuple[str, ...] | None) -> None:
 
 
 def _scheme(name: str, attitudes: Attitudes) -> Scheme:
-    return Scheme(name, attitudes.up, attitudes.rotation, _numbers(len(attitudes.up)))
-
-
-def _numbers(count: int, start: int = 1) -> tuple[str, ...]:
-    return tuple(str(number) for number in range(start, start + count))
+    return Scheme(name, attitudes.up, attitudes.rotation, numbered(len(attitudes.up)))
 
 
 def _song_qin() -> Attitudes:

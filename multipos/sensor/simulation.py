@@ -26,7 +26,6 @@ from multipos.errors import UsageError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.recursions import recur
-from multipos.positions.forces import FORCE, known_rows
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
@@ -89,26 +88,13 @@ def simulate(
     force, environment = _session(calibration, known, orientation_sd, temperature, rng)
     values = calibration.predict(force, environment)
     values = values + _sd(calibration, reading_sd, "--reading-sd") * rng.normal(size=values.shape)
-    labels = known.labels or tuple(str(i + 1) for i in range(len(known)))
     return Simulation(
         {
-            "position": list(labels),
-            **_stood(known),
+            **known.columns(),
             **dict(zip(calibration.outputs, values.T, strict=True)),
             **environment,
         }
     )
-
-
-def _stood(scheme: Scheme) -> dict[str, Array]:
-    """Return the columns that say where the sensor stood, or what force was applied."""
-    names = ("up_x", "up_y", "up_z")
-    if scheme.force is None:
-        return dict(zip(names, scheme.up.T, strict=True))
-    forced = known_rows(scheme.force)
-    forces = dict(zip(FORCE, scheme.force.T, strict=True))
-    up = np.where(forced[:, None], np.nan, scheme.up)
-    return forces if forced.all() else {**dict(zip(names, up.T, strict=True)), **forces}
 
 
 def simulate_log(

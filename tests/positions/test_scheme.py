@@ -144,6 +144,27 @@ def test_files_and_joins(tmp_path, monkeypatch):
     assert len(read_scheme("+".join(["faces-6"] * 60))) == 360  # longer than a file name may be
 
 
+@pytest.mark.parametrize("forced", [0, 2, 3])
+def test_the_columns_of_a_scheme_are_that_scheme(forced):
+    # On a centrifuge some positions, or all, have a known force in place of a direction.
+    columns = {
+        "position": ["a", "b", "c"],
+        "f_x": [3.0, 0.0, 0.5],
+        "f_y": [0.0, -4.0, 0.5],
+        "f_z": [1.0, 1.0, 7.0],
+    }
+    if forced < 3:
+        for name in ("f_x", "f_y", "f_z"):
+            columns[name][forced:] = [np.nan] * (3 - forced)
+        up = np.array([[np.nan] * 3] * forced + [[0.6, 0.0, 0.8]] * (3 - forced))
+        columns |= dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    scheme = read_scheme(columns)
+    again = read_scheme(scheme.columns())
+    np.testing.assert_array_equal(again.reference, scheme.reference)
+    assert again.names == ("a", "b", "c")
+    assert (again.force is None) == (forced == 0)
+
+
 @pytest.mark.parametrize(
     ("name", "error", "message"),
     [
