@@ -244,6 +244,26 @@ def test_imports_no_slow_library_at_start_up(name):
     assert not wrong
 
 
+@every_file
+def test_data_with_arrays_are_not_compared_field_by_field(name):
+    # The truth of an array of truths is an error; results compare themselves (`results.Result`).
+    wrong = [
+        f"{name}:{node.lineno} {node.name} lacks eq=False"
+        for node in ast.walk(parse(name))
+        if isinstance(node, ast.ClassDef)
+        and any(
+            "dataclass" in (text := ast.unparse(each)) and "eq=False" not in text
+            for each in node.decorator_list
+        )
+        and any(
+            re.search(r"Array|Places", ast.unparse(field.annotation))
+            for field in node.body
+            if isinstance(field, ast.AnnAssign)
+        )
+    ]
+    assert not wrong
+
+
 def test_the_running_package_agrees():
     paths = [name.removesuffix(".py").removesuffix("/__init__") for name in ORDERED]
     modules = ["multipos", *(f"multipos.{path.replace('/', '.')}" for path in paths)]

@@ -255,8 +255,8 @@ def _goes_on(before: Log, log: Log) -> bool:
     """Tell whether columns are those of before; a device says their names only when it starts."""
     if not log.headless:
         return log.columns == before.columns
-    places = ([each.columns.index(name) for name in each.numeric] for each in (before, log))
-    return len(log.columns) == len(before.columns) and next(places) == next(places)
+    known, now = ([each.columns.index(n) for n in each.numeric] for each in (before, log))
+    return len(log.columns) == len(before.columns) and known == now
 
 
 def captured(session: Session) -> Captured:

@@ -163,7 +163,7 @@ def _ratios(
     return tuple(tests)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Sums:
     """What eq. (1) is made of, with Z in R columns and the p unknowns of the solution.
 
@@ -292,6 +292,11 @@ def _of_priors(c: Calibration, problem: Problem) -> float:
     return total
 
 
+def _scale(size: Array) -> Array:
+    """Return the lengths of columns by their squares, 1 of a column of nothing."""
+    return np.where(size > 0.0, np.sqrt(np.maximum(size, 0.0)), 1.0)
+
+
 def _explained(
     gram: Array, score: Array, size: Array, kind_of: NDArray[np.intp], kinds: int
 ) -> tuple[Array, Array, Array]:
@@ -303,7 +308,7 @@ def _explained(
     alike: dict[int, list[int]] = {}
     for kind, mine in enumerate(columns):
         alike.setdefault(len(mine), []).append(kind)
-    scale = np.where(size > 0.0, np.sqrt(np.maximum(size, 0.0)), 1.0)
+    scale = _scale(size)
     unit, score = gram / (scale[:, None] * scale), score / scale
     for some in alike.values():  # kinds of as many terms at once
         places = np.array([columns[kind] for kind in some])
@@ -317,7 +322,7 @@ def _explained(
 
 def _told(gram: Array, size: Array, mine: NDArray[np.bool_]) -> Array:
     """Return T (R, r) of the terms of a kind, T'GT = 1."""
-    scale = np.where(size > 0.0, np.sqrt(np.maximum(size, 0.0)), 1.0)
+    scale = _scale(size)
     values, vectors = np.linalg.eigh((gram / (scale[:, None] * scale))[mine][:, mine])
     seen = values > TOLD
     result = np.zeros((len(size), int(seen.sum())))

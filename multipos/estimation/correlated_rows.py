@@ -63,7 +63,7 @@ _ROUNDING = 1e-12  # of the largest reading, below which a residual is nothing
 Places = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Worth:
     """What correlated rows are worth."""
 
@@ -97,7 +97,8 @@ def are_asked(model: Model, readings: Readings, reference: Array, estimator: Est
     if readings.environment:  # what wanders with a column is for the model, and its tests, to say
         return False
     if estimator is Estimator.LINEAR:
-        return len(reference) >= max(_FEWEST, 2 * len(set(row_keys(reference))))
+        many = len(reference) >= _FEWEST
+        return many and len(reference) >= 2 * len(set(row_keys(reference)))
     return estimator is Estimator.UNKNOWN and len(reference) >= _FEWEST_UNKNOWN
 
 

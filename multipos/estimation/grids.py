@@ -21,7 +21,7 @@ _COARSE, _FINE = 16, 24  # nodes a side
 _NARROWED = 3  # times
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Both:
     """The posterior of scatter and placement of B units.
 

@@ -26,7 +26,7 @@ Places = NDArray[np.intp]
 AnyArray = NDArray[Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Grouped:
     """The units of a fleet, in the order in which they first come.
 

@@ -28,7 +28,7 @@ from multipos.estimation.batches import Estimates
 from multipos.numerics.arrays import Array
 from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS
-from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.inverse import inverses, sensed_axes
 from multipos.sensor.model import Model
 
 _RMS = 0.005  # [g]
@@ -51,8 +51,7 @@ def find_suspects(
     placed : bool
         Orientations are uncertain.
     """
-    square = found.inverse.shape[1] == found.inverse.shape[2]
-    matrix = np.asarray((np.linalg.inv if square else np.linalg.pinv)(found.inverse))
+    matrix = inverses(found.inverse)
     length = np.asarray(np.linalg.norm(matrix, axis=2))
     usual = median(length, axis=0).tolist()
     suspect = ~(found.rms <= _RMS) | _repeats(values) | _leans(model, matrix, length)

@@ -52,7 +52,7 @@ class _Text:
 
 def open_text(path: os.PathLike[str], head: bytes, given: Sequence[str] | None) -> Log:
     """Return a log of text, whose first bytes are given."""
-    lines = _decode(path, head).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = _decode(path, _one_line_end(head)).split("\n")
     if len(head) == HEAD and len(lines) > 1:
         lines = lines[:-1]  # its last line may be cut
     layout = find_layout(str(path), lines)
