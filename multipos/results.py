@@ -235,6 +235,21 @@ def freeze(value: Any) -> Any:
     return value
 
 
+def require(value: object, *kinds: type, reader: str = "multipos.load") -> None:
+    """Refuse what is no result of these kinds, such as the path of one; `reader` reads its file.
+
+    Raises
+    ------
+    TypeError
+        It is something else.
+    """
+    if not isinstance(value, kinds):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise TypeError(
+            f"needs a {names}, got {type(value).__name__}; `{reader}` reads one from its file."
+        )
+
+
 def _same(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         return type(one) is type(other) and _same_arrays(one, other)

@@ -533,3 +533,39 @@ def test_an_error_comes_back_from_a_pool_of_processes_with_all_that_it_says():
         assert str(again) == str(caught.value)
         assert vars(again) == vars(caught.value)
         assert vars(again)["combinations"] != ()
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda path: mp.apply(path, {"ax": [0.0]}),
+        lambda path: mp.check(path, "run.csv"),
+        lambda path: mp.correct(path, "data.csv"),
+        mp.evaluate_budget,
+        mp.evaluate_sphere,
+        mp.judge_terms_jointly,
+        mp.over_temperature,
+        lambda path: mp.profile_interval(path, "ax", "1"),
+        lambda path: mp.simulate(path, "faces-6"),
+        lambda path: mp.simulate_log(path, "faces-6"),
+        mp.simulate_budget,
+        lambda path: mp.state_bench(path, reading_sd=1e-4),
+        lambda path: mp.state_budget(path, {}),
+        mp.table_errors,
+        mp.worth,
+    ],
+)
+def test_the_path_of_a_result_is_refused_with_the_way_to_read_it(call):
+    with pytest.raises(TypeError, match=r"got str; .*`?multipos\.load"):
+        call("cal.json")
+
+
+def test_readings_without_labels_are_those_that_a_file_numbers(tmp_path):
+    up = mp.read_scheme("faces-6").up
+    found = mp.fit(mp.Readings(0.01 + up, up=up))
+    found.save(tmp_path / "cal.json")
+    again = mp.load(tmp_path / "cal.json")
+    assert again.readings == found.readings
+    named = mp.Readings(0.01 + up, up=up, positions=tuple("abcdef"))
+    assert named != found.readings
+    assert found.readings != named

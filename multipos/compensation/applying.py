@@ -124,8 +124,8 @@ def apply(
     """
     if not isinstance(calibration, Calibration):
         raise TypeError(
-            f"`calibration` must be a Calibration, got {type(calibration).__name__}; for a "
-            "regression call `multipos.correct`."
+            f"needs a Calibration, got {type(calibration).__name__}; for a regression call "
+            "`multipos.correct`, and `multipos.load` reads a calibration from its file."
         )
     check_outside(outside)
     if isinstance(data, str | os.PathLike):  # a log of any kind that the command reads

@@ -39,6 +39,7 @@ from multipos.regression.observations import Rows, number_labels
 from multipos.regression.rates import form_rate
 from multipos.regression.result import Regression
 from multipos.regression.several import Regressions
+from multipos.results import require
 from multipos.sensor.tilt import coverage_by_tenths
 
 
@@ -98,6 +99,7 @@ def correct(
     >>> bool(np.abs(left.corrected).max() < 0.01 * np.abs(table["error"]).max())
     True
     """
+    require(regression, Regression, Regressions, reader="multipos.load_regression")
     check_outside(outside)
     check_noise_options(uncertainty, reading_sd, parameters_only)
     table = read_table(data, what="data")

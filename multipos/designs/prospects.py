@@ -26,7 +26,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import Scheme
 from multipos.positions.stated_noise import diagonal
-from multipos.results import Keyed, data_frame
+from multipos.results import Keyed, data_frame, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 
@@ -138,6 +138,7 @@ def worth(
     >>> bool(best.u["ax:1"] < found.u["ax:1"])
     True
     """
+    require(calibration, Calibration)
     keys = [f"{output}:{term}" for output, term in calibration.model.keys]
     _check_target(keys, parameter, target)
     index = None if parameter is None else keys.index(parameter)

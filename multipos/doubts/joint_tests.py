@@ -39,7 +39,7 @@ from multipos.estimation.restatement import estimated_variances, restate, return
 from multipos.estimation.starts import reduced_information
 from multipos.numerics.least_squares import block_design, solve
 from multipos.numerics.quantiles import chi2_tail, f_tail
-from multipos.results import Result
+from multipos.results import Result, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Model
@@ -97,6 +97,7 @@ def judge_terms_jointly(calibration: Calibration) -> list[JointTest]:
     ...     print(test.terms, test.inside, round(test.p, 2))
     own^2 True 0.81
     """
+    require(calibration, Calibration)
     c = calibration
     if c.robust_weight is not None or isinstance(c.model, ExpressionModel):
         raise MultiposError(

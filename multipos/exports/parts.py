@@ -97,7 +97,10 @@ def split_parts(parts: Parts) -> tuple[Calibration | None, tuple[Regression, ...
     given = (parts,) if isinstance(parts, Part) else tuple(parts)
     for part in given:
         if not isinstance(part, Part):
-            raise TypeError(f"needs calibrations and regressions, got {type(part).__name__}.")
+            raise TypeError(
+                f"needs calibrations and regressions, got {type(part).__name__}; `multipos.load` "
+                "and `multipos.load_regression` read them from their files."
+            )
     if not given:
         raise UsageError("there is nothing to export; give a calibration or a regression.")
     first, rest = (given[0], given[1:]) if isinstance(given[0], Calibration) else (None, given)

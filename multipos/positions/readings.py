@@ -80,7 +80,7 @@ class Readings(Result, Tabular):
 
     values: Array
     outputs: tuple[str, ...] = ()
-    positions: tuple[str, ...] | None = None
+    positions: tuple[str, ...] | None = field(default=None, compare=False)  # `labels` are
     up: Array | None = None
     rotation: Array | None = None
     u: Array | None = None
@@ -108,6 +108,12 @@ class Readings(Result, Tabular):
         if self.u is not None:
             found |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.outputs)}
         return found | dict(self.environment)
+
+    def __eq__(self, other: object) -> bool:
+        same = super().__eq__(other)
+        return self.labels == other.labels if isinstance(other, Readings) and same else same
+
+    __hash__ = None  # type: ignore[assignment]  # arrays have no hash
 
     def __post_init__(self) -> None:
         """Check shapes and values once, and keep read-only copies of the arrays."""

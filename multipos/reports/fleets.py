@@ -50,6 +50,7 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
     tr = Translator(language)
     good = found["yield"]
     counts = [tr(f"{{count}} {name}", count=str(n)) for name, n in found["verdicts"].items()]
+    units = f"{found['units']}: {tr.listed(counts)}"
     outliers, named = outlier_rows(found)
     sections = [
         _section("Why units do not pass", cause_rows(found), tr, (), _causes(found, tr)),
@@ -66,14 +67,12 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
         language=language,
         title=tr("Report of a fleet"),
         subtitle=tr(
-            "{count} units: {verdicts}", count=str(found["units"]), verdicts=tr.listed(counts)
-        ),
-        verdict=tr(
             "Yield {value} ({low} to {high} with 95 % confidence)",
             **{key: percent(good[key]) for key in ("value", "low", "high")},
         ),
+        verdict=None,
         warnings=(),
-        fields=((tr("Units"), str(found["units"])), (tr("Computed"), found["created"])),
+        fields=((tr("Units"), units), (tr("Computed"), found["created"])),
         sections=tuple(section for section in sections if section is not None),
     )
 

@@ -27,7 +27,7 @@ from multipos.files.tables import Source
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.recursions import recur
 from multipos.positions.scheme import Scheme, read_scheme
-from multipos.results import Columns
+from multipos.results import Columns, require
 from multipos.sensor.calibration import Calibration
 from multipos.units import gravity_ratio
 
@@ -83,6 +83,7 @@ def simulate(
     >>> list(run)
     ['position', 'up_x', 'up_y', 'up_z', 'ax', 'ay', 'az']
     """
+    require(calibration, Calibration)
     rng = np.random.default_rng(seed)
     known = read_scheme(scheme)
     force, environment = _session(calibration, known, orientation_sd, temperature, rng)
@@ -135,6 +136,7 @@ def simulate_log(
     >>> list(log), len(log["ax"])
     (['time', 'ax', 'ay', 'az'], 1700)
     """
+    require(calibration, Calibration)
     for option, value, lowest in (("--rate", rate, 0.0), ("--rest", rest, 0.0)):
         if not lowest < value < math.inf:
             raise UsageError(f"{option} must be above 0, got {value:g}.")

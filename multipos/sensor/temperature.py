@@ -24,7 +24,7 @@ from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
-from multipos.results import Drawn, Result, Tabular
+from multipos.results import Drawn, Result, Tabular, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.names import parameter_name
 
@@ -101,6 +101,7 @@ def over_temperature(
     >>> scale.name, scale.value.round(3).tolist()
     ('scale_ax', [1.0, 1.002, 1.004])
     """
+    require(calibration, Calibration)
     model = calibration.model
     if column not in model.environment:
         raise UsageError(

@@ -33,7 +33,7 @@ from multipos.estimation.problem import start_state
 from multipos.estimation.restatement import restate
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
-from multipos.results import Result, Tabular
+from multipos.results import Result, Tabular, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.uncertainty.draws import Draws
@@ -161,6 +161,7 @@ def simulate_budget(
     >>> found.trials, found.names[0]
     (2000, 'bias_ax')
     """
+    require(calibration, Calibration)
     _check_options(trials, digits)
     c = calibration
     generator = np.random.default_rng(rng)

@@ -37,6 +37,7 @@ from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.estimation.starts import reduced_information
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
+from multipos.results import require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -166,6 +167,7 @@ def profile_interval(calibration: Calibration, output: str, term: str) -> Interv
     >>> print(f"{1e3 * found.low:.2f} to {1e3 * found.high:.2f} mg")
     -7.44 to 5.87 mg
     """
+    require(calibration, Calibration)
     c = calibration
     if c.robust_weight is not None:
         raise MultiposError(

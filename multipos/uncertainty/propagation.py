@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions.stated_noise import diagonal
-from multipos.results import Drawn, Result, Tabular
+from multipos.results import Drawn, Result, Tabular, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
 from multipos.sensor.inverse import parameter_jacobian
@@ -220,6 +220,7 @@ def evaluate_budget(
     >>> [(row.quantity, row.evaluation) for row in found.rows][-1]
     ('level', 'B')
     """
+    require(calibration, Calibration)
     own = read_budget(calibration.budget_tables)
     stated = own if budget is None else read_budget(budget)
     gain = estimator_gain(calibration)
@@ -256,6 +257,7 @@ def state_budget(calibration: Calibration, budget: "BudgetSource | Budget") -> C
     >>> round(float(level["bias_ax"].u / cal["bias_ax"].u), 2)
     1.19
     """
+    require(calibration, Calibration)
     stated = read_budget(budget)
     found = evaluate_budget(calibration, stated)
     scatter = sum(row.covariance for row in found.rows if row.evaluation == "A")

@@ -15,6 +15,7 @@ import numpy as np
 
 from multipos.positions.harmonics import find_rolls
 from multipos.positions.readings import Readings
+from multipos.results import require
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.table_motion import shaft_effects, table_effects, turn_of
 
@@ -63,6 +64,7 @@ def state_bench(
     >>> known.covariance.shape, bool(known.covariance[0, 0] < known.covariance[3, 3])
     ((12, 12), True)
     """
+    require(calibration, Calibration)
     model, readings = calibration.model, calibration.readings
     rolls = find_rolls(readings)
     linear = model.linear_part(calibration.parameters, calibration.mean_environment)[:, 1:]

@@ -32,6 +32,7 @@ from multipos.numerics.quantiles import coverage_factor, t_tail
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import find_rolls
+from multipos.results import require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import Model
@@ -84,6 +85,8 @@ def table_errors(calibration: Calibration, *beside: Calibration) -> TableErrors:
     >>> [(error.quantity, error.value_deg is None) for error in found.errors[:3]]
     [('zero_offset', True), ('first_cos', False), ('first_sin', False)]
     """
+    for each in (calibration, *beside):
+        require(each, Calibration)
     mounted = find_head(calibration.readings)
     try:
         bench = Bench((calibration, *beside))

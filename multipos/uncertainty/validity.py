@@ -25,7 +25,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import read_scheme
-from multipos.results import Keyed, Tabular
+from multipos.results import Keyed, Tabular, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.inverse import sensitivities as inverse_sensitivities
@@ -144,6 +144,7 @@ def evaluate_sphere(
     >>> print(", ".join(f"{axis}: {1e3 * entry['U']:.0f} mg" for axis, entry in force.items()))
     x: 13 mg, y: 162 mg, z: 17 mg
     """
+    require(calibration, Calibration)
     c = calibration
     sensed = list(sensed_axes(c.model))
     force = size * read_scheme(directions).up[:, sensed]

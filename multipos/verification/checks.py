@@ -33,6 +33,7 @@ from multipos.positions.readings import Readings, require_range
 from multipos.positions.scheme import Scheme
 from multipos.regression.result import Regression
 from multipos.regression.several import Regressions
+from multipos.results import require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.nominal import Nominal, read_nominal
@@ -116,6 +117,7 @@ def check(
     >>> sorted(set(found.verdicts.ravel().tolist()))
     ['pass', 'undecided']
     """
+    require(calibration, Calibration, Regression, Regressions)
     if isinstance(calibration, Regression | Regressions):
         _refuse_options(
             {
