@@ -24,6 +24,12 @@ def run() -> list[Ratio]:
         _paired("linear", 20_000, 1 / 200, known),
         _paired("own-quadratic", 20_000, 1 / 100, known | {"model": "own-quadratic"}),
         _paired("unknown orientation", 4000, 1 / 20, {"unknown_orientation": True}),
+        _paired(
+            "unknown orientation, --reading-sd",
+            4000,
+            1 / 20,
+            {"unknown_orientation": True, "reading_sd": 3e-4},
+        ),
         _paired("--reading-sd", 4000, 1 / 20, known | {"reading_sd": 3e-4}),
         _paired("u of every reading", 4000, 1 / 10, known, stated=True),
         _paired("--orientation-sd 0.1", 1000, 1 / 10, known | {"orientation_sd": 0.1}),

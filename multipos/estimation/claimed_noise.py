@@ -22,9 +22,12 @@ References
 .. [1] G. K. Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004), article 3, section 6.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array
@@ -33,6 +36,8 @@ from multipos.positions.readings import Readings
 
 _KNOWN = 1000.0  # degrees of freedom from which on u is taken as known
 _FEW = 30.0  # below which it is said
+_LEAST, _MOST = 1e-140, 1e140  # of u, whose squares are numbers still
+_APART = 1e3  # times that uncertainties of a unit may differ, where weights have digits left
 _FEWEST = 3  # readings that tell what they have in common
 
 
@@ -51,32 +56,69 @@ def steady_floors(readings: Readings) -> Readings:
     return replace(readings, u=u, notes=(*readings.notes, said))
 
 
+class Claims(NamedTuple):
+    """What many units state of their noise.
+
+    Attributes
+    ----------
+    u : (B, n, M) array
+        As it weighs readings: that of eq. (1) where it has degrees of freedom, and 1 of units whose
+        claims cannot be weights.
+    dof : (B, n, M) array or None
+    sound : (B,) array of bool
+        Units whose claims can be weights, and of which nothing is an error.
+    """
+
+    u: Array
+    dof: Array | None
+    sound: NDArray[np.bool_]
+
+
+def take_claims(stated: Sequence[Array], claimed: Sequence[Array]) -> Claims:
+    """Return what many units state of their noise.
+
+    Parameters
+    ----------
+    stated : M arrays (B, n)
+        Standard uncertainties of the readings.
+    claimed : M arrays (B, n), or none
+        Their degrees of freedom.
+    """
+    u = np.stack(list(stated), axis=2)
+    sound = ((u > _LEAST) & (u < _MOST)).all(axis=(1, 2))
+    sound &= u.max(axis=(1, 2)) < _APART * u.min(axis=(1, 2))
+    if not claimed:
+        return Claims(np.where(sound[:, None, None], u, 1.0), None, sound)
+    dof = np.stack(list(claimed), axis=2)
+    sound &= ((dof >= 1.0) & np.isfinite(dof)).all(axis=(1, 2))
+    u, dof = (np.where(sound[:, None, None], each, 1.0) for each in (u, dof))
+    return Claims(drawn_together(u, dof), dof, sound)
+
+
 def drawn_together(u: Array, dof: Array) -> Array:
     """Return ũ of eq. (1), of B units, from u and their degrees of freedom, (B, n, M) each.
 
     Where fewer than three readings of an output tell what they have in common, u stays.
     """
-    drawn = u.copy()
-    for unit, output in np.ndindex(u.shape[0], u.shape[2]):
-        rows = np.flatnonzero(dof[unit, :, output] < _KNOWN)
-        if len(rows) >= _FEWEST:
-            square = u[unit, rows, output] ** 2
-            drawn[unit, rows, output] = np.sqrt(_together(square, dof[unit, rows, output]))
-    return drawn
-
-
-def _together(square: Array, dof: Array) -> Array:
-    """Return ũ² (n,) of eq. (1) from u² and their degrees of freedom."""
+    few = dof < _KNOWN
+    count = np.sum(few, axis=1, keepdims=True)
+    drawn = few & (count >= _FEWEST)
+    if not drawn.any():
+        return u
+    count = np.maximum(count, _FEWEST)
+    square, dof = np.where(few, u**2, 1.0), np.where(few, dof, 1.0)
     half = dof / 2.0
     e = np.log(square) - digamma(half) + np.log(half)
-    n = len(e)
-    excess = float(np.sum((e - e.mean()) ** 2) / (n - 1) - trigamma(half).mean())
-    if excess <= 0.0:
-        return np.full(n, float(dof @ square) / float(dof.sum()))
-    prior = 2.0 * inverse_trigamma(excess)
-    own = np.array(prior / 2.0)
-    common = np.exp(e.mean() + float(digamma(own)) - np.log(prior / 2.0))
-    return np.asarray((prior * common + dof * square) / (prior + dof))
+    mean = np.sum(few * e, axis=1, keepdims=True) / count
+    excess = np.sum(few * (e - mean) ** 2, axis=1, keepdims=True) / (count - 1)
+    excess -= np.sum(few * trigamma(half), axis=1, keepdims=True) / count
+    alike = excess <= 0.0  # as far as chance allows
+    prior = 2.0 * inverse_trigamma(np.where(alike, 1.0, excess))
+    common = np.exp(mean + digamma(prior / 2.0) - np.log(prior / 2.0))
+    total = np.sum(few * dof, axis=1, keepdims=True)
+    pooled = np.sum(few * dof * square, axis=1, keepdims=True) / np.where(total > 0.0, total, 1.0)
+    together = np.where(alike, pooled, (prior * common + dof * square) / (prior + dof))
+    return np.where(drawn, np.sqrt(together), u)
 
 
 def carry_dof(solution: Solution, readings: Readings, *, joint: bool) -> Solution:
@@ -117,6 +159,21 @@ def carried_dof(dof: Array, floor: Array, claimed: Array, scatter: Array) -> Arr
         Stated variances and their degrees of freedom.
     """
     return np.asarray(1.0 / (1.0 / dof + _spread(floor, claimed, scatter)))
+
+
+def carried_jointly(dof: Array, claims: Claims, scatter: Array) -> Array:
+    """Return degrees of freedom (B,) of parameters that rest on all outputs together, eq. (3).
+
+    Parameters
+    ----------
+    dof, scatter : (B,) arrays
+        Of the variance of a reading, and τ².
+    claims : Claims
+    """
+    if claims.dof is None:
+        return dof
+    spread = _spread(claims.u**2, claims.dof, scatter[:, None]).max(axis=1)
+    return np.asarray(1.0 / (1.0 / dof + spread))
 
 
 def _spread(floor: Array, dof: Array, scatter: Array) -> Array:

@@ -18,7 +18,6 @@ leaves scale factors open, where a position sticks out, and where readings are t
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,9 @@ from multipos.estimation.batches import (
     model_coefficients,
     share_design,
 )
+from multipos.estimation.claimed_noise import Claims, carried_jointly, take_claims
 from multipos.estimation.noise import STILL
+from multipos.estimation.noise_in_turn import Found, Judged, Places, judge_in_turn
 from multipos.estimation.placed_posteriors import (
     About,
     are_alike,
@@ -41,7 +42,6 @@ from multipos.estimation.placed_posteriors import (
 from multipos.estimation.placed_scatter import (
     LEAST,
     LEAST_TOLD,
-    ROUNDS,
     SETTLED,
     SETTLED_BOTH,
     TELLING,
@@ -57,7 +57,7 @@ from multipos.estimation.placed_search import (
     search,
     turns,
 )
-from multipos.estimation.posteriors import Posterior, standard_uncertainty
+from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import RELATIVE_NOISE
 from multipos.estimation.starts import WIDE
 from multipos.files.records import LARGEST
@@ -71,10 +71,8 @@ _AT_ONCE = 1500  # readings of an output, so that what they need stays small
 _ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
 _WORST = 1e-8  # eigenvalue of the scaled information below which a fit is doubted for it
 _LOUD = 0.01  # of a scale factor: noise or U from which on a unit is looked at
-_LEAST, _MOST = 1e-140, 1e140  # of u, whose squares are numbers still
-_APART = 1e3  # times that uncertainties of a unit may differ
 
-Places = NDArray[np.intp]
+_Found = Found[Place, Noise]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,51 +166,35 @@ def estimate_placed(
     stated : sequence of 3 arrays (B, n), or of none
         Their standard uncertainties.
     claimed : sequence of 3 arrays (B, n), or of none
-        Degrees of freedom of those, which are left to `fit`.
+        Degrees of freedom of those.
     """
     count, n = values[0].shape
     step = max(1, _AT_ONCE // n)
-    parts = []
+    parts, carried = [], []
     for first in range(0, count, step):
         rows = slice(first, first + step)
-        y = np.stack([each[rows] for each in values], axis=2)
-        u = np.stack([each[rows] for each in stated], axis=2) if stated else None
+        y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, claimed))
+        claims = take_claims(u, dof) if u else None
         with np.errstate(all="ignore"):  # a unit may run away, and is then left out
-            parts.append(_estimate(shared, y, u))
+            part, scatter = _estimate(shared, np.stack(y, axis=2), claims)
+            own = part.dof[:, 0]
+            carried.append(own if claims is None else carried_jointly(own, claims, scatter))
+        parts.append(part)
     found = join_estimates(parts)
-    u = standard_uncertainty(found.u, found.dof)  # of U at 95 %
-    return found._replace(u=u, sound=found.sound & (not claimed))
+    each = np.broadcast_to(np.concatenate(carried)[:, None], found.u.shape)
+    return found._replace(u=standard_uncertainty(found.u, found.dof), dof=each)
 
 
-class _Judged(NamedTuple):
-    """What a turn finds of the noise of some units, and of which it has settled."""
-
-    posterior: Posterior
-    noise: Noise
-    settled: NDArray[np.bool_]
-
-
-class _Found(NamedTuple):
-    """What was found of B units."""
-
-    place: Place
-    noise: Noise
-    U: Array  # at 95 %, (B, p)
-    dof: Array  # (B,)
-    sound: NDArray[np.bool_]
-
-
-def _estimate(shared: SharedPlacement, values: Array, u: Array | None) -> Estimates:
+def _estimate(
+    shared: SharedPlacement, values: Array, claims: Claims | None
+) -> tuple[Estimates, Array]:
+    """Return estimates, whose u are yet U at 95 %, and what readings scatter, τ² (B,)."""
     model, listed = shared.model, shared.listed
     count, n, _ = values.shape
     sound = (np.ptp(values, axis=1) > 0.0).all(axis=1)
-    if u is None:
-        variance = _any_noise(values)
-    else:
-        claims = ((u > _LEAST) & (u < _MOST)).all(axis=(1, 2))
-        claims &= u.max(axis=(1, 2)) < _APART * u.min(axis=(1, 2))
-        sound &= claims
-        variance = np.where(claims[:, None, None], u, 1.0) ** 2
+    if claims is not None:
+        sound &= claims.sound
+    variance = _any_noise(values) if claims is None else claims.u**2
     noise = Noise(variance, np.tile(shared.orientation_sd, (count, 1)))
     theta = np.concatenate(
         [values[:, :, i] @ inverse.T for i, inverse in enumerate(shared.inverses)], axis=1
@@ -222,13 +204,13 @@ def _estimate(shared: SharedPlacement, values: Array, u: Array | None) -> Estima
     sound &= np.einsum("bni,bni->b", *[start.residuals] * 2) > least
     place, ended = search(model, listed, values, start, noise)
     sound &= ended
-    chi2 = None if u is None else objective(place, noise)  # under the stated noise alone
+    chi2 = None if claims is None else objective(place, noise)  # under the stated noise alone
     try:
         judge = _judge_both if shared.estimated else _judge_scatter
-        found = judge(shared, values, place, noise, sound, stated=u is not None)
+        found = judge(shared, values, place, noise, sound, stated=claims is not None)
     except np.linalg.LinAlgError:  # some unit is as good as singular
         nothing = np.full(theta.shape, np.nan)
-        found = _Found(place, noise, nothing, nothing[:, 0], np.zeros_like(sound))
+        found = Found(place, noise, nothing, nothing[:, 0], np.zeros_like(sound))
     sound = found.sound
     theta, residuals = found.place.theta, tuple(np.moveaxis(found.place.residuals, 2, 0))
     left = compensated(
@@ -245,7 +227,8 @@ def _estimate(shared: SharedPlacement, values: Array, u: Array | None) -> Estima
     if sound.any():
         sound[sound] = _are_clear(shared, found, sound)
     dof = np.broadcast_to(found.dof[:, None], theta.shape)
-    return Estimates(theta, found.U, dof, rms, residuals, left.inverse, sound, chi2)
+    scatter = (found.noise.variance - variance).mean(axis=(1, 2))
+    return Estimates(theta, found.U, dof, rms, residuals, left.inverse, sound, chi2), scatter
 
 
 def _any_noise(values: Array) -> Array:
@@ -272,7 +255,7 @@ def _judge_scatter(
         sound = sound & ended
     size, before = typical(first.variance), np.zeros(len(values))
 
-    def judge(units: Places, here: Place, known: Noise) -> _Judged:
+    def judge(units: Places, here: Place, known: Noise) -> Judged[Noise]:
         floor, least = first.variance[units], size[units]
         weighted = objective(here, known) * (least + before[units])
         plain = np.einsum("bni,bni->b", here.residuals, here.residuals)
@@ -282,7 +265,7 @@ def _judge_scatter(
         tau2 = posterior.summary[0]
         settled = np.abs(tau2 - before[units]) <= SETTLED * (least + before[units])
         before[units] = tau2
-        return _Judged(posterior, Noise(floor + tau2[:, None, None], known.orientation_sd), settled)
+        return Judged(posterior, Noise(floor + tau2[:, None, None], known.orientation_sd), settled)
 
     found = _in_turn(shared, values, place, first, sound, judge)
     if not stated:
@@ -305,7 +288,7 @@ def _judge_both(
     first = noise if stated else _least_floor(shared, values, place, noise)
     size, before = typical(first.variance), np.zeros((2, len(values)))
 
-    def judge(units: Places, here: Place, _: Noise) -> _Judged:
+    def judge(units: Places, here: Place, _: Noise) -> Judged[Noise]:
         known = first.of(units)
         both = integrate_scatter_and_placement(
             _about(shared, here, known), known.variance, shared.dof, believed=stated
@@ -318,7 +301,7 @@ def _judge_both(
             known.variance + tau2[:, None, None],
             known.orientation_sd * np.sqrt(factor)[:, None],
         )
-        return _Judged(both.posterior, following, settled)
+        return Judged(both.posterior, following, settled)
 
     # where readings are unlike, axes would move with the placement
     sound = sound & _tells_apart(shared, place) & are_alike(first.variance)
@@ -331,27 +314,15 @@ def _in_turn(
     place: Place,
     first: Noise,
     sound: NDArray[np.bool_],
-    judge: Callable[[Places, Place, Noise], _Judged],
+    judge: Callable[[Places, Place, Noise], Judged[Noise]],
 ) -> _Found:
     """Judge the noise and search on from there, in turn until it settles; `place` follows."""
+
+    def search_on(units: Places, here: Place, known: Noise) -> tuple[Place, NDArray[np.bool_]]:
+        return search(shared.model, shared.listed, values[units], here, known)
+
     noise = Noise(*(each.copy() for each in first))
-    U, tail = np.full(place.theta.shape, np.nan), np.full(len(values), np.nan)
-    sound = sound.copy()
-    units = np.flatnonzero(sound)
-    for turn in range(ROUNDS):
-        if not len(units):
-            break
-        here = place.of(units)
-        posterior, known, settled = judge(units, here, noise.of(units))
-        noise.put(units, known)
-        following, ended = search(shared.model, shared.listed, values[units], here, known)
-        place.put(units, following)
-        sound[units] &= ended
-        going = ~settled & ended & (turn < ROUNDS - 1)
-        if not going.all():
-            U[units], tail[units] = posterior.centred, posterior.shape
-        units = units[going]
-    return _Found(place, noise, U, tail, sound)
+    return judge_in_turn(place, noise, sound, len(shared.model.keys), judge, search_on)
 
 
 def _least_floor(shared: SharedPlacement, values: Array, place: Place, noise: Noise) -> Noise:

@@ -19,6 +19,9 @@ are one product of w with the products of D and d, and with the Cholesky factor 
     −2 ln L = ln det V + ln det S + q − b'S⁻¹b,    moves S⁻¹b,    variances diag S⁻¹,       (3)
 
 times Jeffreys' prior, (Σ w²)^½ of τ² and (Σ w² Σ w²c² − (Σ w²c)²)^½ F of both.
+
+Where nothing is known of an orientation, only what lies along the normal n of the sphere is left of
+a reading: one number a position, with a = n'Σn.
 """
 
 from collections.abc import Iterator
@@ -44,8 +47,16 @@ class About(NamedTuple):
     spread: Array  # s J, (B, n, 3, 2)
 
 
+class Normals(NamedTuple):
+    """Solutions of B units of unknown orientation as linear models of what is left of readings."""
+
+    error: Array  # along the normals, (B, n)
+    design: Array  # (B, n, p)
+    normal: Array  # of length one, (B, n, 3)
+
+
 class Rotated(NamedTuple):
-    """The linear models in the axes of eq. (1), N = 3 n single numbers a unit."""
+    """The linear models in the axes of eq. (1), N single numbers a unit, 3 or one a position."""
 
     products: Array  # of D and d with each other, (B, N, (p + 1)(p + 2)/2)
     fixed: Array  # a, (B, N)
@@ -73,8 +84,30 @@ def integrate_scatter(
         As in `multipos.estimation.posteriors.integrate`.
     believed : bool
     """
-    evaluator = _Evaluator(about, floor)
-    return integrate(evaluator.at_scatter, dof, typical(floor), squares, believed=believed)
+    size = typical(floor)
+    evaluator = _Evaluator(_rotated(about, floor), size)
+    return integrate(evaluator.at_scatter, dof, size, squares, believed=believed)
+
+
+def integrate_along(
+    normals: Normals, floor: Array, dof: float, squares: tuple[Array, Array]
+) -> Posterior:
+    """Return the posterior of τ² and of parameters, of units of unknown orientation.
+
+    Parameters
+    ----------
+    normals : Normals
+    floor : (B, n, 3) array
+        Stated variances.
+    dof : float
+    squares : tuple of two (B,) arrays
+        As in `multipos.estimation.posteriors.integrate`.
+    """
+    size = typical(floor)
+    rows = np.concatenate([normals.design, normals.error[..., None]], axis=2)
+    fixed = np.einsum("bni,bni->bn", normals.normal**2, floor)
+    rotated = Rotated(_products(rows), fixed, np.zeros_like(fixed), normals.design.shape[2])
+    return integrate(_Evaluator(rotated, size).at_scatter, dof, size, squares)
 
 
 def integrate_scatter_and_placement(
@@ -94,7 +127,7 @@ def integrate_scatter_and_placement(
     slopes = np.einsum("bnij,bnij->b", about.spread, about.spread)
     count = len(size)
     return integrate_grid(
-        _Evaluator(about, floor).at_both,
+        _Evaluator(_rotated(about, floor), size).at_both,
         dof,
         size,
         np.einsum("bni,bni->b", about.error, about.error),
@@ -128,13 +161,13 @@ def _rotated(about: About, floor: Array) -> Rotated:
         axes, fixed, moving = U.transpose(0, 2, 1), singular**2, np.zeros_like(singular)
     rows = np.concatenate([about.design, about.error[..., None]], axis=3)
     rows = (axes @ rows.reshape(-1, _OUTPUTS, p + 1)).reshape(count, n * _OUTPUTS, p + 1)
-    first, second = np.triu_indices(p + 1)
-    return Rotated(
-        rows[:, :, first] * rows[:, :, second],
-        fixed.reshape(count, -1),
-        moving.reshape(count, -1),
-        p,
-    )
+    return Rotated(_products(rows), fixed.reshape(count, -1), moving.reshape(count, -1), p)
+
+
+def _products(rows: Array) -> Array:
+    """Return the products of single numbers (B, N, p + 1) with each other."""
+    first, second = np.triu_indices(rows.shape[2])
+    return np.asarray(rows[:, :, first] * rows[:, :, second])
 
 
 def _axes_of_turns(spread: Array) -> tuple[Array, Array]:
@@ -158,8 +191,8 @@ def _axes_of_turns(spread: Array) -> tuple[Array, Array]:
 class _Evaluator:
     """What evaluates eq. (3) at nodes of B units, some of them at a time."""
 
-    def __init__(self, about: About, floor: Array) -> None:
-        self._rotated, self._size = _rotated(about, floor), typical(floor)
+    def __init__(self, rotated: Rotated, size: Array) -> None:
+        self._rotated, self._size = rotated, size
 
     def at_scatter(self, nodes: Array) -> Found:
         """Return what is found at values of τ² (B, G)."""

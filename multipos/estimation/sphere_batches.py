@@ -1,24 +1,21 @@
-"""Many units of unknown orientation: the search of `multipos.estimation.sphere`, all at once.
+"""Many units of unknown orientation: the searches of `multipos.estimation.sphere_search`.
 
-Every unit has a problem of its own, with its own directions, so that nothing but the form of the
-equations is shared. With the residuals r = y − h(f), G = dh/df and the normal m of the surface
-that the readings of all directions form,
+A unit starts on the ellipsoid of its readings (`multipos.estimation.ellipsoid`) and searches from
+there. Where nothing is stated of the noise, the end of the search has with S and F of eq. (1) there
 
-    m = n/|n|,    n = det(G) G⁻ᵀ f,    a = A'm,    S = Σ a a',    S d = Σ a m'r,             (1)
-    df = G⁻¹ (x − m m'x),    x = r − A d,    f'df = 0,                                      (2)
+    cov = S⁻¹ F/ν,    ν = n − p.                                                            (1)
 
-which is `multipos.estimation.sphere` for readings that are equally noisy. A unit starts on the
-ellipsoid of its readings (`multipos.estimation.ellipsoid`), takes damped steps until the next one
-would take less than 10⁻¹⁶ off F = Σ r'r, and is then left out of what follows. At the end
-
-    cov = S⁻¹ F/ν,    ν = n − p.                                                            (3)
+A stated noise is a floor: what readings scatter beside it, τ², is integrated over
+(`multipos.estimation.placed_posteriors`) and searched on from, in turn until it settles, as
+`multipos.estimation.noise` has it for one unit. Uncertainties with degrees of freedom go through
+`multipos.estimation.claimed_noise` on their way in and out.
 
 A unit is left to `fit` where the ellipsoid needs more care than least squares, where a search has
-not ended, where S is badly conditioned, or where noise might hide a parameter.
+not ended, where S is badly conditioned, where noise might hide a parameter, or where what is stated
+cannot be weights.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,51 +24,36 @@ from numpy.typing import NDArray
 from multipos.estimation.batches import (
     Estimates,
     compensated,
-    force_slopes,
     join_estimates,
     model_coefficients,
 )
+from multipos.estimation.claimed_noise import Claims, carried_jointly, take_claims
 from multipos.estimation.identifiability import plausible_range
+from multipos.estimation.noise_in_turn import Judged, Places, judge_in_turn
+from multipos.estimation.placed_posteriors import Normals, integrate_along, typical
+from multipos.estimation.placed_scatter import SETTLED
+from multipos.estimation.posteriors import standard_uncertainty
+from multipos.estimation.sphere_search import (
+    Place,
+    SharedSphere,
+    Surface,
+    linearise,
+    place_at,
+    search,
+)
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array
 from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.model import Model
 
-_NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # the other two axes, in cyclic order
 _AT_ONCE = 12_000  # readings of an output, so that what a step needs stays in the cache
-_ITERATIONS = 60
-_DAMPING = 1e-4
-_DECREMENT = 1e-16  # of F, by the next step
-_LAST_STEPS = 2  # whatever F says, whose last digits are the rounding of the readings
-_FLAT = 1e-15  # of F, below which a step is lost in the rounding of F
-_XTOL = 1e-13  # relative step that is only rounding
-_STUCK = 1e12  # damping beyond which nothing moves
 _SPREAD = 1e-3  # ratio of squared extents of the readings, below which they may be flat
 _SHOWN = 1e-5  # eigenvalue of the scaled quadric's information below which it may not be shown
 _ROUND = 0.01  # squared ratio of semi-axes below which the ellipsoid may not be one
 _WORST = 1e-8  # eigenvalue of the scaled information below which a fit is doubted for it
 _TOLD = 200.0  # of the readings: information beyond which no noise hides a parameter
 _ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
-
-
-@dataclass(frozen=True, eq=False)
-class SharedSphere:
-    """What units of unknown orientation share.
-
-    Attributes
-    ----------
-    model : Model
-        With its gauge.
-    size : float [g]
-        Of the reference.
-    environment : mapping of str to (n,) array
-        Other columns of the model.
-    """
-
-    model: Model
-    size: float
-    environment: Mapping[str, Array]
 
 
 def share_sphere(
@@ -84,98 +66,144 @@ def share_sphere(
     return SharedSphere(model, size, {name: environment[name] for name in model.environment})
 
 
-def estimate_spheres(shared: SharedSphere, values: tuple[Array, ...]) -> Estimates:
-    """Fit B units of unknown orientation, eqs. (1)–(3).
+def estimate_spheres(
+    shared: SharedSphere,
+    values: Sequence[Array],
+    stated: Sequence[Array] = (),
+    claimed: Sequence[Array] = (),
+) -> Estimates:
+    """Fit B units of unknown orientation.
 
     Parameters
     ----------
     shared : SharedSphere
     values : 3 arrays (B, n)
         Readings of each output.
+    stated, claimed : 3 arrays (B, n), or none
+        Their standard uncertainties, and the degrees of freedom of those.
     """
     count, n = values[0].shape
     step = max(1, _AT_ONCE // n)
-    with np.errstate(all="ignore"):  # a trial may run away, and is then left out
-        parts = [
-            _estimate(shared, np.stack([y[first : first + step] for y in values]))
-            for first in range(0, count, step)
-        ]
+    parts = []
+    for first in range(0, count, step):
+        rows = slice(first, first + step)
+        y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, claimed))
+        with np.errstate(all="ignore"):  # a trial may run away, and is then left out
+            parts.append(_estimate(shared, np.stack(y), take_claims(u, dof) if u else None))
     return join_estimates(parts)
 
 
-class _Place(NamedTuple):
-    """Units (B) at a point of their search; positions run fastest in memory."""
+class _Noise(NamedTuple):
+    """What the search takes as known of B units."""
 
-    theta: Array  # (B, p)
-    force: Array  # (3, B, n) [g]
-    phi: Array  # (T, B, n)
-    residuals: Array  # (3, B, n)
-    objective: Array  # (B,)
+    variance: Array  # of the readings, (3, B, n)
 
-    def of(self, units: NDArray[Any]) -> "_Place":
+    def of(self, units: NDArray[Any]) -> "_Noise":
         """Return some of the units."""
-        return _Place(
-            self.theta[units],
-            self.force[:, units],
-            self.phi[:, units],
-            self.residuals[:, units],
-            self.objective[units],
-        )
+        return _Noise(self.variance[:, units])
 
-    def put(self, units: NDArray[np.intp], other: "_Place") -> None:
-        """Put other units in places of these."""
-        self.theta[units] = other.theta
-        self.force[:, units] = other.force
-        self.phi[:, units] = other.phi
-        self.residuals[:, units] = other.residuals
-        self.objective[units] = other.objective
+    def put(self, units: Places, other: "_Noise") -> None:
+        """Put what is known of other units in places of these."""
+        self.variance[:, units] = other.variance
 
 
-class _Surface(NamedTuple):
-    """The normal equations, eq. (1)."""
+class _Worth(NamedTuple):
+    """Where the searches of B units ended, and what their parameters are worth."""
 
-    information: Array  # (B, p, p)
-    gradient: Array  # (B, p)
-    cofactors: Array  # (3, 3, B, n), of G
-    determinant: Array  # (B, n)
-    normal: Array  # m, (3, B, n)
-    excess: Array  # (B, n), how far outside a reading lies, relative to the force
+    place: Place
+    u: Array  # (B, p)
+    dof: Array  # (B,)
+    sound: NDArray[np.bool_]
 
 
-def _estimate(shared: SharedSphere, values: Array) -> Estimates:
+def _estimate(shared: SharedSphere, values: Array, claims: Claims | None) -> Estimates:
     model = shared.model
     n, p = values.shape[2], len(model.keys)
-    started, theta, force = _start(shared, values)
-    place, ended = _descend(shared, values, _at(shared, values, theta, force))
-    for _ in range(_LAST_STEPS):
-        surface = _linearise(shared, place)
-        none = np.zeros(len(place.theta))
-        move = _step(place.theta, surface, none)[0]
-        place = _moved(shared, values, place, surface, move, none)
-    surface = _linearise(shared, place)
+    variance = np.ones_like(values) if claims is None else np.moveaxis(claims.u**2, 2, 0).copy()
+    sound, theta, force = _start(shared, values)
+    place, ended = search(
+        shared, values, variance, place_at(shared, values, variance, theta, force)
+    )
+    surface = linearise(shared, place, variance)
     nu = float(n - p)
     factor = place.objective / nu
-    told, inverse = _inverse(surface.information)
-    u = np.sqrt(np.einsum("bpp->bp", inverse) * factor[:, None])
-    sound = started & ended & told & (np.abs(place.theta).max(axis=1) <= LARGEST)
-    sound &= place.objective > _ROUNDING**2 * np.einsum("mbn,mbn->b", values, values)
+    sound &= ended & _is_told(shared, place, surface.information, factor)
+    chi2 = None
+    if claims is None:
+        inverse = _inverse(surface.information)
+        u = np.sqrt(np.einsum("bpp->bp", inverse.matrix) * factor[:, None])
+        found = _Worth(place, u, np.full(len(u), nu), sound & inverse.sound)
+    else:
+        chi2 = place.objective.copy()
+        found = _beside_stated(shared, values, place, _Noise(variance), claims, sound)
+    place, sound = found.place, found.sound & (np.abs(found.place.theta).max(axis=1) <= LARGEST)
     sound &= (place.theta[:, list(model.own_scales)] > 0.0).all(axis=1)
-    sound &= _is_told(shared, place, surface.information, factor)
-    coefficients = model_coefficients(model, place.theta)
-    residuals = tuple(place.residuals)
+    squares = np.einsum("mbn,mbn->b", place.residuals, place.residuals)
+    sound &= squares > _ROUNDING**2 * np.einsum("mbn,mbn->b", values, values)
+    force = place.force.transpose(1, 2, 0)
     left = compensated(
         model,
         shared.environment,
-        place.force.transpose(1, 2, 0),
-        coefficients,
+        force,
+        model_coefficients(model, place.theta),
         tuple(values),
-        residuals,
+        tuple(place.residuals),
     )
-    length = np.linalg.norm(place.force.transpose(1, 2, 0) + left.force, axis=2)
+    length = np.linalg.norm(force + left.force, axis=2)
     rms = np.sqrt(np.mean((length - shared.size) ** 2, axis=1))
-    dof = np.full(p, nu)
-    sound &= left.sound
-    return Estimates(place.theta, u, dof, rms, residuals, left.inverse, sound)
+    dof = np.broadcast_to(found.dof[:, None], found.u.shape)
+    residuals = tuple(place.residuals)
+    return Estimates(
+        place.theta, found.u, dof, rms, residuals, left.inverse, sound & left.sound, chi2
+    )
+
+
+def _beside_stated(
+    shared: SharedSphere,
+    values: Array,
+    place: Place,
+    noise: _Noise,
+    claims: Claims,
+    sound: NDArray[np.bool_],
+) -> _Worth:
+    """Return the solutions with what readings scatter beside the noise that they state."""
+    floor = claims.u**2
+    n, p = values.shape[2], len(shared.model.keys)
+    size, before = typical(floor), np.zeros(len(floor))
+
+    def judge(units: Places, here: Place, known: _Noise) -> Judged[_Noise]:
+        surface = linearise(shared, here, known.variance)
+        weighted = here.objective * (size[units] + before[units])
+        plain = np.einsum("mbn,mbn->b", here.residuals, here.residuals)
+        posterior = integrate_along(_along(surface), floor[units], float(n - p), (weighted, plain))
+        tau2 = posterior.summary[0]
+        settled = np.abs(tau2 - before[units]) <= SETTLED * (size[units] + before[units])
+        before[units] = tau2
+        following = np.moveaxis(floor[units], 2, 0) + tau2[:, None]
+        return Judged(posterior, _Noise(following), settled)
+
+    def search_on(units: Places, here: Place, known: _Noise) -> tuple[Place, NDArray[np.bool_]]:
+        return search(shared, values[:, units], known.variance, here)
+
+    try:
+        found = judge_in_turn(place, noise, sound & claims.sound, p, judge, search_on)
+    except np.linalg.LinAlgError:  # some unit is as good as singular
+        nothing = np.full(place.theta.shape, np.nan)
+        return _Worth(place, nothing, nothing[:, 0], np.zeros_like(sound))
+    information = linearise(shared, found.place, found.noise.variance).information
+    u = standard_uncertainty(found.U, np.broadcast_to(found.dof[:, None], found.U.shape))
+    dof = carried_jointly(found.dof, claims, before)
+    return _Worth(found.place, u, dof, found.sound & _inverse(information).sound)
+
+
+def _along(surface: Surface) -> Normals:
+    """Return the linear models of what lies along the normals, of length one."""
+    length = np.sqrt(np.einsum("mbn,mbn->bn", surface.normal, surface.normal))
+    return Normals(
+        surface.height / length,
+        surface.rows.transpose(0, 2, 1) / length[:, :, None],
+        np.moveaxis(surface.normal / length, 0, 2),
+    )
 
 
 def _start(shared: SharedSphere, values: Array) -> tuple[NDArray[np.bool_], Array, Array]:
@@ -233,102 +261,14 @@ def _ellipsoids(values: Array, crossed: bool) -> tuple[NDArray[np.bool_], Array,
     return sound, (centre + size * bias.T).T, size.T[:, :, None] * lower
 
 
-def _at(shared: SharedSphere, values: Array, theta: Array, force: Array) -> _Place:
-    model = shared.model
-    _, count, n = force.shape
-    columns = {name: np.tile(column, count) for name, column in shared.environment.items()}
-    phi = model.basis(force.reshape(3, -1).T, columns).T.reshape(-1, count, n)
-    residuals = values - np.einsum("bmt,tbn->mbn", model_coefficients(model, theta), phi)
-    return _Place(theta, force, phi, residuals, np.einsum("mbn,mbn->b", residuals, residuals))
+class _Inverse(NamedTuple):
+    """Inverses of matrices (B, p, p), and which of these are well conditioned."""
+
+    matrix: Array
+    sound: NDArray[np.bool_]
 
 
-def _linearise(shared: SharedSphere, place: _Place) -> _Surface:
-    G = force_slopes(shared.model, shared.environment, place.theta, place.force)
-    upper, lower = G[_NEXT], G[_LAST]
-    cofactors = upper[:, _NEXT] * lower[:, _LAST] - upper[:, _LAST] * lower[:, _NEXT]
-    determinant = np.einsum("ibn,ibn->bn", G[0], cofactors[0])
-    normal = np.einsum("mibn,ibn->mbn", cofactors, place.force)
-    height = np.einsum("mbn,mbn->bn", normal, place.residuals)
-    excess = height / (determinant * shared.size**2)
-    root = 1.0 / np.sqrt(np.einsum("mbn,mbn->bn", normal, normal))
-    normal *= root
-    outputs, columns, copies = shared.model.rows
-    rows = normal[outputs] * place.phi[columns]
-    for parameter, output, column in copies:
-        rows[parameter] += normal[output] * place.phi[column]
-    rows = np.ascontiguousarray(rows.transpose(1, 0, 2))
-    return _Surface(
-        rows @ rows.transpose(0, 2, 1),
-        (rows @ (height * root)[:, :, None])[:, :, 0],
-        cofactors,
-        determinant,
-        normal,
-        excess,
-    )
-
-
-def _moved(
-    shared: SharedSphere, values: Array, place: _Place, surface: _Surface, move: Array, by: Array
-) -> _Place:
-    """Return places after steps (B, p) of the parameters, damped by (B,), eq. (2)."""
-    change = model_coefficients(shared.model, move)
-    left = place.residuals - np.einsum("bmt,tbn->mbn", change, place.phi)
-    left -= surface.normal * np.einsum("mbn,mbn->bn", surface.normal, left)
-    turn = np.einsum("mibn,mbn->ibn", surface.cofactors, left) / surface.determinant
-    ease = (1.0 + by[:, None]) * (1.0 + np.maximum(surface.excess, 0.0))
-    force = place.force + turn / ease
-    force *= shared.size / np.sqrt(np.einsum("ibn,ibn->bn", force, force))
-    return _at(shared, values, place.theta + move, force)
-
-
-def _descend(
-    shared: SharedSphere, values: Array, place: _Place
-) -> tuple[_Place, NDArray[np.bool_]]:
-    """Return where every unit's search ends, and of which units it does.
-
-    A step that is not taken is tried again with ten times the damping.
-    """
-    count = len(place.theta)
-    ended = np.zeros(count, dtype=np.bool_)
-    damping, before = np.full(count, _DAMPING), np.full(count, np.inf)
-    units = np.flatnonzero(np.isfinite(place.objective))
-    for _ in range(_ITERATIONS):
-        if not len(units):
-            break
-        here = place.of(units)
-        surface = _linearise(shared, here)
-        move, decrement, relative = _step(here.theta, surface, damping[units])
-        trial = _moved(shared, values[:, units], here, surface, move, damping[units])
-        taken = trial.objective <= here.objective
-        place.put(units[taken], trial.of(taken))
-        flat = ~taken & (decrement <= _FLAT * here.objective)
-        shrink = np.minimum(np.where(np.isinf(before[units]), 1.0, decrement / before[units]), 1.0)
-        enough = (decrement * shrink <= _DECREMENT * trial.objective) | (relative <= _XTOL)
-        ended[units] = flat | (taken & enough)
-        before[units] = np.where(taken, decrement, before[units])
-        damping[units] *= np.where(taken, 0.1, 10.0)
-        units = units[~ended[units] & (damping[units] <= _STUCK)]
-    return place, ended
-
-
-def _step(theta: Array, surface: _Surface, damping: Array) -> tuple[Array, Array, Array]:
-    """Return damped steps (B, p), what each should take off F, and its size relative to theta."""
-    information = surface.information
-    scale = np.sqrt(np.einsum("bpp->bp", information))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    damped = information / (scale[:, :, None] * scale[:, None, :])
-    places = np.arange(scale.shape[1])
-    damped[:, places, places] += np.maximum(damping, 1e-15)[:, None]
-    damped[~np.isfinite(damped).all(axis=(1, 2))] = np.eye(len(places))
-    scaled = np.linalg.solve(damped, (surface.gradient / scale)[:, :, None])[:, :, 0]
-    move = scaled / scale
-    size = np.maximum(np.abs(theta * scale).max(axis=1), 1e-300)
-    decrement = np.einsum("bp,bp->b", move, surface.gradient)
-    return move, decrement, np.abs(scaled).max(axis=1) / size
-
-
-def _inverse(information: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Return which matrices (B, p, p) are well conditioned, and their inverses."""
+def _inverse(information: Array) -> _Inverse:
     scale = np.sqrt(np.einsum("bpp->bp", information))
     scaled = information / (scale[:, :, None] * scale[:, None, :])
     sound = np.isfinite(scaled).all(axis=(1, 2))
@@ -336,11 +276,11 @@ def _inverse(information: Array) -> tuple[NDArray[np.bool_], Array]:
     sizes = np.linalg.eigvalsh(scaled)
     sound &= sizes[:, 0] > _WORST * sizes[:, -1]
     scaled[~sound] = np.eye(scaled.shape[1])
-    return sound, np.linalg.inv(scaled) / (scale[:, :, None] * scale[:, None, :])
+    return _Inverse(np.linalg.inv(scaled) / (scale[:, :, None] * scale[:, None, :]), sound)
 
 
 def _is_told(
-    shared: SharedSphere, place: _Place, information: Array, factor: Array
+    shared: SharedSphere, place: Place, information: Array, factor: Array
 ) -> NDArray[np.bool_]:
     """Tell which units show every parameter far beyond what noise could pretend."""
     model = shared.model

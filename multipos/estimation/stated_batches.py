@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.batches import (
     Estimates,
@@ -27,7 +26,7 @@ from multipos.estimation.batches import (
     join_estimates,
     rms_of,
 )
-from multipos.estimation.claimed_noise import carried_dof, drawn_together
+from multipos.estimation.claimed_noise import carried_dof, take_claims
 from multipos.estimation.known import per_parameter
 from multipos.estimation.scatter import find_scatter
 from multipos.files.records import LARGEST
@@ -35,8 +34,6 @@ from multipos.numerics.arrays import Array
 
 _AT_ONCE = 12_000  # readings of an output, so that what they need stays small
 _ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
-_LEAST, _MOST = 1e-140, 1e140  # of u, whose squares are numbers still
-_APART = 1e3  # times that uncertainties of a unit may differ
 _TURNS = 2  # of eq. (1), the second for what the first one rounded
 
 
@@ -94,13 +91,7 @@ def _estimate(
     pool: bool,
 ) -> Estimates:
     model = shared.model
-    u = np.stack(list(stated), axis=2)  # (B, n, M)
-    dof = np.stack(list(claimed), axis=2) if claimed else None
-    sound = _are_claims(u, dof)
-    u = np.where(sound[:, None, None], u, 1.0)
-    if dof is not None:
-        dof = np.where(sound[:, None, None], dof, 1.0)
-        u = drawn_together(u, dof)
+    u, dof, sound = take_claims(stated, claimed)
     floor = u**2
     designs = zip(shared.designs, shared.inverses, values, strict=True)
     plain = [fit_output(design, inverse, y) for design, inverse, y in designs]
@@ -121,15 +112,6 @@ def _estimate(
     left = tuple(r for _, r in plain)
     chi2 = np.sum(residuals**2 / floor, axis=(1, 2))
     return Estimates(parameters, own, known, rms, left, inverse, sound, chi2)
-
-
-def _are_claims(u: Array, dof: Array | None) -> NDArray[np.bool_]:
-    """Tell of which units (B,) what is stated (B, n, M) can be weights, and no error or note."""
-    sound = ((u > _LEAST) & (u < _MOST)).all(axis=(1, 2))
-    sound &= u.max(axis=(1, 2)) < _APART * u.min(axis=(1, 2))
-    if dof is not None:
-        sound &= ((dof >= 1.0) & np.isfinite(dof)).all(axis=(1, 2))
-    return np.asarray(sound)
 
 
 def _weigh(

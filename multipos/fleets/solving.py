@@ -27,14 +27,15 @@ from multipos.estimation.placed_batches import (
     estimate_placed,
     share_placement,
 )
-from multipos.estimation.sphere_batches import SharedSphere, estimate_spheres, share_sphere
+from multipos.estimation.sphere_batches import estimate_spheres, share_sphere
+from multipos.estimation.sphere_search import SharedSphere
 from multipos.estimation.stated_batches import estimate_stated
 from multipos.files.tables import Table
 from multipos.fitting.readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests
 from multipos.fleets.screening import find_suspects
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import chi2_quantile, coverage_factor
+from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.positions.placement import resolve
 from multipos.positions.reading_tables import read_readings
 from multipos.sensor.calibration import Calibration
@@ -173,9 +174,7 @@ def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared |
     if c.estimator is Estimator.UNCERTAIN:
         return _share_uncertain(c, table, options)
     sd = c.readings.orientation_sd
-    if c.estimator is not Estimator.UNKNOWN or c.readings.u is not None or sd is None:
-        return None
-    if np.isinf(sd).all():
+    if c.estimator is Estimator.UNKNOWN and sd is not None and np.isinf(sd).all():
         return share_sphere(c.model, float(np.linalg.norm(c.reference[0])), columns)
     return None
 
@@ -194,7 +193,7 @@ def _share_uncertain(
         orientation_sd=None if sd is None or isinstance(sd, str) else math.radians(sd),
         estimate=estimated,
     )
-    apart = placement.groups or placement.rolls is not None or c.readings.dof is not None
+    apart = placement.groups or placement.rolls is not None
     if apart or options.get("level_sd", 0.0):
         return None
     columns = {name: c.readings.environment[name] for name in c.model.environment}
@@ -222,19 +221,23 @@ def _in_order(codes: Iterable[str]) -> str:
     return " ".join(code for code in _TOLD if code in codes)
 
 
-def _doubts(task: Task, pattern: Pattern, found: Estimates) -> list[str]:
-    """Return what every unit is doubted for."""
-    common, count = pattern.doubts, len(task.units)
-    shared = pattern.shared
-    code, told = "", np.zeros(count, dtype=np.bool_)
-    if isinstance(shared, SharedSphere):
-        k = coverage_factor(float(task.options.get("confidence", 0.95)), float(np.min(found.dof)))
-        code, told = _POOR, are_poorly_known(shared.model, found.parameters, k * found.u)
-    elif found.chi2 is not None:
-        dof = sum(each.size for each in task.values) // count - len(shared.model.keys)
-        code, told = _DENIED, found.chi2 > chi2_quantile(DENIED, float(dof))
-    more = _in_order((*common.split(), code))
-    return [more if each else common for each in told.tolist()]
+def _doubts(task: Task, pattern: Pattern, found: Estimates, u: Array, dof: Array) -> list[str]:
+    """Return what every unit is doubted for; u and dof are those with gravity's part."""
+    shared, count = pattern.shared, len(task.units)
+    unknown = isinstance(shared, SharedSphere)
+    told: dict[str, NDArray[np.bool_]] = {}
+    if unknown:
+        k = coverage_factors(float(task.options.get("confidence", 0.95)), dof)
+        told[_POOR] = are_poorly_known(shared.model, found.parameters, k * u)
+    if found.chi2 is not None:
+        equations = task.values[0].size // count * (1 if unknown else len(task.values))
+        limit = chi2_quantile(DENIED, float(equations - len(shared.model.keys)))
+        told[_DENIED] = found.chi2 > limit
+    words, number = [pattern.doubts], np.zeros(count, dtype=np.intp)
+    for code, each in told.items():
+        number += len(words) * each
+        words += [_in_order((*word.split(), code)) for word in words]
+    return [words[i] for i in number.tolist()]
 
 
 def solve_task(task: Task) -> Solved:
@@ -260,7 +263,7 @@ def solve_task(task: Task) -> Solved:
         u,
         dof,
         found.rms,
-        _doubts(task, task.pattern, found),
+        _doubts(task, task.pattern, found, u, dof),
         reasons,
         np.zeros(count, dtype=np.bool_),
         nests,
@@ -269,7 +272,7 @@ def solve_task(task: Task) -> Solved:
 
 def _estimate(shared: Shared, task: Task) -> Estimates:
     if isinstance(shared, SharedSphere):
-        return estimate_spheres(shared, task.values)
+        return estimate_spheres(shared, task.values, task.stated, task.claimed)
     if isinstance(shared, SharedPlacement):
         return estimate_placed(shared, task.values, task.stated, task.claimed)
     if task.stated:

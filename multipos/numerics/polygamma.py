@@ -38,24 +38,26 @@ def trigamma(x: Array) -> Array:
     return np.asarray(series + sum(np.where(there, 1.0 / y**2, 0.0) for y, there in low))
 
 
-def inverse_trigamma(value: float) -> float:
-    """Return the x > 0 whose ψ' is a value above 0, by Newton's iteration in 1/ψ'."""
-    x = 0.5 + 1.0 / value
+def inverse_trigamma(value: Array) -> Array:
+    """Return the x > 0 whose ψ' is each value above 0, by Newton's iteration in 1/ψ'."""
+    x = np.asarray(0.5 + 1.0 / value)
+    searched = np.ones(x.shape, dtype=np.bool_)
     for _ in range(_STEPS):
-        here = float(trigamma(np.array(x)))
+        here = trigamma(x)
         # 1/ψ' is nearly straight; its slope is that of ψ'(x) ≈ 1/(x − 1/2)
         step = (1.0 / value - 1.0 / here) * _slope(x, here)
-        x = max(x + step, x / 2.0)
-        if abs(step) <= 1e-12 * x:
+        x = np.where(searched, np.maximum(x + step, x / 2.0), x)
+        searched &= np.abs(step) > 1e-12 * x
+        if not searched.any():
             break
     return x
 
 
-def _slope(x: float, here: float) -> float:
+def _slope(x: Array, here: Array) -> Array:
     """Return dx/d(1/ψ') at x."""
     step = 1e-6 * x
-    above = float(trigamma(np.array(x + step)))
-    return step / (1.0 / above - 1.0 / here)
+    above = trigamma(x + step)
+    return np.asarray(step / (1.0 / above - 1.0 / here))
 
 
 def _shifted(x: Array) -> tuple[Array, list[tuple[Array, NDArray[np.bool_]]]]:

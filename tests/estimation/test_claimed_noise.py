@@ -5,7 +5,7 @@ import pytest
 from scipy import special
 
 import multipos as mp
-from multipos.estimation.claimed_noise import steady_floors
+from multipos.estimation.claimed_noise import drawn_together, steady_floors
 from multipos.numerics.polygamma import digamma, inverse_trigamma, trigamma
 
 UP = mp.read_scheme("faces-6").up
@@ -16,8 +16,8 @@ def test_digamma_and_trigamma_of_known_numbers():
     np.testing.assert_allclose(digamma(x), special.digamma(x), rtol=1e-10)
     np.testing.assert_allclose(trigamma(x), special.polygamma(1, x), rtol=1e-10)
     assert float(trigamma(np.array(1.0))) == pytest.approx(np.pi**2 / 6, rel=1e-10)  # Basel
-    for value in (1e-4, 0.3, 1.0, 50.0, 1e4):
-        assert float(trigamma(np.array(inverse_trigamma(value)))) == pytest.approx(value, rel=1e-9)
+    value = np.array([1e-4, 0.3, 1.0, 50.0, 1e4])
+    np.testing.assert_allclose(trigamma(inverse_trigamma(value)), value, rtol=1e-9)
 
 
 def readings(u, dof, values=UP):
@@ -42,12 +42,26 @@ def test_uncertainties_that_differ_indeed_stay_and_known_ones_are_not_touched():
     # eqs. (1) and (2) with SciPy's functions
     e = np.log(u[:, 0] ** 2) - special.digamma(4.0) + np.log(4.0)
     excess = e.var(ddof=1) - special.polygamma(1, 4.0)
-    prior = 2.0 * inverse_trigamma(excess)
+    prior = 2.0 * float(inverse_trigamma(excess))
     common = np.exp(e.mean() + special.digamma(prior / 2) - np.log(prior / 2))
     expected = np.sqrt((prior * common + 8.0 * u[:, 0] ** 2) / (prior + 8.0))
     np.testing.assert_allclose(found[:, 0], expected, rtol=1e-9)
     np.testing.assert_array_equal(steady_floors(readings(u, 1e6)).u, u)
     np.testing.assert_array_equal(steady_floors(readings(u, None)).u, u)
+
+
+def test_outputs_and_units_are_drawn_together_each_by_itself():
+    rng = np.random.default_rng(2)
+    dof = rng.choice([4.0, 30.0, 1e6, np.inf], (5, 8, 3))  # some are known
+    dof[0, :6, 1] = 1e6  # two cannot tell what they have in common
+    u = np.exp(rng.standard_normal((5, 8, 3)) * rng.uniform(0.0, 2.0, (5, 1, 3)))
+    found = drawn_together(u, dof)
+    for unit, output in np.ndindex(5, 3):
+        own = np.s_[unit, :, output]
+        alone = drawn_together(u[own][None, :, None], dof[own][None, :, None])
+        np.testing.assert_allclose(found[own], alone[0, :, 0], rtol=1e-13)
+    np.testing.assert_array_equal(found[dof >= 1e6], u[dof >= 1e6])
+    np.testing.assert_array_equal(found[0, :, 1], u[0, :, 1])
 
 
 def test_k_is_that_of_the_claim_where_nothing_else_tells():
