@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from multipos.estimation import robust_search
 from multipos.estimation.exact import Equations, ExactSearch
 from multipos.estimation.likelihood import evaluate, linearise, moved, recentred
 from multipos.estimation.problem import Normal, Optimum, Point, Problem, State
@@ -57,6 +58,8 @@ def _maximise(problem: Problem, state: State) -> Optimum:
             sphere = SphereSearch(problem)
             place, end = _descend(sphere, sphere.begin(state), problem)
             state, point = sphere.end(place, state)
+        elif robust_search.fits(problem):
+            return robust_search.search_alone(problem, state)
         elif ExactSearch.fits(problem):
             exact = ExactSearch(problem, state)
             spot, end = _descend(exact, exact.begin(state), problem)

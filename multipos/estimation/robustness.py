@@ -32,17 +32,18 @@ from multipos.estimation.known import DENIED
 from multipos.estimation.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.estimation.noise import Appraisal
 from multipos.estimation.problem import Optimum, Problem
+from multipos.numerics.arrays import Array
 from multipos.numerics.medians import median
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.sensor.diagnostics import Claim
 
 ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is still reported
-_BEYOND_DOUBT = 1e-6  # chance below which a position is set aside
-_ROUNDS = 30  # of noise and solution in turn
-_SETTLED = 1e-4  # change of ln variance far below what a median can tell
+BEYOND_DOUBT = 1e-6  # chance below which a position is set aside
+ROUNDS = 30  # of noise and solution in turn
+SETTLED = 1e-4  # change of ln variance far below what a median can tell
 # Noise that is less of what the placement does would leave no digits of what tells them apart.
 _FINEST_OF_PLACEMENT = 1e-6
-_FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits vanish altogether
+FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits vanish altogether
 
 
 def judge_robustly(
@@ -61,7 +62,7 @@ def judge_robustly(
     stated : bool
         Whether the readings state their noise.
     """
-    limit = np.array([chi2_quantile(1.0 - _BEYOND_DOUBT, m) for m in problem.degrees])
+    limit = np.array([chi2_quantile(1.0 - BEYOND_DOUBT, m) for m in problem.degrees])
     said = []
     # At most a quarter of the positions: beyond that it is the model that does not fit.
     for _ in range(len(limit) // 4 + 1):
@@ -115,24 +116,38 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
     typical = np.array([middle[m] for m in degrees.tolist()])
     tied = np.isfinite(problem.orientation_sd)
     widest = float(problem.orientation_sd[tied].max()) if tied.any() else 0.0
-    finest = (_FINEST + _FINEST_OF_PLACEMENT * widest) * float(np.abs(problem.values).max())
-    for _ in range(_ROUNDS):
+    finest = (FINEST + _FINEST_OF_PLACEMENT * widest) * float(np.abs(problem.values).max())
+    for _ in range(ROUNDS):
         ratio = float(median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
         ratio = max(ratio, float(np.abs(problem.precision[kept]).max()) * finest**2)
         problem = replace(problem, precision=problem.precision / ratio)
         optimum = resume(problem, optimum)
-        if abs(np.log(ratio)) < _SETTLED:
+        if abs(np.log(ratio)) < SETTLED:
             break
     return problem, optimum
 
 
 def _huber_factor(problem: Problem, optimum: Optimum, nu: float) -> float:
-    """Return the factor of eq. (1) on the covariance without weights."""
+    """Return the factor of eq. (1) of the positions that are not set aside."""
     kept = problem.weight == 1.0
     q, degrees = optimum.point.q[kept], problem.degrees[kept]
     weight = loss_weight(problem.robust, q, degrees)
     slope = loss_slope(problem.robust, q, degrees)
-    mean = max(float(slope.mean()), 0.05)
-    used = 1.0 - nu / float(degrees.sum())
-    correction = 1.0 + used * float(slope.var()) / mean**2
-    return correction**2 * float(np.sum(q * weight**2)) / nu / mean**2
+    return float(huber_factors(q, degrees, weight, slope, np.array(nu)))
+
+
+def huber_factors(q: Array, degrees: Array, weight: Array, slope: Array, nu: Array) -> Array:
+    """Return factors of eq. (1) on the covariance without weights, of one unit or of many.
+
+    Parameters
+    ----------
+    q, weight, slope : (…, n) arrays
+        Misfits, w and psi'.
+    degrees : (n,) array
+        Of each position.
+    nu : (…) array
+    """
+    mean = np.maximum(slope.mean(axis=-1), 0.05)
+    used = 1.0 - nu / degrees.sum()
+    correction = 1.0 + used * slope.var(axis=-1) / mean**2
+    return np.asarray(correction**2 * np.sum(q * weight**2, axis=-1) / nu / mean**2)

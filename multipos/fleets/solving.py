@@ -27,6 +27,7 @@ from multipos.estimation.placed_batches import (
     estimate_placed,
     share_placement,
 )
+from multipos.estimation.robust_batches import estimate_robust
 from multipos.estimation.sphere_batches import estimate_spheres, share_sphere
 from multipos.estimation.sphere_search import SharedSphere
 from multipos.estimation.stated_batches import estimate_stated
@@ -145,11 +146,11 @@ def find_pattern(
     plain = (
         not isinstance(c.model, ExpressionModel)
         and c.readings.covariance is None
-        and c.robust_weight is None
+        and (c.robust_weight is None or _is_robust_batch(c, options))
         and c.budget is None
         and not c.readings.forced.any()
     )
-    asked = are_asked(c.model, c.readings, c.reference, c.estimator)
+    asked = c.robust_weight is None and are_asked(c.model, c.readings, c.reference, c.estimator)
     alike = c.estimator is Estimator.LINEAR and c.readings.noise is None
     if not plain or options.get("range") is not None or (asked and not alike):
         return None
@@ -160,9 +161,15 @@ def find_pattern(
     if shared is None:
         return None
     nest = None
-    if isinstance(shared, SharedDesign) and c.readings.up is not None:
+    if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
         nest = Nest.of(shared, c.readings.labels, c.readings.up)
     return Pattern(shared, nest, c.gravity, _common(c), asked)
+
+
+def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
+    """Tell whether outputs are fitted one by one, with the noise that residuals show."""
+    alone = c.estimator is Estimator.LINEAR and not options.get("pool")
+    return alone and c.readings.noise is None
 
 
 def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
@@ -275,6 +282,9 @@ def _estimate(shared: Shared, task: Task) -> Estimates:
         return estimate_spheres(shared, task.values, task.stated, task.claimed)
     if isinstance(shared, SharedPlacement):
         return estimate_placed(shared, task.values, task.stated, task.claimed)
+    loss = task.options.get("robust")
+    if loss is not None:
+        return estimate_robust(shared, task.values, loss)
     if task.stated:
         pool = bool(task.options.get("pool"))
         return estimate_stated(shared, task.values, task.stated, task.claimed, pool=pool)

@@ -114,6 +114,53 @@ def test_unknown_orientation_with_stated_noise(claims, options, fitted):
     assert worst_difference(found, table, unknown_orientation=True, **options) < 1e-6
 
 
+@pytest.mark.parametrize(
+    ("scheme", "options"),
+    [
+        ("fibonacci-24", {"robust": "huber"}),
+        ("all-26", {"robust": "soft-l1", "model": "own-quadratic"}),
+        ("icosahedron-12", {"robust": "cauchy", "gravity": 9.81, "gravity_u": 1e-3}),
+        ("faces-6", {"robust": "huber", "model": "1 + x + y + z"}),
+    ],
+)
+def test_robust(scheme, options, fitted):
+    table = line(4, scheme=scheme, noise=3e-4)
+    found = mp.fit_many(table, **APART, **options)
+    assert len(fitted) <= 3  # one may have a position to set aside
+    assert worst_difference(found, table, **options) < 1e-9  # the search of both is one
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([1e-5, 3e-4, 5e-3]),
+    st.sampled_from([1.0, 16384.0, 1e-7]),
+    st.sampled_from(["huber", "soft-l1", "cauchy"]),
+    st.sampled_from(["faces-6", "faces-corners-14", "fibonacci-24"]),
+)
+def test_noise_unit_and_loss_do_not_matter(seed, noise, size, loss, scheme):
+    table = line(3, scheme=scheme, noise=noise, seed=seed)
+    for axis in "xyz":
+        table[f"a{axis}"] = size * table[f"a{axis}"]
+    found = mp.fit_many(table, robust=loss, **APART)
+    assert worst_difference(found, table, robust=loss) < 1e-6
+
+
+def test_a_unit_with_a_position_to_set_aside_is_left_to_fit(fitted):
+    table = line(5)
+    table["ax"][24 * 2 + 3] += 0.05
+    found = mp.fit_many(table, robust="huber", **APART)
+    assert len(fitted) == 3
+    assert worst_difference(found, table, robust="huber") < 1e-9
+
+
+@pytest.mark.parametrize("options", [{"reading_sd": 1e-3}, {"pool": True}])
+def test_robust_fits_that_are_no_batch(options):
+    table = line(3)
+    found = mp.fit_many(table, robust="huber", **APART, **options)
+    assert worst_difference(found, table, robust="huber", **options) < 1e-9
+
+
 def placed(units, sd=0.1, **options):
     """A line whose positions are off by so many degrees."""
     table = line(units, **options)
