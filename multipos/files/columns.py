@@ -2,22 +2,69 @@
 
 A cell that is a Python string takes ten times the memory of its characters, and most cells of a
 long table are numbers of a column that is asked for once, or of one that nobody uses. So the bytes
-stay as they were read, and a column is split out of them in pieces of some megabytes. This serves
-plain text, in which every line is a row and has all its cells; quotes are for the `csv` module.
+stay as they were read, or in their file, and a column is split out of them in pieces of some
+megabytes. This serves plain text, in which every line is a row and has all its cells; quotes are
+for the `csv` module.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from itertools import chain, repeat
+import hashlib
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import repeat
 from operator import itemgetter, methodcaller
+from pathlib import Path
 from typing import NamedTuple, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
+from multipos.errors import MultiposError
+from multipos.files.whole import reading
 from multipos.numerics.arrays import Array
 
 _PIECE = 1 << 22  # bytes
+_LINE = 1 << 16  # bytes in which the end of a line is looked for at a time
+_TOGETHER = 1 << 16  # rows that are arranged in a piece
 _WIDE = 100  # columns, from which on
 _SHORT = 1 << 26  # fewer bytes are taken apart once: each column by itself would split all the text
+_BOM = b"\xef\xbb\xbf"
+
+
+class FileBytes:
+    """The bytes of a file, which stay there: a slice is read when it is asked for."""
+
+    def __init__(self, path: str | os.PathLike[str], what: str) -> None:
+        """Name a file, and what it is in messages."""
+        self._path, self._what = path, what
+        with reading(path, what):
+            self._state = self._state_now()
+
+    def __len__(self) -> int:
+        return self._state[0]
+
+    def __getitem__(self, part: slice) -> bytes:
+        with reading(self._path, self._what), Path(self._path).open("rb") as stream:
+            stream.seek(part.start)
+            found = stream.read(part.stop - part.start)
+            if self._state_now() != self._state:  # its rows would no longer be those that were seen
+                raise MultiposError(
+                    f"{self._path}: the file has changed while it was read; run again when it is "
+                    "written."
+                )
+        return found
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of all of them."""
+        with reading(self._path, self._what), Path(self._path).open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+
+    def _state_now(self) -> tuple[int, int]:
+        found = Path(self._path).stat()
+        return found.st_size, found.st_mtime_ns
+
+
+Raw = bytes | FileBytes
+Lines = Sequence[int] | NDArray[np.int64]  # of the file, counted from 1
 
 
 class Plain(NamedTuple):
@@ -25,7 +72,7 @@ class Plain(NamedTuple):
 
     header: list[str]
     columns: list["Cells"]
-    lines: Sequence[int]
+    lines: Lines
     delimiter: str
 
 
@@ -38,11 +85,27 @@ class _Piece(NamedTuple):
 
 
 class Cells(Sequence[str]):
-    """One column of the text, without the white space around its cells."""
+    """One column of the text, without the white space around its cells.
 
-    def __init__(self, raw: bytes, pieces: Sequence[_Piece], rows: int, place: int, mark: str):
-        self._raw, self._pieces, self._rows = raw, pieces, rows
-        self._place, self._mark = place, mark
+    Attributes
+    ----------
+    raw : bytes
+    pieces : sequence of _Piece
+        Where its rows are; the last may go on after them.
+    place : int
+        Of the column.
+    mark : str
+        Between cells.
+    skipped : int
+        Rows of the first piece that are none of the column.
+    """
+
+    def __init__(
+        self, raw: Raw, pieces: Sequence[_Piece], rows: int, place: int, mark: str, skipped: int = 0
+    ) -> None:
+        """Name the rows of some pieces that come after those that are skipped."""
+        self.raw, self.pieces, self._rows = raw, pieces, rows
+        self.place, self.mark, self.skipped = place, mark, skipped
         self._firsts = np.array([piece.first for piece in pieces])
         self._last: tuple[int, list[str]] = (-1, [])
 
@@ -50,8 +113,11 @@ class Cells(Sequence[str]):
         return self._rows
 
     def __iter__(self) -> Iterator[str]:
-        for piece in self._pieces:
-            yield from self._split(_rows_of(self._raw, piece))
+        skipped, left = self.skipped, self._rows
+        for piece in self.pieces:
+            cells = self._split(_rows_of(self.raw, piece))[skipped : skipped + left]
+            yield from cells
+            skipped, left = 0, left - len(cells)
 
     @overload
     def __getitem__(self, row: int) -> str: ...
@@ -62,20 +128,32 @@ class Cells(Sequence[str]):
     def __getitem__(self, row: int | slice) -> str | list[str]:
         if isinstance(row, slice):
             return [self[i] for i in range(*row.indices(self._rows))]
-        row = range(self._rows)[row]
-        number = int(np.searchsorted(self._firsts, row, side="right")) - 1
+        place = range(self._rows)[row] + int(self._firsts[0]) + self.skipped
+        number = int(np.searchsorted(self._firsts, place, side="right")) - 1
         if number != self._last[0]:
-            self._last = number, self._split(_rows_of(self._raw, self._pieces[number]))
-        return self._last[1][row - self._pieces[number].first]
+            self._last = number, self._split(_rows_of(self.raw, self.pieces[number]))
+        cells = self._last[1]
+        return cells[place - self.pieces[number].first]
+
+    def part(self, start: int, stop: int) -> "Cells":
+        """Return the rows from start to stop as a column of its own."""
+        place = start + int(self._firsts[0]) + self.skipped
+        first, last = np.searchsorted(
+            self._firsts, [place, place + stop - start - 1], side="right"
+        ).tolist()
+        pieces = self.pieces[first - 1 : last]
+        skipped = place - pieces[0].first
+        return Cells(self.raw, pieces, stop - start, self.place, self.mark, skipped)
 
     def numbers(self, parse: Callable[[list[str]], Array], *, decimal_comma: bool) -> Array:
         """Return the column as numbers (n,): by NumPy's reader, by `parse` where it stumbles."""
-        return np.concatenate(
+        found = np.concatenate(
             [
-                self._numbers(_rows_of(self._raw, piece), parse, decimal_comma)
-                for piece in self._pieces
+                self._numbers(_rows_of(self.raw, piece), parse, decimal_comma)
+                for piece in self.pieces
             ]
         )
+        return found[self.skipped : self.skipped + self._rows]
 
     def _numbers(
         self, rows: list[str], parse: Callable[[list[str]], Array], decimal_comma: bool
@@ -84,8 +162,8 @@ class Cells(Sequence[str]):
             return np.loadtxt(
                 [row.replace(",", ".") for row in rows] if decimal_comma else rows,
                 dtype=np.float64,
-                delimiter=self._mark,
-                usecols=self._place,
+                delimiter=self.mark,
+                usecols=self.place,
                 comments=None,
                 ndmin=1,
             )
@@ -93,34 +171,106 @@ class Cells(Sequence[str]):
             return parse(self._split(rows))
 
     def _split(self, rows: list[str]) -> list[str]:
-        cells = map(str.split, rows, repeat(self._mark))
-        return list(map(str.strip, map(itemgetter(self._place), cells)))
+        cells = map(str.split, rows, repeat(self.mark), repeat(self.place + 1))
+        return list(map(str.strip, map(itemgetter(self.place), cells)))
 
 
-def read_plain(raw: bytes) -> Plain | None:
+def arrange_cells(columns: Mapping[str, Cells], rows: NDArray[np.intp]) -> dict[str, Cells]:
+    """Return some rows of columns of one text in an order of their own, in memory."""
+    one = next(iter(columns.values()))
+    lines = np.array([line for piece in one.pieces for line in _rows_of(one.raw, piece)], object)
+    arranged = lines[rows + one.skipped]
+    del lines
+    texts, pieces, start = [], [], 0
+    for first in range(0, len(rows), _TOGETHER):
+        texts.append(_joined_lines(arranged[first : first + _TOGETHER]))
+        pieces.append(_Piece(start, start + len(texts[-1]), first))
+        start += len(texts[-1])
+    raw = b"".join(texts)
+    return {
+        name: Cells(raw, pieces, len(rows), each.place, each.mark) for name, each in columns.items()
+    }
+
+
+def spread_cells(
+    columns: Mapping[str, Cells], kinds: NDArray[np.int16], count: int, path: Path
+) -> Callable[[int], dict[str, Cells]]:
+    """Copy the rows of a table into a new file in which those of a kind can be read alone.
+
+    Parameters
+    ----------
+    columns : mapping of name to Cells
+        Whole columns of one text.
+    kinds : (n,) array of int
+        Of every row, counted from 0; a row below 0 is left out.
+    count : int
+        How many kinds there are.
+    path : path
+
+    Returns
+    -------
+    callable
+        The columns of a kind, with its rows in their order.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    one = next(iter(columns.values()))
+    pieces: list[list[_Piece]] = [[] for _ in range(count)]
+    rows = [0] * count
+    with path.open("xb") as stream:
+        for piece in one.pieces:
+            lines = np.array(_rows_of(one.raw, piece), dtype=np.object_)
+            mine = kinds[piece.first : piece.first + len(lines)]
+            order = np.argsort(mine, kind="stable")
+            ends = np.searchsorted(mine[order], np.arange(count + 1))
+            for kind in np.flatnonzero(np.diff(ends)).tolist():
+                start = stream.tell()
+                stream.write(_joined_lines(lines[order[ends[kind] : ends[kind + 1]]]))
+                pieces[kind].append(_Piece(start, stream.tell(), rows[kind]))
+                rows[kind] += int(ends[kind + 1] - ends[kind])
+    raw = FileBytes(path, "copy of a table")
+    return lambda kind: {
+        name: Cells(raw, pieces[kind], rows[kind], each.place, each.mark)
+        for name, each in columns.items()
+    }
+
+
+def _joined_lines(lines: NDArray[np.object_]) -> bytes:
+    return "".join(f"{line}\n" for line in lines.tolist()).encode()
+
+
+def read_plain(raw: Raw) -> Plain | None:
     """Return the columns of a table in UTF-8; None where it is not as plain as that.
 
     Blank lines, and those that begin with ``#``, are no rows.
     """
-    if b'"' in raw or b"\0" in raw:
-        return None
-    raw = raw.removeprefix(b"\xef\xbb\xbf")
-    if b"\r" in raw:
-        raw = raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     found = _Pieces(raw)
-    start = 0
+    start = len(_BOM) if raw[0 : len(_BOM)] == _BOM else 0
     while start < len(raw):
-        end = raw.find(b"\n", start + _PIECE) + 1 or len(raw)
+        end = _line_end(raw, start + _PIECE)
         if not found.take(start, end):
             return None
         start = end
     return found.plain() if found.rows and not found.wide else None
 
 
+def _line_end(raw: Raw, place: int) -> int:
+    """Return where the line ends that goes on at a place."""
+    while place < len(raw):
+        end = raw[place : place + _LINE].find(b"\n") + 1
+        if end:
+            return place + end
+        place += _LINE
+    return len(raw)
+
+
 class _Pieces:
     """Take up the text piece by piece: its header, and where the rows are."""
 
-    def __init__(self, raw: bytes) -> None:
+    def __init__(self, raw: Raw) -> None:
         self._raw = raw
         self._header: list[str] = []
         self._mark, self._line = ",", 1
@@ -135,13 +285,18 @@ class _Pieces:
 
     def take(self, start: int, end: int) -> bool:
         """Take up a piece; tell whether it is UTF-8 and all its rows have all their cells."""
+        raw = self._raw[start:end]
+        if b'"' in raw or b"\0" in raw:
+            return False
         try:
-            text = self._raw[start:end].decode("utf-8")
+            text = _text(raw)
         except UnicodeDecodeError:
             return False
         kept, places = _kept(text)
         if kept and not self._header:
-            start = end - self._take_header(text, kept[0], places[0])
+            self._take_header(kept[0])
+            lines = raw.splitlines(keepends=True)
+            start += sum(map(len, lines[: places[0] + 1]))
             kept, places = kept[1:], places[1:]
         if kept:
             if set(map(methodcaller("count", self._mark), kept)) != {len(self._header) - 1}:
@@ -152,12 +307,9 @@ class _Pieces:
         self._line += text.count("\n")
         return True
 
-    def _take_header(self, text: str, line: str, place: int) -> int:
-        """Take the header from the line at a place; return how many bytes stand below it."""
+    def _take_header(self, line: str) -> None:
         self._mark = next((mark for mark in ";\t" if mark in line), ",")
         self._header = [cell.strip() for cell in line.split(self._mark)]
-        below = text.split("\n", place + 1)[place + 1 :]
-        return sum(len(each.encode()) for each in below)
 
     def plain(self) -> Plain:
         """Return the table."""
@@ -168,8 +320,15 @@ class _Pieces:
         return Plain(self._header, columns, _joined(self._numbers), self._mark)
 
 
-def _rows_of(raw: bytes, piece: _Piece) -> list[str]:
-    return _kept(raw[piece.start : piece.end].decode("utf-8"))[0]
+def _text(raw: bytes) -> str:
+    """Return whole lines as text in which lines end as in Unix."""
+    if b"\r" in raw:
+        raw = raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return raw.decode("utf-8")
+
+
+def _rows_of(raw: Raw, piece: _Piece) -> list[str]:
+    return _kept(_text(raw[piece.start : piece.end]))[0]
 
 
 def _kept(text: str) -> tuple[list[str], Sequence[int]]:
@@ -191,9 +350,9 @@ def _shifted(places: Sequence[int], line: int) -> Sequence[int]:
     return [place + line for place in places]
 
 
-def _joined(numbers: Sequence[Sequence[int]]) -> Sequence[int]:
+def _joined(numbers: Sequence[Sequence[int]]) -> Lines:
     """Return the line numbers of all rows, which take no memory where they follow each other."""
     first, count = numbers[0][0], sum(map(len, numbers))
     if numbers[-1][-1] - first + 1 == count:
         return range(first, first + count)
-    return tuple(chain.from_iterable(numbers))
+    return np.concatenate([np.asarray(part, dtype=np.int64) for part in numbers])

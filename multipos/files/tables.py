@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.characters import control_characters, visible
-from multipos.files.columns import Cells, read_plain
+from multipos.files.columns import Cells, FileBytes, Lines, Plain, read_plain
 from multipos.files.whole import read_bytes, write_text
 
 Column = Sequence[Any] | NDArray[Any]
@@ -37,7 +37,7 @@ class Table:
     source: str
     columns: Mapping[str, Column]
     rows: int
-    lines: Sequence[int] | None = None  # line of the file each row ends on
+    lines: Lines | None = None  # line of the file each row ends on
     sha256: str | None = None
     delimiter: str = ","
     first: int = 0  # rows of the source that came before these, where it is read piece by piece
@@ -48,7 +48,7 @@ class Table:
     def select(self, rows: Sequence[int]) -> "Table":
         """Return the table with some of its rows; messages still name the lines of the file."""
         columns = {name: [column[row] for row in rows] for name, column in self.columns.items()}
-        lines = None if self.lines is None else [self.lines[row] for row in rows]
+        lines = None if self.lines is None else [int(self.lines[row]) for row in rows]
         return replace(self, columns=columns, rows=len(rows), lines=lines)
 
     @property
@@ -185,12 +185,23 @@ def _array(column: Any, name: Any, what: str) -> NDArray[Any]:
     return found
 
 
+def open_table(path: str | os.PathLike[str], *, what: str = "table") -> Table:
+    """Return a CSV file as a table whose cells stay in it, if it has no quotes."""
+    raw = FileBytes(path, what)
+    plain = read_plain(raw)
+    return _read_csv(path, what) if plain is None else _plain_table(path, plain, raw.sha256())
+
+
 def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
     raw = read_bytes(path, what)
     plain = read_plain(raw) if len(raw) > _LONG else None
     sha256 = hashlib.sha256(raw).hexdigest()
     if plain is None:
         return _read_cells(path, raw, sha256, what)
+    return _plain_table(path, plain, sha256)
+
+
+def _plain_table(path: str | os.PathLike[str], plain: Plain, sha256: str) -> Table:
     _check_header(path, plain.header)
     columns = dict(zip(plain.header, plain.columns, strict=True))
     return Table(str(path), columns, len(plain.lines), plain.lines, sha256, plain.delimiter)
@@ -377,8 +388,7 @@ def write_table(path: str | os.PathLike[str], columns: Source) -> None:
 
     Examples
     --------
-    >>> from pathlib import Path
-    >>> import multipos as mp
+    >>>     >>> import multipos as mp
     >>> mp.write_table("run.csv", {"angle": [0.0, 90.0], "volt": [0.012, float("nan")]})
     >>> Path("run.csv").read_text().split()
     ['angle,volt', '0.0,0.012', '90.0,']

@@ -17,8 +17,24 @@ Pieces = Content | Iterable[bytes]
 
 def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
     """Return the content of a file, or say in one line why it cannot be read."""
-    try:
+    with reading(path, what):
         return Path(path).read_bytes()
+
+
+def first_bytes(path: str | os.PathLike[str], count: int) -> bytes:
+    """Return how a file begins; nothing where it cannot be read, which its reader says."""
+    try:
+        with Path(path).open("rb") as stream:
+            return stream.read(count)
+    except OSError:
+        return b""
+
+
+@contextmanager
+def reading(path: str | os.PathLike[str], what: str) -> Iterator[None]:
+    """Say in one line why a file cannot be read, where the block cannot."""
+    try:
+        yield
     except FileNotFoundError:
         raise MultiposError(f"{path}: no such file; check the path of the {what}.") from None
     except OSError as error:

@@ -1,8 +1,7 @@
 """The front door `fit_many`: a table of many units, to one row of numbers a unit.
 
 Every number is that of `fit` of the unit's rows alone; what units share is worked out once. Rows of
-Parquet files in which those of a unit stand together are read and solved piece by piece, so that
-only what is found of every unit stays in memory.
+files are read and solved piece by piece, so that only what is found of every unit stays in memory.
 """
 
 import warnings
@@ -20,6 +19,7 @@ from multipos.errors import CalibrationWarning, UsageError
 from multipos.estimation.losses import Loss
 from multipos.files.lists import Names
 from multipos.files.tables import Source
+from multipos.fleets.cutting import cut_rows
 from multipos.fleets.grouping import Grouped, Places, group_rows
 from multipos.fleets.labels import Codes
 from multipos.fleets.piecewise import Known, Piece
@@ -33,8 +33,6 @@ from multipos.results import Columns
 from multipos.sensor.expressions import Expression
 from multipos.sensor.model import Gauge
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
-
-_PIECE = 1_500_000  # rows of a piece that is read from files, if no row group has more
 
 
 class FitOptions(TypedDict, total=False):
@@ -176,19 +174,13 @@ def _solve(
     known = Known(options)
     found, times = UnitsFound(len(grouped)), np.full(len(grouped), np.nan)
     stations = _in_order_of_coming(grouped.station.codes)
-    for first, last in _pieces(rows, grouped):
-        starts = grouped.starts[[first, last]].tolist()
-        whole = (first, last) == (0, len(grouped))
-        piece = Piece(
-            rows.piece(0, rows.starts[-1]) if whole else rows.piece(*starts),
-            grouped if whole else grouped.piece(first, last),
-            stations[first:last],
-            first,
-            known,
-        )
-        for solved in piece.solve(executor, folder, told):
-            found.take(solved)
-        times[first:last] = piece.times()
+    with cut_rows(rows, grouped, folder) as cuts:
+        for cut in cuts:
+            mine = slice(cut.first, cut.first + len(cut.grouped))
+            piece = Piece(cut.rows, cut.grouped, stations[mine], cut.first, known)
+            for solved in piece.solve(executor, folder, told):
+                found.take(solved)
+            times[mine] = piece.times()
     return Units(
         unit=grouped.unit,
         station=tuple(grouped.station),
@@ -209,21 +201,6 @@ def _solve(
         sources=tuple((table.source, table.sha256) for table in rows.tables),
         counted=rows.counted,
     )
-
-
-def _pieces(rows: Rows, grouped: Grouped) -> Iterator[tuple[int, int]]:
-    """Yield first and last units of pieces; all at once where rows are there, or stand apart."""
-    count = len(grouped)
-    if grouped.order is not None or not rows.in_files:
-        yield 0, count
-        return
-    size, first = max(_PIECE, rows.largest), 0
-    while first < count:
-        end = grouped.starts[first] + size
-        last = int(np.searchsorted(grouped.starts, end, side="right")) - 1
-        last = min(max(last, first + 1), count)
-        yield first, last
-        first = last
 
 
 def _read_options(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from multipos.positions import attitudes
 from multipos.positions.forces import FORCE
 
 _LABELLED = ("position", "group", "direction", "roll_axis")  # all other conditions are numbers
+_STRETCH = 1 << 20  # rows that are numbered at a time
 _SEED = 20261  # of the random numbers: any serve, and the same ones every time
 
 Places = NDArray[np.intp]
@@ -88,15 +89,9 @@ def group_rows(rows: Rows) -> Grouped:
     heads = np.append(0, np.flatnonzero(changes) + 1)
     order = None
     if len(np.unique(_keys(unit[heads], rows.station, heads))) < len(heads):
-        # rows of a unit stand apart
-        key = _keys(unit, rows.station, slice(None))
-        _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-        rank = np.empty(len(first), dtype=np.intp)
-        rank[np.argsort(first)] = np.arange(len(first))
-        appeared = rank[inverse]
+        appeared = _appeared(_keys(unit, rows.station, slice(None)))
         order = np.argsort(appeared, kind="stable")
-        key = appeared[order]
-        heads = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
+        heads = np.append(0, np.cumsum(np.bincount(appeared))[:-1])
     firsts = heads if order is None else order[heads]
     return Grouped(
         order,
@@ -106,9 +101,29 @@ def group_rows(rows: Rows) -> Grouped:
     )
 
 
-def _keys(unit: Codes, station: Labels, rows: Places | slice) -> NDArray[np.int64]:
+def _keys(unit: Codes, station: Labels, rows: Places | slice) -> NDArray[np.integer[Any]]:
     """Return a number of unit and station that no other pair has."""
-    return unit.astype(np.int64) * len(station.names) + station.codes[rows]
+    most = (int(unit.max()) + 1) * len(station.names)
+    # rows of a large fleet by the hundred million: four bytes each where these do
+    kind = np.int32 if most <= np.iinfo(np.int32).max else np.int64
+    keys: NDArray[np.integer[Any]] = unit.astype(kind)
+    keys *= len(station.names)
+    keys += station.codes[rows]
+    return keys
+
+
+def _appeared(keys: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
+    """Return keys as 0, 1, … in the order in which they first come."""
+    different = np.unique(keys)
+    places = np.empty(len(keys), dtype=np.int32)
+    first = np.full(len(different), len(keys))
+    for start in range(0, len(keys), _STRETCH):
+        stretch = np.searchsorted(different, keys[start : start + _STRETCH])
+        places[start : start + _STRETCH] = stretch
+        np.minimum.at(first, stretch, np.arange(start, start + len(stretch)))
+    rank = np.empty(len(different), dtype=np.int32)
+    rank[np.argsort(first)] = np.arange(len(different), dtype=np.int32)
+    return rank[places]
 
 
 class Conditions:

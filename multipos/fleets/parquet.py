@@ -7,16 +7,22 @@ for; what a file gives only together is a row group.
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Table
+from multipos.files.whole import first_bytes
 from multipos.fleets.labels import Labels, joined_labels
 from multipos.logs.extras import require_extra
+
+_BATCH = 500_000  # rows that are copied at a time
+_BUFFER = 1 << 20  # bytes of a column that are read ahead
 
 
 class FileColumn(Sequence[Any]):
@@ -28,11 +34,11 @@ class FileColumn(Sequence[Any]):
         Rows of the largest row group.
     """
 
-    def __init__(self, path: str | os.PathLike[str], name: str, groups: Sequence[int]) -> None:
-        """Name a column of a file with so many rows in its groups."""
-        self._path, self._name = path, name
-        self._ends = np.cumsum(groups)
-        self.largest = max(groups)
+    def __init__(self, path: str | os.PathLike[str], name: str, groups: Mapping[int, int]) -> None:
+        """Name a column in some groups of a file, each with its number of rows."""
+        self.path, self._name = path, name
+        self._groups, self._ends = list(groups), np.cumsum(list(groups.values()))
+        self.largest = max(groups.values())
 
     def __len__(self) -> int:
         return int(self._ends[-1])
@@ -46,9 +52,8 @@ class FileColumn(Sequence[Any]):
     def _rows(self, start: int, stop: int) -> Column:
         first, last = np.searchsorted(self._ends, [start, stop - 1], side="right").tolist()
         before = int(self._ends[first - 1]) if first else 0
-        return _read_column(
-            self._path, self._name, range(first, last + 1), start - before, stop - start
-        )
+        groups = self._groups[first : last + 1]
+        return _read_column(self.path, self._name, groups, start - before, stop - start)
 
 
 def is_in_file(column: Column) -> TypeGuard[FileColumn]:
@@ -58,11 +63,7 @@ def is_in_file(column: Column) -> TypeGuard[FileColumn]:
 
 def is_parquet(path: str | os.PathLike[str]) -> bool:
     """Tell by its first bytes whether a file is Parquet."""
-    try:
-        with Path(path).open("rb") as stream:
-            return stream.read(4) == b"PAR1"
-    except OSError:
-        return False  # what cannot be read is refused where it is read
+    return first_bytes(path, 4) == b"PAR1"
 
 
 def read_parquet(
@@ -85,12 +86,12 @@ def read_parquet(
     try:
         with parquet.ParquetFile(path) as file:
             schema, told = file.schema_arrow, file.metadata
-        groups = [told.row_group(i).num_rows for i in range(told.num_row_groups)]
+        groups = {i: told.row_group(i).num_rows for i in range(told.num_row_groups)}
         if kept is not None:
             columns = _rows_kept(path, schema, kept)
-        elif sum(groups):
+        elif count := sum(groups.values()):
             columns = {
-                name: _read_column(path, name, range(len(groups)), 0, sum(groups))
+                name: _read_column(path, name, list(groups), 0, count)
                 if name in apart
                 else FileColumn(path, name, groups)
                 for name in schema.names
@@ -101,6 +102,65 @@ def read_parquet(
         raise _unreadable(path, error) from None
     rows = max(map(len, columns.values()), default=0)
     return Table(str(path), columns, rows, sha256=_sha256(path))
+
+
+def spread_parquet(
+    columns: Mapping[str, FileColumn], kinds: NDArray[np.int16], count: int, path: Path
+) -> Callable[[int], dict[str, FileColumn]]:
+    """Copy the rows of a file into a new one, those of a kind in row groups of their own.
+
+    Parameters
+    ----------
+    columns : mapping of name to FileColumn
+        Whole columns of one file.
+    kinds : (n,) array of int
+        Of every row, counted from 0; a row below 0 is left out.
+    count : int
+        How many kinds there are.
+    path : path
+
+    Returns
+    -------
+    callable
+        The columns of a kind, with its rows in their order.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    from pyarrow import Table as ArrowTable
+    from pyarrow import parquet
+
+    groups: list[dict[int, int]] = [{} for _ in range(count)]
+    source, start, written, writer = next(iter(columns.values())).path, 0, 0, None
+    with ExitStack() as opened:
+        for batch in _batches(source, list(columns)):
+            if writer is None:
+                writer = opened.enter_context(parquet.ParquetWriter(path, batch.schema))
+            mine = kinds[start : start + len(batch)]
+            order = np.argsort(mine, kind="stable")
+            ends = np.searchsorted(mine[order], np.arange(count + 1))
+            table = ArrowTable.from_batches([batch])
+            for kind in np.flatnonzero(np.diff(ends)).tolist():
+                rows = order[ends[kind] : ends[kind + 1]]
+                writer.write_table(table.take(rows), row_group_size=len(rows))
+                groups[kind][written] = len(rows)
+                written += 1
+            start += len(batch)
+    return lambda kind: {name: FileColumn(path, name, groups[kind]) for name in columns}
+
+
+def _batches(path: str | os.PathLike[str], names: list[str]) -> Iterator[Any]:
+    """Yield the rows of a file some at a time, however many a row group has."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(path, buffer_size=_BUFFER) as file:
+            yield from file.iter_batches(_BATCH, columns=names)
+    except (pa.ArrowException, OSError) as error:
+        raise _unreadable(path, error) from None
 
 
 def _rows_kept(

@@ -54,7 +54,7 @@ def find_trials(rows: Rows, grouped: Grouped) -> Trials | None:
     if not several.any() or "position" not in rows.columns:
         return None
     try:
-        labels = rows.piece(0, rows.starts[-1]).labels("position").codes
+        labels = rows.labels("position").codes
     except MultiposError:
         return None  # which the fit of each unit says better
     visits = np.flatnonzero(several & _come_again(labels, grouped)).tolist()

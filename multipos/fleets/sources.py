@@ -1,8 +1,8 @@
 """The rows of a fleet: tables in files, folders and patterns, one row per unit and position.
 
-A file is CSV, or Parquet by the extra ``parquet``; a folder stands for all such files in it, a
-pattern (``line-*.csv``) for those it fits, in the order of their names. Of Parquet only the columns
-of unit and station are read at once, the others piece by piece.
+A file is CSV, packed by gzip or not, or Parquet by the extra ``parquet``; a folder stands for all
+such files in it, a pattern (``line-*.csv``) for those it fits, in the order of their names. Only
+the columns of unit and station are read at once, the others piece by piece.
 """
 
 import os
@@ -15,14 +15,17 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.columns import Cells, FileBytes
 from multipos.files.lists import near, quoted
+from multipos.files.packed import GZIP, unpack_gzip
 from multipos.files.pipes import is_folder, is_there, rereadable
-from multipos.files.tables import Source, Table, read_table
+from multipos.files.tables import Column, Source, Table, open_table, read_table
+from multipos.files.whole import first_bytes
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
-from multipos.fleets.parquet import FileColumn, is_in_file, is_parquet, read_parquet
+from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
 from multipos.numerics.arrays import Array
 
-_ENDINGS = (".csv", ".parquet")
+_ENDINGS = (".csv", ".parquet", ".csv.gz")
 
 
 @dataclass(frozen=True)
@@ -48,9 +51,9 @@ class Rows:
     counted: bool
 
     @property
-    def in_files(self) -> bool:
-        """Whether all columns that are left still are in files."""
-        return all(isinstance(c, FileColumn) for t in self.tables for c in t.columns.values())
+    def count(self) -> int:
+        """How many rows there are."""
+        return self.starts[-1]
 
     @property
     def largest(self) -> int:
@@ -66,8 +69,13 @@ class Rows:
             low, high = max(start - first, 0), min(stop - first, table.rows)
             if low < high:
                 parts.append(_loaded(table, low, high))
-        starts = np.cumsum([0, *(part.rows for part in parts)]).tolist()
-        return Rows(tuple(parts), tuple(starts), _NOBODY, _NOBODY, self.counted)
+        return self.of_tables(parts)
+
+    def of_tables(self, tables: Sequence[Table]) -> "Rows":
+        """Return some of the rows, in tables of their own, without whose they are."""
+        loaded = tuple(_loaded(table, 0, table.rows) for table in tables)
+        starts = np.cumsum([0, *(table.rows for table in tables)]).tolist()
+        return Rows(loaded, tuple(starts), _NOBODY, _NOBODY, self.counted)
 
     def without_labels(self) -> "Rows":
         """Return the rows without whose they are, which takes memory and is known by units."""
@@ -107,19 +115,24 @@ class Rows:
         return not all(isinstance(c, np.ndarray) and c.dtype.kind in "fiub" for c in columns)
 
     def labels(self, name: str) -> Labels:
-        """Return a column as labels."""
-        return joined_labels([labels_of(table, name) for table in self.tables])
+        """Return a column as labels, read where it still is in its file."""
+        columns = [{name: _part(table.columns[name], 0, table.rows)} for table in self.tables]
+        tables = [replace(t, columns=c) for t, c in zip(self.tables, columns, strict=True)]
+        return joined_labels([labels_of(table, name) for table in tables])
 
 
 _NOBODY = Labels(np.zeros(0, dtype=np.int32), ())
 
 
 def _loaded(table: Table, low: int, high: int) -> Table:
-    """Return a table with its columns read; of one that is all in a file only some rows."""
-    if not any(map(is_in_file, table.columns.values())) and (low, high) == (0, table.rows):
-        return table
-    columns = {name: column[low:high] for name, column in table.columns.items()}
-    return replace(table, columns=columns, rows=high - low)
+    """Return some rows of a table, in memory but for the cells of CSV."""
+    columns = {name: _part(column, low, high) for name, column in table.columns.items()}
+    lines = None if table.lines is None else table.lines[low:high]
+    return replace(table, columns=columns, rows=high - low, lines=lines)
+
+
+def _part(column: Column, low: int, high: int) -> Column:
+    return column.part(low, high) if isinstance(column, Cells) else column[low:high]
 
 
 def _at(rows: Sequence[int], places: Any, place: int) -> list[int]:
@@ -224,9 +237,9 @@ def _files(source: str | os.PathLike[str]) -> Sequence[Source]:
     """Return the files that a path, a folder or a pattern stands for."""
     name = os.fspath(source)
     if is_folder(name):
-        files = [path for path in sorted(Path(name).iterdir()) if path.suffix in _ENDINGS]
+        files = [path for path in sorted(Path(name).iterdir()) if path.name.endswith(_ENDINGS)]
         if not files:
-            raise MultiposError(f"{name}: the folder has no {' or '.join(_ENDINGS)} files.")
+            raise MultiposError(f"{name}: the folder has no .csv or .parquet files.")
         return files
     if has_magic(name) and not is_there(name):
         fitting = sorted(glob(name, recursive=True))  # noqa: PTH207 – any path, not one below
@@ -237,6 +250,12 @@ def _files(source: str | os.PathLike[str]) -> Sequence[Source]:
 
 
 def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) -> Table:
-    if isinstance(source, str | os.PathLike) and is_parquet(source):
-        return read_parquet(source, apart, kept)
-    return read_table(source, what="table")
+    if not isinstance(source, str | os.PathLike):
+        return read_table(source, what="table")
+    path = source
+    if first_bytes(source, len(GZIP)) == GZIP:
+        path = unpack_gzip(Path(source) if isinstance(source, str) else source)
+    table = read_parquet(path, apart, kept) if is_parquet(path) else open_table(path)
+    if path is not source:  # what people compare is the file that they have
+        table = replace(table, sha256=FileBytes(source, "table").sha256())
+    return table
