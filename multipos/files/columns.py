@@ -8,6 +8,7 @@ for the `csv` module.
 """
 
 import hashlib
+import io
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import repeat
@@ -181,12 +182,13 @@ def arrange_cells(columns: Mapping[str, Cells], rows: NDArray[np.intp]) -> dict[
     lines = np.array([line for piece in one.pieces for line in _rows_of(one.raw, piece)], object)
     arranged = lines[rows + one.skipped]
     del lines
-    texts, pieces, start = [], [], 0
+    stream, pieces = io.BytesIO(), []
     for first in range(0, len(rows), _TOGETHER):
-        texts.append(_joined_lines(arranged[first : first + _TOGETHER]))
-        pieces.append(_Piece(start, start + len(texts[-1]), first))
-        start += len(texts[-1])
-    raw = b"".join(texts)
+        some, start = arranged[first : first + _TOGETHER], stream.tell()
+        stream.write(_joined_lines(some))
+        some[:] = None  # so that bytes take the place of lines
+        pieces.append(_Piece(start, stream.tell(), first))
+    raw = stream.getvalue()
     return {
         name: Cells(raw, pieces, len(rows), each.place, each.mark) for name, each in columns.items()
     }

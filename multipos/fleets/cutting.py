@@ -128,25 +128,30 @@ def _gathered(
 ) -> Iterator[Cut]:
     """Yield pieces of rows that stand apart, in every table those of a unit together."""
     for piece, (first, last) in enumerate(pairwise(_bounds(grouped.starts, _PIECE))):
-        units = grouped.piece(first, last)
         mine = order[grouped.starts[first] : grouped.starts[last]]
-        of_table = np.searchsorted(rows.starts, mine, side="right") - 1
-        by_table = np.argsort(of_table, kind="stable")
-        ends = np.searchsorted(of_table[by_table], np.arange(len(rows.tables) + 1))
-        tables = [
-            _arranged(
-                rows.tables[place],
-                mine[by_table[ends[place] : ends[place + 1]]] - rows.starts[place],
-                copied[place],
-                piece,
-            )
-            for place in np.flatnonzero(np.diff(ends)).tolist()
-        ]
-        found = np.empty(len(mine), dtype=np.intp)
-        found[by_table] = np.arange(len(mine))
-        yield Cut(
-            rows.of_tables(tables), Grouped(found, units.starts, units.unit, units.station), first
+        units = grouped.piece(first, last)
+        yield Cut(*_gather(rows, mine, copied, piece, units), first)
+
+
+def _gather(
+    rows: Rows, mine: Places, copied: Sequence[Part | None], piece: int, units: Grouped
+) -> tuple[Rows, Grouped]:
+    """Return the rows of a piece, which stand at these places, and its units."""
+    of_table = np.searchsorted(rows.starts, mine, side="right") - 1
+    by_table = np.argsort(of_table, kind="stable")
+    ends = np.searchsorted(of_table[by_table], np.arange(len(rows.tables) + 1))
+    tables = [
+        _arranged(
+            rows.tables[place],
+            mine[by_table[ends[place] : ends[place + 1]]] - rows.starts[place],
+            copied[place],
+            piece,
         )
+        for place in np.flatnonzero(np.diff(ends)).tolist()
+    ]
+    order = np.empty(len(mine), dtype=np.intp)
+    order[by_table] = np.arange(len(mine))
+    return rows.of_tables(tables), replace(units, order=order)
 
 
 def _arranged(table: Table, rows: Places, copied: Part | None, piece: int) -> Table:

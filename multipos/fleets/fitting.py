@@ -181,6 +181,7 @@ def _solve(
             for solved in piece.solve(executor, folder, told):
                 found.take(solved)
             times[mine] = piece.times()
+            del cut, piece  # before the next one is read
     return Units(
         unit=grouped.unit,
         station=tuple(grouped.station),
