@@ -388,7 +388,8 @@ def write_table(path: str | os.PathLike[str], columns: Source) -> None:
 
     Examples
     --------
-    >>>     >>> import multipos as mp
+    >>> from pathlib import Path
+    >>> import multipos as mp
     >>> mp.write_table("run.csv", {"angle": [0.0, 90.0], "volt": [0.012, float("nan")]})
     >>> Path("run.csv").read_text().split()
     ['angle,volt', '0.0,0.012', '90.0,']

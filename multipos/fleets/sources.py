@@ -25,7 +25,7 @@ from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels
 from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
 from multipos.numerics.arrays import Array
 
-_ENDINGS = (".csv", ".parquet", ".csv.gz")
+_ENDINGS = (".csv", ".parquet")
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ def _files(source: str | os.PathLike[str]) -> Sequence[Source]:
     """Return the files that a path, a folder or a pattern stands for."""
     name = os.fspath(source)
     if is_folder(name):
-        files = [path for path in sorted(Path(name).iterdir()) if path.name.endswith(_ENDINGS)]
+        files = [path for path in sorted(Path(name).iterdir()) if _is_table(path)]
         if not files:
             raise MultiposError(f"{name}: the folder has no .csv or .parquet files.")
         return files
@@ -247,6 +247,11 @@ def _files(source: str | os.PathLike[str]) -> Sequence[Source]:
             raise MultiposError(f"{name}: no file fits the pattern; check the path.")
         return fitting
     return [rereadable(source)]
+
+
+def _is_table(path: Path) -> bool:
+    name = Path(path.stem) if path.suffix == ".gz" else path
+    return name.suffix in _ENDINGS
 
 
 def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) -> Table:
