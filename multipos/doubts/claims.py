@@ -37,9 +37,9 @@ import numpy as np
 
 from multipos.doubt import Doubt
 from multipos.doubts.score_tests import significant
-from multipos.estimation.gains import about_solution
+from multipos.estimation.gains import told_by_solution
 from multipos.estimation.known import DENIED
-from multipos.estimation.likelihood import evaluate, linearise, respond, weigh
+from multipos.estimation.likelihood import weigh
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile
 from multipos.numerics.terms import COMPONENTS
@@ -269,20 +269,14 @@ def judge_equality(c: Calibration) -> tuple[float, Array]:
     sizes : (M,) array
         Standard deviations that the residuals show.
     """
-    problem, state = about_solution(c)
-    point = evaluate(problem, state)
-    normal = linearise(problem, state, point)
     n, m = c.residuals.shape
-    nu = float(problem.degrees.sum()) - problem.unknowns
-    if nu < _FEW or n * m > _MOST:
+    if n * m > _MOST:
         return 1.0, np.full(m, np.nan)
-    slopes = parameter_jacobian(c.model, c.parameters, point.force, c.readings.environment)
-    A = np.concatenate([slopes, normal.shared], axis=2)
-    WA = (normal.marginal @ A).reshape(n * m, -1)
-    P = -WA @ respond(normal.information, WA.T)
-    P = P.reshape(n, m, n, m)
-    P[np.arange(n), :, np.arange(n)] += normal.marginal
-    push = weigh(problem.precision, point.residuals)
+    problem, told = told_by_solution(c)
+    if float(problem.degrees.sum()) - problem.unknowns < _FEW:
+        return 1.0, np.full(m, np.nan)
+    P = told.projection()
+    push = weigh(problem.precision, told.point.residuals)
     precision = problem.precision
     if precision.ndim == 3:
         precision = np.diagonal(precision, axis1=1, axis2=2)

@@ -162,7 +162,9 @@ def _is_told(problem: Problem, optimum: Optimum) -> bool:
     """Tell whether the positions separate all parameters."""
     normal = linearise(problem, optimum.state, optimum.point)
     p = len(problem.model.keys)
-    return optimum.converged and math.isfinite(condition(reduced_information(normal, p)))
+    return optimum.converged and math.isfinite(
+        condition(reduced_information(normal.information, p))
+    )
 
 
 def _by_output(c: Calibration) -> Iterator[JointTest]:

@@ -36,12 +36,12 @@ from multipos.doubts.projections import (
     project,
     sphere,
     terms_of,
-    values_of,
 )
-from multipos.estimation.gains import about_solution
-from multipos.estimation.likelihood import evaluate, linearise, respond, weigh
+from multipos.estimation.gains import told_by_solution
+from multipos.estimation.likelihood import respond
 from multipos.estimation.problem import Problem
 from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import directions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -251,27 +251,18 @@ def _sums_at_known(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
 
 def _sums_of_likelihood(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
     """Return the sums with the marginal weights of the likelihood."""
-    problem, state = about_solution(c)
-    point = evaluate(problem, state)
-    normal = linearise(problem, state, point)
-    surroundings = c.readings.environment
-    slopes = parameter_jacobian(c.model, c.parameters, point.force, surroundings)
-    A = np.concatenate([slopes, normal.shared], axis=2)
-    Z, kind_of = values_of(kinds, point.force, surroundings)
-    WZ = np.einsum("nij,njq->niq", normal.marginal, Z)
-    cross = np.einsum("nip,niq->pq", A, WZ)
-    across = respond(normal.information, cross)
-    gram = np.einsum("niq,nir->qr", Z, WZ)
-    push = weigh(problem.precision, point.residuals)
-    score = np.einsum("niq,ni->q", Z, push) - across.T @ np.einsum("nip,ni->p", A, push)
+    problem, told = told_by_solution(c)
+    Z, output_of, kind_of = terms_of(kinds, c.reference, c.readings.environment)
+    beside = told.beside(Z, output_of)
+    across = respond(told.information, beside.cross)
     return _Sums(
-        gram=gram - cross.T @ across,
-        score=score,
-        size=gram.diagonal(),
+        gram=beside.gram - beside.cross.T @ across,
+        score=beside.score - across.T @ beside.own,
+        size=beside.gram.diagonal(),
         across=across,
-        information=normal.information,
+        information=told.information,
         kind_of=kind_of,
-        whole=float(np.sum(point.q)) + _of_priors(c, problem),
+        whole=float(np.sum(told.point.q)) + _of_priors(c, problem),
         left=float(problem.degrees[problem.weight == 1.0].sum()) - problem.unknowns,
         # what was stated of positions is a floor: less is no finer scale to judge by
         floor=float(problem.has_prior),
@@ -342,19 +333,17 @@ def _hidden(
     Where nothing ties the case to the world, only the size of a force is judged: its direction
     has a rotation in it that is a convention.
     """
-    directions, means = sphere(c)
+    force, means = sphere(c)
     p = len(c.parameters)
-    slopes = parameter_jacobian(c.model, c.parameters, directions, means)
-    by_force = c.model.force_jacobian(c.parameters, directions, means)
+    by_force = c.model.force_jacobian(c.parameters, force, means)
     inverse = inverses(by_force[:, :, list(sensed_axes(c.model))])
-    values, kind_of = values_of(kinds, directions, means)
-    whole, moved = inverse @ values, inverse @ slopes
-    error = whole - (moved.reshape(-1, p) @ across[:p]).reshape(whole.shape)
     if c.model.gauge is not None:
-        out = directions[:, None, :] / np.linalg.norm(directions, axis=1)[:, None, None]
-        whole, error, moved = out @ whole, out @ error, out @ moved
+        inverse = directions(force)[:, None, :] @ inverse
+    Z, output_of, kind_of = terms_of(kinds, force, means)
+    whole = inverse[:, :, output_of] * Z.T[:, None, :]
+    moved = (inverse @ parameter_jacobian(c.model, c.parameters, force, means)).reshape(-1, p)
+    error = whole - (moved @ across[:p]).reshape(whole.shape)
     covariance = np.linalg.inv(information)[:p, :p]
-    moved = moved.reshape(-1, p)
     size = float(np.sum((moved @ covariance) * moved)) / len(moved)
     found = []
     for k, kind in enumerate(kinds):

@@ -74,7 +74,7 @@ def with_degrees(solution: Solution, problem: Problem, optimum: Optimum, dof: Ar
 
 def _information(problem: Problem, optimum: Optimum) -> Array:
     plain = linearise(replace(problem, robust=None), optimum.state, optimum.point)
-    return reduced_information(plain, len(optimum.state.theta))
+    return reduced_information(plain.information, len(optimum.state.theta))
 
 
 def _degrees(problem: Problem, optimum: Optimum) -> Array:

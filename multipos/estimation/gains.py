@@ -26,8 +26,8 @@ from multipos.estimation.likelihood import evaluate, linearise, respond
 from multipos.estimation.problem import Problem, State, standing, start_state
 from multipos.estimation.restatement import restate
 from multipos.estimation.six_positions import closed_form_gain
+from multipos.estimation.told import Told, told_at
 from multipos.numerics.arrays import Array
-from multipos.numerics.rotations import directions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -112,6 +112,11 @@ def about_solution(calibration: Calibration) -> tuple[Problem, State]:
     """
     reference = calibration.reference
     problem = replace(restate(calibration), reference=reference)
-    direction = directions(reference)
-    state = start_state(problem, calibration.parameters, direction)
-    return problem, standing(problem, state, direction)
+    state = start_state(problem, calibration.parameters)
+    return problem, standing(problem, state, state.centre)
+
+
+def told_by_solution(calibration: Calibration) -> tuple[Problem, Told]:
+    """Return the problem of a calibration about its solution, and what is told there."""
+    problem, state = about_solution(calibration)
+    return problem, told_at(problem, state)

@@ -83,6 +83,11 @@ class Problem:
             object.__setattr__(self, name, np.asfortranarray(getattr(self, name)))
 
     @cached_property
+    def plain(self) -> "Problem":
+        """The problem without a loss."""
+        return self if self.robust is None else replace(self, robust=None)
+
+    @cached_property
     def magnitude(self) -> Array:
         """Size of the reference (n,) [g]."""
         return np.asarray(np.linalg.norm(self.reference, axis=1))
@@ -231,15 +236,26 @@ def state_problem(
         precision = np.full((n, m), 1.0 / (RELATIVE_NOISE * size) ** 2)
     else:
         precision = precision_of(noise, n, m)
+    return pose(model, readings, placement, precision, robust)
+
+
+def pose(
+    model: Model,
+    readings: Readings,
+    placement: Placement,
+    precision: Array,
+    robust: Loss | None = None,
+) -> Problem:
+    """Return the problem of the likelihood with a precision (n, M) or (n, M, M)."""
     return Problem(
         model=model,
-        values=values,
+        values=readings.values,
         environment=readings.environment,
         precision=precision,
         reference=placement.reference,
         orientation_sd=placement.orientation_sd,
         group=placement.group,
-        weight=np.ones(n),
+        weight=np.ones(len(readings)),
         groups=placement.groups,
         attitude=placement.attitude,
         level_sd=placement.level_sd,
@@ -283,7 +299,7 @@ def start_state(
         centre=centre,
         basis=tangent_basis(centre),
         step=np.zeros((len(centre), 2), order="F"),
-        turns=np.tile(np.eye(3), (problem.groups, 1, 1)) if turns is None else turns,
+        turns=np.array([np.eye(3)] * problem.groups).reshape(-1, 3, 3) if turns is None else turns,
         tilt=np.zeros(2),
         inclination=np.zeros(problem.cones),
     )

@@ -7,13 +7,11 @@ standard deviation. Where the residuals of a robust fit deny a stated noise, eve
 units of F/nu instead of one.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.descent import maximise
-from multipos.estimation.problem import Optimum, Problem, precision_of, start_state, state_problem
+from multipos.estimation.problem import Optimum, Problem, pose, precision_of, start_state
 from multipos.estimation.robustness import set_aside
 from multipos.numerics.rotations import directions, rotation_matrix
 from multipos.positions.placement import place
@@ -28,12 +26,12 @@ def restate(calibration: Calibration) -> Problem:
     size = signed_size(c.gravity, c.convention)
     level_sd_deg = (c.orientations and c.orientations.level_sd_deg) or 0.0
     placement = place(c.readings, size, level_sd=float(np.radians(level_sd_deg)))
-    problem = state_problem(c.model, c.readings, placement, None)
+    shape = c.readings.values.shape
     if c.noise is None:
-        sd = np.tile(c.residual_sd, (len(c.readings), 1))
-        problem = replace(problem, precision=1.0 / sd**2)
+        precision = np.tile(1.0 / c.residual_sd**2, (shape[0], 1))
     else:
-        problem = replace(problem, precision=precision_of(c.noise, *c.readings.values.shape))
+        precision = precision_of(c.noise, *shape)
+    problem = pose(c.model, c.readings, placement, precision)
     if c.robust_weight is not None:
         problem = set_aside(problem, c.robust_weight == 0.0)
     return problem

@@ -46,6 +46,8 @@ class Surface:
 
     information: Array  # (p, p)
     gradient: Array  # (p,)
+    rows: Array  # a, (p, n)
+    height: Array  # m'r, (n,)
     cofactors: Array  # (3, 3, n), of G
     determinant: Array  # (n,)
     normal: Array  # m, (3, n)
@@ -74,22 +76,34 @@ class SphereSearch:
 
     def begin(self, state: State) -> Place:
         """Return the place of a state."""
-        direction = step_on_sphere(state.centre, state.basis, state.step)
+        step = state.step
+        direction = step_on_sphere(state.centre, state.basis, step) if step.any() else state.centre
         return self._at(state.theta, self.problem.magnitude * direction.T)
+
+    def place(self, state: State, point: Point) -> Place:
+        """Return the place of a state at which the model is known."""
+        phi = self.problem.model.basis(point.force, self.problem.environment).T
+        residuals = point.residuals.T
+        return Place(state.theta, point.force.T, phi, residuals, point.q, point.objective)
 
     def end(self, place: Place, state: State) -> tuple[State, Point]:
         """Return state and point of a place, from the state of the beginning."""
         centre = (place.force / self.problem.magnitude).T
-        blocks = tuple(
-            (places, place.phi[columns].T) for columns, places in self.problem.model.contributions
-        )
-        return replace(
+        found = replace(
             state,
             theta=place.theta,
             centre=centre,
             basis=tangent_basis(centre),
             step=np.zeros_like(state.step),
-        ), Point(place.force.T, blocks, place.residuals.T, place.q, place.objective)
+        )
+        return found, self.point(place)
+
+    def point(self, place: Place) -> Point:
+        """Return a place as other searches have it."""
+        blocks = tuple(
+            (places, place.phi[columns].T) for columns, places in self.problem.model.contributions
+        )
+        return Point(place.force.T, blocks, place.residuals.T, place.q, place.objective)
 
     def linearise(self, place: Place) -> Surface:
         """Return the normal equations of eqs. (1), (2), weighted by the loss."""
@@ -116,6 +130,8 @@ class SphereSearch:
         return Surface(
             weighted @ rows.T,
             weighted @ height,
+            rows,
+            height,
             cofactors,
             determinant,
             normal,

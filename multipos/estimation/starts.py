@@ -22,7 +22,8 @@ from multipos.estimation.identifiability import (
     require_separable,
 )
 from multipos.estimation.likelihood import evaluate, linearise
-from multipos.estimation.problem import Normal, Optimum, Problem, State, start_state
+from multipos.estimation.problem import Optimum, Problem, State, start_state
+from multipos.estimation.told import told_at
 from multipos.numerics.arrays import Array
 from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS, Term
@@ -100,12 +101,12 @@ def _require_told(problem: Problem, start: State, optimum: Optimum) -> None:
 
     A search wanders where the data say nothing, so that is judged where it began.
     """
-    model, size = problem.model, float(np.linalg.norm(problem.reference, axis=1).mean())
+    model, size = problem.model, float(problem.magnitude.mean())
     limit = plausible_range(model, start.theta, size)
     if limit is None:
         return
-    plain = replace(problem, robust=None)
-    information = reduced_information(linearise(plain, start, evaluate(plain, start)), len(limit))
+    told = told_at(problem.plain, start)
+    information = reduced_information(told.information, len(limit))
     nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
     relative = information * np.outer(limit, limit) * nu / optimum.point.objective
     # Noise moves n positions by its own size, which passes for information of n and little more.
@@ -139,7 +140,7 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
     size = float(median(np.linalg.norm(optimum.point.residuals, axis=1)))
     nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
     spread = size / _MEDIAN * np.sqrt(len(problem.values) / nu)
-    scatter = spread / max(scale * float(np.linalg.norm(problem.reference[0])), 1e-300)
+    scatter = spread / max(scale * float(problem.magnitude[0]), 1e-300)
     if scatter > _SCATTER:
         raise MultiposError(
             f"the readings scatter by {100.0 * scatter:.0f} % about the ellipsoid that fits them "
@@ -193,8 +194,8 @@ def _is_odd(term: Term, axes: Set[str]) -> bool:
 
 
 def _require_information(problem: Problem, optimum: Optimum) -> None:
-    normal = linearise(problem, optimum.state, optimum.point)
-    information = reduced_information(normal, len(problem.model.keys))
+    told = told_at(problem, optimum.state, optimum.point)
+    information = reduced_information(told.information, len(problem.model.keys))
     if np.isfinite(condition(information)):
         return
     gains = _candidate_gains(problem, optimum.state.theta)
@@ -206,9 +207,8 @@ def _require_information(problem: Problem, optimum: Optimum) -> None:
     )
 
 
-def reduced_information(normal: Normal, p: int) -> Array:
+def reduced_information(full: Array, p: int) -> Array:
     """Return the information of the parameters with the shared unknowns eliminated."""
-    full = normal.information
     if len(full) == p:
         return full
     cross = full[:p, p:]

@@ -31,13 +31,13 @@ from multipos.estimation.believed import judge_tied, with_degrees
 from multipos.estimation.first_states import own_starts
 from multipos.estimation.free_rotations import rotations_to_hold
 from multipos.estimation.identifiability import condition, formal_only
-from multipos.estimation.likelihood import linearise
 from multipos.estimation.losses import Loss
 from multipos.estimation.noise import Appraisal, judge_noise
 from multipos.estimation.problem import Optimum, Problem, State, state_problem
 from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.solution import Solution
 from multipos.estimation.starts import reduced_information, search, too_few
+from multipos.estimation.told import told_at
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.open_rolls import across
@@ -47,7 +47,6 @@ from multipos.sensor.calibration import Status
 from multipos.sensor.diagnostics import Claim, find_outlying_positions
 from multipos.sensor.expressions import ExpressionModel, at_bounds
 from multipos.sensor.found import FoundOrientations, VarianceComponents
-from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import ROLL_GAUGES, Gauge, Model
 from multipos.sensor.own_models import hold
 
@@ -259,18 +258,14 @@ def _solution(
 ) -> Solution:
     model, state, point = problem.model, optimum.state, optimum.point
     p, m = len(model.keys), problem.values.shape[1]
-    plain = linearise(replace(problem, robust=None), state, point)
-    information = reduced_information(plain, p)
-    covariance = np.linalg.inv(information)
-    covariance = (covariance + covariance.T) / 2.0 * worth.factor
+    plain = told_at(problem.plain, state, point)
+    information = reduced_information(plain.information, p)
+    inverse = np.asarray(np.linalg.inv(information))
+    covariance = (inverse + inverse.T) / 2.0 * worth.factor
     u, inflation = np.sqrt(np.diag(covariance)), np.full(p, np.sqrt(worth.factor))
     if worth.u is not None:
         u, inflation = worth.u, worth.u / u
         covariance = covariance * np.outer(inflation, inflation)
-    jacobian = parameter_jacobian(model, state.theta, point.force, problem.environment)
-    leverage = np.einsum(
-        "nij,njp,nip->ni", plain.marginal, jacobian @ np.linalg.inv(information), jacobian
-    )
     magnitude = float(np.linalg.norm(problem.reference, axis=1).mean())
     told = np.isfinite(worth.factor) and worth.factor > 0.0  # 0 where every residual is
     misfit = point.q / problem.weight / (worth.factor if told else 1.0)
@@ -296,7 +291,7 @@ def _solution(
         dof=np.full(m, worth.dof),
         residuals=point.residuals,
         residual_sd=residual_sd,
-        leverage=leverage,
+        leverage=plain.leverage(inverse),
         outliers=find_outlying_positions(
             misfit,
             problem.degrees,

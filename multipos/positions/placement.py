@@ -207,9 +207,10 @@ def _sd_of(readings: Readings, labels: Sequence[str], stated: float | None) -> A
     elif readings.orientation_sd is None:
         sd = np.zeros(len(readings))
     else:  # within a group only the group's rotation is unknown
-        own = readings.orientation_sd
-        grouped = np.array([label != "" for label in labels])
-        sd = np.where(np.isinf(own) & grouped, 0.0, own)
+        sd = readings.orientation_sd
+        if readings.group is not None:
+            grouped = np.array([label != "" for label in labels])
+            sd = np.where(np.isinf(sd) & grouped, 0.0, sd)
     return np.where(sd < _EXACT, 0.0, sd)
 
 
@@ -261,7 +262,8 @@ def refuse_open_rolls(readings: Readings) -> None:
 
 def as_used(readings: Readings, orientation_sd: Array) -> Readings:
     """Return readings that say of their positions what was used of them (n,) [rad]."""
-    if readings.orientation_sd is None and not orientation_sd.any():
+    said = readings.orientation_sd
+    if not orientation_sd.any() if said is None else np.array_equal(said, orientation_sd):
         return readings
     return replace(readings, orientation_sd=orientation_sd)
 

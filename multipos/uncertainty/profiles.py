@@ -208,7 +208,9 @@ def _likelihood_interval(c: Calibration, index: int) -> Interval:
     held = replace(problem, held=(index,))
     normal = linearise(problem, best.state, best.point)
     # what the noise that was found makes of the variance under the noise as restated
-    variance = float(np.linalg.inv(reduced_information(normal, len(c.names)))[index, index])
+    variance = float(
+        np.linalg.inv(reduced_information(normal.information, len(c.names)))[index, index]
+    )
     factor = _scatter_of(c, index) ** 2 / variance
     slope = np.zeros(len(normal.information))  # how all unknowns follow the parameter
     others = np.arange(len(slope)) != index

@@ -1,0 +1,130 @@
+"""What readings tell at a point of the likelihood, every position's own turn eliminated.
+
+Once its search has ended, others ask the likelihood of `multipos.estimation.likelihood` what is
+told there: of the parameters, of terms that the model lacks, and by which reading. With W_k and S
+as there, A_k the slopes of the readings by all unknowns, and Z_k by anything else,
+
+    A'WA = S,   Z'WZ,   A'WZ,   A'Σ⁻¹r,   Z'Σ⁻¹r,   diag(W A C A'),   W − W A S⁻¹ A'W       (1)
+
+are all that is asked. Where nothing is known of any position of a triad (`SphereSearch.fits`), W_k
+is m_k m_k' of `multipos.estimation.sphere`, and Σ_k⁻¹r_k is W_k r_k at the solution: each position
+is one row A_k'm_k then, and the sums are products of these rows. A test holds the two ways
+together.
+"""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.likelihood import assemble, evaluate, linearise, respond, weigh
+from multipos.estimation.losses import loss_weight
+from multipos.estimation.problem import Point, Problem, State
+from multipos.estimation.sphere import SphereSearch
+from multipos.numerics.arrays import Array
+
+
+class Beside(NamedTuple):
+    """The sums of eq. (1) with other slopes Z, q columns, in them."""
+
+    gram: Array  # Z'WZ, (q, q)
+    cross: Array  # A'WZ, (p + shared, q)
+    own: Array  # A'Σ⁻¹r, (p + shared,)
+    score: Array  # Z'Σ⁻¹r, (q,)
+
+
+class Told(Protocol):
+    """What is told at a point, eq. (1)."""
+
+    point: Point
+    information: Array  # S (p + shared, p + shared), with what is known of unknowns beforehand
+
+    def beside(self, columns: Array, output_of: NDArray[np.intp]) -> Beside:
+        """Return the sums with slopes Z (q, n), each of one output."""
+
+    def leverage(self, covariance: Array) -> Array:
+        """Return the diagonal of W A C A' (n, M), C (p, p) of the parameters."""
+
+    def projection(self) -> Array:
+        """Return W − W A S⁻¹ A'W (n, M, n, M)."""
+
+
+def told_at(problem: Problem, state: State, point: Point | None = None) -> Told:
+    """Return what is told at a state; the model is evaluated there unless its point is given."""
+    told = _AlongForce if SphereSearch.fits(problem) else _Everywhere
+    return told(problem, state, point)
+
+
+class _AlongForce:
+    """Of a triad of unknown orientation, each position by its part along the normal m."""
+
+    def __init__(self, problem: Problem, state: State, point: Point | None) -> None:
+        sphere = SphereSearch(problem)
+        place = sphere.begin(state) if point is None else sphere.place(state, point)
+        self.point = sphere.point(place) if point is None else point
+        surface = sphere.linearise(place)
+        self.information, self.gradient = surface.information, surface.gradient
+        self.normal, self.rows, self.height = surface.normal, surface.rows, surface.height
+        if problem.robust is not None:
+            root = np.sqrt(loss_weight(problem.robust, place.q, problem.degrees))
+            self.normal, self.rows, self.height = (
+                root * each for each in (self.normal, self.rows, self.height)
+            )
+
+    def beside(self, columns: Array, output_of: NDArray[np.intp]) -> Beside:
+        rows = self.normal[output_of] * columns
+        return Beside(rows @ rows.T, self.rows @ rows.T, self.gradient, rows @ self.height)
+
+    def leverage(self, covariance: Array) -> Array:
+        moved = covariance @ self.rows
+        own = [np.einsum("np,pn->n", slopes, moved[places]) for places, slopes in self.point.blocks]
+        return np.asarray((self.normal * own).T)
+
+    def projection(self) -> Array:
+        Q = np.linalg.qr(self.rows.T)[0]  # a'S⁻¹a is QQ'
+        left = np.eye(len(Q)) - Q @ Q.T
+        m = self.normal.T
+        return np.asarray(m[:, :, None, None] * left[:, None, :, None] * m)
+
+
+class _Everywhere:
+    """Of any problem, by the marginal weights W of every position."""
+
+    def __init__(self, problem: Problem, state: State, point: Point | None) -> None:
+        self.point = evaluate(problem, state) if point is None else point
+        normal = linearise(problem, state, self.point)
+        self.information, self.shared = normal.information, normal.shared
+        self.marginal = normal.marginal
+        self.push = weigh(problem.precision, self.point.residuals)
+        self.p = len(state.theta)
+
+    def beside(self, columns: Array, output_of: NDArray[np.intp]) -> Beside:
+        p, end = self.p, self.p + len(columns)
+        blocks = []
+        for output, (places, slopes) in enumerate(self.point.blocks):
+            mine = np.flatnonzero(output_of == output)
+            both = np.concatenate([slopes.T, columns[mine]]).T
+            blocks.append((np.concatenate([places, p + mine]), both))
+        whole, right = assemble(end, blocks, self.marginal, self.push, self.shared)
+        unknown = np.r_[:p, end : len(right)]
+        asked = slice(p, end)
+        return Beside(whole[asked, asked], whole[unknown, asked], right[unknown], right[asked])
+
+    def leverage(self, covariance: Array) -> Array:
+        result = np.zeros(self.push.shape)
+        for i, (places, mine) in enumerate(self.point.blocks):
+            for j, (targets, other) in enumerate(self.point.blocks):
+                moved = other @ covariance[targets[:, None], places]
+                result[:, i] += self.marginal[:, i, j] * np.einsum("np,np->n", moved, mine)
+        return result
+
+    def projection(self) -> Array:
+        n, m = self.push.shape
+        A = np.zeros((n, m, len(self.information)))
+        for output, (places, slopes) in enumerate(self.point.blocks):
+            A[:, output, places] = slopes
+        A[:, :, self.p :] = self.shared
+        WA = (self.marginal @ A).reshape(n * m, -1)
+        result = (-WA @ respond(self.information, WA.T)).reshape(n, m, n, m)
+        result[np.arange(n), :, np.arange(n)] += self.marginal
+        return result
