@@ -76,8 +76,10 @@ def time_correlated(c: Calibration) -> Doubt | None:
     n, outputs = c.residuals.shape
     terms = min(map(len, c.model.terms))
     left = n - terms
+    if n < _FEWEST or not left or not c.estimator.exact:
+        return None
     square = np.sum(c.residuals**2, axis=0)
-    if n < _FEWEST or not left or not c.estimator.exact or not (square > 0.0).all():
+    if not (square > 0.0).all():
         return None
     e = c.residuals / np.sqrt(square)
     product = float(np.sum(e[1:] * e[:-1])) / outputs

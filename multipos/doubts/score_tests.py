@@ -45,7 +45,7 @@ from multipos.numerics.rotations import directions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
-from multipos.sensor.inverse import inverses, parameter_jacobian, sensed_axes
+from multipos.sensor.inverse import inverses, sensed_axes
 from multipos.sensor.term_tests import ModelTest
 
 LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
@@ -272,7 +272,7 @@ def _sums_of_likelihood(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
 def _of_priors(c: Calibration, problem: Problem) -> float:
     """Return what steps and tilt add to F, which is stated about the solution itself."""
     found = c.orientations
-    if found is None:
+    if found is None or not problem.has_prior:
         return 0.0
     total = 0.0
     if found.orientation_error_deg is not None:
@@ -339,9 +339,12 @@ def _hidden(
     inverse = inverses(by_force[:, :, list(sensed_axes(c.model))])
     if c.model.gauge is not None:
         inverse = directions(force)[:, None, :] @ inverse
+    moved = np.zeros((*inverse.shape[:2], p))
+    for i, (places, slopes) in enumerate(c.model.respond(c.parameters, force, means)[1]):
+        moved[:, :, places] += inverse[:, :, i, None] * slopes[:, None, :]
     Z, output_of, kind_of = terms_of(kinds, force, means)
     whole = inverse[:, :, output_of] * Z.T[:, None, :]
-    moved = (inverse @ parameter_jacobian(c.model, c.parameters, force, means)).reshape(-1, p)
+    moved = moved.reshape(-1, p)
     error = whole - (moved @ across[:p]).reshape(whole.shape)
     covariance = np.linalg.inv(information)[:p, :p]
     size = float(np.sum((moved @ covariance) * moved)) / len(moved)

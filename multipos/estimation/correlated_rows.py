@@ -40,6 +40,7 @@ from numpy.typing import NDArray
 from multipos.estimation.posteriors import Posterior
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array, row_keys
+from multipos.numerics.cofactors import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, normal_quantile
 from multipos.numerics.recursions import recur
 from multipos.positions.placement import Placement
@@ -159,8 +160,8 @@ def _at_unknown(solution: Solution, readings: Readings) -> Solution:
     force = solution.reference
     slopes = model.force_jacobian(solution.parameters, force, readings.environment)
     # M'⁻¹ f but for its length, which a slope of nothing leaves defined
-    across = np.cross(slopes[:, :, [1, 2, 0]], slopes[:, :, [2, 0, 1]], axis=1)
-    normal = np.einsum("nmk,nk->nm", across, force)
+    across = cofactors_of(slopes.transpose(1, 2, 0))
+    normal = np.einsum("mkn,nk->nm", across, force)
     sd = np.sqrt(np.sum((normal * _sd(solution, readings)) ** 2, axis=1))
     quiet = np.abs(solution.residuals).max() <= _ROUNDING * np.abs(readings.values).max()
     if quiet or not (sd > 0.0).all():

@@ -113,7 +113,7 @@ def _on_ellipsoid(problem: Problem) -> _Seen:
     """Return the ellipsoid of a triad's readings, turned to the listed directions if any."""
     model = problem.model
     order = [model.axes.index(axis) for axis in ("x", "y", "z")]
-    magnitude = float(np.linalg.norm(problem.reference, axis=1).mean())
+    magnitude = float(problem.magnitude.mean())
     named = any(name.startswith("cross_") for name in model.names)
     crossed = named or isinstance(model, ExpressionModel)
     find = ellipsoid_start if problem.robust is None else _median_ellipsoid

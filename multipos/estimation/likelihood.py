@@ -59,7 +59,7 @@ from multipos.sensor.model import Block
 
 def evaluate(problem: Problem, state: State) -> Point:
     """Return the force, residuals and objective at a state."""
-    direction = where_steps_lead(problem, state)
+    direction = step_on_sphere(state.centre, state.basis, _steps(problem, state))
     turn = _shared_rotation(problem, state)
     if turn is not None:
         direction = np.einsum("nij,nj->ni", turn, direction)
@@ -192,16 +192,10 @@ def recentred(problem: Problem, state: State) -> State:
     if not problem.unknown.any() and problem.rolls is None:
         return state
     keep = ~problem.unknown[:, None]
-    moved = where_steps_lead(problem, state)
+    moved = step_on_sphere(state.centre, state.basis, _steps(problem, state))
     centre = np.where(keep, state.centre, moved) if keep.any() else moved
     found = replace(state, centre=centre, basis=tangent_basis(centre), step=keep * state.step)
     return found if problem.rolls is None else put_on_circles(problem, problem.rolls, found, moved)
-
-
-def where_steps_lead(problem: Problem, state: State) -> Array:
-    """Return the directions (n, 3) that steps lead to from the centres."""
-    steps = _steps(problem, state)
-    return step_on_sphere(state.centre, state.basis, steps) if steps.any() else state.centre
 
 
 def _steps(problem: Problem, state: State) -> Array:

@@ -28,7 +28,7 @@ def restate(calibration: Calibration) -> Problem:
     placement = place(c.readings, size, level_sd=float(np.radians(level_sd_deg)))
     shape = c.readings.values.shape
     if c.noise is None:
-        precision = np.tile(1.0 / c.residual_sd**2, (shape[0], 1))
+        precision = np.broadcast_to(1.0 / c.residual_sd**2, shape)
     else:
         precision = precision_of(c.noise, *shape)
     problem = pose(c.model, c.readings, placement, precision)

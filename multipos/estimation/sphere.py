@@ -22,10 +22,9 @@ import numpy as np
 from multipos.estimation.losses import loss, loss_weight
 from multipos.estimation.problem import Point, Problem, State
 from multipos.numerics.arrays import Array
+from multipos.numerics.cofactors import cofactors_of
 from multipos.numerics.rotations import step_on_sphere, tangent_basis
 from multipos.sensor.model import Model
-
-_NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # the other two axes, in cyclic order
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +75,7 @@ class SphereSearch:
 
     def begin(self, state: State) -> Place:
         """Return the place of a state."""
-        step = state.step
-        direction = step_on_sphere(state.centre, state.basis, step) if step.any() else state.centre
+        direction = step_on_sphere(state.centre, state.basis, state.step)
         return self._at(state.theta, self.problem.magnitude * direction.T)
 
     def place(self, state: State, point: Point) -> Place:
@@ -101,7 +99,8 @@ class SphereSearch:
     def point(self, place: Place) -> Point:
         """Return a place as other searches have it."""
         blocks = tuple(
-            (places, place.phi[columns].T) for columns, places in self.problem.model.contributions
+            (places, place.phi.take(columns, axis=0).T)
+            for columns, places in self.problem.model.contributions
         )
         return Point(place.force.T, blocks, place.residuals.T, place.q, place.objective)
 
@@ -110,8 +109,7 @@ class SphereSearch:
         problem = self.problem
         slopes = problem.model.force_jacobian(place.theta, place.force.T, problem.environment)
         G = slopes.transpose(1, 2, 0)
-        upper, lower = G[_NEXT], G[_LAST]
-        cofactors = upper[:, _NEXT] * lower[:, _LAST] - upper[:, _LAST] * lower[:, _NEXT]
+        cofactors = cofactors_of(G)
         determinant = np.einsum("in,in->n", G[0], cofactors[0])
         normal = np.einsum("min,in->mn", cofactors, place.force)
         across = self.variance * normal
@@ -120,7 +118,7 @@ class SphereSearch:
         root = 1.0 / np.sqrt(np.einsum("mn,mn->n", normal, across))
         normal = normal * root
         outputs, columns, copies = problem.model.rows
-        rows = normal[outputs] * place.phi[columns]
+        rows = normal.take(outputs, axis=0) * place.phi.take(columns, axis=0)
         for parameter, output, column in copies:
             rows[parameter] += normal[output] * place.phi[column]
         height = height * root

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from multipos.estimation.batches import force_slopes, model_coefficients
 from multipos.numerics.arrays import Array
+from multipos.numerics.cofactors import cofactors_of
 from multipos.sensor.model import Model
 
-_NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # the other two axes, in cyclic order
 _ITERATIONS = 60
 _DAMPING = 1e-4
 _DECREMENT = 1e-16  # of F, by the next step
@@ -112,8 +112,7 @@ def _objective(residuals: Array, variance: Array) -> Array:
 def linearise(shared: SharedSphere, place: Place, variance: Array) -> Surface:
     """Return the normal equations, eq. (1)."""
     G = force_slopes(shared.model, shared.environment, place.theta, place.force)
-    upper, lower = G[_NEXT], G[_LAST]
-    cofactors = upper[:, _NEXT] * lower[:, _LAST] - upper[:, _LAST] * lower[:, _NEXT]
+    cofactors = cofactors_of(G)
     determinant = np.einsum("ibn,ibn->bn", G[0], cofactors[0])
     normal = np.einsum("mibn,ibn->mbn", cofactors, place.force)
     across = variance * normal
@@ -124,7 +123,7 @@ def linearise(shared: SharedSphere, place: Place, variance: Array) -> Surface:
     across *= root
     height *= root
     outputs, columns, copies = shared.model.rows
-    rows = normal[outputs] * place.phi[columns]
+    rows = normal.take(outputs, axis=0) * place.phi.take(columns, axis=0)
     for parameter, output, column in copies:
         rows[parameter] += normal[output] * place.phi[column]
     rows = np.ascontiguousarray(rows.transpose(1, 0, 2))

@@ -23,7 +23,7 @@ from multipos.estimation.identifiability import (
 )
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Optimum, Problem, State, start_state
-from multipos.estimation.told import told_at
+from multipos.estimation.told import Told, told_at
 from multipos.numerics.arrays import Array
 from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS, Term
@@ -37,8 +37,11 @@ _SCATTER = 0.2  # of one g: a cloud of noise, not a sphere of positions
 WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
 
 
-def search(problem: Problem) -> Optimum:
-    """Return the best optimum over the starts; the second is tried where the first may be poor."""
+def search(problem: Problem) -> tuple[Optimum, Told]:
+    """Return the best optimum over the starts, and what is told there.
+
+    The second start is tried where the first may be poor.
+    """
     best: tuple[State, Optimum] | None = None
     fault: MultiposError | None = None
     wide = bool((problem.orientation_sd[problem.listed] > WIDE).any())
@@ -64,10 +67,10 @@ def search(problem: Problem) -> Optimum:
     if not best[1].converged:
         raise fault or _why_not(problem, *best)
     _require_sphere(problem, best[1])
-    _require_information(problem, best[1])
+    told = _require_information(problem, best[1])
     if np.isinf(problem.orientation_sd).all():  # where lever arms come from the readings themselves
         _require_told(problem, *best)
-    return best[1]
+    return best[1], told
 
 
 def _is_better(found: Optimum, best: Optimum) -> bool:
@@ -140,7 +143,7 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
     size = float(median(np.linalg.norm(optimum.point.residuals, axis=1)))
     nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
     spread = size / _MEDIAN * np.sqrt(len(problem.values) / nu)
-    scatter = spread / max(scale * float(problem.magnitude[0]), 1e-300)
+    scatter = spread / max(scale * float(np.linalg.norm(problem.reference[0])), 1e-300)
     if scatter > _SCATTER:
         raise MultiposError(
             f"the readings scatter by {100.0 * scatter:.0f} % about the ellipsoid that fits them "
@@ -193,18 +196,19 @@ def _is_odd(term: Term, axes: Set[str]) -> bool:
     return sum(f.is_odd for f in term.factors if f.variable in axes) % 2 == 1
 
 
-def _require_information(problem: Problem, optimum: Optimum) -> None:
+def _require_information(problem: Problem, optimum: Optimum) -> Told:
+    """Return what is told at an optimum, where that is every parameter."""
     told = told_at(problem, optimum.state, optimum.point)
     information = reduced_information(told.information, len(problem.model.keys))
-    if np.isfinite(condition(information)):
-        return
-    gains = _candidate_gains(problem, optimum.state.theta)
-    best = CANDIDATES[helpful_positions(information, gains, 2)]
-    require_separable(
-        information,
-        problem.model.names,
-        f"add positions such as {position_words(best)}, or drop a term",
-    )
+    if not np.isfinite(condition(information)):
+        gains = _candidate_gains(problem, optimum.state.theta)
+        best = CANDIDATES[helpful_positions(information, gains, 2)]
+        require_separable(
+            information,
+            problem.model.names,
+            f"add positions such as {position_words(best)}, or drop a term",
+        )
+    return told
 
 
 def reduced_information(full: Array, p: int) -> Array:

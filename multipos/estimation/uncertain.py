@@ -37,7 +37,7 @@ from multipos.estimation.problem import Optimum, Problem, State, state_problem
 from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.solution import Solution
 from multipos.estimation.starts import reduced_information, search, too_few
-from multipos.estimation.told import told_at
+from multipos.estimation.told import Told, told_at
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.open_rolls import across
@@ -101,7 +101,8 @@ def solve_uncertain(
     if isinstance(model, ExpressionModel) and problem.adrift:
         problem, held = _without_free_rotations(problem, gauge)
     nu = _degrees(problem, model)
-    optimum = search(problem)
+    optimum, told = search(problem)
+    searched, reached = problem, optimum
     stated = readings.noise is not None
     loose = not (stated or placement.estimated or problem.has_prior or robust is not None)
     dof: Array | None = None
@@ -116,7 +117,9 @@ def solve_uncertain(
             problem, optimum, nu, stated=stated, estimate_sd=placement.estimated
         )
     worth = replace(worth, warnings=(*held, *worth.warnings))
-    found = _solution(problem, optimum, readings, nu, worth, parts)
+    if problem is not searched or optimum is not reached or problem.robust is not None:
+        told = told_at(problem.plain, optimum.state, optimum.point)
+    found = _solution(problem, optimum, told, readings, nu, worth, parts)
     return found if dof is None else with_degrees(found, problem, optimum, dof)
 
 
@@ -251,6 +254,7 @@ def _require_triad(model: Model) -> None:
 def _solution(
     problem: Problem,
     optimum: Optimum,
+    told: Told,
     readings: Readings,
     nu: float,
     worth: Appraisal,
@@ -258,17 +262,16 @@ def _solution(
 ) -> Solution:
     model, state, point = problem.model, optimum.state, optimum.point
     p, m = len(model.keys), problem.values.shape[1]
-    plain = told_at(problem.plain, state, point)
-    information = reduced_information(plain.information, p)
+    information = reduced_information(told.information, p)
     inverse = np.asarray(np.linalg.inv(information))
     covariance = (inverse + inverse.T) / 2.0 * worth.factor
     u, inflation = np.sqrt(np.diag(covariance)), np.full(p, np.sqrt(worth.factor))
     if worth.u is not None:
         u, inflation = worth.u, worth.u / u
         covariance = covariance * np.outer(inflation, inflation)
-    magnitude = float(np.linalg.norm(problem.reference, axis=1).mean())
-    told = np.isfinite(worth.factor) and worth.factor > 0.0  # 0 where every residual is
-    misfit = point.q / problem.weight / (worth.factor if told else 1.0)
+    magnitude = float(problem.magnitude.mean())
+    sized = np.isfinite(worth.factor) and worth.factor > 0.0  # 0 where every residual is
+    misfit = point.q / problem.weight / (worth.factor if sized else 1.0)
     robust = problem.robust is not None
     precision = (
         problem.precision
@@ -291,7 +294,7 @@ def _solution(
         dof=np.full(m, worth.dof),
         residuals=point.residuals,
         residual_sd=residual_sd,
-        leverage=plain.leverage(inverse),
+        leverage=told.leverage(inverse),
         outliers=find_outlying_positions(
             misfit,
             problem.degrees,

@@ -23,6 +23,7 @@ from multipos.positions.scheme import Scheme, read_scheme
 
 _FIRST_SD = np.radians(0.1)  # where the estimate of an orientation sd starts
 _ONE_G = 0.01  # within which a known force may pass for gravity
+_ANY = (1.0, 0.0, 0.0)  # a direction, where none is known
 _EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no position is known
 
 
@@ -181,13 +182,15 @@ def _references(
     if readings.force is None:
         return reference
     # Of a force in a direction that is unknown the size is left.
-    length = np.linalg.norm(readings.force, axis=1)[:, None] * [1.0, 0.0, 0.0]
+    length = np.linalg.norm(readings.force, axis=1)[:, None] * _ANY
     known = np.where(unknown[:, None], length, readings.force)
     return np.where(readings.forced[:, None], np.sign(size) * known, reference) + 0.0
 
 
 def _directions(readings: Readings, unknown: NDArray[np.bool_], rolls: OpenRolls | None) -> Array:
     """Return up vectors (n, 3), any where a direction is unknown, any of its circle for a roll."""
+    if unknown.all():
+        return np.tile(_ANY, (len(readings), 1))
     up = np.full((len(readings), 3), np.nan) if readings.up is None else readings.up
     if rolls is not None:
         up = np.where(rolls.rows[:, None], across(rolls.vectors), up)
@@ -197,7 +200,7 @@ def _directions(readings: Readings, unknown: NDArray[np.bool_], rolls: OpenRolls
             f"position '{readings.labels[int(np.argmax(missing))]}' has no orientation; give it, "
             "or leave its orientation_sd_deg empty for unknown."
         )
-    return np.where(unknown[:, None], [1.0, 0.0, 0.0], up)
+    return np.where(unknown[:, None], _ANY, up)
 
 
 def _sd_of(readings: Readings, labels: Sequence[str], stated: float | None) -> Array:

@@ -195,7 +195,9 @@ class Model(Result):
     ) -> tuple[Array, tuple[Block, ...]]:
         """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i)."""
         phi = self.basis(force, environment)
-        blocks = tuple((places, phi.T[columns].T) for columns, places in self.contributions)
+        blocks = tuple(
+            (places, phi.T.take(columns, axis=0).T) for columns, places in self.contributions
+        )
         return (self.coefficients(parameters) @ phi.T).T, blocks
 
     def force_jacobian(
