@@ -1,0 +1,138 @@
+"""What is told at a point against sums over dense matrices, by one row a position and by three."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from multipos.estimation.descent import maximise
+from multipos.estimation.likelihood import evaluate, linearise
+from multipos.estimation.problem import Problem, start_state
+from multipos.estimation.sphere import SphereSearch
+from multipos.estimation.told import told_at
+from multipos.numerics.cofactors import cofactors_of
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.inverse import parameter_jacobian
+from multipos.sensor.stating import build_model
+
+N = 40
+ROUNDING = 1e-10  # W of three outputs is the difference of numbers some thousand times as large
+
+
+def a_solution(gauge="lower", *, robust=None, groups=0, sd=np.inf):
+    """Return a problem of a triad, and its optimum from the truth."""
+    rng = np.random.default_rng(7)
+    model = build_model("own-quadratic", ("ax", "ay", "az"), COMPONENTS)
+    if np.isinf(sd):
+        model = model.with_gauge(gauge)
+    up = rng.standard_normal((N, 3))
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    theta = 0.01 * rng.standard_normal(len(model.keys))
+    theta[list(model.own_scales)] += 1.0
+    values = model.predict(theta, up, {}) + 1e-3 * rng.standard_normal((N, 3))
+    problem = Problem(
+        model=model,
+        values=values,
+        environment={},
+        precision=rng.uniform(0.5, 2.0, (N, 3)) * 1e6,
+        reference=up,
+        orientation_sd=np.full(N, sd),
+        group=np.where(np.arange(N) < 2 * groups, np.arange(N) // 2, -1),
+        weight=np.ones(N),
+        groups=groups,
+        robust=robust,
+    )
+    found = maximise(problem, start_state(problem, theta, up))
+    assert found.converged
+    return problem, found
+
+
+def dense(problem, found):
+    """Return A (3n, p + shared) and W (3n, 3n) of a problem, as the likelihood has them."""
+    normal = linearise(problem, found.state, found.point)
+    slopes = parameter_jacobian(problem.model, found.state.theta, found.point.force, {})
+    A = np.concatenate([slopes, normal.shared], axis=2).reshape(3 * N, -1)
+    W = np.zeros((N, 3, N, 3))
+    W[np.arange(N), :, np.arange(N)] = normal.marginal
+    return A, W.reshape(3 * N, 3 * N)
+
+
+CASES = {
+    "unknown": {},
+    "symmetric": {"gauge": "symmetric"},
+    "robust": {"robust": "huber"},
+    "uncertain": {"sd": 0.01},
+    "groups": {"sd": 0.01, "groups": 3},
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_told_is_what_dense_matrices_tell(case):
+    problem, found = a_solution(**CASES[case])
+    assert SphereSearch.fits(problem) == (case in ("unknown", "symmetric", "robust"))
+    told = told_at(problem, found.state, found.point)
+    A, W = dense(problem, found)
+    S = A.T @ W @ A
+    scale = np.sqrt(np.diag(S))
+    assert_allclose(
+        told.information / np.outer(scale, scale), S / np.outer(scale, scale), atol=ROUNDING
+    )
+
+    rng = np.random.default_rng(1)
+    columns, output_of = rng.standard_normal((5, N)), np.array([0, 2, 1, 0, 2])
+    Z = np.zeros((N, 3, 5))
+    Z[:, output_of, np.arange(5)] = columns.T
+    Z = Z.reshape(3 * N, 5)
+    beside = told.beside(columns, output_of)
+    size = np.sqrt(np.diag(Z.T @ W @ Z))
+    assert_allclose(
+        beside.gram / np.outer(size, size), Z.T @ W @ Z / np.outer(size, size), atol=ROUNDING
+    )
+    assert_allclose(
+        beside.cross / np.outer(scale, size), A.T @ W @ Z / np.outer(scale, size), atol=ROUNDING
+    )
+    if problem.robust is None:  # of one that is, others ask the problem without its loss
+        push = (problem.precision * found.point.residuals).ravel()
+        # the search ends within 1e-8 u, so far from J'Σ⁻¹r = 0 is each position
+        assert_allclose(beside.own / scale, A.T @ push / scale, atol=1e-6)
+        assert_allclose(beside.score / size, Z.T @ push / size, atol=1e-6)
+
+    p = len(problem.model.keys)
+    C = np.linalg.inv(S)
+    whole = np.diag(W @ A[:, :p] @ C[:p, :p] @ A[:, :p].T).reshape(N, 3)
+    assert_allclose(told.leverage(C[:p, :p]), whole, atol=1e-8)
+    P = W - W @ A @ C @ A.T @ W
+    assert_allclose(told.projection().reshape(3 * N, -1), P, atol=1e-8 * np.abs(W).max())
+
+
+def test_one_row_a_position_is_what_three_outputs_tell():
+    problem, found = a_solution()
+    general = replace(problem, precision=problem.precision[:, :, None] * np.eye(3))
+    assert SphereSearch.fits(problem)
+    assert not SphereSearch.fits(general)
+    fast = told_at(problem, found.state)
+    slow = told_at(general, found.state)
+    assert_allclose(fast.point.force, found.point.force, atol=1e-14)
+    assert_allclose(fast.point.q, evaluate(general, found.state).q, rtol=1e-9)
+    C = np.linalg.inv(slow.information)
+    assert_allclose(fast.leverage(C), slow.leverage(C), atol=1e-8)
+    assert_allclose(fast.leverage(C).sum(), len(C), rtol=1e-8)  # as many as there are parameters
+
+
+def test_cofactors_are_the_determinant_times_the_inverse():
+    rng = np.random.default_rng(2)
+    G = rng.standard_normal((3, 3, 4, 5))
+    C = cofactors_of(G)
+    determinant = np.linalg.det(G.transpose(2, 3, 0, 1))
+    assert_allclose(
+        np.einsum("kibn,kjbn->bnij", G, C), determinant[..., None, None] * np.eye(3), atol=1e-14
+    )
+
+
+def test_cofactors_of_a_matrix_without_inverse_by_hand():
+    assert cofactors_of(np.arange(1.0, 10.0).reshape(3, 3)).tolist() == [
+        [-3.0, 6.0, -3.0],
+        [6.0, -12.0, 6.0],
+        [-3.0, 6.0, -3.0],
+    ]
