@@ -62,7 +62,8 @@ class _AlongForce:
         sphere = SphereSearch(problem)
         place = sphere.begin(state) if point is None else sphere.place(state, point)
         self.point = sphere.point(place) if point is None else point
-        surface = sphere.linearise(place)
+        with np.errstate(all="ignore"):  # as the search: dh/df may have no inverse somewhere
+            surface = sphere.linearise(place)
         self.information, self.gradient = surface.information, surface.gradient
         self.normal, self.rows, self.height = surface.normal, surface.rows, surface.height
         if problem.robust is not None:
@@ -72,7 +73,7 @@ class _AlongForce:
             )
 
     def beside(self, columns: Array, output_of: NDArray[np.intp]) -> Beside:
-        rows = self.normal[output_of] * columns
+        rows = self.normal.take(output_of, axis=0) * columns
         return Beside(rows @ rows.T, self.rows @ rows.T, self.gradient, rows @ self.height)
 
     def leverage(self, covariance: Array) -> Array:

@@ -266,9 +266,8 @@ def refuse_open_rolls(readings: Readings) -> None:
 def as_used(readings: Readings, orientation_sd: Array) -> Readings:
     """Return readings that say of their positions what was used of them (n,) [rad]."""
     said = readings.orientation_sd
-    if not orientation_sd.any() if said is None else np.array_equal(said, orientation_sd):
-        return readings
-    return replace(readings, orientation_sd=orientation_sd)
+    same = not orientation_sd.any() if said is None else np.array_equal(said, orientation_sd)
+    return readings if same else replace(readings, orientation_sd=orientation_sd)
 
 
 def _without_orientation(readings: Readings, scheme: object) -> Readings:
