@@ -1,6 +1,7 @@
 """The rests of one or several logs together: their labels, their faults, their positions."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -9,9 +10,10 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.logs.averages import Averages, RestAverage
+from multipos.logs.common_noise import settle_together
 from multipos.logs.log_faults import differ_in_unit
 from multipos.logs.matching import Match, match_rests
-from multipos.logs.rest_faults import compare_scales, find_faults, find_stuck
+from multipos.logs.rest_faults import common_noise, compare_scales, find_faults, find_stuck
 from multipos.logs.rests import Rest
 from multipos.logs.still import Still, StillLog
 from multipos.positions.attitudes import Convention
@@ -128,6 +130,7 @@ def complete(
     wrong: Sequence[str],
 ) -> Averages:
     """Return the averages of the rests, matched to a scheme, with all that is to be said."""
+    chosen = _settled(chosen)
     match, labels, unseen = _matched(chosen, scheme, convention)
     stills = [each.still for each in chosen]
     faults, general = _faults(logs, stills, labels)
@@ -137,6 +140,7 @@ def complete(
     distances = None if match is None else match.distance_deg.tolist()
     rests = _rests(chosen, labels, faults, distances, timed=timed)
     left = _by_log(logs, lambda log: log.warnings)
+    together = common_noise(logs[0].outputs, [still.found for still in stills])
     return Averages(
         source=", ".join(log.log.source for log in logs),
         outputs=logs[0].outputs,
@@ -144,11 +148,23 @@ def complete(
         scheme_up=None if match is None or scheme is None else scheme.up[match.rows],
         sample_rate=_common([log.rate for log in logs]),
         threshold=_common([log.threshold for log in logs]),
-        warnings=(*left, *wrong, *unseen, *_own(rests), *general),
+        warnings=(*left, *wrong, *unseen, *together, *_own(rests), *general),
         notes=_by_log(logs, lambda log: (*log.notes, *_short_note(log))),
         short=_short(logs),
         unit=_unit(logs),
     )
+
+
+def _settled(chosen: Sequence[Chosen]) -> list[Chosen]:
+    """Return the rests with the u that all of them together ask for."""
+    rates = [each.log.rate for each in chosen]
+    rate = [1.0 if None in rates else (each or 1.0) for each in rates]
+    lengths = np.array([each.still.found.n for each in chosen]) / rate
+    found = settle_together([each.still.found for each in chosen], lengths)
+    return [
+        each._replace(still=replace(each.still, found=new))
+        for each, new in zip(chosen, found, strict=True)
+    ]
 
 
 def _faults(

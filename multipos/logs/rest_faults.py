@@ -163,8 +163,26 @@ def _output_faults(
     return notes + _settled(output, j, each)
 
 
+def common_noise(outputs: Sequence[str], found: Sequence[RestMean]) -> list[str]:
+    """Say where all rests together show that means do not settle."""
+    ratio = np.array([each.common for each in found])
+    names = [f"'{outputs[j]}'" for j in np.flatnonzero((ratio > 1.0).any(axis=0)).tolist()]
+    if not names:
+        return []
+    raised = ratio[ratio > 1.0]
+    low, high = f"{raised.min():.2g}", f"{raised.max():.2g}"
+    times = low if low == high else f"{low} to {high}"
+    said = (
+        f"the rests together show slow noise in {', '.join(names)}, so that means do not settle: u "
+        f"is {times} times what the scatter of samples says"
+    )
+    return [said]
+
+
 def _settled(output: str, j: int, each: RestMean) -> list[str]:
     """Say where a mean does not settle, or rests on few independent samples."""
+    if each.common[j] > 1.0:  # which is said once, of all rests
+        return []
     if each.wander[j] > 1.0:
         said = (
             f"'{output}' wanders: its Allan deviation does not fall as that of noise does, and u "

@@ -52,6 +52,9 @@ _SMALLEST = np.finfo(np.float64).tiny
 _TOGETHER = 64  # rests whose means are worked out at once
 _ROWS = 32  # rows whose spectra stay in the processor's cache
 _EDGE = 10  # an edge is a tenth of a rest
+COSINES = 8  # that are kept of a rest
+_BLOCKS = 64  # whose sums are as good as batches to them
+_COSINES = np.cos(np.pi * np.outer(np.arange(_BLOCKS) + 0.5, np.arange(1, COSINES + 1)) / _BLOCKS)
 # Parts of a rest that eq. (3) averages over, and the degrees of freedom of their Allan variances
 # for white noise, which are about as many as they overlap.
 _PARTS = ((64, 80.0), (32, 40.0), (16, 20.0), (8, 11.6), (4, 4.2))
@@ -84,6 +87,11 @@ class RestMean(Result):
         Degrees of freedom of u.
     wander : array
         How many times the u of eq. (1) that of eq. (3) is, where the rest wanders, else 1.
+    cosines : (M, 8) array
+        Squares of its slowest cosines, over their mean if its samples were independent.
+    common : array
+        How many times the u of eq. (1) the u is by what all rests of a log have in common, else 1
+        (`multipos.logs.common_noise`).
     """
 
     n: int
@@ -100,6 +108,8 @@ class RestMean(Result):
     longest: Counts
     dof: Array
     wander: Array
+    cosines: Array
+    common: Array
 
     @property
     def effective(self) -> Array:
@@ -138,6 +148,7 @@ def _means_of_some(sums: Sequence[RestSum]) -> list[RestMean]:
 
     sd, u, drift_u = np.sqrt(variance), np.sqrt(u2), np.sqrt(12.0 * around / count)
     edge = _edge(phases, count, around)
+    cosines = _cosines(phases, count, variance / n)
     return [
         RestMean(
             n=each.n,
@@ -154,6 +165,8 @@ def _means_of_some(sums: Sequence[RestSum]) -> list[RestMean]:
             longest=each.longest,
             dof=dof[i],
             wander=wander[i],
+            cosines=cosines[i],
+            common=np.ones_like(sd[i]),
         )
         for i, each in enumerate(sums)
     ]
@@ -339,3 +352,11 @@ def _edge(phases: Array, count: Counts, density: Array) -> Array:
     off = np.maximum(np.abs(first), np.abs(last)) / tenth
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.where(density > 0.0, off / np.sqrt(density / tenth), 0.0))
+
+
+def _cosines(phases: Array, count: Counts, square: Array) -> Array:
+    """Return the squared cosines (R, M, 8) of rests over their mean if u² is `square` (R, M)."""
+    ends = np.rint(count * (np.arange(_BLOCKS + 1) / _BLOCKS)).astype(np.intp)  # (R, 65)
+    sums = np.diff(np.take_along_axis(phases, ends[:, None, :], axis=2), axis=2)
+    scale = count[:, :, None] ** 2 * np.where(square > 0.0, square, 1.0)[:, :, None]
+    return np.asarray(2.0 * (sums @ _COSINES) ** 2 / scale)

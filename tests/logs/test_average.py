@@ -317,6 +317,8 @@ def a_rest(**changes):
         longest=count,
         dof=99.0 * one,
         wander=one,
+        cosines=np.ones((1, 8)),
+        common=one,
     )
     new = {name: np.full_like(getattr(plain, name), value) for name, value in changes.items()}
     return replace(plain, **new)
