@@ -131,6 +131,8 @@ def _outliers(
             model.outputs,
             readings.labels,
             found.sd,
+            design=phi,
+            columns=model.columns,
         )
     assert found.sd is not None  # what is stated, with the scatter beside it
     more = found.sd.ravel() ** 2 - np.diag(noise)

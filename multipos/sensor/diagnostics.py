@@ -6,17 +6,9 @@ Studentised residuals: with the leverage h_k and residual degrees of freedom ν,
 
 t_k follows Student's t with ν − 1 degrees of freedom [1]_; a position is an outlier where it
 passes the 1 % point divided by the number of readings (Bonferroni). Where some rows are noisier
-than others, all outputs together, that names them too often. So with σ² the variance that N
-readings have without the g that pass, q_k a row's sum of r² over its M outputs, and t the density
-of M normal numbers whose common variance is v d/χ²_d, what passes is named as it is where
-
-    −½ (N − g)(ln 2πσ² + 1) − Σ ln 2N|r|  >  max Σ_k ln t(q_k; d, v) − 2,  d ≥ 5,           (2)
-
-an outlier lying anywhere within ±|r|. Elsewhere it must pass the same point beside its own row,
-
-    r² (d + M − 1)/(d v + q_k − r²),    t² on d + M − 1 degrees of freedom,                 (3)
-
-d and v of the other rows.
+than others, all outputs together, that names them too often. So, where there are two outputs and
+eight degrees of freedom of each to tell, what passes must also be beyond that point by the p value
+of `multipos.sensor.unlike_rows`, whose rows may be alike or not.
 
 Linearity of an output against its own reference: with the least-squares line through the
 readings and its span S from −1 to +1 g (where forces are known, to the largest), the largest
@@ -42,12 +34,11 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result
 from multipos.sensor.model import Model
 from multipos.sensor.term_tests import ModelTest
+from multipos.sensor.unlike_rows import p_values
 
 UNEQUAL = 0.05  # level at which outputs are called unequally noisy
 OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named
-_IN_DOUBT = 2.0  # of a logarithm, within which an outlier is named all the same
-_ROWS_TOLD = 12  # from which on rows tell that they are unlike
-_LEAST_D = 5.0  # of eq. (2): heavier tails would hide what sticks out of noisy rows
+_ROWS_TOLD = 8.0  # degrees of freedom of an output, from which on rows tell that they are unlike
 
 
 class Claim(NamedTuple):
@@ -108,6 +99,9 @@ def find_outliers(
     outputs: Sequence[str],
     labels: Sequence[str],
     sd: Array | None = None,
+    *,
+    design: Array,
+    columns: Sequence[NDArray[np.intp]],
 ) -> tuple[str, ...]:
     """Name the positions whose studentised residual, eq. (1), is beyond chance.
 
@@ -119,6 +113,8 @@ def find_outliers(
     outputs, labels : names of the columns and rows
     sd : (n, M) array, optional
         Stated standard uncertainty of each reading; all are alike if not given.
+    design : (n, K) array
+    columns : of every output, which columns of the design its terms are
     """
     nu = np.asarray(dof, dtype=np.float64)
     error = residuals if sd is None else residuals / sd
@@ -136,8 +132,11 @@ def find_outliers(
             if not _is_outlier(float(sizes[place]), float(nu[column]), residuals.size):
                 break  # and none that is smaller is beyond chance
             beyond.append((column, int(suspects[place])))
-    if beyond and judged.all() and (left > 1e-9).all():
-        beyond = _beyond_unlike_rows(r2, beyond)
+    if beyond and error.shape[1] > 1 and judged.all() and nu.min() >= _ROWS_TOLD:
+        weighed = [design[:, own] for own in columns]
+        if sd is not None:
+            weighed = [each / sd[:, [m]] for m, each in enumerate(weighed)]
+        beyond = _beyond_unlike_rows(error, leverage, weighed, beyond)
     return tuple(
         f"position {labels[row]}: {outputs[column]} is off by {residuals[row, column]:.3g}, "
         f"{np.sqrt(r2[row, column]):.1f} times its standard deviation"
@@ -145,42 +144,19 @@ def find_outliers(
     )
 
 
-def _beyond_unlike_rows(r2: Array, beyond: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return the outputs and rows that are beyond chance where rows are unlike, eqs. (2), (3)."""
-    n, m = r2.shape
-    if m < 2 or n < _ROWS_TOLD:
+def _beyond_unlike_rows(
+    errors: Array, leverage: Array, designs: Sequence[Array], beyond: list[tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """Return the outputs and rows that are beyond chance even if rows are unlike."""
+    columns, rows = zip(*beyond, strict=True)
+    questioned = np.zeros(errors.shape, dtype=np.bool_)
+    questioned[rows, columns] = True
+    p = p_values(errors, leverage, designs, questioned)
+    if p is None:
         return beyond
-    columns, rows = (list(places) for places in zip(*beyond, strict=True))
-    passing = r2[rows, columns]
-    kept = r2.size - len(passing)
-    variance = float(r2.sum() - passing.sum()) / kept
-    if variance <= 0.0:
-        return beyond
-    alone = -0.5 * kept * (math.log(2.0 * math.pi * variance) + 1.0)
-    alone -= float(np.log(2.0 * r2.size * np.sqrt(passing)).sum())
-    q = r2.sum(axis=1)
-    if alone > _law_of_rows(q, m)[0] - _IN_DOUBT:
-        return beyond
-    _, d, v = _law_of_rows(np.delete(q, rows), m)
-    found = []
-    for (column, row), own in zip(beyond, passing.tolist(), strict=True):
-        t = math.sqrt(own * (d + m - 1.0) / (d * v + float(q[row]) - own))
-        if t_tail(t, d + m - 1.0) < OUTLIER_LEVEL / r2.size:
-            found.append((column, row))
-    return found
-
-
-def _law_of_rows(q: Array, m: int) -> tuple[float, float, float]:
-    """Return the largest logarithm of the likelihood of eq. (2), and its d and v."""
-    best = (-math.inf, 0.0, 0.0)
-    v = np.geomspace(0.02, 4.0, 30)  # the mean of r² is one
-    for d in np.geomspace(_LEAST_D, 100.0, 12).tolist():
-        constant = math.lgamma((d + m) / 2.0) - math.lgamma(d / 2.0)
-        shape = constant - 0.5 * m * np.log(math.pi * d * v)
-        log = len(q) * shape - 0.5 * (d + m) * np.log1p(q / (d * v[:, None])).sum(axis=1)
-        top = int(np.argmax(log))
-        best = max(best, (float(log[top]), d, float(v[top])))
-    return best
+    level = OUTLIER_LEVEL / errors.size
+    places = np.argwhere(questioned)[p < level].tolist()
+    return [(column, row) for row, column in places]
 
 
 def _is_outlier(r2: float, nu: float, readings: int) -> bool:
@@ -203,7 +179,7 @@ def find_correlated_outliers(
 
     With the covariance C, a shift of reading i alone is seen best by (Baarda's data snooping)
 
-        w_i = (C⁻¹ r)_i / √Q_ii,    Q = C⁻¹ − C⁻¹ X (X' C⁻¹ X)⁻¹ X' C⁻¹,                   (4)
+        w_i = (C⁻¹ r)_i / √Q_ii,    Q = C⁻¹ − C⁻¹ X (X' C⁻¹ X)⁻¹ X' C⁻¹,                   (2)
 
     of variance one where the reading is sound; r'C⁻¹r on its degrees of freedom scales it, as in
     eq. (1). Where C is diagonal both are the same.
