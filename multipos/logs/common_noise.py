@@ -57,6 +57,7 @@ _APART = 1e-3  # chance at which a rest is so far beyond the median that it take
 _WALK, _LOWER = 1.0, 2.0  # of the log likelihood, that a walk and α below 1 must explain more
 _MEMORIES = np.geomspace(3.0, 100.0, 12)  # κ: of a memory up to a tenth of a rest
 _RATIOS = np.geomspace(0.03, 1e4, 80)  # A/α
+_STEP = float(np.log(_RATIOS[1] / _RATIOS[0])) / sqrt(12.0)  # what lies between two of them
 _STRETCH = 16.0  # rest lengths, to whose mean u is told
 _NOTHING = 1e-9  # of the slow cosines, below which the others are rounding
 _BLOCKS = 128  # enough for integrals over a rest
@@ -219,6 +220,7 @@ def _most_likely(rows: Array, length: Array) -> tuple[Law, float]:
             weight = np.exp(logs - logs[best]) * _RATIOS  # of A, even in A
             weight /= weight.sum()
             spread = sqrt(float(weight @ (amplitude - weight @ amplitude) ** 2))
+            spread = max(spread, _STEP * float(amplitude[best]))
             law = Law(bool(walk), float(floor[best]), float(amplitude[best]), spread)
             found.append((law, float(logs[best]) - cost - walk * _WALK))
     return max(found, key=lambda each: each[1])

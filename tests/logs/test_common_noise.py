@@ -160,3 +160,13 @@ def test_a_log_says_once_that_its_means_do_not_settle():
     u = found.readings.u
     assert (u > 3.0 * 1e-3 / math.sqrt(500)).all()
     assert (found.readings.dof < 499).all()
+
+
+def test_the_law_of_very_many_rests_is_known_no_better_than_its_grid():
+    mean = 1.0 + common_noise._shapes()[0]
+    rows = np.random.default_rng(6).chisquare(1, (20_000, 1, 8)) * mean
+    law = common_noise.find_law(rows, np.ones((20_000, 1), dtype=bool), np.ones(20_000))
+    assert law is not None
+    assert not law.walk
+    assert law.amplitude == pytest.approx(1.0, rel=0.2)  # nodes are 17 % apart
+    assert law.spread == pytest.approx(0.05 * law.amplitude, rel=0.1)  # a step over √12
