@@ -163,10 +163,10 @@ def _quantity_table(budget: Evaluation, tr: Translator) -> PageTable:
 
 
 def _treatment(row: Row, tr: Translator) -> str:
-    """Return what becomes of a quantity: added, or as far as the scatter does not hold it."""
+    """Return what becomes of a quantity: added, unless the scatter holds it."""
     if row.contained.all():
         return tr("in the scatter")
-    return tr("partly in the scatter") if row.held.any() else tr("added")
+    return tr("added")
 
 
 def _contribution_table(c: Calibration, budget: Evaluation, tr: Translator) -> PageTable:

@@ -158,7 +158,8 @@ class StatedBudget(Keyed):
     rows : tuple of mappings
         Its lines, evaluated.
     scatter : (p, p) array or None
-        Covariance that the readings themselves contribute; None in files that do not say it.
+        Covariance that the readings give before common causes are taken out of their residuals;
+        None in files that do not say it.
     """
 
     tables: Mapping[str, Mapping[str, Any]]

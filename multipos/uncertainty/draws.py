@@ -36,13 +36,20 @@ class Draws:
         self.n, self.m = c.readings.values.shape
         self.quantities = _quantities_to_draw(c)
         self.model_readings = c.model.predict(c.parameters, c.reference, c.readings.environment)
-        scatter = [row for row in evaluate_budget(c).rows if row.quantity == "readings"]
+        budget = evaluate_budget(c)
+        scatter = [row for row in budget.rows if row.quantity == "readings"]
+        self.dof = budget.cleared.dof
         self.joint = len(scatter) == 1 and self.m > 1
         self.spread, self.level, self.spread_dof = np.zeros(self.n), 0.0, math.inf
         if not c.estimator.exact:
             self._take_from_likelihood()
         else:
             self.noise = _noise_root(c, sum(row.covariance for row in scatter))
+
+    @property
+    def dof_of_parameters(self) -> Array:
+        """Degrees of freedom (p,) of the noise that is drawn, of the output of each parameter."""
+        return np.asarray(np.append(self.dof, self.dof.sum())[self.c.model.output_of])
 
     def _take_from_likelihood(self) -> None:
         """Take noise and sds of positions from the likelihood of the fit."""
@@ -136,7 +143,7 @@ class Draws:
         else:
             drawn *= self.noise
         noise = drawn.reshape(trials, self.n, self.m)
-        for output, dof in enumerate(self.c.dof.tolist()):
+        for output, dof in enumerate(self.dof.tolist()):
             if math.isfinite(dof) and (output == 0 or not self.joint):
                 scale = np.sqrt(dof / self.rng.chisquare(dof, trials))[:, None]
                 if self.joint:

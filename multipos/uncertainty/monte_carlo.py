@@ -168,7 +168,7 @@ def simulate_budget(
     solve = estimator or _own_estimator(c)
     draw = Draws(c, generator)
     delta = numerical_tolerance(c.u, digits)
-    exists = np.where(c.dof_of_outputs > 2.0, 1.0, math.nan)
+    exists = np.where(draw.dof_of_parameters > 2.0, 1.0, math.nan)
     one_by_one = estimator is None and not _is_product(c)
     size = _FEW if one_by_one and trials is not None else _BLOCK
     blocks = _blocks(solve, draw, trials or _MOST, size, progress)

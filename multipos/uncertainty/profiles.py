@@ -236,7 +236,7 @@ def _likelihood_interval(c: Calibration, index: int) -> Interval:
 
 def _scatter_of(c: Calibration, index: int) -> float:
     """Return u of a parameter without what a budget added to it."""
-    rows = (row for row in evaluate_budget(c).rows if row.evaluation == "A")
+    rows = (row for row in evaluate_budget(c, {}).rows if row.evaluation == "A")
     return math.sqrt(sum(float(row.covariance[index, index]) for row in rows))
 
 

@@ -10,10 +10,9 @@ Independent ones (placement, resolution) scatter the residuals, so where the noi
 from residuals they are in the first rows already: listed, not added again (JCGM 100, 4.3.10).
 
 A common quantity scatters the residuals too, as far as the model cannot follow it: a table that is
-not level does so at positions of several headings. With dy the move of the readings and
-r = dy − X G dy what the fit leaves of it, the residual variance s² of an output on ν degrees of
-freedom holds h = |r|² u(x)²/ν of it, and so do the first rows, h/s² of them. That part of (1) is
-not added again. The degrees of freedom of the sum are Welch's and Satterthwaite's,
+not level does so at positions of several headings. What occurred of it is told from its pattern
+and taken out of the first rows (`multipos.uncertainty.common_causes`), so that (1) is added in
+full. The degrees of freedom of the sum are Welch's and Satterthwaite's,
 
     ν_eff = u_c⁴ / sum_x (u_x⁴ / ν_x).                                                      (2)
 
@@ -32,11 +31,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import LARGEST, Array
-from multipos.positions.stated_noise import diagonal
 from multipos.results import Drawn, Result, Tabular, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
-from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.budgets import (
     OF_FORCE_ALONE,
     Budget,
@@ -44,9 +41,8 @@ from multipos.uncertainty.budgets import (
     Quantity,
     read_budget,
 )
-from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
-
-_SECOND_ORDER = 1e-3  # of the residual variance: a gain moves readings with their noise
+from multipos.uncertainty.common_causes import Cleared, clear_scatter
+from multipos.uncertainty.sensitivities import parameter_effects
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +62,6 @@ class Row(Result):
         Whether it is the same in every repeated calibration.
     contained : (p,) bool array
         Where the scatter of the residuals holds it already, so that it is not added.
-    held : (p,) array
-        What part of its variance the residuals hold, 1 where it is contained.
     sensitivity : (p,) array
         Of each parameter, per `unit`; the root sum of squares where the quantity has several
         independent components. NaN for the readings.
@@ -84,7 +78,6 @@ class Row(Result):
     dof: Array
     common: bool
     contained: NDArray[np.bool_]
-    held: Array
     sensitivity: Array
     covariance: Array
 
@@ -96,16 +89,25 @@ class Row(Result):
     @property
     def added(self) -> Array:
         """What enters the sum: the covariance (p, p) without what is contained elsewhere."""
-        left = np.sqrt(1.0 - self.held)
-        return np.asarray(np.outer(left, left) * self.covariance)
+        return np.where(np.logical_or.outer(self.contained, self.contained), 0.0, self.covariance)
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation(Result, Drawn, Tabular):
-    """A budget evaluated for one calibration: its rows, and their sum."""
+    """A budget evaluated for one calibration: its rows, and their sum.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+    names : tuple of p str
+        Of the parameters.
+    cleared : Cleared
+        What common causes leave of the scatter of the residuals, which is the first rows.
+    """
 
     rows: tuple[Row, ...]
     names: tuple[str, ...]
+    cleared: Cleared
 
     @cached_property
     def covariance(self) -> Array:
@@ -221,14 +223,7 @@ def evaluate_budget(
     ('level', 'B')
     """
     require(calibration, Calibration)
-    own = read_budget(calibration.budget_tables)
-    stated = own if budget is None else read_budget(budget)
-    gain = estimator_gain(calibration)
-    before = [_row(calibration, gain, quantity) for quantity in _quantities(calibration, own)]
-    scatter = _scatter(calibration, before)
-    variance = np.asarray(sum(np.diag(row.covariance) for row in scatter))
-    rows = [_row(calibration, gain, q, variance) for q in _quantities(calibration, stated)]
-    return Evaluation((*scatter, *rows), calibration.names)
+    return _evaluate(calibration, budget)[0]
 
 
 def state_budget(calibration: Calibration, budget: "BudgetSource | Budget") -> Calibration:
@@ -259,14 +254,27 @@ def state_budget(calibration: Calibration, budget: "BudgetSource | Budget") -> C
     """
     require(calibration, Calibration)
     stated = read_budget(budget)
-    found = evaluate_budget(calibration, stated)
-    scatter = sum(row.covariance for row in found.rows if row.evaluation == "A")
+    found, scatter = _evaluate(calibration, stated)
     return replace(
         calibration,
         covariance=found.covariance,
         parameter_dof=found.dof,
-        budget=StatedBudget(stated.tables, tuple(budget_rows(found)), np.asarray(scatter)),
+        budget=StatedBudget(stated.tables, tuple(budget_rows(found)), scatter),
     )
+
+
+def _evaluate(c: Calibration, budget: "BudgetSource | Budget | None") -> tuple[Evaluation, Array]:
+    """Return the budget, and the covariance (p, p) by the scatter that nothing was taken out of."""
+    own = read_budget(c.budget_tables)
+    stated = own if budget is None else read_budget(budget)
+    gain = estimator_gain(c)
+    scatter = _scatter(c, [_row(c, gain, quantity) for quantity in _quantities(c, own)])
+    quantities = _quantities(c, stated)
+    cleared = clear_scatter(c, gain, quantities)
+    rows = [_row(c, gain, quantity) for quantity in quantities]
+    first = [_without_causes(c, row, cleared) for row in scatter]
+    whole = np.asarray(sum(row.covariance for row in scatter))
+    return Evaluation((*first, *rows), c.names, cleared), whole
 
 
 def budget_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
@@ -280,7 +288,6 @@ def budget_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
             "unit": row.unit,
             "common": row.common,
             "contained": bool(row.contained.all()),
-            "held": dict(zip(evaluation.names, row.held.tolist(), strict=True)),
             "dof": float(row.dof.min()),
             "sensitivity": None
             if row.evaluation == "A"
@@ -325,7 +332,6 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
             dof=np.where(block, dof, np.inf),
             common=False,
             contained=np.zeros(len(dof), bool),
-            held=np.zeros(len(dof)),
             sensitivity=np.full(len(dof), math.nan),
             covariance=np.where(np.outer(block, block), rest, 0.0),
         )
@@ -343,10 +349,25 @@ def _blocks(c: Calibration, covariance: Array) -> list[NDArray[np.bool_]]:
     return [output_of == i for i in range(len(c.outputs))]
 
 
-def _row(
-    calibration: Calibration, gain: Array, quantity: Quantity, scatter: Array | None = None
-) -> Row:
-    """Return the row of a quantity; `scatter` (p,) is the variance that the first rows give."""
+def _without_causes(c: Calibration, row: Row, cleared: Cleared) -> Row:
+    """Return a row of the readings without what common causes left in their residuals."""
+    if (cleared.ratio == 1.0).all():
+        return row
+    told = np.isfinite(c.dof) & (c.dof > 0.0)
+    kept = np.divide(cleared.dof, c.dof, out=np.ones(len(c.dof)), where=told)
+    by_output = np.array([np.sqrt(cleared.ratio), kept])
+    shared = by_output.mean(axis=1, keepdims=True)  # by all outputs
+    factor, kept = np.hstack([by_output, shared])[:, c.model.output_of]
+    return replace(
+        row,
+        text="scatter of the residuals but for common causes",
+        dof=row.dof * kept,
+        covariance=row.covariance * np.outer(factor, factor),
+    )
+
+
+def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
+    """Return the row of a quantity."""
     c, kind = calibration, quantity.kind
     effects = parameter_effects(c, gain, quantity)
     estimated = np.isfinite(c.dof)
@@ -354,12 +375,6 @@ def _row(
     if quantity.name == "orientation" and not c.estimator.exact:
         contained[:] = True  # it is part of that likelihood
     contained &= not (kind.common or kind.shared)
-    covariance = effects @ effects.T * quantity.u**2
-    held = contained.astype(np.float64)
-    if scatter is not None and _is_in_residuals(c, quantity):
-        part = _held(c, gain, quantity) * scatter
-        own = np.diag(covariance)
-        held = np.minimum(np.divide(part, own, out=np.zeros_like(own), where=own > 0.0), 1.0)
     return Row(
         quantity=quantity.name,
         text=kind.text,
@@ -370,30 +385,6 @@ def _row(
         dof=np.full(len(c.parameters), quantity.dof),
         common=kind.common,
         contained=contained,
-        held=held,
         sensitivity=effects[:, 0] if effects.shape[1] == 1 else np.linalg.norm(effects, axis=1),
-        covariance=covariance,
+        covariance=effects @ effects.T * quantity.u**2,
     )
-
-
-def _is_in_residuals(c: Calibration, quantity: Quantity) -> bool:
-    """Tell whether residuals may hold part of a common quantity."""
-    return quantity.kind.common and c.estimator.exact and quantity.name != "gravity"
-
-
-def _held(c: Calibration, gain: Array, quantity: Quantity) -> Array:
-    """Return h/s² (p,): the part of the residual variance that a common quantity makes up."""
-    n, m = c.readings.values.shape
-    moves = reading_moves(c, quantity).reshape(n * m, -1)
-    X = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment)
-    left = (moves - X.reshape(n * m, -1) @ (gain @ moves)).reshape(n, m, -1)
-    hidden = np.einsum("nmq,nmq->m", left, left) * quantity.u**2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = np.mean(c.sd_of_readings**2, axis=0)
-        stated = np.zeros(m)
-        if c.weighed and c.readings.noise is not None:  # what is stated hides nothing
-            stated = np.mean(diagonal(c.readings.noise).reshape(n, m), axis=0)
-        share = np.minimum(hidden / c.dof, variance - stated) / variance
-    told = np.isfinite(c.dof) & (share > _SECOND_ORDER)  # NaN is not told
-    share = np.where(told, share, 0.0)
-    return np.repeat(share, [len(terms) for terms in c.model.terms])

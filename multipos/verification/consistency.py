@@ -234,7 +234,8 @@ def _quadratic(values: Array, covariances: Array) -> float:
 
 def _families(found: Sequence[Calibration]) -> list[_Family]:
     """Return the parameters grouped by what scatter they are judged by."""
-    covariances = np.array([evaluate_budget(c).independent for c in found])
+    budgets = [evaluate_budget(c) for c in found]
+    covariances = np.array([budget.independent for budget in budgets])
     output_of, count = found[0].model.output_of, found[0].outputs
     apart = all(
         is_apart(c, covariance, output_of) for c, covariance in zip(found, covariances, strict=True)
@@ -250,8 +251,10 @@ def _families(found: Sequence[Calibration]) -> list[_Family]:
         )
     families = []
     for group, name, mine in zip(groups, names, outputs, strict=True):
-        dof = np.array([c.dof[mine[0]] for c in found])
-        variances = np.array([_scatter(c, mine) for c in found])
+        cleared = [budget.cleared for budget in budgets]
+        dof = np.array([left.dof[mine[0]] for left in cleared])
+        ratio = np.array([left.ratio[mine].mean() for left in cleared])
+        variances = ratio * [_scatter(c, mine) for c in found]
         variances = np.where(np.isinf(dof), 1.0, variances)  # NaN without degrees of freedom
         block = covariances[:, group][:, :, group]
         positive = np.where(variances > 0.0, variances, math.nan)
