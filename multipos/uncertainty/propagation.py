@@ -250,7 +250,7 @@ def state_budget(calibration: Calibration, budget: "BudgetSource | Budget") -> C
     >>> cal = mp.demo().calibration
     >>> level = mp.state_budget(cal, {"level": {"u_deg": 0.1}})
     >>> round(float(level["bias_ax"].u / cal["bias_ax"].u), 2)
-    1.19
+    1.56
     """
     require(calibration, Calibration)
     stated = read_budget(budget)
