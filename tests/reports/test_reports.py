@@ -132,7 +132,7 @@ def test_numbers_of_the_budget(calibration):
     section = build_content(calibration).sections[2]
     lines, contributions = section.tables
     assert [row[0] for row in lines.rows] == [
-        "scatter of the residuals",
+        "scatter of the residuals but for common causes",
         "local gravity",
         "level of the table, two axes",
         "gain of the ADC or voltmeter",
