@@ -32,6 +32,7 @@ _WINDOW = 1.0  # [s]
 _WINDOW_SAMPLES = 96  # where the sample rate is not known
 _SMALLEST_BLOCK = 2
 _SHORTEST = 2  # windows in a rest
+_LONGEST = 1e9  # [s], whose samples can still be counted at any rate
 _MANY = 1024  # arrays, each of which costs more than the few numbers in it
 
 # The histogram of log10 s.
@@ -96,8 +97,10 @@ def choose_grid(rate: float | None, min_duration: float | None) -> Grid:
         return Grid(block, _SHORTEST * BLOCKS * block)
     if rate is None:
         raise UsageError("--min-duration is in seconds; give --rate or --time-column as well.")
-    if not 0.0 < min_duration < np.inf:
-        raise UsageError(f"--min-duration must be above 0, got {min_duration:g}.")
+    if not 0.0 < min_duration <= _LONGEST:
+        raise UsageError(
+            f"--min-duration must be above 0, up to {_LONGEST:g} s, got {min_duration:g}."
+        )
     shortest = max(round(rate * min_duration), _SMALLEST_BLOCK * BLOCKS)
     block = min(round(rate * _WINDOW), shortest) // BLOCKS
     return Grid(max(_SMALLEST_BLOCK, block), shortest)

@@ -193,6 +193,7 @@ def test_a_log_without_rest_says_so(samples, message):
         (1e308, None, r"--rate must be above 0, from 1e-12 to 1e\+07 Hz"),
         (1e-300, None, "--rate must be above 0, from 1e-12"),
         (100.0, -1.0, "--min-duration must be above 0"),
+        (100.0, 1e308, r"--min-duration must be above 0, up to 1e\+09 s, got 1e\+308"),
     ],
 )
 def test_impossible_sizes(rate, duration, message):
