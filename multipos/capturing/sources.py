@@ -157,7 +157,8 @@ def _replay(source: RowSource, columns: Names | None, speed: float) -> Iterator[
         if not opened:
             yield Arrival(log, table[:, :_HEAD_ROWS], [])
             opened = True
-        at_once = _AT_ONCE if not speed else max(1, round(source.rate * speed * MOMENT))
+        wanted = source.rate * speed * MOMENT if speed else _AT_ONCE
+        at_once = round(min(max(wanted, 1.0), _AT_ONCE))
         for start in range(0, table.shape[1], at_once):
             part = table[:, start : start + at_once]
             while speed and (ahead := begun + sent / (source.rate * speed) - time.monotonic()) > 0:

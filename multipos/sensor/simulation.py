@@ -33,6 +33,7 @@ from multipos.units import gravity_ratio
 
 _TREMBLE = 0.03  # [g], standard deviation of each component while a hand turns the case
 _LARGEST = 200_000_000  # samples
+_SLOWEST, _FASTEST = 1e-12, 1e7  # [Hz], as of the logs that are read
 
 
 class Simulation(Columns):
@@ -137,15 +138,19 @@ def simulate_log(
     (['time', 'ax', 'ay', 'az'], 1700)
     """
     require(calibration, Calibration)
-    for option, value, lowest in (("--rate", rate, 0.0), ("--rest", rest, 0.0)):
-        if not lowest < value < math.inf:
-            raise UsageError(f"{option} must be above 0, got {value:g}.")
+    if not _SLOWEST <= rate <= _FASTEST:
+        raise UsageError(
+            f"--rate must be above 0, from {_SLOWEST:g} to {_FASTEST:g} Hz, got {rate:g}."
+        )
+    if not 0.0 < rest < math.inf:
+        raise UsageError(f"--rest must be above 0, got {rest:g}.")
     for option, value in (("--turn", turn), ("--correlation-time", correlation_time)):
         if not 0.0 <= value < math.inf:
             raise UsageError(f"{option} must be 0 or more, got {value:g}.")
     rng = np.random.default_rng(seed)
     known = read_scheme(scheme)
-    still, moving = max(round(rest * rate), 1), round(turn * rate)
+    most = 2.0 * _LARGEST  # so that what is infinite can be counted
+    still, moving = max(round(min(rest * rate, most)), 1), round(min(turn * rate, most))
     if len(known) * (still + moving) > _LARGEST:
         raise UsageError(f"the log would have more than {_LARGEST} samples; lower --rate.")
     standing, environment = _session(calibration, known, orientation_sd, temperature, rng)
@@ -191,7 +196,7 @@ def _surroundings(
         for name in calibration.model.environment
     }
     if temperature is not None:
-        if len(temperature) != 2 or not np.isfinite(temperature).all():
+        if len(temperature) != 2 or not (np.abs(temperature) <= LARGEST).all():
             raise UsageError("--temperature takes the first and the last temperature, as 20,40.")
         columns["temperature"] = np.linspace(temperature[0], temperature[1], count)
     return columns

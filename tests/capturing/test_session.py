@@ -426,6 +426,14 @@ def test_rows_by_udp(log, tmp_path):
     assert len(session.accepted) == 3
 
 
+def test_a_speed_beyond_all_numbers_is_as_fast_as_it_goes(log):
+    fast, fastest = (
+        [a.columns for a in open_source(f"replay:{log}:{speed}").arrivals(None)]
+        for speed in ("0", "1e308")
+    )
+    np.testing.assert_array_equal(np.hstack(fastest), np.hstack(fast))
+
+
 @pytest.mark.parametrize(
     ("source", "said"),
     [

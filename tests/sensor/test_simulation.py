@@ -149,8 +149,12 @@ def test_command_writes_what_python_gives(tmp_path, capsys):
         (["--orientation-sd", "180"], "below 180 degrees, got 180"),
         (["--temperature", "20"], "--temperature takes the first and the last"),
         (["--log", "--rate", "0"], "--rate must be above 0"),
+        (["--log", "--rate", "1e-308"], "--rate must be above 0, from 1e-12 to 1e+07 Hz"),
+        (["--log", "--rest", "1e308"], "the log would have more than 200000000 samples"),
+        (["--log", "--turn", "1e308"], "the log would have more than 200000000 samples"),
+        (["--temperature", "1e308,-1e308"], "--temperature takes the first and the last"),
         (["--log", "--turn", "-1"], "--turn must be 0 or more"),
-        (["--log", "--rate", "1e9"], "more than 200000000 samples"),
+        (["--log", "--rate", "1e7"], "more than 200000000 samples"),
         (["--seed", "-1"], "--seed must be 0 or more"),
     ],
 )
