@@ -22,6 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from multipos.errors import MultiposError
 from multipos.estimation.likelihood import evaluate, linearise, respond
 from multipos.estimation.problem import Problem, State, standing, start_state
 from multipos.estimation.restatement import restate
@@ -55,22 +56,32 @@ def estimator_gain(calibration: Calibration) -> Array:
     if noise is not None and noise.ndim == 2:
         whitener = np.linalg.inv(np.linalg.cholesky(noise))
         Q, R = np.linalg.qr(whitener @ design)
-        return np.asarray(np.linalg.solve(R, Q.T @ whitener))
+        return _solved(R, Q.T @ whitener)
     sd = np.ones(n * m) if noise is None else np.sqrt(noise)
     if isinstance(c.model, ExpressionModel) and (c.model.shared or c.model.beliefs.any()):
         return _tied_gain(c, design, np.tile(c.residual_sd, n) if noise is None else sd)
     result = np.zeros((design.shape[1], n * m))
     for output, part in enumerate(c.model.slices):  # block by block: the outputs are independent
         Q, R = np.linalg.qr(design[output::m, part] / sd[output::m, None])
-        result[part, output::m] = np.linalg.solve(R, Q.T) / sd[output::m]
+        result[part, output::m] = _solved(R, Q.T) / sd[output::m]
     return result
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:  # a file may say what no fit has found
+        raise MultiposError(
+            "the positions of this calibration do not determine its parameters, so that nothing "
+            "follows from its readings; fit again."
+        ) from None
 
 
 def _tied_gain(c: Calibration, design: Array, sd: Array) -> Array:
     """Return G of eq. (1) where priors or shared parameters tie the outputs."""
     weighted = design / sd[:, None] ** 2
     information = weighted.T @ design + np.diag(c.model.beliefs)
-    return np.asarray(np.linalg.solve(information, weighted.T))
+    return _solved(information, weighted.T)
 
 
 def gravity_effect(calibration: Calibration) -> Array:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.model import Model
@@ -27,8 +27,11 @@ class Nominal(NamedTuple):
 
 def read_nominal(given: Sequence[float]) -> Nominal:
     """Return a nominal conversion, refusing one that converts nothing."""
-    if len(given) != 2 or not np.isfinite(given).all() or given[1] == 0.0:
-        raise UsageError("--nominal takes BIAS,SCALE in reading units, with a scale that is not 0.")
+    if len(given) != 2 or not (np.abs(given) <= LARGEST).all() or given[1] == 0.0:
+        raise UsageError(
+            "--nominal takes BIAS,SCALE in reading units, with a scale that is not 0, and no more "
+            f"than {LARGEST:g}."
+        )
     return Nominal(float(given[0]), float(given[1]))
 
 

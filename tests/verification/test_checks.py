@@ -227,6 +227,7 @@ def test_bad_input(tmp_path, capsys, calibration):
     fails(capsys, [*start, "--limit-deg", "1e155"], 2, "above 0 and at most 1e+40")
     fails(capsys, [*start, "--nominal", "1"], 2, "--nominal takes BIAS,SCALE")
     fails(capsys, [*start, "--nominal", "1,0"], 2, "scale that is not 0")
+    fails(capsys, [*start, "--nominal", "0,1e308"], 2, "no more than 1e+40")
     fails(capsys, [*start, "--reading-sd", "1,2"], 2, "--reading-sd takes 1 or 3 values")
     fails(capsys, [*start, "--range", "-2,2"], 1, "row 2", "'az'", "7")
     path.write_text("ax,ay,az\n1,0,0\n")
