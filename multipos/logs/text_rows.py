@@ -53,7 +53,7 @@ def _without_comments(lines: list[str], first: int, content: str, width: int) ->
     quotes = '"' in content and any(line.count('"') % 2 for line in lines)
     # A row has a character for every cell and separator; shorter ones may be empty lines.
     short = min(map(len, lines), default=0) < 2 * width - 1
-    if short or any(mark in content for mark in COMMENTS):
+    if short or any(mark in content for mark in COMMENTS) or any(map(str.isspace, lines)):
         kept = [i for i, line in enumerate(lines) if is_row(line)]
         numbers = [first + i for i in kept]
         lines = [lines[i] for i in kept]

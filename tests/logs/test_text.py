@@ -409,3 +409,14 @@ def test_numbers_that_no_sensor_gives_do_not_end_the_search_for_gravity(tmp_path
     np.savetxt(tmp_path / "log.csv", rows, delimiter=",")
     with pytest.raises(mp.UsageError, match="6 columns could be outputs"):
         mp.average(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("mark", [" ", "\t", ",", ";"])
+def test_a_long_line_of_blanks_is_no_row(mark, tmp_path):
+    # As long as a row, so that its length does not tell.
+    rows = [mark.join(f"{x:.6f}" for x in (0.01 * k, 0.01, 0.02, 1.0)) for k in range(200)]
+    path = tmp_path / "bare.log"
+    path.write_text("\n".join([*rows[:90], " " * 60, *rows[90:]]) + "\n", encoding="utf-8")
+    (piece,) = open_log(path, columns="time,ax,ay,az").read(("ax", "time"))
+    assert piece.table.rows == len(piece.lines()) == 200
+    np.testing.assert_allclose(piece.table.columns["time"], 0.01 * np.arange(200), atol=1e-12)
