@@ -42,7 +42,7 @@ from multipos.sensor.model import Model
 _COARSE = 20  # bits of the coefficients that multiply without rounding
 _SPLIT = 26  # bits of the design that they multiply
 _WORST = 1e6  # condition beyond which the cofactor needs more than double precision
-_ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
+ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
 _STEPS = 30  # of the compensation: three gain what the model's curvature costs
 _XTOL = 1e-15  # [g], where a step is only rounding
 _SINGULAR = 1e-8  # determinant of A'A, its rows of length one, below which A is not inverted
@@ -164,7 +164,7 @@ def estimate_batch(
         parameters[:, model.slices[i]] = b
         residuals.append(r)
         squares[i] = np.einsum("bn,bn->b", r, r)
-        sound &= squares[i] > _ROUNDING**2 * np.einsum("bn,bn->b", y, y)
+        sound &= squares[i] > ROUNDING**2 * np.einsum("bn,bn->b", y, y)
     dof = np.array([n - design.shape[1] for design in shared.designs], dtype=np.float64)
     variance = squares / dof[:, None]
     if pool:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.batches import (
+    ROUNDING,
     Estimates,
     compensated,
     join_estimates,
@@ -68,7 +69,6 @@ from multipos.sensor.diagnostics import find_outlying_positions
 from multipos.sensor.model import Model
 
 _AT_ONCE = 1500  # readings of an output, so that what they need stays small
-_ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
 _WORST = 1e-8  # eigenvalue of the scaled information below which a fit is doubted for it
 _LOUD = 0.01  # of a scale factor: noise or U from which on a unit is looked at
 
@@ -200,7 +200,7 @@ def _estimate(
         [values[:, :, i] @ inverse.T for i, inverse in enumerate(shared.inverses)], axis=1
     )
     start = place_at(model, listed, values, theta, np.zeros((count, n, 2)))
-    least = _ROUNDING**2 * np.einsum("bni,bni->b", values, values)
+    least = ROUNDING**2 * np.einsum("bni,bni->b", values, values)
     sound &= np.einsum("bni,bni->b", *[start.residuals] * 2) > least
     place, ended = search(model, listed, values, start, noise)
     sound &= ended

@@ -15,7 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.batches import Estimates, SharedDesign, fit_output, join_estimates, rms_of
+from multipos.estimation.batches import (
+    ROUNDING,
+    Estimates,
+    SharedDesign,
+    fit_output,
+    join_estimates,
+    rms_of,
+)
 from multipos.estimation.losses import Loss, loss_slope, loss_weight
 from multipos.estimation.problem import RELATIVE_NOISE
 from multipos.estimation.robust_search import Ended, Linear, search_linear
@@ -26,7 +33,6 @@ from multipos.numerics.medians import median
 from multipos.numerics.quantiles import chi2_quantile
 
 _AT_ONCE = 12_000  # readings of an output, so that what a step needs stays in the cache
-_ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
 _HUBER: Loss = "huber"  # under which the noise is found, whatever the loss
 
 
@@ -80,7 +86,7 @@ def _fit(design: Array, inverse: Array, cofactor: Array, y: Array, name: Loss) -
     n, p = design.shape
     b, r = fit_output(design, inverse, y)
     linear = Linear(design, b, r)
-    sound = np.einsum("bn,bn->b", r, r) > _ROUNDING**2 * np.einsum("bn,bn->b", y, y)
+    sound = np.einsum("bn,bn->b", r, r) > ROUNDING**2 * np.einsum("bn,bn->b", y, y)
     spread = np.mean((y - y.mean(axis=1, keepdims=True)) ** 2, axis=1)
     variance = np.tile(RELATIVE_NOISE**2 * spread[:, None], n)
     ended = search_linear(linear, np.zeros_like(b), variance, np.flatnonzero(sound), _HUBER)
@@ -91,10 +97,9 @@ def _fit(design: Array, inverse: Array, cofactor: Array, y: Array, name: Loss) -
         ended = search_linear(linear, ended.moves, variance, np.flatnonzero(sound), name)
         sound = ended.converged
         q = ended.residuals**2 / variance
-    degrees = np.ones(n)
-    weight = loss_weight(name, q, degrees)
+    weight = loss_weight(name, q, linear.degrees)
     counted = np.maximum(weight.sum(axis=1) - p, 1.0)
-    factor = huber_factors(q, degrees, weight, loss_slope(name, q, degrees), counted)
+    factor = huber_factors(q, linear.degrees, weight, loss_slope(name, q, linear.degrees), counted)
     u = np.sqrt(cofactor * (variance[:, 0] * factor)[:, None])
     return _Worth(b + ended.moves, u, counted, ended.residuals, r, sound)
 

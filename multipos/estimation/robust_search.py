@@ -30,6 +30,7 @@ _DECREMENT = 1e-14  # of F, by the next step
 _XTOL = 1e-13  # relative step that is only rounding
 _ROUNDING = 1e-8  # of F: what rounding can do
 _LAST_STEPS = 2  # where it does, towards where the slope of F vanishes
+_ALONE = np.zeros(1, dtype=np.intp)  # the one unit of a batch of one
 
 Places = NDArray[np.intp]
 
@@ -217,6 +218,3 @@ def search_alone(problem: Problem, state: State) -> Optimum:
         float(ended.last_step[0]),
         float(np.sqrt(max(ended.decrement[0], 0.0))),
     )
-
-
-_ALONE = np.zeros(1, dtype=np.intp)  # the one unit of a batch of one

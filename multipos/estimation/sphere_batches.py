@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.batches import (
+    ROUNDING,
     Estimates,
     compensated,
     join_estimates,
@@ -53,7 +54,6 @@ _SHOWN = 1e-5  # eigenvalue of the scaled quadric's information below which it m
 _ROUND = 0.01  # squared ratio of semi-axes below which the ellipsoid may not be one
 _WORST = 1e-8  # eigenvalue of the scaled information below which a fit is doubted for it
 _TOLD = 200.0  # of the readings: information beyond which no noise hides a parameter
-_ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
 
 
 def share_sphere(
@@ -139,7 +139,7 @@ def _estimate(shared: SharedSphere, values: Array, claims: Claims | None) -> Est
     place, sound = found.place, found.sound & (np.abs(found.place.theta).max(axis=1) <= LARGEST)
     sound &= (place.theta[:, list(model.own_scales)] > 0.0).all(axis=1)
     squares = np.einsum("mbn,mbn->b", place.residuals, place.residuals)
-    sound &= squares > _ROUNDING**2 * np.einsum("mbn,mbn->b", values, values)
+    sound &= squares > ROUNDING**2 * np.einsum("mbn,mbn->b", values, values)
     force = place.force.transpose(1, 2, 0)
     left = compensated(
         model,

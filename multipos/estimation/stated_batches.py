@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.estimation.batches import (
+    ROUNDING,
     Estimates,
     SharedDesign,
     fit_output,
@@ -33,7 +34,6 @@ from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array
 
 _AT_ONCE = 12_000  # readings of an output, so that what they need stays small
-_ROUNDING = 1e-9  # residuals below this part of the readings are left to the fit of one unit
 _TURNS = 2  # of eq. (1), the second for what the first one rounded
 
 
@@ -96,7 +96,7 @@ def _estimate(
     designs = zip(shared.designs, shared.inverses, values, strict=True)
     plain = [fit_output(design, inverse, y) for design, inverse, y in designs]
     for (_, r), y in zip(plain, values, strict=True):
-        sound &= np.einsum("bn,bn->b", r, r) > _ROUNDING**2 * np.einsum("bn,bn->b", y, y)
+        sound &= np.einsum("bn,bn->b", r, r) > ROUNDING**2 * np.einsum("bn,bn->b", y, y)
     first = _weigh(factors, plain, floor)
     residuals = np.stack([r for _, r in first], axis=2)
     found = find_scatter(shared.designs, residuals, floor, pool=pool)

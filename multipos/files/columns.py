@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.whole import reading
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, places_of_kinds
 
 _PIECE = 1 << 22  # bytes
 _LINE = 1 << 16  # bytes in which the end of a line is looked for at a time
@@ -226,13 +226,11 @@ def spread_cells(
         for piece in one.pieces:
             lines = np.array(_rows_of(one.raw, piece), dtype=np.object_)
             mine = kinds[piece.first : piece.first + len(lines)]
-            order = np.argsort(mine, kind="stable")
-            ends = np.searchsorted(mine[order], np.arange(count + 1))
-            for kind in np.flatnonzero(np.diff(ends)).tolist():
+            for kind, places in places_of_kinds(mine, count):
                 start = stream.tell()
-                stream.write(_joined_lines(lines[order[ends[kind] : ends[kind + 1]]]))
+                stream.write(_joined_lines(lines[places]))
                 pieces[kind].append(_Piece(start, stream.tell(), rows[kind]))
-                rows[kind] += int(ends[kind + 1] - ends[kind])
+                rows[kind] += len(places)
     raw = FileBytes(path, "copy of a table")
     return lambda kind: {
         name: Cells(raw, pieces[kind], rows[kind], each.place, each.mark)

@@ -23,6 +23,7 @@ from multipos.fleets.grouping import Grouped, Places
 from multipos.fleets.labels import Labels
 from multipos.fleets.parquet import is_in_file, spread_parquet
 from multipos.fleets.sources import Rows
+from multipos.numerics.arrays import places_of_kinds
 
 _PIECE = 1_500_000  # rows of a piece, if nothing that is read together has more
 
@@ -138,19 +139,13 @@ def _gather(
 ) -> tuple[Rows, Grouped]:
     """Return the rows of a piece, which stand at these places, and its units."""
     of_table = np.searchsorted(rows.starts, mine, side="right") - 1
-    by_table = np.argsort(of_table, kind="stable")
-    ends = np.searchsorted(of_table[by_table], np.arange(len(rows.tables) + 1))
+    by_table = list(places_of_kinds(of_table, len(rows.tables)))
     tables = [
-        _arranged(
-            rows.tables[place],
-            mine[by_table[ends[place] : ends[place + 1]]] - rows.starts[place],
-            copied[place],
-            piece,
-        )
-        for place in np.flatnonzero(np.diff(ends)).tolist()
+        _arranged(rows.tables[i], mine[places] - rows.starts[i], copied[i], piece)
+        for i, places in by_table
     ]
     order = np.empty(len(mine), dtype=np.intp)
-    order[by_table] = np.arange(len(mine))
+    order[np.concatenate([places for _, places in by_table])] = np.arange(len(mine))
     return rows.of_tables(tables), replace(units, order=order)
 
 

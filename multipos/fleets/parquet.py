@@ -20,6 +20,7 @@ from multipos.files.tables import Column, Table
 from multipos.files.whole import first_bytes
 from multipos.fleets.labels import Labels, joined_labels
 from multipos.logs.extras import require_extra
+from multipos.numerics.arrays import places_of_kinds
 
 _BATCH = 500_000  # rows that are copied at a time
 _BUFFER = 1 << 20  # bytes of a column that are read ahead
@@ -139,11 +140,8 @@ def spread_parquet(
             if writer is None:
                 writer = opened.enter_context(parquet.ParquetWriter(path, batch.schema))
             mine = kinds[start : start + len(batch)]
-            order = np.argsort(mine, kind="stable")
-            ends = np.searchsorted(mine[order], np.arange(count + 1))
             table = ArrowTable.from_batches([batch])
-            for kind in np.flatnonzero(np.diff(ends)).tolist():
-                rows = order[ends[kind] : ends[kind + 1]]
+            for kind, rows in places_of_kinds(mine, count):
                 writer.write_table(table.take(rows), row_group_size=len(rows))
                 groups[kind][written] = len(rows)
                 written += 1

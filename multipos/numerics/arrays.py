@@ -1,4 +1,7 @@
-"""The array that every signature speaks of, how large its numbers may be, and rows as keys."""
+"""The array that every signature speaks of, how large its numbers may be, and rows by kind."""
+
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,6 +10,16 @@ Array = NDArray[np.float64]
 
 SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
 LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
+
+
+def places_of_kinds(
+    kinds: NDArray[np.integer[Any]], count: int
+) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Yield the kinds from 0 to count that there are, and where each stands, rising."""
+    order = np.argsort(kinds, kind="stable")
+    ends = np.searchsorted(kinds[order], np.arange(count + 1))
+    for kind in np.flatnonzero(np.diff(ends)).tolist():
+        yield kind, order[ends[kind] : ends[kind + 1]]
 
 
 def row_keys(rows: Array) -> list[bytes]:
