@@ -12,10 +12,10 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.logs.rests import FASTEST, SLOWEST
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.numerics.medians import median
+from multipos.numerics.sample_rates import FASTEST, SLOWEST
 from multipos.positions.column_names import unit_of
 
 TimeUnit = Literal["s", "ms", "us", "ns"]

@@ -23,11 +23,11 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import Array
+from multipos.numerics.sample_rates import require_rate
 
 BLOCKS = 8  # of a window
 LARGEST_SAMPLE = 1e15  # no sensor counts so far, and sums of squares are far from overflow
 PIECE = 1 << 13  # samples at a time: what stays in the processor's cache is fast
-SLOWEST, FASTEST = 1e-12, 1e7  # [Hz]
 _WINDOW = 1.0  # [s]
 _WINDOW_SAMPLES = 96  # where the sample rate is not known
 _SMALLEST_BLOCK = 2
@@ -87,10 +87,8 @@ def choose_grid(rate: float | None, min_duration: float | None) -> Grid:
     UsageError
         `min_duration` without `rate`, or either out of range.
     """
-    if rate is not None and not SLOWEST <= rate <= FASTEST:
-        raise UsageError(
-            f"--rate must be above 0, from {SLOWEST:g} to {FASTEST:g} Hz, got {rate:g}."
-        )
+    if rate is not None:
+        require_rate(rate)
     if min_duration is None:
         samples = _WINDOW_SAMPLES if rate is None else rate * _WINDOW
         block = max(_SMALLEST_BLOCK, round(samples / BLOCKS))

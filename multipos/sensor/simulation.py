@@ -26,6 +26,7 @@ from multipos.errors import UsageError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.recursions import recur
+from multipos.numerics.sample_rates import require_rate
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Columns, require
 from multipos.sensor.calibration import Calibration
@@ -33,7 +34,6 @@ from multipos.units import gravity_ratio
 
 _TREMBLE = 0.03  # [g], standard deviation of each component while a hand turns the case
 _LARGEST = 200_000_000  # samples
-_SLOWEST, _FASTEST = 1e-12, 1e7  # [Hz], as of the logs that are read
 
 
 class Simulation(Columns):
@@ -138,10 +138,7 @@ def simulate_log(
     (['time', 'ax', 'ay', 'az'], 1700)
     """
     require(calibration, Calibration)
-    if not _SLOWEST <= rate <= _FASTEST:
-        raise UsageError(
-            f"--rate must be above 0, from {_SLOWEST:g} to {_FASTEST:g} Hz, got {rate:g}."
-        )
+    require_rate(rate)
     if not 0.0 < rest < math.inf:
         raise UsageError(f"--rest must be above 0, got {rest:g}.")
     for option, value in (("--turn", turn), ("--correlation-time", correlation_time)):
