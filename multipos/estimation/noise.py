@@ -6,8 +6,10 @@
 - Where orientation errors share the blame for the residuals, noise is integrated over
   (`multipos.estimation.placed_scatter`), alone or together with the orientation sd.
 
-The degrees of freedom are nu = sum m_k − (parameters and shared unknowns), with m_k = M outputs
-at a position, less two where nothing is known of its orientation.
+Where every position is unknown, what is not stated of the noise may be unequal from axis to axis
+(`multipos.estimation.unequal_axes`). The degrees of freedom are nu = sum m_k − (parameters and
+shared unknowns), with m_k = M outputs at a position, less two where nothing is known of its
+orientation.
 """
 
 from dataclasses import dataclass, replace
@@ -53,6 +55,7 @@ class Appraisal:
     u: Array | None = None  # (p,), where it is not the root of the covariance times the factor
     weight: Array | None = None  # (n,) of each position under a robust loss
     claim: Claim | None = None  # of the stated noise, where there is one
+    loose: Array | None = None  # (n, M), share of variances in which axes may be unequal
 
 
 Found = tuple[Problem, Optimum, Appraisal]

@@ -3,7 +3,9 @@
 A unit starts on the ellipsoid of its readings (`multipos.estimation.ellipsoid`) and searches from
 there. Where nothing is stated of the noise, the end of the search has with S and F of eq. (1) there
 
-    cov = S⁻¹ F/ν,    ν = n − p.                                                            (1)
+    cov = S⁻¹ F/ν,    ν = n − p,                                                            (1)
+
+and u allows for axes of unequal noise (`multipos.estimation.unequal_axes`).
 
 A stated noise is a floor: what readings scatter beside it, τ², is integrated over
 (`multipos.estimation.placed_posteriors`) and searched on from, in turn until it settles, as
@@ -42,6 +44,7 @@ from multipos.estimation.sphere_search import (
     place_at,
     search,
 )
+from multipos.estimation.unequal_axes import allow_for_axes
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array
 from multipos.numerics.medians import median
@@ -131,6 +134,10 @@ def _estimate(shared: SharedSphere, values: Array, claims: Claims | None) -> Est
     chi2 = None
     if claims is None:
         inverse = _inverse(surface.information)
+        loose = np.moveaxis(surface.normal**2, 0, 1)
+        inverse = inverse._replace(
+            matrix=allow_for_axes(surface.rows, surface.height, loose, inverse.matrix)
+        )
         u = np.sqrt(np.einsum("bpp->bp", inverse.matrix) * factor[:, None])
         found = _Worth(place, u, np.full(len(u), nu), sound & inverse.sound)
     else:
@@ -190,10 +197,15 @@ def _beside_stated(
     except np.linalg.LinAlgError:  # some unit is as good as singular
         nothing = np.full(place.theta.shape, np.nan)
         return _Worth(place, nothing, nothing[:, 0], np.zeros_like(sound))
-    information = linearise(shared, found.place, found.noise.variance).information
+    surface = linearise(shared, found.place, found.noise.variance)
+    inverse = _inverse(surface.information)
+    scatter = found.noise.variance - np.moveaxis(floor, 2, 0)
+    loose = np.moveaxis(surface.normal**2 * np.maximum(scatter, 0.0), 0, 1)
+    wider = allow_for_axes(surface.rows, surface.height, loose, inverse.matrix)
     u = standard_uncertainty(found.U, np.broadcast_to(found.dof[:, None], found.U.shape))
+    u = u * np.sqrt(np.einsum("bpp->bp", wider) / np.einsum("bpp->bp", inverse.matrix))
     dof = carried_jointly(found.dof, claims, before)
-    return _Worth(found.place, u, dof, found.sound & _inverse(information).sound)
+    return _Worth(found.place, u, dof, found.sound & inverse.sound)
 
 
 def _along(surface: Surface) -> Normals:

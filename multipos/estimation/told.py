@@ -21,6 +21,7 @@ from multipos.estimation.likelihood import assemble, evaluate, linearise, respon
 from multipos.estimation.losses import loss_weight
 from multipos.estimation.problem import Point, Problem, State
 from multipos.estimation.sphere import SphereSearch
+from multipos.estimation.unequal_axes import allow_for_axes
 from multipos.numerics.arrays import Array
 
 
@@ -48,6 +49,12 @@ class Told(Protocol):
     def projection(self) -> Array:
         """Return W − W A S⁻¹ A'W (n, M, n, M)."""
 
+    def allow_for_axes(self, inverse: Array, loose: Array) -> Array:
+        """Return S⁻¹ (p, p) as axes of unequal noise leave it, where nothing is known of positions.
+
+        `loose` (n, M) is the share of the variance of a reading that nobody has stated.
+        """
+
 
 def told_at(problem: Problem, state: State, point: Point | None = None) -> Told:
     """Return what is told at a state; the model is evaluated there unless its point is given."""
@@ -66,6 +73,7 @@ class _AlongForce:
             surface = sphere.linearise(place)
         self.information, self.gradient = surface.information, surface.gradient
         self.normal, self.rows, self.height = surface.normal, surface.rows, surface.height
+        self.precision = problem.precision
         if problem.robust is not None:
             root = np.sqrt(loss_weight(problem.robust, place.q, problem.degrees))
             self.normal, self.rows, self.height = (
@@ -87,6 +95,10 @@ class _AlongForce:
         m = self.normal.T
         return np.asarray(m[:, :, None, None] * left[:, None, :, None] * m)
 
+    def allow_for_axes(self, inverse: Array, loose: Array) -> Array:
+        share = self.normal.T**2 / self.precision * loose
+        return _allow_for_axes(self.rows, self.height, share, inverse)
+
 
 class _Everywhere:
     """Of any problem, by the marginal weights W of every position."""
@@ -98,6 +110,9 @@ class _Everywhere:
         self.marginal = normal.marginal
         self.push = weigh(problem.precision, self.point.residuals)
         self.p = len(state.theta)
+        triad = problem.precision.ndim == 2 and problem.values.shape[1] == 3
+        self.unknown = triad and not problem.shared and bool(problem.unknown.all())
+        self.precision = problem.precision
 
     def beside(self, columns: Array, output_of: NDArray[np.intp]) -> Beside:
         p, end = self.p, self.p + len(columns)
@@ -129,3 +144,23 @@ class _Everywhere:
         result = (-WA @ respond(self.information, WA.T)).reshape(n, m, n, m)
         result[np.arange(n), :, np.arange(n)] += self.marginal
         return result
+
+    def allow_for_axes(self, inverse: Array, loose: Array) -> Array:
+        if not self.unknown:
+            return inverse
+        # W = m m', and so each position is one row here too
+        largest = np.argmax(np.einsum("nmm->nm", self.marginal), axis=1)[:, None, None]
+        m = np.take_along_axis(self.marginal, largest, axis=2)[:, :, 0]
+        m = m / np.sqrt(np.take_along_axis(m, largest[:, :, 0], axis=1))
+        rows = np.zeros((self.p, len(m)))
+        for output, (places, slopes) in enumerate(self.point.blocks):
+            rows[places] += m[:, output] * slopes.T
+        height = np.einsum("nm,nm->n", m, self.point.residuals)
+        return _allow_for_axes(rows, height, m**2 / self.precision * loose, inverse)
+
+
+def _allow_for_axes(rows: Array, height: Array, loose: Array, inverse: Array) -> Array:
+    if not np.square(height).any():  # nothing is left that could differ
+        return inverse
+    found = (rows, height, loose.T, inverse)
+    return np.asarray(allow_for_axes(*(np.asarray(each)[None] for each in found))[0])

@@ -116,6 +116,9 @@ def solve_uncertain(
         problem, optimum, worth = judge_noise(
             problem, optimum, nu, stated=stated, estimate_sd=placement.estimated
         )
+        if nu > 0 and problem.unknown.all() and problem.precision.ndim == 2:
+            share = problem.precision / searched.precision if stated else 0.0 * problem.precision
+            worth = replace(worth, loose=np.maximum(1.0 - share, 0.0))
     worth = replace(worth, warnings=(*held, *worth.warnings))
     if problem is not searched or optimum is not reached or problem.robust is not None:
         told = told_at(problem.plain, optimum.state, optimum.point)
@@ -264,11 +267,12 @@ def _solution(
     p, m = len(model.keys), problem.values.shape[1]
     information = reduced_information(told.information, p)
     inverse = np.asarray(np.linalg.inv(information))
-    covariance = (inverse + inverse.T) / 2.0 * worth.factor
-    u, inflation = np.sqrt(np.diag(covariance)), np.full(p, np.sqrt(worth.factor))
-    if worth.u is not None:
-        u, inflation = worth.u, worth.u / u
-        covariance = covariance * np.outer(inflation, inflation)
+    inverse = (inverse + inverse.T) / 2.0
+    formal = np.sqrt(np.diag(inverse))
+    covariance = inverse if worth.loose is None else told.allow_for_axes(inverse, worth.loose)
+    own = np.sqrt(np.diag(covariance))
+    u = np.sqrt(worth.factor) * own if worth.u is None else worth.u * (own / formal)
+    covariance = covariance * np.outer(u / own, u / own)
     magnitude = float(problem.magnitude.mean())
     sized = np.isfinite(worth.factor) and worth.factor > 0.0  # 0 where every residual is
     misfit = point.q / problem.weight / (worth.factor if sized else 1.0)
@@ -290,7 +294,7 @@ def _solution(
         parameters=state.theta,
         covariance=covariance,
         parameter_dof=np.full(p, worth.dof),
-        inflation=inflation,
+        inflation=u / formal,
         dof=np.full(m, worth.dof),
         residuals=point.residuals,
         residual_sd=residual_sd,

@@ -190,7 +190,7 @@ def _diagnostics(found: Mapping[str, Any]) -> Diagnostics:
         doubts=tuple(map(read_doubt, found.get("doubts", ()))),
         model_tests=tuple(map(model_test_from_dict, found.get("model_tests", ()))),
         hidden=tuple(found.get("hidden", ())),
-        claim=Claim(**claim) if (claim := found.get("claim")) else None,
+        claim=Claim(claim["chi2"], claim["dof"]) if (claim := found.get("claim")) else None,
     )
 
 

@@ -208,7 +208,7 @@ def _kept(case: Case) -> set[str]:
     """What a live recording may leave where it fails, as a refused target loses no readings."""
     if not _is_live(case) or not case.output or case.output == "-":
         return set()
-    own = PurePath(case.output)
+    own = PurePath(os.path.normpath(case.output))
     if not own.name:
         return set()
     endings = (".csv", ".json", ".html", ".c", ".params", ".parm", ".yaml", ".txt", ".md")

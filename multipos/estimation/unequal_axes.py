@@ -1,0 +1,191 @@
+"""Axes of unequal noise, of which nothing is stated: what unknown orientations are then worth.
+
+Where nothing is known of any position of a triad, a position is one number r, what is left along
+the normal m of `multipos.estimation.sphere`, and the noise e of that number is made of those of
+three axes. With c_kj the share of axis j in it where all axes are alike, s_j how much more there
+is of it, c_k0 the share of what is stated (s_0 = 1), the rows a = A'm and S = sum a a',
+
+    Var e_k = sum_j s_j c_kj,     p − p₀ = S⁻¹ sum a e,     Cov p = sum_j s_j K_j,          (1)
+    K_j = S⁻¹ (sum c_kj a a') S⁻¹,     V_kj = (1 − 2h_k) c_kj + a_k'K_j a_k,                (2)
+
+h = a'S⁻¹a, and sum_j s_j V_kj is the variance of r_k. Readings tell the ratios of the s_j badly:
+that axes are alike is seldom refuted, and U that believes it holds too few of the parameters that
+hang on one axis. So ratios are integrated over. With v_k = sum_j s_j V_kj, the weights w = 1 − h,
+whose sum is the degrees of freedom ν, and q = sum w r²/v / ν, their likelihood is
+
+    ln L = −½ sum w ln v − ½ ν ln q,                                                         (3)
+
+that of residuals taken for independent, and of a size common to all axes integrated over. Given
+the ratios, a parameter is Student's t_ν of variance q Cov p, and U is that of their mixture at
+95 %: S⁻¹ F/ν and t_ν where axes are alike. The logarithms of the s_j are normal about each other
+beforehand, by a factor e² of a standard deviation, and the mixture is a sum over a lattice about
+the most likely ratios, to some 3 % of U. docs/studies/orientation-errors.md has what it covers.
+
+Source: C. Varin, N. Reid, D. Firth, Statistica Sinica 21, 2011 (likelihoods of parts).
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from multipos.numerics.arrays import Array
+
+_SPREAD = 4.0  # sd of ln s beforehand: seldom is an axis 50 times as noisy as another
+_STEPS = 12  # of scoring
+_NEAR = 0.03  # a step of ln s after which it ends: nodes are weighed, wherever they stand
+_LONGEST = 2.0  # step of ln s
+_ALONE = 1e-9  # 1 − h below which a position is held by its own parameter and says nothing
+_COVERAGE = 0.95  # at which U is taken
+_MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
+_ANGLES = 4096  # of the table of Student's t
+_SETTLED = 1e-9  # relative change of U
+
+# Coordinates x of the ratios, ln s = x AXES: that of what is stated is 0, and so is the sum.
+_AXES = np.array([[0.0, 1.0, -1.0, 0.0], [0.0, 1.0, 1.0, -2.0]]) / np.sqrt([[2.0], [6.0]])
+# A hexagonal lattice in units of their standard deviations, whose sums are integrals: 19 nodes.
+_STEP, _RADIUS = 1.5, 3.0
+_SIDES = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]]) * _STEP
+_LATTICE = np.array([[i, j] for i in range(-2, 3) for j in range(-2, 3)]) @ _SIDES
+_NODES = _LATTICE[np.linalg.norm(_LATTICE, axis=1) < _RADIUS + 0.1]
+
+
+class _Parts(NamedTuple):
+    """What the parts of the noise mean to B units, eq. (2)."""
+
+    K: Array  # (B, 4, p, p)
+    V: Array  # (B, 4, n)
+    squares: Array  # r², (B, n)
+    weight: Array  # w, (B, n)
+    dof: float
+
+
+def allow_for_axes(rows: Array, height: Array, loose: Array, inverse: Array) -> Array:
+    """Return S⁻¹ as it is with axes of unequal noise, (B, p, p): times F/ν a covariance.
+
+    Its diagonal is (U/k)² over F/ν, with k of Student's t at ν = n − p degrees of freedom.
+
+    Parameters
+    ----------
+    rows : (B, p, n) array
+        a of each position.
+    height : (B, n) array
+        r.
+    loose : (B, 3, n) array
+        c of the axes: what is not stated of the variance of e, which is 1 in all.
+    inverse : (B, p, p) array
+        S⁻¹.
+    """
+    parts = _divide(rows, height, loose, inverse)
+    weights, s = _mixture(parts)
+    variances = s @ np.einsum("bjpp->bjp", parts.K)
+    u = _half_interval(weights, variances, min(parts.dof, _MOST_DOF))
+    mean = np.einsum("bg,bgj,bjpq->bpq", weights, s, parts.K)
+    scale = u / np.sqrt(np.einsum("bpp->bp", mean))
+    return np.asarray(mean * scale[:, :, None] * scale[:, None])
+
+
+def _divide(rows: Array, height: Array, loose: Array, inverse: Array) -> _Parts:
+    """Return eq. (2), r with a mean square of 1 over ν."""
+    count, p, n = rows.shape
+    moved = inverse @ rows
+    left = 1.0 - np.einsum("bpn,bpn->bn", rows, moved)
+    told = left > _ALONE
+    V = np.concatenate([1.0 - loose.sum(axis=1, keepdims=True), loose], axis=1)
+    K = np.empty((count, 4, p, p))
+    for part in range(4):
+        own = V[:, part]
+        K[:, part] = (moved * own[:, None]) @ np.swapaxes(moved, 1, 2)
+        own *= 2.0 * left - 1.0
+        own += np.einsum("bpn,bpn->bn", rows, K[:, part] @ rows)
+    V = np.where(told[:, None], np.maximum(V, 0.0), 1.0)
+    squares = height**2
+    squares *= (n - p) / squares.sum(axis=1, keepdims=True)
+    return _Parts(K, V, squares, np.where(told, left, 0.0), float(n - p))
+
+
+def _mixture(parts: _Parts) -> tuple[Array, Array]:
+    """Return the probabilities (B, G) of nodes, and the s (B, G, 4) there, times q."""
+    x, root = _most_likely(parts)
+    nodes = x[:, None] + _NODES @ np.swapaxes(root, 1, 2)
+    s = np.exp(nodes @ _AXES)
+    v = s @ parts.V
+    weight = parts.weight[:, :, None]
+    q = (parts.squares[:, None] / v @ weight)[:, :, 0] / parts.dof
+    log = (np.log(v) @ weight)[:, :, 0] + parts.dof * np.log(q)
+    log = -0.5 * (log + np.einsum("bgi,bgi->bg", nodes, nodes) / _SPREAD**2)
+    weights = np.exp(log - log.max(axis=1, keepdims=True))
+    return weights / weights.sum(axis=1, keepdims=True), s * q[:, :, None]
+
+
+def _most_likely(parts: _Parts) -> tuple[Array, Array]:
+    """Return the most likely ratios x (B, 2), and a root (B, 2, 2) of their covariance."""
+    x = np.zeros((len(parts.squares), 2))
+    searched = np.ones((len(x), 1), dtype=np.bool_)
+    weight = parts.weight[:, None]
+    for _ in range(_STEPS):
+        s = np.exp(x @ _AXES)[:, :, None]
+        shares = parts.V * s
+        v = shares.sum(axis=1)
+        slopes = _AXES @ (shares / v[:, None])
+        weighted = slopes * weight
+        mean = weighted.sum(axis=2, keepdims=True)
+        information = weighted @ np.swapaxes(slopes, 1, 2)
+        information -= mean * np.swapaxes(mean, 1, 2) / parts.dof
+        # the inverse of [[a, b], [b, c]], whatever they are
+        a, b, c = (information[:, i, j, None] / 2.0 for i, j in ((0, 0), (0, 1), (1, 1)))
+        a, c = a + 1.0 / _SPREAD**2, c + 1.0 / _SPREAD**2
+        determinant = a * c - b**2
+        if not searched.any():
+            break
+        z = (parts.squares / v)[:, :, None]
+        score = weighted @ z
+        score *= parts.dof / (weight @ z)
+        right = (score - mean)[:, :, 0] / 2.0 - x / _SPREAD**2
+        move = (np.hstack([c, a]) * right - b * right[:, ::-1]) / determinant
+        length = np.linalg.norm(move, axis=1, keepdims=True)
+        x = x + searched * move * (_LONGEST / np.maximum(length, _LONGEST))
+        searched &= length > _NEAR
+    root = np.zeros((len(x), 2, 2))
+    root[:, :1, 0], root[:, 1:, 1] = np.sqrt(c / determinant), 1.0 / np.sqrt(c)
+    root[:, 1:, 0] = -b / np.sqrt(c * determinant)
+    return x, root
+
+
+def _half_interval(weights: Array, variances: Array, dof: float) -> Array:
+    """Return U/k of mixtures of t: (B, G) weights of variances (B, G, p)."""
+    table = _student(dof)
+    sds = np.sqrt(variances * dof)
+    u = np.sqrt(np.einsum("bg,bgp->bp", weights, variances))
+    U = table.k * u
+    for _ in range(30):
+        ratio = U[:, None] / sds
+        angle = np.arctan(ratio)
+        inside = np.einsum("bg,bgp->bp", weights, np.interp(angle, table.angles, table.inside))
+        density = np.interp(angle, table.angles, table.density) / (1.0 + ratio**2) / sds
+        step = (_COVERAGE - inside) / np.einsum("bg,bgp->bp", weights, density)
+        U = np.maximum(U + step, 0.5 * U)
+        if not (np.abs(step) > _SETTLED * U).any():  # nan has no end
+            break
+    return np.asarray(U / table.k)
+
+
+class _Student(NamedTuple):
+    """Student's t by the angle whose tangent is t/√ν."""
+
+    angles: Array
+    density: Array
+    inside: Array  # probability between −t and t
+    k: float
+
+
+@lru_cache(16)
+def _student(dof: float) -> _Student:
+    """Return the law that has the density cos^(ν − 1) of its angle."""
+    angles = np.linspace(0.0, np.pi / 2.0, _ANGLES)
+    density = np.cos(angles) ** (dof - 1.0)
+    inside = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+    whole = inside[-1] * (angles[1] / 2.0)
+    inside /= inside[-1]
+    k = np.sqrt(dof) * np.tan(np.interp(_COVERAGE, inside, angles))
+    return _Student(angles, density / whole, inside, float(k))
