@@ -200,6 +200,11 @@ def _require_information(problem: Problem, optimum: Optimum) -> Told:
     """Return what is told at an optimum, where that is every parameter."""
     told = told_at(problem, optimum.state, optimum.point)
     information = reduced_information(told.information, len(problem.model.keys))
+    if not np.isfinite(information).all():
+        raise ConvergenceError(
+            "the search ended where the model has no slopes that are numbers; start its "
+            "parameters nearer to what they are, or choose a model with fewer terms."
+        )
     if not np.isfinite(condition(information)):
         gains = _candidate_gains(problem, optimum.state.theta)
         best = CANDIDATES[helpful_positions(information, gains, 2)]

@@ -105,7 +105,8 @@ class _Everywhere:
 
     def __init__(self, problem: Problem, state: State, point: Point | None) -> None:
         self.point = evaluate(problem, state) if point is None else point
-        normal = linearise(problem, state, self.point)
+        with np.errstate(all="ignore"):  # a search may have ended beyond all numbers
+            normal = linearise(problem, state, self.point)
         self.information, self.shared = normal.information, normal.shared
         self.marginal = normal.marginal
         self.push = weigh(problem.precision, self.point.residuals)

@@ -249,7 +249,9 @@ def _check_entry(where: str, key: str, value: Any) -> None:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     infinite = number and key in ("low", "high") and math.isinf(value)
     if not infinite and not (number and abs(value) <= LARGEST):
-        raise MultiposError(f"{where}: {key} must be a number, got {value!r}.")
+        raise MultiposError(
+            f"{where}: {key} must be a number of at most {LARGEST:g} in size, got {value!r}."
+        )
 
 
 def _check_quantity(quantity: StatedParameter, where: str) -> None:

@@ -332,3 +332,13 @@ def test_a_rate_of_temperature_is_a_column_like_any_other():
     assert_allclose(cal.u, [one.u for one in found.coefficients], rtol=1e-9)
     corrected = mp.apply(cal, {"ax": volts, "temperature_rate": rate})
     assert_allclose(corrected["f_x"], UP[:, 0], rtol=0, atol=6e-5)  # six sd of a reading
+
+
+def test_a_search_that_ends_beyond_all_numbers_is_refused_in_words(tmp_path):
+    """A start that is nothing sends the parameters so far that no slope is a number."""
+    path = tmp_path / "own.toml"
+    path.write_text(
+        '[parameters]\ns = 1e-155\n[outputs]\neach = "b + s*own/(1 + common_k*own^2)"\n'
+    )
+    with pytest.raises(mp.MultiposError, match="no slopes that are numbers"):
+        mp.fit(readings(1e-3), model=path, orientation_sd=0.5, reading_sd=1e-3)

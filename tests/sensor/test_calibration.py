@@ -225,6 +225,19 @@ def test_a_damaged_file_is_used_or_refused_in_one_line(name):
     assert refused > 300
 
 
+def test_a_later_version_may_say_more():
+    """A key of which this version knows nothing is left alone, wherever it stands."""
+    whole = CALIBRATIONS["stated u"].to_dict()
+    assert whole["diagnostics"]["claim"] is not None
+    for place in ((), ("status",), ("input",), ("diagnostics",), ("diagnostics", "claim")):
+        content = copy.deepcopy(whole)
+        inner = content
+        for key in place:
+            inner = inner[key]
+        inner["later"] = 1.5
+        assert from_dict(content) == CALIBRATIONS["stated u"]
+
+
 def test_the_line_names_the_file_and_the_key(tmp_path):
     path = tmp_path / "cal.json"
     content = CALIBRATIONS["linear"].to_dict()
