@@ -62,9 +62,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the usage, and raise the message with what was meant."""
-        unknown = message.removeprefix("unrecognized arguments: ").split(maxsplit=1)[:1]
-        if message.startswith("unrecognized") and unknown[0].startswith("--"):
-            given = unknown[0].partition("=")[0]
+        unknown = message.removeprefix("unrecognized arguments: ")
+        if unknown != message and unknown.startswith("--"):
+            given = unknown.split()[0].partition("=")[0]
             message += near(given, self._option_string_actions).rstrip(".?")
         if sys.stderr is not None:
             self.print_usage(sys.stderr)

@@ -90,7 +90,8 @@ def judge_noise(
         return _beside_stated(problem, optimum, nu)
     if problem.has_prior:
         return _beside_placement(problem, optimum, nu)
-    return problem, optimum, Appraisal(optimum.point.objective / nu, nu)
+    loose = np.ones(problem.values.shape)
+    return problem, optimum, Appraisal(optimum.point.objective / nu, nu, loose=loose)
 
 
 def _beside_stated(first: Problem, start: Optimum, nu: float) -> Found:
@@ -112,7 +113,11 @@ def _beside_stated(first: Problem, start: Optimum, nu: float) -> Found:
         worth = replace(worth, warnings=(said,), orientation_sd=orientation_sd, claim=claim)
         return problem, optimum, worth
     worth = _worth(problem, posterior, stated=True)
-    return problem, optimum, replace(worth, warnings=overstated(claim), claim=claim)
+    loose = None
+    if first.precision.ndim == 2:
+        scatter = np.maximum(1.0 - problem.precision / first.precision, 0.0)
+        loose = float(posterior.refuted[0]) * scatter
+    return problem, optimum, replace(worth, warnings=overstated(claim), claim=claim, loose=loose)
 
 
 def _beside_placement(problem: Problem, optimum: Optimum, nu: float) -> Found:

@@ -116,9 +116,6 @@ def solve_uncertain(
         problem, optimum, worth = judge_noise(
             problem, optimum, nu, stated=stated, estimate_sd=placement.estimated
         )
-        if nu > 0 and problem.unknown.all() and problem.precision.ndim == 2:
-            share = problem.precision / searched.precision if stated else 0.0 * problem.precision
-            worth = replace(worth, loose=np.maximum(1.0 - share, 0.0))
     worth = replace(worth, warnings=(*held, *worth.warnings))
     if problem is not searched or optimum is not reached or problem.robust is not None:
         told = told_at(problem.plain, optimum.state, optimum.point)

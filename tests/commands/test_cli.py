@@ -139,6 +139,7 @@ OPTIONS = {
     "empty name": (["--outputs", "ax,"], 2, "'ax,' names nothing beside a comma"),
     "gravity twice": (["--gravity", "9.8", "--latitude", "4"], 2, "give one"),
     "unknown option": (["--color"], 2, "unrecognized arguments: --color"),
+    "a blank beside the options": ([" "], 2, "unrecognized arguments:"),
     "abbreviated option": (["--mod", "linear"], 2, "unrecognized arguments: --mod"),
     "unwritable output": (["-o", "none/out.json"], 1, "none/out.json: cannot write: No such file"),
     "output is a folder": (["-o", "."], 1, ".: cannot write: it is a folder"),
