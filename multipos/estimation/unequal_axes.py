@@ -19,7 +19,7 @@ that of residuals taken for independent, and of a size common to all axes integr
 the ratios, a parameter is Student's t_ν of variance q Cov p, and U is that of their mixture at
 95 %: S⁻¹ F/ν and t_ν where axes are alike. The logarithms of the s_j are normal about each other
 beforehand, by a factor e² of a standard deviation, and the mixture is a sum over a lattice about
-the most likely ratios, to some 3 % of U. docs/studies/orientation-errors.md has what it covers.
+the most likely ratios, to some 3 % of U. docs/theory/orientations.md has what it covers.
 
 Source: C. Varin, N. Reid, D. Firth, Statistica Sinica 21, 2011 (likelihoods of parts).
 """
@@ -31,7 +31,7 @@ import numpy as np
 
 from multipos.numerics.arrays import Array
 
-_SPREAD = 4.0  # sd of ln s beforehand: seldom is an axis 50 times as noisy as another
+_SPREAD = 4.0  # sd of ln s beforehand, a factor of 7 in noise
 _STEPS = 12  # of scoring
 _NEAR = 0.03  # a step of ln s after which it ends: nodes are weighed, wherever they stand
 _LONGEST = 2.0  # step of ln s
