@@ -39,7 +39,7 @@ _ALONE = 1e-9  # 1 − h below which a position is held by its own parameter and
 _COVERAGE = 0.95  # at which U is taken
 _MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
 _ANGLES = 4096  # of the table of Student's t
-_SETTLED = 1e-9  # relative change of U
+_SETTLED = 1e-6  # relative change of U; the next one is a thousandth of it
 
 # Coordinates x of the ratios, ln s = x AXES: that of what is stated is 0, and so is the sum.
 _AXES = np.array([[0.0, 1.0, -1.0, 0.0], [0.0, 1.0, 1.0, -2.0]]) / np.sqrt([[2.0], [6.0]])
@@ -53,8 +53,8 @@ _NODES = _LATTICE[np.linalg.norm(_LATTICE, axis=1) < _RADIUS + 0.1]
 class _Parts(NamedTuple):
     """What the parts of the noise mean to B units, eq. (2)."""
 
-    K: Array  # (B, 4, p, p)
-    V: Array  # (B, 4, n)
+    K: Array  # (B, J, p, p), J = 4, or 3 where nothing is stated
+    V: Array  # (B, J, n)
     squares: Array  # r², (B, n)
     weight: Array  # w, (B, n)
     dof: float
@@ -87,47 +87,49 @@ def allow_for_axes(rows: Array, height: Array, loose: Array, inverse: Array) -> 
 
 def _divide(rows: Array, height: Array, loose: Array, inverse: Array) -> _Parts:
     """Return eq. (2), r with a mean square of 1 over ν."""
-    count, p, n = rows.shape
+    _, p, n = rows.shape
     moved = inverse @ rows
-    left = 1.0 - np.einsum("bpn,bpn->bn", rows, moved)
+    left = 1.0 - (rows * moved).sum(axis=1)
     told = left > _ALONE
-    V = np.concatenate([1.0 - loose.sum(axis=1, keepdims=True), loose], axis=1)
-    K = np.empty((count, 4, p, p))
-    for part in range(4):
-        own = V[:, part]
-        K[:, part] = (moved * own[:, None]) @ np.swapaxes(moved, 1, 2)
-        own *= 2.0 * left - 1.0
-        own += np.einsum("bpn,bpn->bn", rows, K[:, part] @ rows)
+    stated = 1.0 - loose.sum(axis=1, keepdims=True)
+    c = np.concatenate([stated, loose], axis=1) if stated.max() > _ALONE else loose
+    K = (moved[:, None] * c[:, :, None]) @ np.swapaxes(moved, 1, 2)[:, None]
+    V = (2.0 * left - 1.0)[:, None] * c + (rows[:, None] * (K @ rows[:, None])).sum(axis=2)
     V = np.where(told[:, None], np.maximum(V, 0.0), 1.0)
     squares = height**2
     squares *= (n - p) / squares.sum(axis=1, keepdims=True)
     return _Parts(K, V, squares, np.where(told, left, 0.0), float(n - p))
 
 
+def _axes(parts: _Parts) -> Array:
+    return _AXES[:, -parts.V.shape[1] :]
+
+
 def _mixture(parts: _Parts) -> tuple[Array, Array]:
-    """Return the probabilities (B, G) of nodes, and the s (B, G, 4) there, times q."""
+    """Return the probabilities (B, G) of nodes, and the s (B, G, J) there, times q."""
     x, root = _most_likely(parts)
     nodes = x[:, None] + _NODES @ np.swapaxes(root, 1, 2)
-    s = np.exp(nodes @ _AXES)
+    s = np.exp(nodes @ _axes(parts))
     v = s @ parts.V
     weight = parts.weight[:, :, None]
     q = (parts.squares[:, None] / v @ weight)[:, :, 0] / parts.dof
     log = (np.log(v) @ weight)[:, :, 0] + parts.dof * np.log(q)
-    log = -0.5 * (log + np.einsum("bgi,bgi->bg", nodes, nodes) / _SPREAD**2)
+    log = -0.5 * (log + (nodes**2).sum(axis=2) / _SPREAD**2)
     weights = np.exp(log - log.max(axis=1, keepdims=True))
     return weights / weights.sum(axis=1, keepdims=True), s * q[:, :, None]
 
 
 def _most_likely(parts: _Parts) -> tuple[Array, Array]:
     """Return the most likely ratios x (B, 2), and a root (B, 2, 2) of their covariance."""
+    axes = _axes(parts)
     x = np.zeros((len(parts.squares), 2))
     searched = np.ones((len(x), 1), dtype=np.bool_)
     weight = parts.weight[:, None]
     for _ in range(_STEPS):
-        s = np.exp(x @ _AXES)[:, :, None]
+        s = np.exp(x @ axes)[:, :, None]
         shares = parts.V * s
         v = shares.sum(axis=1)
-        slopes = _AXES @ (shares / v[:, None])
+        slopes = axes @ (shares / v[:, None])
         weighted = slopes * weight
         mean = weighted.sum(axis=2, keepdims=True)
         information = weighted @ np.swapaxes(slopes, 1, 2)
@@ -143,7 +145,7 @@ def _most_likely(parts: _Parts) -> tuple[Array, Array]:
         score *= parts.dof / (weight @ z)
         right = (score - mean)[:, :, 0] / 2.0 - x / _SPREAD**2
         move = (np.hstack([c, a]) * right - b * right[:, ::-1]) / determinant
-        length = np.linalg.norm(move, axis=1, keepdims=True)
+        length = np.hypot(move[:, :1], move[:, 1:])
         x = x + searched * move * (_LONGEST / np.maximum(length, _LONGEST))
         searched &= length > _NEAR
     root = np.zeros((len(x), 2, 2))
@@ -155,15 +157,15 @@ def _most_likely(parts: _Parts) -> tuple[Array, Array]:
 def _half_interval(weights: Array, variances: Array, dof: float) -> Array:
     """Return U/k of mixtures of t: (B, G) weights of variances (B, G, p)."""
     table = _student(dof)
-    sds = np.sqrt(variances * dof)
-    u = np.sqrt(np.einsum("bg,bgp->bp", weights, variances))
-    U = table.k * u
+    rate = 1.0 / np.sqrt(variances * dof)
+    chance = weights[:, None]
+    U = table.k * np.sqrt((chance @ variances)[:, 0])
     for _ in range(30):
-        ratio = U[:, None] / sds
+        ratio = U[:, None] * rate
         angle = np.arctan(ratio)
-        inside = np.einsum("bg,bgp->bp", weights, np.interp(angle, table.angles, table.inside))
-        density = np.interp(angle, table.angles, table.density) / (1.0 + ratio**2) / sds
-        step = (_COVERAGE - inside) / np.einsum("bg,bgp->bp", weights, density)
+        inside = chance @ np.interp(angle, table.angles, table.inside)
+        slope = rate / (1.0 + ratio**2) * np.interp(angle, table.angles, table.density)
+        step = ((_COVERAGE - inside) / (chance @ slope))[:, 0]
         U = np.maximum(U + step, 0.5 * U)
         if not (np.abs(step) > _SETTLED * U).any():  # nan has no end
             break
