@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from multipos.estimation.posteriors import Posterior
 from multipos.estimation.solution import Solution
-from multipos.numerics.arrays import Array, row_keys
+from multipos.numerics.arrays import Array, Places, row_keys
 from multipos.numerics.cofactors import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, normal_quantile
 from multipos.numerics.recursions import recur
@@ -60,8 +60,6 @@ _SHARES = (0.0, 0.4, 0.7, 0.85, 0.93, 0.97, 0.99)  # θ/ρ: even in what white n
 _ROWS = 20_000  # more are taken as means of neighbours
 _COVERAGE = 0.95  # that of `posteriors`
 _ROUNDING = 1e-12  # of the largest reading, below which a residual is nothing
-
-Places = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from multipos.estimation.placed_scatter import ROUNDS
 from multipos.estimation.posteriors import Posterior
-from multipos.numerics.arrays import Array
-
-Places = NDArray[np.intp]
+from multipos.numerics.arrays import Array, Places
 
 
 class _Units(Protocol):

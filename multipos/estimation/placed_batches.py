@@ -32,7 +32,7 @@ from multipos.estimation.batches import (
 )
 from multipos.estimation.claimed_noise import Claims, carried_jointly, take_claims
 from multipos.estimation.noise import STILL
-from multipos.estimation.noise_in_turn import Found, Judged, Places, judge_in_turn
+from multipos.estimation.noise_in_turn import Found, Judged, judge_in_turn
 from multipos.estimation.placed_posteriors import (
     About,
     are_alike,
@@ -62,7 +62,7 @@ from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import RELATIVE_NOISE
 from multipos.estimation.starts import WIDE
 from multipos.files.records import LARGEST
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.diagnostics import find_outlying_positions

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from multipos.estimation.batches import fit_output
 from multipos.estimation.losses import Loss, loss, loss_weight
 from multipos.estimation.problem import Optimum, Point, Problem, State
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.sensor.model import Model
 
 _ITERATIONS = 2000  # weights that change with the step make convergence linear
@@ -31,8 +31,6 @@ _XTOL = 1e-13  # relative step that is only rounding
 _ROUNDING = 1e-8  # of F: what rounding can do
 _LAST_STEPS = 2  # where it does, towards where the slope of F vanishes
 _ALONE = np.zeros(1, dtype=np.intp)  # the one unit of a batch of one
-
-Places = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

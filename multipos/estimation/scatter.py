@@ -38,17 +38,14 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.posteriors import Found, Posterior, integrate, standard_uncertainty
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.least_squares import block_design
 from multipos.sensor.diagnostics import UNEQUAL, bartlett
 
 _ROWS = 20_000  # readings worked on at once
 _RIDGE = 1e-13  # of rounding, so that floors of any size leave a matrix that can be inverted
-
-Places = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ from multipos.estimation.batches import (
 )
 from multipos.estimation.claimed_noise import Claims, carried_jointly, take_claims
 from multipos.estimation.identifiability import plausible_range
-from multipos.estimation.noise_in_turn import Judged, Places, judge_in_turn
+from multipos.estimation.noise_in_turn import Judged, judge_in_turn
 from multipos.estimation.placed_posteriors import Normals, integrate_along, typical
 from multipos.estimation.placed_scatter import SETTLED
 from multipos.estimation.posteriors import standard_uncertainty
@@ -46,7 +46,7 @@ from multipos.estimation.sphere_search import (
 )
 from multipos.estimation.unequal_axes import allow_for_axes
 from multipos.files.records import LARGEST
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.medians import median
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.model import Model

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.columns import Cells, arrange_cells, spread_cells
 from multipos.files.tables import Column, Table
-from multipos.fleets.grouping import Grouped, Places
+from multipos.fleets.grouping import Grouped
 from multipos.fleets.labels import Labels
 from multipos.fleets.parquet import is_in_file, spread_parquet
 from multipos.fleets.sources import Rows
-from multipos.numerics.arrays import places_of_kinds
+from multipos.numerics.arrays import Places, places_of_kinds
 
 _PIECE = 1_500_000  # rows of a piece, if nothing that is read together has more
 

@@ -20,13 +20,14 @@ from multipos.estimation.losses import Loss
 from multipos.files.lists import Names
 from multipos.files.tables import Source
 from multipos.fleets.cutting import cut_rows
-from multipos.fleets.grouping import Grouped, Places, group_rows
+from multipos.fleets.grouping import Grouped, group_rows
 from multipos.fleets.labels import Codes
 from multipos.fleets.piecewise import Known, Piece
 from multipos.fleets.repeats import find_trials, gather_study
 from multipos.fleets.running import open_engine
 from multipos.fleets.sources import Rows, read_rows
 from multipos.fleets.units import Units, UnitsFound
+from multipos.numerics.arrays import Places
 from multipos.positions.attitudes import Convention
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Columns

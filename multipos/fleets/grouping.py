@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.sources import Rows
-from multipos.numerics.arrays import LARGEST, SMALLEST, Array
+from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Places
 from multipos.positions import attitudes
 from multipos.positions.forces import FORCE
 
@@ -23,7 +23,6 @@ _LABELLED = ("position", "group", "direction", "roll_axis")  # all other conditi
 _STRETCH = 1 << 20  # rows that are numbered at a time
 _SEED = 20261  # of the random numbers: any serve, and the same ones every time
 
-Places = NDArray[np.intp]
 AnyArray = NDArray[Any]
 
 

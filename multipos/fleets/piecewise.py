@@ -12,11 +12,11 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
-from multipos.fleets.grouping import Conditions, Grouped, Places
+from multipos.fleets.grouping import Conditions, Grouped
 from multipos.fleets.running import solve_all
 from multipos.fleets.solving import LEFT, Pattern, Solved, Task, find_pattern, fit_one
 from multipos.fleets.sources import Rows
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.terms import formula_columns
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.stated_noise import spread_reading_sd

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.fleets.grouping import Grouped, Places
+from multipos.fleets.grouping import Grouped
 from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.sources import Rows
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 
 _LEAST = 2  # units, stations and trials
 

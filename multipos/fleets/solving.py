@@ -35,7 +35,7 @@ from multipos.files.tables import Table
 from multipos.fitting.readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests
 from multipos.fleets.screening import find_suspects
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.positions.placement import resolve
 from multipos.positions.reading_tables import read_readings
@@ -44,7 +44,6 @@ from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Gravity
 
-Places = NDArray[np.intp]
 Shared = SharedDesign | SharedSphere | SharedPlacement
 
 

@@ -1,4 +1,4 @@
-"""The array that every signature speaks of, how large its numbers may be, and rows by kind."""
+"""The arrays that signatures speak of, how large their numbers may be, and rows by kind."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -7,14 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Places = NDArray[np.intp]  # of rows or units among others
 
 SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
 LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
 
 
-def places_of_kinds(
-    kinds: NDArray[np.integer[Any]], count: int
-) -> Iterator[tuple[int, NDArray[np.intp]]]:
+def places_of_kinds(kinds: NDArray[np.integer[Any]], count: int) -> Iterator[tuple[int, Places]]:
     """Yield the kinds from 0 to count that there are, and where each stands, rising."""
     order = np.argsort(kinds, kind="stable")
     ends = np.searchsorted(kinds[order], np.arange(count + 1))
