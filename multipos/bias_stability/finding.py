@@ -33,6 +33,7 @@ from multipos.logs.samples import Progress, Timing
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence
+from multipos.numerics.sample_rates import require_rate
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.loading import load
 
@@ -147,8 +148,8 @@ def _check_options(
         raise UsageError("--unit is of raw outputs, but with --calibration they are in g; drop it.")
     if time_column is not None and rate is not None:
         raise UsageError("--time-column and --rate both tell the time; give one.")
-    if rate is not None and not 0.0 < rate < np.inf:
-        raise UsageError(f"--rate must be above 0, got {rate:g}.")
+    if rate is not None:
+        require_rate(rate)
     check_confidence(confidence)
 
 

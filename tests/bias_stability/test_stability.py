@@ -344,6 +344,7 @@ REFUSED = {
     ),
     "time told twice": ((short(),), {"rate": 1.0, "time_column": "time"}, UsageError, "give one"),
     "rate": ((short(),), {"rate": 0.0}, UsageError, "--rate must be above 0"),
+    "a rate beyond all": ((short(),), {"rate": 1e308}, UsageError, "from 1e-12 to 1e\\+07 Hz"),
     "confidence": ((short(),), {"confidence": 1.0}, UsageError, "between 0 and 1"),
     "unit of what is compensated": (
         (short(),),
