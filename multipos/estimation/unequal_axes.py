@@ -38,7 +38,7 @@ _LONGEST = 2.0  # step of ln s
 _ALONE = 1e-9  # 1 − h below which a position is held by its own parameter and says nothing
 _COVERAGE = 0.95  # at which U is taken
 _MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
-_ANGLES = 4096  # of the table of Student's t
+_STEPS_OF_TABLE = 4096
 _SETTLED = 1e-6  # relative change of U; the next one is a thousandth of it
 
 # Coordinates x of the ratios, ln s = x AXES: that of what is stated is 0, and so is the sum.
@@ -157,37 +157,40 @@ def _most_likely(parts: _Parts) -> tuple[Array, Array]:
 def _half_interval(weights: Array, variances: Array, dof: float) -> Array:
     """Return U/k of mixtures of t: (B, G) weights of variances (B, G, p)."""
     table = _student(dof)
-    rate = 1.0 / np.sqrt(variances * dof)
+    scale = np.sqrt(variances * dof)
     chance = weights[:, None]
     U = table.k * np.sqrt((chance @ variances)[:, 0])
     for _ in range(30):
-        ratio = U[:, None] * rate
-        angle = np.arctan(ratio)
-        inside = chance @ np.interp(angle, table.angles, table.inside)
-        slope = rate / (1.0 + ratio**2) * np.interp(angle, table.angles, table.density)
-        step = ((_COVERAGE - inside) / (chance @ slope))[:, 0]
-        U = np.maximum(U + step, 0.5 * U)
-        if not (np.abs(step) > _SETTLED * U).any():  # nan has no end
+        whole = U[:, None] + scale
+        place = U[:, None] / whole * _STEPS_OF_TABLE
+        step = np.minimum(place, _STEPS_OF_TABLE - 1.0).astype(np.intp)
+        # clipped for units that are not numbers
+        rise = table.rise.take(step, mode="clip")
+        inside = chance @ (table.inside.take(step, mode="clip") + (place - step) * rise)
+        slope = chance @ (rise * scale / whole**2) * _STEPS_OF_TABLE
+        move = ((_COVERAGE - inside) / slope)[:, 0]
+        U = np.maximum(U + move, 0.5 * U)
+        if not (np.abs(move) > _SETTLED * U).any():  # nan has no end
             break
     return np.asarray(U / table.k)
 
 
 class _Student(NamedTuple):
-    """Student's t by the angle whose tangent is t/√ν."""
+    """Student's t at even steps of r/(1 + r), r = t/√ν."""
 
-    angles: Array
-    density: Array
     inside: Array  # probability between −t and t
+    rise: Array  # of it, to the next step
     k: float
 
 
 @lru_cache(16)
 def _student(dof: float) -> _Student:
-    """Return the law that has the density cos^(ν − 1) of its angle."""
-    angles = np.linspace(0.0, np.pi / 2.0, _ANGLES)
-    density = np.cos(angles) ** (dof - 1.0)
-    inside = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
-    whole = inside[-1] * (angles[1] / 2.0)
-    inside /= inside[-1]
-    k = np.sqrt(dof) * np.tan(np.interp(_COVERAGE, inside, angles))
-    return _Student(angles, density / whole, inside, float(k))
+    """Return the law that has the density cos^(ν − 1) of the angle whose tangent is r."""
+    place = np.linspace(0.0, 1.0, _STEPS_OF_TABLE + 1)
+    angle = np.arctan2(place, 1.0 - place)
+    density = np.cos(angle) ** (dof - 1.0)
+    rise = (density[1:] + density[:-1]) * np.diff(angle)
+    rise /= rise.sum()
+    inside = np.concatenate([[0.0], np.cumsum(rise)])
+    at = np.interp(_COVERAGE, inside, place)
+    return _Student(inside, rise, float(np.sqrt(dof) * at / (1.0 - at)))

@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 from scipy.stats import t as student
 
 import multipos as mp
-from multipos.estimation.unequal_axes import allow_for_axes
+from multipos.estimation.unequal_axes import _half_interval, allow_for_axes
 from multipos.fitting import readings
 from multipos.numerics.quantiles import coverage_factor
 
@@ -92,6 +92,18 @@ def test_many_positions_leave_the_sandwich():
     assert_allclose(found / scale, cov / scale, atol=0.1)
 
 
+@pytest.mark.parametrize("dof", [1, 2, 5, 40, 900])
+def test_alike_axes_leave_students_t(dof):
+    """Nodes of one variance are one law, whose U/k is its standard deviation."""
+    weights, variances = np.full((1, 5), 0.2), np.full((1, 5, 2), 9.0)
+    assert_allclose(_half_interval(weights, variances, float(dof)), 3.0, rtol=1e-9)
+    mixed = np.array([1.0, 4.0, 4.0, 9.0, 100.0])
+    U = brentq(lambda U: (2.0 * student.sf(U / np.sqrt(mixed), dof)).mean() - 0.05, 1e-3, 1e3)
+    found = _half_interval(weights, np.repeat(mixed[None, :, None], 2, axis=2), float(dof))
+    # 4096 steps of the table, of which linear interpolation is 1e-6
+    assert_allclose(found, U / coverage_factor(0.95, dof), rtol=2e-5)
+
+
 def test_what_is_stated_in_full_leaves_nothing_to_allow_for():
     a, r, share, inverse = some_rows(stated=1.0)
     assert_allclose(allowed(a, r, share, inverse), inverse, rtol=1e-10)
@@ -116,6 +128,17 @@ def test_a_batch_is_its_units():
     found = allow_for_axes(np.swapaxes(a, 1, 2), r, np.swapaxes(share[:, :, 1:], 1, 2), inverse)
     for unit, mine in zip(units, found, strict=True):
         assert_allclose(mine, allowed(*unit), rtol=1e-9, atol=1e-12 * np.abs(mine).max())
+
+
+def test_a_unit_that_is_no_number_leaves_the_others():
+    units = [some_rows(20, seed) for seed in range(3)]
+    a, r, share, inverse = (np.stack(each) for each in zip(*units, strict=True))
+    inverse[1] = np.nan
+    with np.errstate(all="ignore"):  # as the batch has it
+        found = allow_for_axes(np.swapaxes(a, 1, 2), r, np.swapaxes(share[:, :, 1:], 1, 2), inverse)
+    assert np.isnan(found[1]).all()
+    for unit in (0, 2):
+        assert_allclose(found[unit], allowed(*units[unit]), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("c", [1e-12, 1e12])
