@@ -6,10 +6,10 @@
 - Where orientation errors share the blame for the residuals, noise is integrated over
   (`multipos.estimation.placed_scatter`), alone or together with the orientation sd.
 
-Where every position is unknown, what is not stated of the noise may be unequal from axis to axis
-(`multipos.estimation.unequal_axes`). The degrees of freedom are nu = sum m_k − (parameters and
-shared unknowns), with m_k = M outputs at a position, less two where nothing is known of its
-orientation.
+Where every position is unknown, a noise that is not stated, or that is denied, may be unequal from
+axis to axis (`multipos.estimation.unequal_axes`). The degrees of freedom are nu = sum m_k −
+(parameters and shared unknowns), with m_k = M outputs at a position, less two where nothing is
+known of its orientation.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from multipos.estimation.descent import resume
-from multipos.estimation.known import overstated
+from multipos.estimation.known import DENIED, overstated
 from multipos.estimation.placed_scatter import (
     as_scatter,
     integrate_both,
@@ -114,9 +114,8 @@ def _beside_stated(first: Problem, start: Optimum, nu: float) -> Found:
         return problem, optimum, worth
     worth = _worth(problem, posterior, stated=True)
     loose = None
-    if first.precision.ndim == 2:
-        scatter = np.maximum(1.0 - problem.precision / first.precision, 0.0)
-        loose = float(posterior.refuted[0]) * scatter
+    if first.precision.ndim == 2 and claim.chi2 > chi2_quantile(DENIED, nu):
+        loose = np.maximum(1.0 - problem.precision / first.precision, 0.0)
     return problem, optimum, replace(worth, warnings=overstated(claim), claim=claim, loose=loose)
 
 

@@ -44,7 +44,6 @@ class Found(NamedTuple, Generic[Place, Noise]):
     noise: Noise
     U: Array  # at 95 %, (B, p)
     dof: Array  # (B,)
-    refuted: Array  # (B,), how much more probable it is that there is more than the floors
     sound: NDArray[np.bool_]
 
 
@@ -71,8 +70,7 @@ def judge_in_turn(
         Take units, their places and their noise; the one returns what it finds of the noise, the
         other where searches end under it, and of which units they do.
     """
-    U = np.full((len(sound), parameters), np.nan)
-    tail, refuted = np.full((2, len(sound)), np.nan)
+    U, tail = np.full((len(sound), parameters), np.nan), np.full(len(sound), np.nan)
     sound = sound.copy()
     units = np.flatnonzero(sound)
     for turn in range(ROUNDS):
@@ -87,6 +85,5 @@ def judge_in_turn(
         going = ~settled & ended & (turn < ROUNDS - 1)
         if not going.all():
             U[units], tail[units] = posterior.centred, posterior.shape
-            refuted[units] = posterior.refuted
         units = units[going]
-    return Found(place, noise, U, tail, refuted, sound)
+    return Found(place, noise, U, tail, sound)

@@ -210,8 +210,7 @@ def _estimate(
         found = judge(shared, values, place, noise, sound, stated=claims is not None)
     except np.linalg.LinAlgError:  # some unit is as good as singular
         nothing = np.full(theta.shape, np.nan)
-        none = nothing[:, 0]
-        found = Found(place, noise, nothing, none, none, np.zeros_like(sound))
+        found = Found(place, noise, nothing, nothing[:, 0], np.zeros_like(sound))
     sound = found.sound
     theta, residuals = found.place.theta, tuple(np.moveaxis(found.place.residuals, 2, 0))
     left = compensated(

@@ -81,11 +81,6 @@ class Posterior:
         u = np.sqrt(self._mean((sd - self._mean(sd)[:, None]) ** 2))
         return np.maximum(1.0 / mean - self.size, 0.0), u, np.minimum(dof, _MOST_DOF)
 
-    @property
-    def refuted(self) -> Array:
-        """How much more probable it is (B,) that there is more than the floors; 0 where less."""
-        return np.maximum(1.0 - 2.0 * self.weights[:, 0], 0.0)
-
     def _mean(self, values: Array) -> Array:
         return np.asarray(np.einsum("bg,bg->b", self.weights, values))
 

@@ -32,6 +32,7 @@ from multipos.estimation.batches import (
 )
 from multipos.estimation.claimed_noise import Claims, carried_jointly, take_claims
 from multipos.estimation.identifiability import plausible_range
+from multipos.estimation.known import DENIED
 from multipos.estimation.noise_in_turn import Judged, judge_in_turn
 from multipos.estimation.placed_posteriors import Normals, integrate_along, typical
 from multipos.estimation.placed_scatter import SETTLED
@@ -48,6 +49,7 @@ from multipos.estimation.unequal_axes import allow_for_axes
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.medians import median
+from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.model import Model
 
@@ -177,6 +179,7 @@ def _beside_stated(
     floor = claims.u**2
     n, p = values.shape[2], len(shared.model.keys)
     size, before = typical(floor), np.zeros(len(floor))
+    denied = place.objective > chi2_quantile(DENIED, float(n - p))
 
     def judge(units: Places, here: Place, known: _Noise) -> Judged[_Noise]:
         surface = linearise(shared, here, known.variance)
@@ -200,7 +203,7 @@ def _beside_stated(
     surface = linearise(shared, found.place, found.noise.variance)
     inverse = _inverse(surface.information)
     scatter = np.maximum(found.noise.variance - np.moveaxis(floor, 2, 0), 0.0)
-    loose = np.moveaxis(surface.normal**2 * scatter * found.refuted[:, None], 0, 1)
+    loose = np.moveaxis(surface.normal**2 * scatter * denied[:, None], 0, 1)
     wider = allow_for_axes(surface.rows, surface.height, loose, inverse.matrix)
     u = standard_uncertainty(found.U, np.broadcast_to(found.dof[:, None], found.U.shape))
     u = u * np.sqrt(np.einsum("bpp->bp", wider) / np.einsum("bpp->bp", inverse.matrix))
