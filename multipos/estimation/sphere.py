@@ -54,6 +54,19 @@ class Surface:
     excess: Array  # (n,), how far outside a reading lies, relative to the force
 
 
+def is_along_force(problem: Problem) -> bool:
+    """Tell whether all positions of a triad are unknown and its outputs uncorrelated: one row each.
+
+    W is then that of eq. (1).
+    """
+    return bool(
+        problem.unknown.all()
+        and problem.precision.ndim == 2
+        and problem.values.shape[1] == 3
+        and not problem.shared
+    )
+
+
 class SphereSearch:
     """What a step of the search needs, for problems that `fits` accepts."""
 
@@ -65,13 +78,7 @@ class SphereSearch:
     @staticmethod
     def fits(problem: Problem) -> bool:
         """Tell whether all positions of a triad are unknown and its outputs uncorrelated."""
-        return bool(
-            problem.unknown.all()
-            and problem.precision.ndim == 2
-            and problem.values.shape[1] == 3
-            and not problem.shared
-            and type(problem.model) is Model
-        )
+        return is_along_force(problem) and type(problem.model) is Model
 
     def begin(self, state: State) -> Place:
         """Return the place of a state."""

@@ -179,7 +179,7 @@ def _beside_stated(
     floor = claims.u**2
     n, p = values.shape[2], len(shared.model.keys)
     size, before = typical(floor), np.zeros(len(floor))
-    denied = place.objective > chi2_quantile(DENIED, float(n - p))
+    denied = np.flatnonzero(place.objective > chi2_quantile(DENIED, float(n - p)))
 
     def judge(units: Places, here: Place, known: _Noise) -> Judged[_Noise]:
         surface = linearise(shared, here, known.variance)
@@ -202,11 +202,14 @@ def _beside_stated(
         return _Worth(place, nothing, nothing[:, 0], np.zeros_like(sound))
     surface = linearise(shared, found.place, found.noise.variance)
     inverse = _inverse(surface.information)
-    scatter = np.maximum(found.noise.variance - np.moveaxis(floor, 2, 0), 0.0)
-    loose = np.moveaxis(surface.normal**2 * scatter * denied[:, None], 0, 1)
-    wider = allow_for_axes(surface.rows, surface.height, loose, inverse.matrix)
     u = standard_uncertainty(found.U, np.broadcast_to(found.dof[:, None], found.U.shape))
-    u = u * np.sqrt(np.einsum("bpp->bp", wider) / np.einsum("bpp->bp", inverse.matrix))
+    if denied.size:
+        scatter = np.maximum(found.noise.variance - np.moveaxis(floor, 2, 0), 0.0)
+        loose = np.moveaxis(surface.normal**2 * scatter, 0, 1)
+        known = (surface.rows, surface.height, loose, inverse.matrix)
+        wider = allow_for_axes(*(each[denied] for each in known))
+        formal = np.einsum("bpp->bp", inverse.matrix[denied])
+        u[denied] *= np.sqrt(np.einsum("bpp->bp", wider) / formal)
     dof = carried_jointly(found.dof, claims, before)
     return _Worth(found.place, u, dof, found.sound & inverse.sound)
 

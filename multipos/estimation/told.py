@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from multipos.estimation.likelihood import assemble, evaluate, linearise, respond, weigh
 from multipos.estimation.losses import loss_weight
 from multipos.estimation.problem import Point, Problem, State
-from multipos.estimation.sphere import SphereSearch
+from multipos.estimation.sphere import SphereSearch, is_along_force
 from multipos.estimation.unequal_axes import allow_for_axes
 from multipos.numerics.arrays import Array
 
@@ -111,8 +111,7 @@ class _Everywhere:
         self.marginal = normal.marginal
         self.push = weigh(problem.precision, self.point.residuals)
         self.p = len(state.theta)
-        triad = problem.precision.ndim == 2 and problem.values.shape[1] == 3
-        self.unknown = triad and not problem.shared and bool(problem.unknown.all())
+        self.along_force = is_along_force(problem)
         self.precision = problem.precision
 
     def beside(self, columns: Array, output_of: NDArray[np.intp]) -> Beside:
@@ -147,7 +146,7 @@ class _Everywhere:
         return result
 
     def allow_for_axes(self, inverse: Array, loose: Array) -> Array:
-        if not self.unknown:
+        if not self.along_force:
             return inverse
         # W = m m', and so each position is one row here too
         largest = np.argmax(np.einsum("nmm->nm", self.marginal), axis=1)[:, None, None]

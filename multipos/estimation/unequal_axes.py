@@ -35,7 +35,8 @@ _SPREAD = 4.0  # sd of ln s beforehand, a factor of 7 in noise
 _STEPS = 12  # of scoring
 _NEAR = 0.03  # a step of ln s after which it ends: nodes are weighed, wherever they stand
 _LONGEST = 2.0  # step of ln s
-_ALONE = 1e-9  # 1 − h below which a position is held by its own parameter and says nothing
+_NOTHING = 1e-9  # a share that is rounding: of what is stated, and 1 − h of a position that its
+# own parameter holds, which says nothing
 _COVERAGE = 0.95  # at which U is taken
 _MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
 _STEPS_OF_TABLE = 4096
@@ -44,8 +45,8 @@ _SETTLED = 1e-6  # relative change of U; the next one is a thousandth of it
 # Coordinates x of the ratios, ln s = x AXES: that of what is stated is 0, and so is the sum.
 _AXES = np.array([[0.0, 1.0, -1.0, 0.0], [0.0, 1.0, 1.0, -2.0]]) / np.sqrt([[2.0], [6.0]])
 # A hexagonal lattice in units of their standard deviations, whose sums are integrals: 19 nodes.
-_STEP, _RADIUS = 1.5, 3.0
-_SIDES = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]]) * _STEP
+_APART, _RADIUS = 1.5, 3.0
+_SIDES = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]]) * _APART
 _LATTICE = np.array([[i, j] for i in range(-2, 3) for j in range(-2, 3)]) @ _SIDES
 _NODES = _LATTICE[np.linalg.norm(_LATTICE, axis=1) < _RADIUS + 0.1]
 
@@ -90,9 +91,10 @@ def _divide(rows: Array, height: Array, loose: Array, inverse: Array) -> _Parts:
     _, p, n = rows.shape
     moved = inverse @ rows
     left = 1.0 - (rows * moved).sum(axis=1)
-    told = left > _ALONE
+    told = left > _NOTHING
     stated = 1.0 - loose.sum(axis=1, keepdims=True)
-    c = np.concatenate([stated, loose], axis=1) if stated.max() > _ALONE else loose
+    # any(), as a unit that is no number must not tell for the others
+    c = np.concatenate([stated, loose], axis=1) if (stated > _NOTHING).any() else loose
     K = (moved[:, None] * c[:, :, None]) @ np.swapaxes(moved, 1, 2)[:, None]
     V = (2.0 * left - 1.0)[:, None] * c + (rows[:, None] * (K @ rows[:, None])).sum(axis=2)
     V = np.where(told[:, None], np.maximum(V, 0.0), 1.0)

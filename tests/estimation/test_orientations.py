@@ -183,7 +183,7 @@ def test_large_orientation_error_tends_to_unknown_orientation(scheme):
     size, size0 = (np.linalg.norm(f, axis=1) for f in (force, force0))
     assert_allclose(size, size0, atol=1e-9)
     at = [c.names.index("bias_ax") for c in (large, unknown)]
-    # only where nothing is known of orientations does U allow for axes of unequal noise
+    # two integrals over other nodes
     assert large.U[at[0]] == pytest.approx(unknown.U[at[1]], rel=1e-3)
 
 

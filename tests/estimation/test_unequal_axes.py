@@ -130,10 +130,11 @@ def test_a_batch_is_its_units():
         assert_allclose(mine, allowed(*unit), rtol=1e-9, atol=1e-12 * np.abs(mine).max())
 
 
-def test_a_unit_that_is_no_number_leaves_the_others():
-    units = [some_rows(20, seed) for seed in range(3)]
+@pytest.mark.parametrize("stated", [0.0, 0.3])
+def test_a_unit_that_is_no_number_leaves_the_others(stated):
+    units = [some_rows(20, seed, stated=stated) for seed in range(3)]
     a, r, share, inverse = (np.stack(each) for each in zip(*units, strict=True))
-    inverse[1] = np.nan
+    inverse[1] = share[1] = np.nan
     with np.errstate(all="ignore"):  # as the batch has it
         found = allow_for_axes(np.swapaxes(a, 1, 2), r, np.swapaxes(share[:, :, 1:], 1, 2), inverse)
     assert np.isnan(found[1]).all()
