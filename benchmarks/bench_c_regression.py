@@ -15,7 +15,7 @@ import numpy as np
 
 import multipos as mp
 from benchmarks.timing import Ratio, paired_process_ratio
-from multipos.regression.result import Regression
+from multipos.regression.regression import Regression
 
 TERMS = "1 + T + V + T^2 + T*V + T_rate + T*T_rate"
 COLUMNS = ("1", "T", "V", "T^2", "T*V", "T_rate", "T*T_rate")

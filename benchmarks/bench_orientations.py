@@ -21,8 +21,8 @@ from scipy.optimize import least_squares
 import multipos as mp
 from benchmarks.timing import Ratio, paired_ratio
 from multipos.estimation.descent import maximise
-from multipos.estimation.ellipsoid import ellipsoid_start
 from multipos.estimation.problem import Problem, State, start_state
+from multipos.estimation.starts import ellipsoid_start
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.stating import build_model

@@ -3,10 +3,9 @@
 import numpy as np
 
 from benchmarks.timing import Ratio, paired_ratio
-from multipos.fitting.columns import regress
+from multipos.fitting.regress_columns import regress
 from multipos.numerics.least_squares import solve
-from multipos.numerics.selection import Thresholds, compress, select_stepwise
-from multipos.numerics.subsets import all_subsets
+from multipos.numerics.selection import Thresholds, all_subsets, compress, select_stepwise
 
 
 def run() -> list[Ratio]:

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 import multipos as mp
-from multipos.capturing.next_pose import best_pose
-from multipos.capturing.targets import FEWEST_DOF
+from multipos.capturing.evaluation import FEWEST_DOF
+from multipos.capturing.poses import best_pose
 from multipos.designs.information import make_setting
 from multipos.designs.prospects import information_of
 from multipos.numerics.quantiles import coverage_factor

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from multipos.logs.common_noise import settle_together
-from multipos.logs.rest_means import RestMean, rest_means
-from multipos.logs.rest_sums import RestSum
+from multipos.logs.rest_means import RestMean, RestSum, rest_means
 
 Array = np.ndarray[Any, Any]
 COUNTS = (1, 6, 12, 24, 38)

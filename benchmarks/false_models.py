@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import multipos as mp
-from multipos.regression import cutting, whitening
+from multipos.fitting import regress_columns
+from multipos.regression import correlation
 
 # name: correlation of the slow noise, its sd, sd of the white noise, correlation of the variables
 CASES = {
@@ -65,21 +66,21 @@ def judge(
     y = sd * wander(n, rho, rng, 1)[:, 0] + white * rng.standard_normal(n)
     y = y + slope * np.hypot(sd, white) / np.sqrt(n) * x[:, 0]
     table = {f"x{j}": x[:, j] for j in range(4)} | {"y": y, "time": np.arange(float(n))}
-    told: list[whitening.Noise | None] = []
+    told: list[correlation.Noise | None] = []
 
-    def remember(*rows: Any) -> whitening.Noise | None:
-        told.append(whitening.find_noise(*rows))
+    def remember(*rows: Any) -> correlation.Noise | None:
+        told.append(correlation.find_noise(*rows))
         return told[-1]
 
-    def likeliest(*_: Any) -> whitening.Noise | None:
+    def likeliest(*_: Any) -> correlation.Noise | None:
         (noise,) = told
         if noise is None:
             return None
         return noise._replace(plausible=() if noise.law is None else (noise.law,))
 
-    with mock.patch.object(cutting, "find_noise", remember):
+    with mock.patch.object(regress_columns, "find_noise", remember):
         significant, robust = regressed(table)
-    with mock.patch.object(cutting, "find_noise", likeliest):
+    with mock.patch.object(regress_columns, "find_noise", likeliest):
         return significant, regressed(table)[1], robust
 
 

@@ -30,16 +30,16 @@ _PUBLIC = {
     "MultiposError": "errors",
     "RankError": "errors",
     "Readings": "positions.readings",
-    "Regression": "regression.result",
-    "Regressions": "regression.several",
+    "Regression": "regression.regression",
+    "Regressions": "regression.regression",
     "Scheme": "positions.scheme",
-    "Stability": "bias_stability.result",
+    "Stability": "bias_stability.stability_result",
     "Tumble": "verification.single_axis",
     "Tumbles": "verification.tumbling",
     "UsageError": "errors",
     "apply": "compensation.applying",
     "average": "logs.averaging",
-    "calibrate": "fitting.logs",
+    "calibrate": "fitting.calibrate_logs",
     "capture": "capturing.running",
     "check": "verification.checks",
     "compare": "verification.comparison",
@@ -49,32 +49,32 @@ _PUBLIC = {
     "evaluate_budget": "uncertainty.propagation",
     "evaluate_sphere": "uncertainty.validity",
     "export": "exports.targets",
-    "fit": "fitting.readings",
-    "fit_many": "fleets.fitting",
+    "fit": "fitting.fit_readings",
+    "fit_many": "fleets.fit_many",
     "fleet": "fleets.fleet",
-    "judge_terms_jointly": "doubts.joint_tests",
-    "load": "sensor.loading",
-    "load_check": "verification.check_file",
+    "judge_terms_jointly": "diagnostics.joint_tests",
+    "load": "sensor.calibration_file",
+    "load_check": "verification.verdicts",
     "load_regression": "regression.regression_file",
-    "load_stability": "bias_stability.stability_file",
+    "load_stability": "bias_stability.stability_result",
     "normal_gravity": "units",
     "over_temperature": "sensor.temperature",
     "profile_interval": "uncertainty.profiles",
     "read_readings": "positions.reading_tables",
     "read_scheme": "positions.scheme",
     "read_table": "files.tables",
-    "regress": "fitting.columns",
+    "regress": "fitting.regress_columns",
     "report": "reports.documents",
     "schemes": "designs.assessment",
     "simulate": "sensor.simulation",
     "simulate_budget": "uncertainty.monte_carlo",
     "simulate_log": "sensor.simulation",
-    "stability": "bias_stability.finding",
+    "stability": "bias_stability.analysis",
     "state_bench": "uncertainty.stated_bench",
     "state_budget": "uncertainty.propagation",
     "table_errors": "uncertainty.turntable",
     "tumble": "verification.tumbling",
-    "verify_export": "exports.reading_back",
+    "verify_export": "exports.targets",
     "worth": "designs.prospects",
     "write_table": "files.tables",
 }
@@ -82,9 +82,9 @@ _PUBLIC = {
 __all__ = sorted([*_PUBLIC, "__version__"])
 
 if TYPE_CHECKING:
-    from multipos.bias_stability.finding import stability as stability
-    from multipos.bias_stability.result import Stability as Stability
-    from multipos.bias_stability.stability_file import load_stability as load_stability
+    from multipos.bias_stability.analysis import stability as stability
+    from multipos.bias_stability.stability_result import Stability as Stability
+    from multipos.bias_stability.stability_result import load_stability as load_stability
     from multipos.capturing.running import Captured as Captured
     from multipos.capturing.running import capture as capture
     from multipos.compensation.applying import apply as apply
@@ -92,21 +92,21 @@ if TYPE_CHECKING:
     from multipos.designs.assessment import schemes as schemes
     from multipos.designs.designing import design as design
     from multipos.designs.prospects import worth as worth
+    from multipos.diagnostics.joint_tests import judge_terms_jointly as judge_terms_jointly
     from multipos.doubt import Doubt as Doubt
-    from multipos.doubts.joint_tests import judge_terms_jointly as judge_terms_jointly
     from multipos.errors import CalibrationWarning as CalibrationWarning
     from multipos.errors import ConvergenceError as ConvergenceError
     from multipos.errors import MultiposError as MultiposError
     from multipos.errors import RankError as RankError
     from multipos.errors import UsageError as UsageError
-    from multipos.exports.reading_back import verify_export as verify_export
     from multipos.exports.targets import export as export
+    from multipos.exports.targets import verify_export as verify_export
     from multipos.files.tables import read_table as read_table
     from multipos.files.tables import write_table as write_table
-    from multipos.fitting.columns import regress as regress
-    from multipos.fitting.logs import calibrate as calibrate
-    from multipos.fitting.readings import fit as fit
-    from multipos.fleets.fitting import fit_many as fit_many
+    from multipos.fitting.calibrate_logs import calibrate as calibrate
+    from multipos.fitting.fit_readings import fit as fit
+    from multipos.fitting.regress_columns import regress as regress
+    from multipos.fleets.fit_many import fit_many as fit_many
     from multipos.fleets.fleet import Fleet as Fleet
     from multipos.fleets.fleet import fleet as fleet
     from multipos.logs.averages import Averages as Averages
@@ -115,12 +115,12 @@ if TYPE_CHECKING:
     from multipos.positions.readings import Readings as Readings
     from multipos.positions.scheme import Scheme as Scheme
     from multipos.positions.scheme import read_scheme as read_scheme
+    from multipos.regression.regression import Regression as Regression
+    from multipos.regression.regression import Regressions as Regressions
     from multipos.regression.regression_file import load_regression as load_regression
-    from multipos.regression.result import Regression as Regression
-    from multipos.regression.several import Regressions as Regressions
     from multipos.reports.documents import report as report
     from multipos.sensor.calibration import Calibration as Calibration
-    from multipos.sensor.loading import load as load
+    from multipos.sensor.calibration_file import load as load
     from multipos.sensor.model import Model as Model
     from multipos.sensor.simulation import simulate as simulate
     from multipos.sensor.simulation import simulate_log as simulate_log
@@ -134,13 +134,13 @@ if TYPE_CHECKING:
     from multipos.uncertainty.turntable import table_errors as table_errors
     from multipos.uncertainty.validity import evaluate_sphere as evaluate_sphere
     from multipos.units import normal_gravity as normal_gravity
-    from multipos.verification.check_file import load_check as load_check
     from multipos.verification.checks import check as check
     from multipos.verification.comparison import compare as compare
     from multipos.verification.single_axis import Tumble as Tumble
     from multipos.verification.tumbling import Tumbles as Tumbles
     from multipos.verification.tumbling import tumble as tumble
     from multipos.verification.verdicts import Check as Check
+    from multipos.verification.verdicts import load_check as load_check
 
 
 def __getattr__(name: str) -> Any:

@@ -27,8 +27,7 @@ from multipos.commands.answers import deliver, settle
 from multipos.commands.options import warn
 from multipos.commands.parsers import COMMANDS, Parser, command, command_parser
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
-from multipos.files.characters import one_line
-from multipos.files.lists import near
+from multipos.files.spelling import near, one_line
 
 _INTERRUPTED = 130  # the status by which shells know Ctrl-C
 

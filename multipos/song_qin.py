@@ -21,7 +21,7 @@ from multipos.files.numbers import number, table
 from multipos.files.tables import Column, write_table
 from multipos.files.trees import to_json
 from multipos.files.whole import make_folder, write_text
-from multipos.fitting.readings import fit
+from multipos.fitting.fit_readings import fit
 from multipos.positions.readings import Readings
 from multipos.reports.summary import text_report
 from multipos.results import Result

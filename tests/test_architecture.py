@@ -23,7 +23,7 @@ ORDER = (
     ("logs", "sensor"),
     ("estimation", "bias_stability"),
     ("designs", "uncertainty"),
-    ("doubts",),
+    ("diagnostics",),
     ("fitting", "compensation"),
     ("verification", "fleets", "exports"),
     ("plots",),

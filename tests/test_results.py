@@ -19,8 +19,8 @@ import pytest
 from fleet_bench import line
 
 import multipos as mp
-from multipos.doubts.criticism import find_influence, judge_terms
-from multipos.doubts.joint_tests import judge_terms_jointly
+from multipos.diagnostics.criticism import find_influence, judge_terms
+from multipos.diagnostics.joint_tests import judge_terms_jointly
 from multipos.files.trees import to_json
 from multipos.results import Columns, Frozen, Keyed, Result, Tabular
 from multipos.uncertainty.budgets import read_budget

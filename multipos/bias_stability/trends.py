@@ -24,8 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multipos.bias_stability.allan import phase_covariance, starts
-from multipos.bias_stability.noise_laws import Laws, fit_laws
+from multipos.bias_stability.allan import Laws, fit_laws, phase_covariance, starts
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile
 

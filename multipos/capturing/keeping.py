@@ -12,9 +12,9 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from multipos.capturing.lines import RowSource
-from multipos.capturing.rows import RowOptions
+from multipos.capturing.live_rests import RowOptions
 from multipos.capturing.session import Session
+from multipos.capturing.streams import RowSource
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text

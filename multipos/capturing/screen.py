@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from multipos.capturing.session import Session
 from multipos.capturing.state import state_of
 from multipos.files.numbers import number
-from multipos.reports.translations import Language, Translator
+from multipos.reports.page import Language, Translator
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

@@ -21,21 +21,20 @@ from multipos.capturing.evaluation import (
     model_of,
     next_pose,
 )
-from multipos.capturing.next_pose import NextPose
+from multipos.capturing.live_rests import LiveRests, LiveRows, RowOptions
 from multipos.capturing.poses import (
+    NextPose,
     Pose,
     find_frame,
     refuse_repeat,
     refuse_rest,
     refuse_unit,
 )
-from multipos.capturing.rests import LiveRests
-from multipos.capturing.rows import LiveRows, RowOptions
 from multipos.errors import UsageError
 from multipos.logs.still import Still, StillLog
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
-from multipos.positions.column_names import named_axes
+from multipos.positions.headers import named_axes
 from multipos.sensor.model import Model
 
 _LIVE = 0.05  # [s] of rows that a live value is the mean of

@@ -21,8 +21,8 @@ from typing import Any, TextIO
 
 from multipos.commands.options import warn
 from multipos.errors import MultiposError, UsageError
-from multipos.files.characters import escaped, visible_lines
 from multipos.files.pipes import STDIN, Pipe, is_pipe
+from multipos.files.spelling import escaped, visible_lines
 from multipos.files.whole import Content, written
 
 STDOUT = "-"

@@ -6,7 +6,7 @@ from functools import cache
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import file_progress, names, numbers
-from multipos.compensation.applied_logs import apply_log
+from multipos.compensation.applying import apply_log
 from multipos.compensation.correction import correct
 from multipos.errors import UsageError
 from multipos.files.tables import Column, format_csv, read_table
@@ -14,7 +14,7 @@ from multipos.files.trees import json_table, read_schema
 from multipos.files.whole import Content
 from multipos.logs.opening import open_log
 from multipos.regression.regression_file import SCHEMA, load_regression
-from multipos.sensor.loading import load
+from multipos.sensor.calibration_file import load
 
 INPUTS = ("calibration", "data")
 OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("json", "text"))

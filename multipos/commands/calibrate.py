@@ -9,7 +9,7 @@ from multipos.commands.average import add_log_options, add_logs
 from multipos.commands.fit import add_fit_options
 from multipos.commands.options import add_targets, asks_export, export_options, file_progress
 from multipos.files.trees import to_json
-from multipos.fitting.logs import fit_rests
+from multipos.fitting.calibrate_logs import fit_rests
 from multipos.logs.averages import averages_text
 from multipos.logs.averaging import average
 from multipos.reports.summary import text_report
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
     if not arguments.to:
         return ()
-    from multipos.commands.exporting import files_beside  # with all targets, and what they need
+    from multipos.commands.export import files_beside  # with all targets, and what they need
 
     return files_beside(arguments)
 
@@ -54,7 +54,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     if asks_export(arguments):
-        from multipos.commands.exporting import check_targets
+        from multipos.commands.export import check_targets
 
         check_targets(arguments)
     options = vars(arguments)
@@ -101,6 +101,6 @@ def _exports(
 ) -> "tuple[dict[Path, Exported], list[str]]":
     if not arguments.to:
         return {}, []
-    from multipos.commands.exporting import make_exports
+    from multipos.commands.export import make_exports
 
     return make_exports(calibration, arguments, arguments.output)

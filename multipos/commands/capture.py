@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from multipos.capturing.keeping import Kept, keep
-from multipos.capturing.lines import RowSource
 from multipos.capturing.running import Captured, captured, make_plan, make_reading, run_session
 from multipos.capturing.session import Session
-from multipos.capturing.sources import open_source
 from multipos.capturing.state import line_of
+from multipos.capturing.streams import RowSource, open_source
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, same_file
-from multipos.commands.exporting import check_targets, make_exports
+from multipos.commands.export import check_targets, make_exports
 from multipos.commands.fit import add_fit_options
 from multipos.commands.options import add_reading, add_targets, export_options, warn
 from multipos.errors import UsageError

@@ -7,15 +7,13 @@ from multipos.commands.options import add_range, numbers
 from multipos.files.tables import format_csv, read_table
 from multipos.files.trees import read_schema, to_json
 from multipos.plots.check import check_figure
+from multipos.regression.regression import Regression, Regressions
 from multipos.regression.regression_file import SCHEMA, load_regression
-from multipos.regression.result import Regression
-from multipos.regression.several import Regressions
-from multipos.reports.check_sheets import check_text
+from multipos.reports.sheets import check_text
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.loading import load
+from multipos.sensor.calibration_file import load
 from multipos.verification.checks import check
-from multipos.verification.errors_table import errors_table
-from multipos.verification.verdicts import Check
+from multipos.verification.verdicts import Check, errors_table
 
 INPUTS = ("calibration", "readings", "scheme")
 OUTPUT = Output(

@@ -7,10 +7,8 @@ from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_orientation, numbers, progress_bar
-from multipos.designs.designing import design
+from multipos.designs.designing import Design, design, design_csv, design_text, smaller_designs
 from multipos.designs.information import nothing_to_weigh
-from multipos.designs.result import Design, design_csv, design_text
-from multipos.designs.sizes import smaller_designs
 from multipos.errors import UsageError
 from multipos.files.trees import to_json
 

@@ -6,7 +6,7 @@ from typing import Any
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, add_model, names, numbers
 from multipos.files.trees import to_json
-from multipos.fitting.readings import fit
+from multipos.fitting.fit_readings import fit
 from multipos.reports.summary import text_report
 from multipos.sensor.calibration import Calibration
 
@@ -80,6 +80,6 @@ def run(arguments: argparse.Namespace) -> Answer:
 
 def _figure(calibration: Calibration) -> Any:
     # Imported here, for who asks for no figure shall not wait for all of them to be imported.
-    from multipos.plots.curves import calibration_figure
+    from multipos.plots.temperature import calibration_figure
 
     return calibration_figure(calibration)

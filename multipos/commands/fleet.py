@@ -14,6 +14,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import to_json
 from multipos.files.whole import no_folder
 from multipos.fleets.fleet import Fleet, fleet
+from multipos.fleets.fleet_text import fleet_text
 from multipos.fleets.folder import (
     CSV,
     STATIONS,
@@ -23,8 +24,7 @@ from multipos.fleets.folder import (
     progress_folder,
     write_fleet,
 )
-from multipos.fleets.running import ENGINES
-from multipos.fleets.text import fleet_text
+from multipos.fleets.workers import ENGINES
 from multipos.reports.documents import html_report
 from multipos.reports.fleets import fleet_content
 

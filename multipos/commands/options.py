@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from multipos.errors import UsageError
-from multipos.files.characters import one_line
-from multipos.files.lists import split_names, split_numbers
+from multipos.files.spelling import one_line, split_names, split_numbers
 from multipos.numerics.terms import NAMED
 
 T = TypeVar("T")

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 from multipos.commands.answers import print_out
 from multipos.errors import UsageError
-from multipos.files.lists import near
+from multipos.files.spelling import near
 
 COMMANDS = {
     "demo": "calibrate the six-position paper's own readings, end to end",

@@ -5,7 +5,7 @@ import argparse
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import names
 from multipos.files.trees import to_json
-from multipos.fitting.columns import regress
+from multipos.fitting.regress_columns import regress
 from multipos.plots.temperature import regression_figure
 
 INPUTS = ("data",)

@@ -12,11 +12,11 @@ from multipos.errors import UsageError
 from multipos.files.pipes import is_folder
 from multipos.files.trees import read_schema, to_json
 from multipos.fleets.fleet import SCHEMA as FLEET
+from multipos.fleets.fleet import fit_unit
 from multipos.fleets.folder import read_summary
-from multipos.fleets.single import fit_unit
+from multipos.regression.regression import all_of
 from multipos.regression.regression_file import SCHEMA as REGRESSION
 from multipos.regression.regression_file import load_regression
-from multipos.regression.several import all_of
 from multipos.reports.certificate import Content, build_content
 from multipos.reports.comparisons import comparison_content, read_comparison
 from multipos.reports.documents import (
@@ -29,10 +29,10 @@ from multipos.reports.documents import (
 from multipos.reports.fleets import fleet_content
 from multipos.reports.regressions import regression_content
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.loading import load
-from multipos.sensor.nominal import read_nominal
+from multipos.sensor.calibration_file import load
+from multipos.sensor.inverse import read_nominal
 from multipos.uncertainty.monte_carlo import simulate_budget
-from multipos.verification.check_file import load_check
+from multipos.verification.verdicts import load_check
 
 INPUTS = ("calibration", "lab", "check", "data")
 OUTPUT = Output(

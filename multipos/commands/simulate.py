@@ -7,7 +7,7 @@ from multipos.commands.options import numbers
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
-from multipos.sensor.loading import load
+from multipos.sensor.calibration_file import load
 from multipos.sensor.simulation import simulate, simulate_log
 
 INPUTS = ("calibration", "scheme")

@@ -2,8 +2,8 @@
 
 import argparse
 
-from multipos.bias_stability.finding import stability
-from multipos.bias_stability.text import stability_text
+from multipos.bias_stability.analysis import stability
+from multipos.bias_stability.stability_result import stability_text
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_reading, file_progress, names
 from multipos.files.tables import format_csv

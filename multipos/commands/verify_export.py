@@ -4,7 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.exports.parts import load_parts
-from multipos.exports.reading_back import verify_export
+from multipos.exports.targets import verify_export
 from multipos.files.trees import to_json
 
 INPUTS = ("file", "calibration", "data")

@@ -5,7 +5,7 @@ import argparse
 from multipos.commands.answers import Answer, Output
 from multipos.designs.prospects import worth, worth_text
 from multipos.files.trees import to_json
-from multipos.sensor.loading import load
+from multipos.sensor.calibration_file import load
 
 INPUTS = ("calibration", "candidates")
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))

@@ -1,32 +1,390 @@
 """Apply a calibration to a table of raw readings: every column kept, force added.
 
-What is added stands in `multipos.compensation.added_columns`. A table in memory is done at once, a
-file as a log (`multipos.compensation.applied_logs`).
+What is added stands in `multipos.compensation.applying`. A table in memory is done at once, a
+file as a log (`multipos.compensation.applying`).
+
+Apply a calibration to a log: every column kept, force added, as CSV text that comes in pieces.
+
+What is added is that of a table (`multipos.compensation.applying`); a log may be of any
+length, for it is read, computed and written piece by piece.
+
+What a table of raw readings gets beside its columns: force, and what is asked of it, row by row.
+
+Stand there ``f_x``, ``f_y``, ``f_z`` [g] for the axes that the sensor has, in the calibration's
+convention, on request their uncertainties ``u_f_x``, ``U_f_x`` …, the noise of one reading included
+(`multipos.compensation.reading_noise`), and ``outside``: 1 where a reading lies beyond what was
+calibrated, that is where |f| exceeds the largest reference, where f leaves the known forces that
+were applied, or where a column of the model leaves the range of the calibration's readings, 0
+elsewhere.
+
+With tilt the sensor is taken to be at rest (`multipos.sensor.tilt`): ``tilt_x_deg`` … are the
+angles of its axes above the horizon, and one axis that it does not have follows from |f| = g with
+that axis up. More outputs than axes leave a parity: ``parity`` and ``fault``
+(`multipos.compensation.applying`).
+
+Parity: what more outputs than axes say of each other, whatever the force.
+
+M outputs on K < M axes over-determine the force. Least squares leaves r = y − h(f), which lies in
+the left null space of the Jacobian J (M, K), where no force reaches; with N (M, M − K) an
+orthonormal basis of it, the parity vector and its covariance are
+
+    p = N' r,    cov p = N' [diag(s²) + (dh/dp) C (dh/dp)'] N,                              (1)
+
+s the noise of a reading and C the covariance of the parameters. ``size`` is |p| in the unit of
+the readings, and p'(cov p)⁻¹p is χ² on M − K degrees of freedom where nothing is broken, or
+(M − K) F where the noise is an estimate. A tail below `FAULT_LEVEL` is a fault. M − K = 1 tells
+that an output has failed, not which one.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from multipos.compensation.added_columns import (
-    Outside,
-    add_columns,
-    check_columns,
-    check_outside,
-    refusal,
-)
-from multipos.compensation.applied_logs import apply_log
-from multipos.compensation.reading_noise import asked_uncertainty
-from multipos.doubts.model_error import said_of_hidden
-from multipos.files.tables import Source, read_table
-from multipos.logs.opening import open_log
-from multipos.positions.headers import plain_names
+from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncertainty
+from multipos.diagnostics.model_error import said_of_hidden
+from multipos.errors import MultiposError, UsageError
+from multipos.files.tables import Column, Source, Table, format_csv, read_table
+from multipos.logs.opening import open_log, read_log
+from multipos.logs.table import Log, Piece
+from multipos.numerics.arrays import LARGEST, Array
+from multipos.numerics.quantiles import f_tail
+from multipos.numerics.terms import COMPONENTS, largest_value
+from multipos.positions.headers import plain_names, require_units
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.inverse import has_other_solutions, sensed_axes, sensitivities
+from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest
+from multipos.uncertainty.validity import applied, unseen_covariance
+
+FAULT_LEVEL = 1e-3  # share of sound readings that are called a fault
+
+
+class Parity(NamedTuple):
+    """Parity vectors (n, M − K), their length (n,) in reading units, and the tail p (n,)."""
+
+    vector: Array
+    size: Array
+    p: Array
+
+
+def parity(
+    calibration: Calibration,
+    raw: Array,
+    force: Array,
+    environment: Mapping[str, Array],
+    noise: Array,
+) -> Parity:
+    """Return what the outputs of a redundant sensor say of each other.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Of more outputs than axes.
+    raw : (n, M) array
+    force : (n, K) array [g]
+        Compensated from `raw`.
+    environment : mapping of str to (n,) array
+    noise : (M,) or (n, M) array
+        Standard uncertainty of the readings.
+    """
+    model, parameters = calibration.model, calibration.parameters
+    sensed = list(sensed_axes(model))
+    sound = np.isfinite(force.sum(axis=1))
+    full = np.zeros((len(raw), 3))
+    full[:, sensed] = np.where(sound[:, None], force, 0.0)
+    residual = raw - model.predict(parameters, full, environment)
+    inverse, by_parameter = sensitivities(model, parameters, full, environment)
+    # The left null space of J is the null space of J^+: its last right singular vectors.
+    basis: Array = np.asarray(np.linalg.svd(inverse)[2])[:, len(sensed) :]
+    m = len(model.outputs)
+    covariance = by_parameter @ calibration.covariance @ by_parameter.transpose(0, 2, 1)
+    covariance[:, range(m), range(m)] += np.broadcast_to(noise, raw.shape) ** 2
+    vector = np.einsum("ndm,nm->nd", basis, residual)
+    spread = basis @ covariance @ basis.transpose(0, 2, 1)
+    distance = np.full(len(raw), np.nan)
+    volume = np.linalg.det(spread)
+    known = np.flatnonzero(sound & np.isfinite(volume) & (volume > 0.0))
+    weighted = np.linalg.solve(spread[known], vector[known][:, :, None])[:, :, 0]
+    distance[known] = np.einsum("nd,nd->n", vector[known], weighted)
+    degrees, dof = m - len(sensed), float(calibration.dof.min())
+    p = np.array([f_tail(d / degrees, degrees, dof) for d in distance.tolist()])
+    return Parity(vector, np.where(sound, np.linalg.norm(vector, axis=1), np.nan), p)
+
+
+Outside = Literal["flag", "clamp", "refuse"]
+OUTSIDE: tuple[Outside, ...] = get_args(Outside)
+
+
+def add_columns(
+    calibration: Calibration,
+    table: Table,
+    *,
+    tilt: bool,
+    uncertainty: ReadingUncertainty | None,
+    outside: Outside,
+) -> dict[str, Array]:
+    """Return the columns that a table gets, each row from itself alone, in order."""
+    raw = np.column_stack([table.number(name, largest=LARGEST) for name in calibration.outputs])
+    terms = [term for _, term in calibration.model.keys]
+    environment = {
+        name: table.number(name, largest=largest_value(terms, name))
+        for name in calibration.model.environment
+    }
+    beyond, clamped = _environment_outside(calibration, table, environment)
+    if outside == "clamp":
+        environment = clamped
+    axes = list(sensed_axes(calibration.model))
+    noise = None if uncertainty is None else uncertainty.noise.of(table)
+    tilts: dict[str, Array] = {}
+    if tilt:
+        rest = at_rest(calibration, raw, environment)
+        force, tilts = rest[:, axes], _tilts(calibration, rest, environment, noise)
+        beyond |= np.any([np.isnan(tilts[f"tilt_{COMPONENTS[i]}_deg"]) for i in axes], axis=0)
+    else:
+        force = calibration.compensate(raw, environment)
+    beyond |= ~applied(calibration).holds(force, axes)
+    if isinstance(calibration.model, ExpressionModel):
+        beyond |= has_other_solutions(
+            calibration.model,
+            calibration.parameters,
+            raw,
+            environment,
+            found=force,
+            reach=float(np.linalg.norm(calibration.reference, axis=1).max()),
+        )
+    added = _by_axis("f_{}", axes, force)
+    if uncertainty is not None and noise is not None:
+        u, U = uncertainty.of_force(force, environment, noise)
+        added |= _by_axis("u_f_{}", axes, u) | _by_axis("U_f_{}", axes, U)
+    added |= tilts
+    if len(calibration.outputs) > len(axes):
+        odd = parity(calibration, raw, force, environment, reading_noise(calibration))
+        added["parity"] = odd.size
+        added["fault"] = (odd.p < FAULT_LEVEL).astype(np.int64)
+    return {**added, "outside": beyond.astype(np.int64)}
+
+
+def _tilts(
+    calibration: Calibration, rest: Array, environment: Mapping[str, Array], noise: Array | None
+) -> dict[str, Array]:
+    """Return the tilt of each axis at rest, with its uncertainties where the noise is known."""
+    axes = list(sensed_axes(calibration.model))
+    found = tilt_at_rest(calibration, rest, environment)
+    tilts = _by_axis("tilt_{}_deg", axes, np.degrees(found.tilt))
+    if noise is not None:  # what is a tilt at all does not depend on what is asked for
+        unseen = unseen_covariance(calibration, rest[:, axes], environment)
+        sized = tilt_at_rest(calibration, rest, environment, noise, unseen)
+        tilts |= _by_axis("u_tilt_{}_deg", axes, np.degrees(sized.u))
+        tilts |= _by_axis("U_tilt_{}_deg", axes, np.degrees(sized.U))
+    return tilts
+
+
+def _by_axis(name: str, axes: Sequence[int], values: Array) -> dict[str, Array]:
+    """Return values (n, K) as columns named after their axes."""
+    return {name.format(COMPONENTS[i]): values[:, column] for column, i in enumerate(axes)}
+
+
+def check_outside(outside: str) -> None:
+    """Refuse a way with rows outside that is none."""
+    if outside not in OUTSIDE:
+        raise UsageError(f"--outside takes {', '.join(OUTSIDE)}, got '{outside}'.")
+
+
+def check_columns(
+    calibration: Calibration,
+    source: str,
+    columns: Mapping[str, Column] | tuple[str, ...],
+    tilt: bool,
+    uncertainty: ReadingUncertainty | None,
+    units: Mapping[str, str],
+) -> None:
+    """Refuse a table that lacks a column, has it in another unit, or has one that is added."""
+    for name in (*calibration.outputs, *calibration.model.environment):
+        if name not in columns:
+            raise MultiposError(
+                f"{source}: no column '{name}', which this calibration needs; "
+                f"the columns are {', '.join(columns)}."
+            )
+    model = calibration.model
+    require_units(source, units, model.outputs, model.environment, model.unit)
+    # What one reading gets, every reading gets.
+    one = {name: calibration.readings.values[:1, i] for i, name in enumerate(calibration.outputs)}
+    one |= {n: calibration.readings.environment[n][:1] for n in calibration.model.environment}
+    one |= {} if uncertainty is None else dict.fromkeys(uncertainty.noise.columns, np.ones(1))
+    added = add_columns(
+        calibration, Table(source, one, rows=1), tilt=tilt, uncertainty=uncertainty, outside="flag"
+    )
+    for name in added:
+        if name in columns:
+            raise MultiposError(
+                f"{source}: column '{name}' is there already; rename it, apply writes it."
+            )
+
+
+def refusal(where: str, beyond: int, rows: int) -> MultiposError:
+    """Return the error of rows beyond what was calibrated, the first of which is named."""
+    return MultiposError(
+        f"{where}: the reading is outside what was calibrated ({beyond} of {rows} rows are); "
+        "use --outside flag to see them."
+    )
+
+
+def _environment_outside(
+    calibration: Calibration, table: Table, environment: Mapping[str, Array]
+) -> tuple[NDArray[np.bool_], dict[str, Array]]:
+    """Return which rows leave the calibrated range of a column, and the columns clamped to it."""
+    beyond = np.zeros(table.rows, dtype=bool)
+    clamped = {}
+    for name, column in environment.items():
+        seen = calibration.readings.environment[name]
+        low, high = float(seen.min()), float(seen.max())
+        beyond |= (column < low) | (column > high)
+        clamped[name] = np.clip(column, low, high)
+    return beyond, clamped
+
+
+@dataclass
+class AppliedLog:
+    """A log with the compensated force beside its columns, as CSV text that comes in pieces.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    log : Log
+    tilt, outside
+        As for `apply`.
+    uncertainty : ReadingUncertainty or None
+        Of the force, where it is asked for.
+    progress : callable or None
+        Is told how much of the log has been read, 0 to 1.
+    rows, beyond : int
+        Rows done so far, and those of them beyond what was calibrated.
+    cautions : tuple of str
+        What is doubtful in the uncertainties, as the first piece shows it.
+    """
+
+    calibration: Calibration
+    log: Log
+    tilt: bool = False
+    uncertainty: ReadingUncertainty | None = None
+    outside: Outside = "flag"
+    progress: Callable[[float], object] | None = None
+    rows: int = 0
+    beyond: int = 0
+    cautions: tuple[str, ...] = ()
+
+    @property
+    def noise(self) -> str | None:
+        """Which noise of one reading the uncertainties hold; None where there are none."""
+        return None if self.uncertainty is None else self.uncertainty.noise.text
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What there is to say of the force and its uncertainties, of the rows done so far."""
+        hidden = said_of_hidden(self.calibration)
+        if self.uncertainty is None:
+            return hidden
+        return (*hidden, *self.uncertainty.said, *self.cautions)
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield header and rows; under 'refuse' the error comes when all rows have been seen."""
+        carried = () if self.log.text else self.log.numeric  # rows of text are written as they are
+        header = self.log.header if self.log.text else self.log.numeric
+        begun = False
+        for piece, added in self._applied(carried):
+            if not begun:
+                yield format_csv(dict.fromkeys((*header, *added), ()), self._delimiter)
+            begun = True
+            if not self.beyond or self.outside != "refuse":
+                yield self._text(piece, added)
+
+    def columns(self) -> dict[str, Column]:
+        """Return all columns at once; what is added to them is computed piece by piece."""
+        found: dict[str, list[Array]] = {}
+        for _, added in self._applied(()):
+            for name, column in added.items():
+                found.setdefault(name, []).append(column)
+        return {
+            **read_log(self.log),
+            **{name: np.concatenate(all_) for name, all_ in found.items()},
+        }
+
+    def _applied(self, carried: Sequence[str]) -> Iterator[tuple[Piece, dict[str, Array]]]:
+        """Yield pieces with what is added to them; under 'refuse' the error comes at the end."""
+        self.rows = self.beyond = 0
+        first = None
+        for piece in self.log.read(self._needed, carried):
+            if self.uncertainty is not None and self.rows == 0:
+                self.cautions = self.uncertainty.cautions(piece.table, self.log.columns)
+            added = add_columns(
+                self.calibration,
+                piece.table,
+                tilt=self.tilt,
+                uncertainty=self.uncertainty,
+                outside=self.outside,
+            )
+            beyond = added["outside"].astype(bool)
+            if first is None and beyond.any():
+                first = piece.table.where(int(np.argmax(beyond)), self.calibration.outputs[0])
+            self.rows += piece.table.rows
+            self.beyond += int(beyond.sum())
+            yield piece, added
+            if self.progress is not None:
+                self.progress(piece.done)
+        if first is not None and self.outside == "refuse":
+            raise refusal(first, self.beyond, self.rows)
+
+    @property
+    def _needed(self) -> tuple[str, ...]:
+        beside = () if self.uncertainty is None else self.uncertainty.noise.columns
+        return (*self.calibration.outputs, *self.calibration.model.environment, *beside)
+
+    @property
+    def _delimiter(self) -> str:
+        return self.log.delimiter or ","
+
+    def _text(self, piece: Piece, added: Mapping[str, Array]) -> str:
+        if piece.lines is None:
+            columns = {name: piece.table.columns[name] for name in self.log.numeric}
+            return format_csv({**columns, **added}).partition("\n")[2]
+        lines = piece.lines()
+        if not self.log.delimiter:
+            lines = [",".join(line.split()) for line in lines]
+        beside = format_csv(added, self._delimiter).partition("\n")[2].split("\n")
+        rows = zip(lines, beside, strict=False)  # the last line break leaves one more, empty
+        return "".join([f"{line}{self._delimiter}{cells}\n" for line, cells in rows])
+
+
+def apply_log(
+    calibration: Calibration,
+    log: Log,
+    *,
+    tilt: bool = False,
+    uncertainty: bool = False,
+    reading_sd: ArrayLike | None = None,
+    parameters_only: bool = False,
+    outside: Outside = "flag",
+    progress: Callable[[float], object] | None = None,
+) -> AppliedLog:
+    """Return a log with the compensated force beside its columns, to be written piece by piece.
+
+    Raises
+    ------
+    MultiposError
+        A column is missing. Bad cells and refused rows are found when the pieces are read.
+    """
+    check_outside(outside)
+    wanted = asked_uncertainty(
+        calibration, log.source, log.columns, uncertainty, reading_sd, parameters_only
+    )
+    check_columns(calibration, log.source, log.columns, tilt, wanted, log.units)
+    return AppliedLog(calibration, log, tilt, wanted, outside, progress)
 
 
 class AppliedColumns(Columns):

@@ -11,7 +11,7 @@ that k is Student's t at their degrees of freedom. Beside a stated noise these g
 Satterthwaite, (u/u_C)⁴ times.
 
 Where runs are told apart (``regress --run``) the next one has a zero of its own, with the scatter
-of those that were seen: u and U are those of eq. (3) of `multipos.regression.runs`.        (2)
+of those that were seen: u and U are those of eq. (3) of `multipos.regression.robust`.        (2)
 
 A row is outside where a variable that its segment's model uses, or the segment variable itself,
 leaves what the rows of the fit covered. A polynomial says nothing there: the row is flagged, its
@@ -24,21 +24,18 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.compensation.added_columns import Outside, check_outside
-from multipos.compensation.applying import AppliedColumns
+from multipos.compensation.applying import AppliedColumns, Outside, check_outside
 from multipos.compensation.reading_noise import check_noise_options
 from multipos.errors import MultiposError, UsageError
-from multipos.files.lists import Names, split_names
+from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import largest_value
 from multipos.positions.reading_tables import nonnegative_column
-from multipos.positions.stated_noise import spread_reading_sd
-from multipos.regression.observations import Rows, number_labels
-from multipos.regression.rates import form_rate
-from multipos.regression.result import Regression
-from multipos.regression.several import Regressions
+from multipos.positions.readings import spread_reading_sd
+from multipos.regression.observations import Rows, form_rate, number_labels
+from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
 from multipos.sensor.tilt import coverage_by_tenths
 

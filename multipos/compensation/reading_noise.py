@@ -1,6 +1,6 @@
 """What the force of one reading is worth: parameters, budget and the reading's own noise together.
 
-With the covariance C of the parameters, what unseen terms add (`multipos.uncertainty.unseen`)
+With the covariance C of the parameters, what unseen terms add (`multipos.uncertainty.validity`)
 and the noise s of one reading, at the force f,
 
     cov f = (df/dp) C (df/dp)' + cov unseen + J⁺ diag(s²) J⁺'.                              (1)
@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.lists import quoted
+from multipos.files.spelling import quoted
 from multipos.files.tables import Table
 from multipos.numerics.arrays import Array
 from multipos.positions.reading_tables import nonnegative_column
-from multipos.positions.stated_noise import spread_reading_sd
+from multipos.positions.readings import spread_reading_sd
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes, sensitivities
 from multipos.sensor.tilt import coverage_by_tenths, reading_noise
@@ -40,7 +40,7 @@ from multipos.uncertainty.propagation import (
     row_dof,
     welch_satterthwaite,
 )
-from multipos.uncertainty.unseen import unseen_covariance
+from multipos.uncertainty.validity import unseen_covariance
 
 _ENOUGH = 20  # rows that tell samples from positions
 _NEIGHBOURS = 0.05  # [g], by which samples that follow each other differ at most, mostly

@@ -24,8 +24,8 @@ from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import read_bench
+from multipos.positions.readings import diagonal
 from multipos.positions.scheme import Scheme
-from multipos.positions.stated_noise import diagonal
 from multipos.results import Keyed, data_frame, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator

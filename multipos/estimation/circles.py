@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import align, directions
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.open_rolls import OpenRolls, across
+from multipos.positions.orientations import OpenRolls, across
 
 _TOLD = 0.02  # of the mean square: rolls that spread less about a circle do not tell its axis
 _WEAK = 1e-3  # weight of the case as it stands, beside what ties it

@@ -6,17 +6,16 @@ import numpy as np
 
 from multipos import __version__
 from multipos.errors import MultiposError
+from multipos.estimation.closed_form import closed_form_difference
 from multipos.estimation.gains import gravity_effect
-from multipos.estimation.six_positions import closed_form_difference
 from multipos.estimation.solution import Solution
-from multipos.files.moments import now
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
+from multipos.files.whole import now
 from multipos.numerics.arrays import Array, row_keys
 from multipos.positions.attitudes import Convention
-from multipos.positions.readings import Readings
-from multipos.positions.stated_noise import stated_sd
+from multipos.positions.readings import Readings, stated_sd
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.diagnostics import Diagnostics, lack_of_fit
+from multipos.sensor.fit_diagnostics import Diagnostics, lack_of_fit
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Gravity, add_gravity
 from multipos.sensor.model import Model

@@ -40,10 +40,10 @@ from numpy.typing import NDArray
 from multipos.estimation.posteriors import Posterior
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array, Places, row_keys
-from multipos.numerics.cofactors import cofactors_of
+from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, normal_quantile
-from multipos.numerics.recursions import recur
-from multipos.positions.placement import Placement
+from multipos.numerics.series import recur
+from multipos.positions.orientations import Placement
 from multipos.positions.readings import Readings
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator, VarianceComponents, add_scatter

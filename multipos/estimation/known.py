@@ -7,9 +7,11 @@ output, y = X p + e, and is solved by `multipos.numerics.least_squares`. The cov
     cov p = (X'V⁻¹X)⁻¹      where the readings state it, V their covariance                (2)
 
 A stated noise is a floor: V is it and what readings scatter from rest to rest beside it
-(`multipos.estimation.scatter`). Where χ² = r'V⁻¹r under the stated part alone passes its 99.9 %
-point it is denied, which `multipos.doubts.claims` says with its cause; below its 0.1 % point it is
-called overstated.
+(`multipos.estimation.excess_variance`). Where χ² = r'V⁻¹r under the stated part alone passes its
+99.9
+%
+point it is denied, which `multipos.diagnostics.residuals` says with its cause; below its 0.1 % point it
+is called overstated.
 
 References
 ----------
@@ -21,8 +23,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from multipos.errors import RankError
+from multipos.estimation.excess_variance import find_scatter
 from multipos.estimation.identifiability import formal_only
-from multipos.estimation.scatter import find_scatter
 from multipos.estimation.solution import Solution
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import (
@@ -35,16 +37,15 @@ from multipos.numerics.least_squares import (
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS, linear_term
-from multipos.positions.readings import Readings
-from multipos.positions.stated_noise import add_variances, diagonal, stated_sd
-from multipos.sensor.diagnostics import (
+from multipos.positions.readings import Readings, add_variances, diagonal, stated_sd
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.fit_diagnostics import (
     UNEQUAL,
     Claim,
     bartlett,
     find_correlated_outliers,
     find_outliers,
 )
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
 

@@ -8,7 +8,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.estimation.losses import LOSSES, Loss
 from multipos.numerics.quantiles import check_confidence
 from multipos.positions.attitudes import Convention, check_convention
-from multipos.positions.placement import Placement
+from multipos.positions.orientations import Placement
 from multipos.positions.readings import Readings
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator

@@ -22,8 +22,7 @@ from multipos.estimation.circles import (
 from multipos.estimation.losses import Loss
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions, tangent_basis
-from multipos.positions.open_rolls import OpenRolls
-from multipos.positions.placement import Placement, listed_rows
+from multipos.positions.orientations import OpenRolls, Placement, listed_rows
 from multipos.positions.readings import Readings
 from multipos.sensor.model import Block, Model
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Status
-from multipos.sensor.diagnostics import Claim
+from multipos.sensor.fit_diagnostics import Claim
 from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.model import Model
 

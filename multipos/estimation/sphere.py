@@ -22,7 +22,7 @@ import numpy as np
 from multipos.estimation.losses import loss, loss_weight
 from multipos.estimation.problem import Point, Problem, State
 from multipos.numerics.arrays import Array
-from multipos.numerics.cofactors import cofactors_of
+from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.rotations import step_on_sphere, tangent_basis
 from multipos.sensor.model import Model
 

@@ -1,17 +1,45 @@
 """The search for an uncertain or unknown orientation over its starts, and whether its end is sound.
 
-The second start of `multipos.estimation.first_states` is tried where the first fails, or where
+The second start of `multipos.estimation.starts` is tried where the first fails, or where
 positions may be further off than five degrees; the lower minimum wins.
+
+Where the search for an uncertain or unknown orientation starts.
+
+No guess is asked for. Least squares at the listed directions, where they are enough, is one start;
+the ellipsoid on which readings at rest lie (`multipos.estimation.starts`), turned to the listed
+directions where some are, is the other. Of a model of one's own the parameters at either of these
+directions are those of `multipos.estimation.user_models`.
+
+The closed-form start for unknown orientations: readings at rest lie on an ellipsoid.
+
+With ``y = b + M d`` and |d| = g, the readings satisfy
+
+    (y - b)' (M M')^-1 (y - b) = g²,                                                        (1)
+
+a quadric. With S a symmetric matrix of trace zero, it is one that is linear in its unknowns,
+
+    |y|² = y' S y + 2 v'y + w,      A = I − S,    b = A^-1 v,    r² = w + v' A^-1 v,        (2)
+
+and (y − b)' A (y − b) = r². It is fitted to centred, scaled readings by least squares, so that
+neither a unit nor a guess is needed. M M' = (r²/g²) A^-1 then, and M is its lower-triangular
+(Cholesky) or symmetric square root: any other differs by a rotation, which no reading at rest
+can tell.
+
+What the positions do not show stays zero in S, as on a sphere. Noise can make the quadric
+something else than an ellipsoid; then cross terms are left out of S, and last all of it.
 """
 
-from collections.abc import Set
+from collections.abc import Callable, Set
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from multipos.errors import ConvergenceError, MultiposError, RankError
+from multipos.estimation.circles import turn_about, turn_to_axes
 from multipos.estimation.descent import maximise
-from multipos.estimation.first_states import ways
+from multipos.estimation.fisher_information import Told, told_at
 from multipos.estimation.identifiability import (
     CANDIDATES,
     condition,
@@ -23,12 +51,244 @@ from multipos.estimation.identifiability import (
 )
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Optimum, Problem, State, start_state
-from multipos.estimation.told import Told, told_at
-from multipos.numerics.arrays import Array
-from multipos.numerics.medians import median
+from multipos.estimation.user_models import first_guesses
+from multipos.numerics.arrays import Array, median
+from multipos.numerics.least_squares import solve
+from multipos.numerics.rotations import align
 from multipos.numerics.terms import COMPONENTS, Term
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.inverse import parameter_jacobian
+from multipos.sensor.inverse import invert, parameter_jacobian
+
+_FLAT = 0.005  # thickness of the cloud of readings below which it is a disc
+_SHOWN = 1e-3  # relative singular value below which a coefficient is not seen in the positions
+_FLATTEST = 0.02  # ratio of semi-axes below which the ellipsoid is not believed
+
+
+def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[Array, Array]:
+    """Return bias (3,) and the lower-triangular matrix M (3, 3), in reading units.
+
+    Parameters
+    ----------
+    values : (n, 3) array
+        Readings, in any unit.
+    magnitude : float [g]
+    crossed : bool
+        Whether M has cross terms; without them six coefficients are fitted instead of nine.
+
+    Raises
+    ------
+    MultiposError
+        The readings do not spread over three dimensions.
+    """
+    centre = values.mean(axis=0)
+    size = np.sqrt(np.mean((values - centre) ** 2, axis=0))
+    if not size.min() > 1e-9 * np.abs(values).max():
+        raise MultiposError(
+            "the readings of one output never change; turn the sensor so that every axis points "
+            "up, down and level."
+        )
+    scaled = (values - centre) / size
+    extent = np.linalg.svd(values - centre, compute_uv=False)
+    if extent[-1] < _FLAT * extent[0]:
+        raise MultiposError(
+            "all positions lie on one circle, so the readings are flat; add positions off it."
+        )
+    found = _quadric(scaled, crossed) if crossed else None
+    found = found or _quadric(scaled, crossed=False) or _sphere(scaled)
+    bias, square = found
+    lower = np.linalg.cholesky(square) / magnitude
+    return centre + size * bias, size[:, None] * lower
+
+
+def symmetric_root(lower: Array) -> Array:
+    """Return the symmetric square root of L L'."""
+    left, singular, _ = np.linalg.svd(lower)
+    return np.asarray((left * singular) @ left.T)
+
+
+def _quadric(points: Array, crossed: bool) -> tuple[Array, Array] | None:
+    """Return centre and r² A^-1 of eq. (2), None where it is no ellipsoid."""
+    x, y, z = points.T
+    columns = [x * x - z * z, y * y - z * z, 2 * x, 2 * y, 2 * z, np.ones_like(x)]
+    if crossed:
+        columns += [2 * x * y, 2 * x * z, 2 * y * z]
+    c = _least_squares(columns, points)
+    form = np.diag([1.0 - c[0], 1.0 - c[1], 1.0 + c[0] + c[1]])
+    if crossed:
+        form -= np.array([[0, c[6], c[7]], [c[6], 0, c[8]], [c[7], c[8], 0]])
+    eigenvalues = np.linalg.eigvalsh(form)
+    if not eigenvalues[0] > _FLATTEST**2 * eigenvalues[-1]:
+        return None
+    inverse = np.linalg.inv(form)
+    radius2 = float(c[5] + c[2:5] @ inverse @ c[2:5])
+    return (inverse @ c[2:5], radius2 * inverse) if radius2 > 0.0 else None
+
+
+def _sphere(points: Array) -> tuple[Array, Array]:
+    x, y, z = points.T
+    c = _least_squares([2 * x, 2 * y, 2 * z, np.ones_like(x)], points)
+    radius2 = max(float(c[3] + c[:3] @ c[:3]), 1.0)
+    return c[:3], radius2 * np.eye(3)
+
+
+def _least_squares(columns: list[Array], points: Array) -> Array:
+    """Return the coefficients of |y|², zero where the positions do not show them."""
+    square = np.einsum("ni,ni->n", points, points)
+    return np.asarray(np.linalg.lstsq(np.column_stack(columns), square, rcond=_SHOWN)[0])
+
+
+_PARTS = 50  # that a robust start leaves out in turn
+
+
+def ways(problem: Problem) -> list[Callable[[Problem], State | None]]:
+    """Return what makes a start, the most trusted first."""
+    if not isinstance(problem.model, ExpressionModel):
+        return [_listed_start, _ellipsoid_start]
+    return [partial(_given, state) for state in own_starts(problem)]
+
+
+def _given(state: State, problem: Problem) -> State:
+    return state
+
+
+def own_starts(problem: Problem) -> list[State]:
+    """Return where the search for a model of one's own starts: `multipos.estimation.user_models`.
+
+    At the listed directions, or at those that the ellipsoid of the readings gives.
+    """
+    model, rows = problem.model, problem.listed
+    assert isinstance(model, ExpressionModel)
+    if rows.any():
+        here = {name: column[rows] for name, column in problem.environment.items()}
+        guesses = first_guesses(model, problem.values[rows], problem.reference[rows], here)
+        return [_placed(problem, theta) for theta in guesses]
+    seen = _on_ellipsoid(problem)
+    force = seen.direction * problem.magnitude[:, None]
+    guesses = first_guesses(model, problem.values, force, problem.environment)
+    turns = _turns(problem, seen.direction)
+    return [start_state(problem, theta, seen.direction, turns) for theta in guesses]
+
+
+def _listed_start(problem: Problem) -> State | None:
+    """Least squares at the listed directions, where there are enough of them."""
+    model, rows = problem.model, problem.listed
+    if not rows.any():
+        return None
+    values, reference = problem.values[rows], problem.reference[rows]
+    environment = {name: column[rows] for name, column in problem.environment.items()}
+    theta = np.zeros(len(model.keys))
+    _, blocks = model.respond(theta, reference, environment)
+    for output, (places, design) in enumerate(blocks):
+        names = [model.names[i] for i in places]
+        theta[places] = solve(design, values[:, output], names=names).coefficients
+    return _placed(problem, theta)
+
+
+def _placed(problem: Problem, theta: Array) -> State:
+    """Return the state at given parameters: unknown directions as the readings say, groups too."""
+    if problem.listed.all():
+        return start_state(problem, theta)
+    force = invert(problem.model, theta, problem.values, problem.environment)
+    length = np.linalg.norm(force, axis=1)
+    seen = length > 0.0  # not NaN: a force explains the reading
+    direction = np.where(seen[:, None], force / np.where(seen, length, 1.0)[:, None], [1.0, 0, 0])
+    return start_state(problem, theta, direction, _turns(problem, direction))
+
+
+def _turns(problem: Problem, direction: Array) -> Array:
+    """Return the rotation of each group that brings its listed directions nearest to others."""
+    groups = (problem.group == g for g in range(problem.groups))
+    turns = [align(problem.reference[rows], direction[rows]) for rows in groups]
+    return np.array(turns).reshape(-1, 3, 3)
+
+
+def _ellipsoid_start(problem: Problem) -> State | None:
+    """The ellipsoid of the readings, turned to the listed directions where some are."""
+    model = problem.model
+    if sorted(model.axes) != ["x", "y", "z"]:
+        return None
+    seen = _on_ellipsoid(problem)
+    theta = np.zeros(len(model.keys))
+    for i, (output, term) in enumerate(model.keys):
+        column = {"1": 0, "x": 1, "y": 2, "z": 3}.get(str(term))
+        if column is not None:
+            theta[i] = seen.linear[model.outputs.index(output), column]
+    return start_state(problem, theta, seen.direction, _turns(problem, seen.direction))
+
+
+class _Seen(NamedTuple):
+    """What an ellipsoid says: constant and linear terms (3, 4), and directions (n, 3)."""
+
+    linear: Array
+    direction: Array
+
+
+def _on_ellipsoid(problem: Problem) -> _Seen:
+    """Return the ellipsoid of a triad's readings, turned to the listed directions if any."""
+    model = problem.model
+    order = [model.axes.index(axis) for axis in ("x", "y", "z")]
+    magnitude = float(problem.magnitude.mean())
+    named = any(name.startswith("cross_") for name in model.names)
+    crossed = named or isinstance(model, ExpressionModel)
+    find = ellipsoid_start if problem.robust is None else _median_ellipsoid
+    bias, matrix = find(problem.values[:, order], magnitude, crossed=crossed)
+    if model.gauge == "symmetric":
+        matrix = symmetric_root(matrix)
+    force = np.linalg.solve(matrix, (problem.values[:, order] - bias).T).T
+    direction = force / np.linalg.norm(force, axis=1)[:, None]
+    turn = _hand(problem, direction)
+    matrix, direction = matrix @ turn.T, direction @ turn.T
+    free = problem.free_axis
+    if free is not None:
+        turn = turn_about(free, matrix)
+        matrix, direction = matrix @ turn.T, direction @ turn.T
+    linear = np.empty((3, 4))
+    linear[order] = np.column_stack([bias, matrix])
+    return _Seen(linear, direction)
+
+
+def _hand(problem: Problem, direction: Array) -> Array:
+    """Return the rotation or reflection that brings directions nearest to those listed.
+
+    The ellipsoid leaves both open. A reflection is that of a left-handed triad, or of a
+    convention which is not the readings' own; rows of a group can tell it as well.
+    """
+    known = [problem.listed, *(problem.group == g for g in range(problem.groups))]
+
+    def misfit(mirror: float) -> float:
+        turned = (
+            mirror * direction[rows] @ align(mirror * direction[rows], problem.reference[rows]).T
+            - problem.reference[rows]
+            for rows in known
+            if rows.any()
+        )
+        return float(sum(np.sum(left**2) for left in turned))
+
+    if problem.rolls is not None and not problem.groups:
+        return turn_to_axes(problem.rolls, direction, problem.listed, problem.reference)
+    mirror = -1.0 if misfit(-1.0) < misfit(1.0) else 1.0
+    if problem.adrift:
+        return mirror * np.eye(3)
+    rows = problem.listed
+    return mirror * align(mirror * direction[rows], problem.reference[rows])
+
+
+def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tuple[Array, Array]:
+    """Return the ellipsoid start, without one part of the readings, that most readings are near.
+
+    Each part is left out in turn, so that blunders in one of them do not bend the start.
+    """
+    parts = min(len(values), _PARTS)
+    best, least = ellipsoid_start(values, magnitude, crossed=crossed), np.inf
+    for part in range(parts):
+        rest = np.delete(values, np.s_[part::parts], axis=0)
+        bias, matrix = ellipsoid_start(rest, magnitude, crossed=crossed)
+        force = np.linalg.solve(matrix, (values - bias).T)
+        misfit = float(median(np.abs(np.linalg.norm(force, axis=0) - magnitude)))
+        if misfit < least:
+            best, least = (bias, matrix), misfit
+    return best
+
 
 _LEVER = 2.0  # how far above the information that noise pretends
 _FEWEST = 4  # parameters that any turn of the sensor shows: a bias for each output, one scale

@@ -27,25 +27,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.estimation.believed import judge_tied, with_degrees
-from multipos.estimation.first_states import own_starts
+from multipos.estimation.fisher_information import Told, told_at
 from multipos.estimation.free_rotations import rotations_to_hold
 from multipos.estimation.identifiability import condition, formal_only
 from multipos.estimation.losses import Loss
-from multipos.estimation.noise import Appraisal, judge_noise
+from multipos.estimation.noise import Appraisal, judge_noise, judge_tied, with_degrees
 from multipos.estimation.problem import Optimum, Problem, State, state_problem
 from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.solution import Solution
-from multipos.estimation.starts import reduced_information, search, too_few
-from multipos.estimation.told import Told, told_at
+from multipos.estimation.starts import own_starts, reduced_information, search, too_few
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import rotation_vector
-from multipos.positions.open_rolls import across
-from multipos.positions.placement import Placement
+from multipos.positions.orientations import Placement, across
 from multipos.positions.readings import Readings, select_outputs
 from multipos.sensor.calibration import Status
-from multipos.sensor.diagnostics import Claim, find_outlying_positions
 from multipos.sensor.expressions import ExpressionModel, at_bounds
+from multipos.sensor.fit_diagnostics import Claim, find_outlying_positions
 from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.model import ROLL_GAUGES, Gauge, Model
 from multipos.sensor.own_models import hold

@@ -4,8 +4,8 @@
     NAME_correct(&state, time, in, out);             once a row, in the order of time
 
 What one row does is what `multipos.compensation.correction` does of a whole table: rates by eq. (2)
-of `multipos.regression.rates`, whose memory is the state; the segment by the edges and the branch;
-every variable held where the segment's rows were; then the sum of the segment's terms,
+of `multipos.regression.observations`, whose memory is the state; the segment by the edges and the
+branch; every variable held where the segment's rows were; then the sum of the segment's terms,
 
     p = Σ_t b_t φ_t,     out = p, or column − p where a column is corrected.                (1)
 
@@ -24,16 +24,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from multipos import __version__
-from multipos.exports.c_body import literal
+from multipos.exports.c_body import environment_range, literal
 from multipos.exports.c_source import c_source, comment
-from multipos.exports.c_steps import environment_range
 from multipos.exports.parts import Correction
 from multipos.files.numbers import number
 from multipos.numerics.arrays import LARGEST
-from multipos.numerics.factors import FUNCTIONS
-from multipos.numerics.terms import Term
-from multipos.regression.rates import filter_time
-from multipos.regression.result import Regression
+from multipos.numerics.terms import FUNCTIONS, Term
+from multipos.regression.observations import filter_time
+from multipos.regression.regression import Regression
 from multipos.regression.segment import Segment
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.exports.c_body import literal
-from multipos.exports.c_steps import (
+from multipos.exports.c_body import (
     environment_range,
     force_grid,
+    literal,
     needed_steps,
     steps_in_words,
 )

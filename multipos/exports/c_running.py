@@ -15,7 +15,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.exports.c_source import signature
-from multipos.files.characters import visible
+from multipos.files.spelling import visible
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes

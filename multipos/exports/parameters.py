@@ -32,7 +32,7 @@ from multipos.exports.target import (
     Wish,
     refuse_strange,
 )
-from multipos.files.characters import visible
+from multipos.files.spelling import visible
 from multipos.files.trees import to_json
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS

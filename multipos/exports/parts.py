@@ -8,12 +8,11 @@ from functools import cached_property
 from multipos.errors import UsageError
 from multipos.files.trees import read_schema
 from multipos.numerics.terms import COMPONENTS
+from multipos.regression.regression import Regression, Regressions, all_of
 from multipos.regression.regression_file import SCHEMA, load_regression
-from multipos.regression.result import Regression
-from multipos.regression.several import Regressions, all_of
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration_file import load
 from multipos.sensor.inverse import sensed_axes
-from multipos.sensor.loading import load
 
 Part = Calibration | Regression | Regressions
 Parts = Part | Sequence[Part]

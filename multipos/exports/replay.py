@@ -14,15 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.compensation.added_columns import add_columns
+from multipos.compensation.applying import add_columns
 from multipos.compensation.correction import predict_clamped, read_predictors
 from multipos.errors import MultiposError
-from multipos.exports.c_steps import environment_range
+from multipos.exports.c_body import environment_range
 from multipos.exports.parts import Correction
 from multipos.files.tables import Table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.regression.observations import number_labels
-from multipos.regression.result import Regression
+from multipos.regression.regression import Regression
 from multipos.sensor.calibration import Calibration
 
 _BEYOND = 0.05  # of a range, on both sides

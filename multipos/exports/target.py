@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multipos.bias_stability.result import Stability
+from multipos.bias_stability.stability_result import Stability
 from multipos.errors import MultiposError
 from multipos.files.numbers import table
 from multipos.files.whole import written

@@ -22,7 +22,7 @@ from multipos.exports.target import (
     Wish,
     refuse_strange,
 )
-from multipos.files.characters import visible
+from multipos.files.spelling import visible
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes

@@ -24,13 +24,12 @@ from multipos.exports.parts import Correction
 from multipos.exports.replay import Drive, expected_rows, fitted_rows, generated_rows
 from multipos.exports.target import Exported, GivenFile
 from multipos.exports.target_c import difference_of
-from multipos.files.lists import Names, split_names
 from multipos.files.numbers import number, table
+from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source, read_table
-from multipos.numerics.arrays import Array
-from multipos.numerics.medians import median
-from multipos.regression.rates import filter_time
-from multipos.regression.result import Regression
+from multipos.numerics.arrays import Array, median
+from multipos.regression.observations import filter_time
+from multipos.regression.regression import Regression
 from multipos.results import Result, plain
 from multipos.sensor.calibration import Calibration
 

@@ -18,7 +18,7 @@ from multipos.errors import MultiposError
 from multipos.exports.laws import LINEAR, Correction, Law
 from multipos.exports.parameters import origin, parameter_target, require_writable
 from multipos.exports.target import Wish
-from multipos.files.characters import visible
+from multipos.files.spelling import visible
 from multipos.files.trees import to_json
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration

@@ -18,7 +18,7 @@ import re
 
 import numpy as np
 
-from multipos.bias_stability.result import MICRO_G, Stability
+from multipos.bias_stability.stability_result import MICRO_G, Stability
 from multipos.errors import MultiposError
 from multipos.exports.laws import LINEAR, Correction, Law, in_metres
 from multipos.exports.parameters import (

@@ -20,7 +20,7 @@ from multipos.exports.parameters import (
     require_writable,
 )
 from multipos.exports.target import Wish
-from multipos.files.characters import visible
+from multipos.files.spelling import visible
 from multipos.sensor.calibration import Calibration
 
 

@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Sequence
 
-from multipos.files.characters import visible
+from multipos.files.spelling import visible
 
 _MOST_ROWS, _LARGEST_ROWS = 100, 20  # of a table: beyond the former only so many are shown
 _SHORTEST = -5  # decimal exponents below this are written as such

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files.characters import control_characters, visible
+from multipos.files.spelling import control_characters, visible
 from multipos.numerics.arrays import SMALLEST
 from multipos.numerics.terms import COMPONENTS
 

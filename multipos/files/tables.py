@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files.characters import control_characters, visible
-from multipos.files.columns import Cells, FileBytes, Lines, Plain, read_plain
+from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plain
+from multipos.files.spelling import control_characters, visible
 from multipos.files.whole import read_bytes, write_text
 
 Column = Sequence[Any] | NDArray[Any]

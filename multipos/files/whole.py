@@ -1,4 +1,7 @@
-"""Files read whole, and written whole or not at all, several together."""
+"""Files read whole, and written whole or not at all, several together.
+
+The time that results carry.
+"""
 
 import os
 import shutil
@@ -6,6 +9,7 @@ import stat
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
@@ -175,3 +179,10 @@ def _restore(draft: _Draft) -> None:
         draft.before.replace(draft.target)
     elif not draft.temporary.exists():  # it had taken the place of nothing
         draft.target.unlink(missing_ok=True)
+
+
+def now() -> str:
+    """Return the time in UTC; SOURCE_DATE_EPOCH, where set, makes results reproducible."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    moment = datetime.now(UTC) if epoch is None else datetime.fromtimestamp(int(epoch), UTC)
+    return moment.isoformat(timespec="seconds")

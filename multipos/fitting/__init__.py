@@ -1,4 +1,4 @@
 """The front doors: from readings, columns or raw logs to a finished result.
 
-Open `readings` for `fit`; `columns` has `regress`, and `logs` has `calibrate`.
+Open `fit_readings` for `fit`; `regress_columns` has `regress`, and `calibrate_logs` has `calibrate`.
 """

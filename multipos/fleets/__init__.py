@@ -1,4 +1,4 @@
 """Many units at once: each one's calibration, and what only all of them together can tell.
 
-Open `fitting` first.
+Open `fit_many` first.
 """

@@ -2,10 +2,15 @@
 
 Numbers of the line are those of units that count: fitted, and fit for use. What is left out of
 them is counted and listed.
+
+One unit of a fleet by itself, as `fit` finds it: what its own page is made of.
+
+`fleet.json` names the tables and says with what options units were fitted; the readings stay in
+the tables. Of Parquet only the rows of the unit are read.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -15,29 +20,123 @@ from typing import Any, Unpack
 import numpy as np
 
 from multipos import __version__
-from multipos.errors import UsageError
-from multipos.files.moments import now
+from multipos.errors import MultiposError, UsageError
+from multipos.files.pipes import is_there
+from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source
-from multipos.fleets.belonging import find_outliers
-from multipos.fleets.drift import find_drift
-from multipos.fleets.fitting import FitOptions, fit_units
+from multipos.files.whole import now
+from multipos.fitting.fit_readings import fit
+from multipos.fleets.fit_many import FitOptions, fit_units
 from multipos.fleets.gauge import describe_gauge
-from multipos.fleets.limits import (
+from multipos.fleets.grouping import group_rows
+from multipos.fleets.line import find_drift, find_outliers
+from multipos.fleets.pictures import charts, histogram
+from multipos.fleets.quality import (
     PASS,
     Limit,
     LimitsSource,
     Verdicts,
     column,
+    describe,
     judge_units,
+    proportion,
     read_limits,
 )
-from multipos.fleets.pictures import charts, histogram
-from multipos.fleets.quality import describe, proportion
-from multipos.fleets.running import Engine, open_engine
-from multipos.fleets.single import asked
+from multipos.fleets.sources import read_rows
 from multipos.fleets.stations import describe_stations
-from multipos.fleets.units import Units
+from multipos.fleets.unit_results import Units
+from multipos.fleets.workers import Engine, open_engine
 from multipos.results import Columns, Drawn, Result, plain
+from multipos.sensor.calibration import Calibration
+
+
+def asked(
+    unit_column: str, station_column: str | None, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what `fleet.json` keeps of how units were fitted; options None where no file can."""
+    given = {name: value for name, value in options.items() if value is not None}
+    kept = given if all(map(_is_plain, given.values())) else None
+    return {"unit_column": unit_column, "station_column": station_column, "options": kept}
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, list | tuple):
+        return all(map(_is_plain, value))
+    return isinstance(value, str | int | float)
+
+
+def fit_unit(
+    found: Mapping[str, Any],
+    unit: str,
+    *,
+    station: str | None = None,
+    data: Sequence[Source] = (),
+    beside: Path = Path(),
+) -> Calibration:
+    """Return the calibration of one unit of a fleet.
+
+    Parameters
+    ----------
+    found : mapping
+        As `fleet.json` holds it.
+    unit, station : str
+        The station where the unit was at several.
+    data : paths, optional
+        The tables of the fleet; otherwise those that it names, in `beside` or this folder.
+    beside : path
+
+    Raises
+    ------
+    MultiposError
+        There is no such unit or table, or the unit cannot be fitted.
+    """
+    how = found["asked"]
+    if how["options"] is None:
+        raise MultiposError(
+            "this fleet was fitted from Python with options that no file holds; fit the rows of "
+            "the unit there."
+        )
+    rows = read_rows(data or _named(found, beside), how["unit_column"], how["station_column"], unit)
+    known = {each["sha256"] for each in found["input"]}
+    for table in rows.tables:
+        if table.sha256 not in known:
+            raise MultiposError(
+                f"{table.source} is not the table that this fleet was fitted from, or has changed "
+                "since; give that with --data, or run multipos fleet again."
+            )
+    units = group_rows(rows)
+    here = {units.station[i]: i for i, name in enumerate(units.unit) if name == unit}
+    if not here:
+        raise MultiposError(f"no unit '{unit}'{near(unit, rows.unit.names)} Look at units.csv.")
+    place = here[_station_of(unit, list(here), station)]
+    return fit(rows.select(units.rows(place).tolist()), **how["options"])
+
+
+def _station_of(unit: str, stations: list[str], wanted: str | None) -> str:
+    if wanted is None and len(stations) == 1:
+        return stations[0]
+    if wanted is None:
+        raise MultiposError(
+            f"unit '{unit}' was at stations {quoted(stations)}; choose one with --station."
+        )
+    if wanted not in stations:
+        raise MultiposError(f"unit '{unit}' was at {quoted(stations)}, not at '{wanted}'.")
+    return wanted
+
+
+def _named(found: Mapping[str, Any], beside: Path) -> list[Source]:
+    """Return the tables that a fleet names, where they lie."""
+    tables: list[Source] = []
+    for each in found["input"]:
+        places = [folder / each["file"] for folder in (beside, Path())]
+        there = next((path for path in places if is_there(path)), None)
+        if there is None:
+            raise MultiposError(
+                f"the table {each['file']} of this fleet is not beside it; give it with --data."
+            )
+        tables.append(there)
+    return tables
+
 
 SCHEMA = "multipos/fleet/1"
 
@@ -115,7 +214,7 @@ def fleet(
     tables, unit_column, station_column, options
         As in `fit_many`.
     limits : path or mapping of name to (lsl, usl), optional
-        Of the numbers of a unit (`multipos.fleets.limits`).
+        Of the numbers of a unit (`multipos.fleets.quality`).
     engine, scheduler : str
         'threads', 'processes', or 'dask' with the address of its scheduler.
     executor : concurrent.futures.Executor, optional

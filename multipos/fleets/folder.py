@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from multipos.errors import MultiposError
-from multipos.files.characters import visible
 from multipos.files.pipes import is_folder
+from multipos.files.spelling import visible
 from multipos.files.tables import format_csv
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import Content, Pieces, make_folder, written

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.batches import Estimates, SharedDesign
-from multipos.numerics.arrays import Array
-from multipos.numerics.medians import median
+from multipos.numerics.arrays import Array, median
 from multipos.numerics.rotations import cross_matrix
 from multipos.numerics.terms import COMPONENTS
 

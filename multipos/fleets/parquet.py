@@ -1,6 +1,6 @@
 """Parquet files of a fleet, read as far as they are needed.
 
-They are read in this process, other than a log (`multipos.logs.isolation`): texts stay what they
+They are read in this process, other than a log (`multipos.logs.extras`): texts stay what they
 are in the file, a dictionary and numbers. A column stays in its file until rows of it are asked
 for; what a file gives only together is a row group.
 """

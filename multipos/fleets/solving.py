@@ -4,6 +4,27 @@ A task is all that a worker needs and can be sent to another process. Units that
 same conditions are solved together where `multipos.estimation.batches` can do what `fit` does with
 them; all others, and whatever unit a batch does not answer for, by `fit` itself, so that nothing
 depends on which way was taken.
+
+Which units of a batch may not be fit for use: each is fitted alone, and looked at in full.
+
+Implausible doubts of `multipos.diagnostics` need something to begin with, and each bound here is passed
+by far less than any of them needs:
+
+- residuals of half a percent of a g, or one of eight tenths (rows interchanged, flipped, in another
+  unit, saturated; they need two percent, or one);
+- an output that leans more than 14° from its axis, or is reversed (permuted, turned, reversed);
+- a sensitivity that is not within a fifth of that of the other units (units mixed up), or one of
+  the others that is not what the stated unit says (all in another unit);
+- two rows that are the same in all outputs (copied).
+
+At uncertain orientations residuals are small wherever positions take up what is wrong, so that an
+output that has one end of its range twice, or in common with another (saturated), is asked as well;
+positions that stick out are left to the fit of one unit by the batch itself.
+
+What is a caution alone and shows in nothing but residuals within that (a missing term, an outlier
+at known positions, outputs of unlike noise) is asked only of units that are fitted one by one: one
+in a hundred good units has such a caution by chance, and to look at these would take longer than
+all the others.
 """
 
 import math
@@ -16,33 +37,105 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.diagnostics.redundancy import are_poorly_known
+from multipos.diagnostics.scales import are_of_unit
 from multipos.doubt import implausible
-from multipos.doubts.redundancy import are_poorly_known
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
-from multipos.estimation.batches import Estimates, SharedDesign, estimate_batch, share_design
+from multipos.estimation.batches import (
+    Estimates,
+    SharedDesign,
+    estimate_batch,
+    estimate_stated,
+    share_design,
+)
 from multipos.estimation.correlated_rows import are_asked, find_correlated
 from multipos.estimation.known import DENIED
-from multipos.estimation.placed_batches import (
+from multipos.estimation.robustness import estimate_robust
+from multipos.estimation.sphere_batches import SharedSphere, estimate_spheres, share_sphere
+from multipos.estimation.uncertain_batches import (
     SharedPlacement,
     estimate_placed,
     share_placement,
 )
-from multipos.estimation.robust_batches import estimate_robust
-from multipos.estimation.sphere_batches import estimate_spheres, share_sphere
-from multipos.estimation.sphere_search import SharedSphere
-from multipos.estimation.stated_batches import estimate_stated
 from multipos.files.tables import Table
-from multipos.fitting.readings import fit
+from multipos.fitting.fit_readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests
-from multipos.fleets.screening import find_suspects
-from multipos.numerics.arrays import Array, Places
+from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
-from multipos.positions.placement import resolve
+from multipos.numerics.terms import COMPONENTS
+from multipos.positions.orientations import resolve
 from multipos.positions.reading_tables import read_readings
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Gravity
+from multipos.sensor.inverse import inverses, sensed_axes
+from multipos.sensor.model import Model
+
+_RMS = 0.005  # [g]
+_LARGEST = 0.008  # [g]
+_LEANS = 0.97  # cosine
+_OTHER = 1.2  # times the sensitivity of the units beside it
+_WEIGHTS = (1.0, 0.7071067811865476, 0.5773502691896257)  # that make one number of a row
+
+
+def find_suspects(
+    model: Model, values: tuple[Array, ...], found: Estimates, *, placed: bool = False
+) -> NDArray[np.bool_]:
+    """Tell which units (B,) are to be looked at in full.
+
+    Parameters
+    ----------
+    model : Model
+    values : M arrays (B, n)
+    found : Estimates
+    placed : bool
+        Orientations are uncertain.
+    """
+    matrix = inverses(found.inverse)
+    length = np.asarray(np.linalg.norm(matrix, axis=2))
+    usual = median(length, axis=0).tolist()
+    suspect = ~(found.rms <= _RMS) | _repeats(values) | _leans(model, matrix, length)
+    if placed:
+        suspect |= _ends_repeat(values)
+    for i, residuals in enumerate(found.residuals):
+        size = length[:, i]
+        suspect |= ~((size < _OTHER * usual[i]) & (size > usual[i] / _OTHER))
+        suspect |= np.abs(residuals).max(axis=1) > _LARGEST * size
+    if not are_of_unit([min(usual) / _OTHER, max(usual) * _OTHER], model.unit):
+        suspect[:] = True
+    return suspect
+
+
+def _leans(model: Model, matrix: Array, length: Array) -> NDArray[np.bool_]:
+    """Tell of which units an output leans from its axis; `matrix` are their sensitivities."""
+    sensed = sensed_axes(model)
+    leans = np.zeros(len(matrix), dtype=np.bool_)
+    for i, axis in enumerate(model.axes):
+        own = matrix[:, i, sensed.index(COMPONENTS.index(axis))]
+        leans |= ~(own > _LEANS * length[:, i])
+    return leans
+
+
+def _ends_repeat(values: tuple[Array, ...]) -> NDArray[np.bool_]:
+    """Tell which units have an end of the range of an output twice, or in two outputs."""
+    repeat = np.zeros(len(values[0]), dtype=np.bool_)
+    for ends in (np.max, np.min):
+        found = np.stack([ends(column, axis=1) for column in values])
+        for column, end in zip(values, found, strict=True):
+            repeat |= (column == end[:, None]).sum(axis=1) > 1
+        repeat |= (np.diff(np.sort(found, axis=0), axis=0) == 0.0).any(axis=0)
+    return np.asarray(repeat)
+
+
+def _repeats(values: tuple[Array, ...]) -> NDArray[np.bool_]:
+    """Tell which units have two rows that are alike."""
+    number = np.zeros_like(values[0])
+    for i, column in enumerate(values):
+        number += _WEIGHTS[i % 3] * column
+    number.sort(axis=1)
+    return np.asarray((np.diff(number, axis=1) == 0.0).any(axis=1))
+
 
 Shared = SharedDesign | SharedSphere | SharedPlacement
 

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.columns import Cells, FileBytes
-from multipos.files.lists import near, quoted
-from multipos.files.packed import GZIP, unpack_gzip
-from multipos.files.pipes import is_folder, is_there, rereadable
+from multipos.files.csv_columns import Cells, FileBytes
+from multipos.files.pipes import GZIP, is_folder, is_there, rereadable, unpack_gzip
+from multipos.files.spelling import near, quoted
 from multipos.files.tables import Column, Source, Table, open_table, read_table
 from multipos.files.whole import first_bytes
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of

@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.lists import Names, split_names, spread
+from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.logs.averages import Averages
 from multipos.logs.clock import TimeUnit, check_time_unit
 from multipos.logs.joining import choose, complete, faults_of_means, require_alike, require_several
-from multipos.logs.known_rests import read_sections
 from multipos.logs.opening import open_log
+from multipos.logs.rests import read_sections
 from multipos.logs.samples import Progress, Timing
 from multipos.logs.still import StillLog, Wish, find_still
 from multipos.logs.table import Log

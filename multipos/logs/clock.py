@@ -4,19 +4,23 @@ A time is in the unit that its header or its name tells, ``Time (s)``, ``timesta
 ``seconds_elapsed``; else a number since 1970 tells by its size, and any other by its steps: below
 2 they are seconds, below 125 milliseconds, below 125,000 microseconds, since hardly a sensor is
 sampled less than eight times a second. ``--time-unit`` decides otherwise.
+
+Dates in the cells of a log.
 """
 
 import re
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.tables import Table
+from multipos.logs.layout import DATE
 from multipos.logs.table import Log
-from multipos.numerics.arrays import Array
-from multipos.numerics.medians import median
-from multipos.numerics.sample_rates import FASTEST, SLOWEST
-from multipos.positions.column_names import unit_of
+from multipos.numerics.arrays import Array, median
+from multipos.numerics.series import FASTEST, SLOWEST
+from multipos.positions.headers import unit_of
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
 TIME_UNITS: tuple[TimeUnit, ...] = get_args(TimeUnit)
@@ -142,3 +146,40 @@ def sample_rate(source: str, column: str, time: Array) -> float:
             f"({1.0 / FASTEST:g} to {1.0 / SLOWEST:g}); correct it, or give --rate."
         )
     return 1.0 / usual
+
+
+_ZONE = re.compile(r"[ \t]*(?:Z|UTC|(?<=\d)[+-]\d\d:?\d\d)?$", re.MULTILINE)
+_MILLISECONDS = re.compile(r":(\d{3})$", re.MULTILINE)  # behind a colon, as a wearable writes them
+
+
+def read_dates(dates: Sequence[str]) -> Array:
+    """Return dates as seconds since 1970, NaN where a cell is none; zones are not looked at."""
+    told = [cell if DATE.fullmatch(cell) else "NaT" for cell in dates]
+    plain = _ZONE.sub("", "\n".join(told).replace(",", ".").replace("/", "-"))
+    plain = _MILLISECONDS.sub(r".\1", plain)
+    try:
+        times = np.array(plain.split("\n"), dtype="datetime64[ns]")
+    except ValueError:
+        times = np.array([_date(each) for each in plain.split("\n")], dtype="datetime64[ns]")
+    seconds = times.astype(np.int64) * 1e-9
+    return np.where(np.isnat(times), np.nan, seconds)
+
+
+def _date(cell: str) -> np.datetime64:
+    try:
+        return np.datetime64(cell, "ns")
+    except ValueError:
+        return np.datetime64("NaT", "ns")
+
+
+def require_dates(table: Table, name: str, cells: Sequence[str]) -> Array:
+    """Return dates as seconds since 1970, and refuse a cell that is none."""
+    seconds = read_dates(cells)
+    bad = np.flatnonzero(np.isnan(seconds))
+    if len(bad):
+        row = int(bad[0])
+        raise MultiposError(
+            f"{table.where(row, name)}: '{cells[row]}' is no date; correct it, or give --drop-bad "
+            "to leave such rows out."
+        )
+    return seconds

@@ -43,8 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.logs.rest_means import COSINES, RestMean
-from multipos.numerics.arrays import Array
-from multipos.numerics.medians import median
+from multipos.numerics.arrays import Array, median
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_tail
 
 _LEAST = 64  # samples of a rest, below which eight cosines are no longer like χ²

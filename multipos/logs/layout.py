@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.positions.column_names import split_unit, unit_of
+from multipos.positions.headers import split_unit, unit_of
 
 COMMENTS = ("#", "//", "%")
 _LAST = 50  # rows that tell what a row is

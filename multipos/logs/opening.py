@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.lists import Names, split_names
 from multipos.files.pipes import rereadable
+from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, read_table
-from multipos.logs.arrays import log_of_columns
+from multipos.logs.array_logs import log_of_columns
 from multipos.logs.extras import Noted
 from multipos.logs.readers import reader_of
 from multipos.logs.table import Log
-from multipos.logs.text import HEAD, open_text
+from multipos.logs.text_logs import HEAD, open_text
 
 
 def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:

@@ -6,16 +6,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from multipos.files.packed import GZIP, unpack_gzip
-from multipos.logs.ardupilot import load_dataflash
-from multipos.logs.arrays import read_mat, read_npy, read_npz
-from multipos.logs.excel import unpack_workbook
+from multipos.files.pipes import GZIP, unpack_gzip
+from multipos.logs.array_logs import (
+    load_arrow,
+    load_hdf,
+    read_mat,
+    read_npy,
+    read_npz,
+    unpack_phone,
+    unpack_workbook,
+)
 from multipos.logs.extras import reader_with_extra
-from multipos.logs.hdf5 import load_hdf
-from multipos.logs.parquet import load_arrow
-from multipos.logs.phone import unpack_phone
-from multipos.logs.px4 import load_ulog
-from multipos.logs.ros import load_bag
+from multipos.logs.flight_logs import load_bag, load_dataflash, load_ulog
 
 _ZIP = b"PK\x03\x04"
 

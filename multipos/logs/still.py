@@ -7,12 +7,10 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.logs.clock import Clock, time_columns
-from multipos.logs.known_rests import Sections
-from multipos.logs.log_faults import find_saturated, find_second_unit, find_wrapped
-from multipos.logs.names import choose_outputs
-from multipos.logs.rest_means import RestMean, rest_means
-from multipos.logs.rest_sums import RestSum
-from multipos.logs.rests import Finder, Grid, Rest, Survey, Windows
+from multipos.logs.faults import find_saturated, find_second_unit, find_wrapped
+from multipos.logs.log_columns import choose_outputs
+from multipos.logs.rest_means import RestMean, RestSum, rest_means
+from multipos.logs.rests import Finder, Grid, Rest, Sections, Survey, Windows
 from multipos.logs.samples import Kept, Progress, Samples, Timing, small_pieces
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array

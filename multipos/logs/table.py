@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from multipos.errors import MultiposError
-from multipos.files.lists import near
+from multipos.files.spelling import near
 from multipos.files.tables import Table
 
 

@@ -1,10 +1,13 @@
-"""The arrays that signatures speak of, how large their numbers may be, and rows by kind."""
+"""The arrays that signatures speak of, how large their numbers may be, and rows by kind.
+
+The median, as NumPy's, which imports all of its masked arrays at the first call.
+"""
 
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]  # of rows or units among others
@@ -26,3 +29,21 @@ def row_keys(rows: Array) -> list[bytes]:
     whole = np.ascontiguousarray(rows + 0.0)  # a zero has one sign
     keys: list[bytes] = whole.view(f"V{whole[0].nbytes}").ravel().tolist()
     return keys
+
+
+def median(values: ArrayLike, *, axis: int | None = None) -> Array:
+    """Return the median of all values, or along an axis; NaN where one is, or where none is there.
+
+    Examples
+    --------
+    >>> float(median([3.0, 1.0, 2.0, 10.0]))
+    2.5
+    """
+    array = np.asarray(values, dtype=np.float64)
+    array = array.ravel() if axis is None else np.moveaxis(array, axis, 0)
+    count = len(array)
+    if not count:
+        return np.asarray(np.full(array.shape[1:], np.nan))
+    middle = [(count - 1) // 2, count // 2]
+    low, high = np.partition(array, middle, axis=0)[middle]
+    return np.where(np.isnan(array).any(axis=0), np.nan, (low + high) / 2.0)

@@ -13,6 +13,40 @@ Householder QR, several times faster, and Q is the only array as large as X that
 
 Source: J. Demmel, L. Grigori, M. Hoemmen, J. Langou, SIAM J. Sci. Comput. 34, 2012 (QR by blocks of
 rows).
+
+Sums of products as if in twice the working precision.
+
+Iterative refinement (`least_squares`) lives on two residuals that are small differences of large
+numbers,
+
+    f = y − r − X b,    g = c − X' r,
+
+and in plain double precision they are rounding noise just where they are needed. Here each sum is
+taken over exact parts and rounded once, at the end. A product is split without error into its
+rounded value and the rest, which is a double as well,
+
+    a b = p + e                          (TwoProduct, Dekker, with Veltkamp's split),
+
+and n numbers t_k into a high part, all on one grid so coarse that their sum is exact in double
+precision, and a low part:
+
+    h_k = fl(fl(σ + t_k) − σ),   l_k = t_k − h_k exactly,   σ a power of two >= n max|t_k|
+
+(ExtractVector). What is left is of the size n ε max|t|, so that its plain sum is good to about
+ε + (n ε)² Σ|t| / |s| of the result s, ε = 1.1e-16: a sum that cancels to 1e-16 of its terms still
+has its leading digits (S. M. Rump, T. Ogita, S. Oishi, SIAM J. Sci. Comput. 31, 2008, algorithm
+ExtractVector; the same authors, 26, 2005, algorithm Dot2, for the bound).
+
+Rejected: `numpy.longdouble`, which is 80 bits on one platform, 64 on another and software on a
+third. The split overflows beyond 1e300, where there are no readings.
+
+Rows are taken in blocks that stay in cache, so working memory does not grow with their number.
+
+Cofactors of 3 × 3 matrices, many at a time.
+
+    C_ij = G_i+1,j+1 G_i+2,j+2 − G_i+1,j+2 G_i+2,j+1,    indices modulo 3,
+
+so that G' C = det(G) I. They exist where G has no inverse.
 """
 
 from __future__ import annotations
@@ -20,10 +54,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError
-from multipos.numerics import extended
 from multipos.numerics.arrays import Array
 
 RANK = 1e-13  # singular values of the scaled design below this part of the largest are zero
@@ -89,8 +122,8 @@ class Covariance:
             full = np.broadcast_to(self.full, (*X.shape[:-1], len(self.full)))
             both = np.concatenate((full, X), axis=-1)
             coefficients = np.concatenate((multiplier, b), axis=-2)
-            return extended.residual(y, both, coefficients, np.zeros_like(y))
-        return extended.residual(y, X, b, multiplier, self.variances)
+            return residual(y, both, coefficients, np.zeros_like(y))
+        return residual(y, X, b, multiplier, self.variances)
 
     def of(self, problem: int) -> Covariance:
         """V of one problem of a stack."""
@@ -149,3 +182,126 @@ def design_matrix(design: ArrayLike) -> Array:
     if not np.isfinite(X).all():
         raise MultiposError("`design` has a number that is not finite.")
     return X
+
+
+_SPLIT = 134217729.0  # 2^27 + 1: halves a significand so that products of halves are exact
+_BLOCK = 1 << 15  # products held at once, in some ten arrays of this size
+
+
+def split(a: Array) -> tuple[Array, Array]:
+    """Two halves of 26 bits with a = high + low exactly."""
+    t = _SPLIT * a
+    high = t - (t - a)
+    return high, a - high
+
+
+def two_product(a: Array, b: Array) -> tuple[Array, Array]:
+    """The rounded product and its error: a b = p + e exactly. The arguments broadcast."""
+    ah, al = split(a)
+    bh, bl = split(b)
+    p = a * b
+    return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
+
+
+def fold(t: Array, e: Array) -> tuple[Array, Array]:
+    """Sum t + e along the first axis: the exact sum of the high parts, and the rest."""
+    # frexp's exponent is that of a power of two above its argument: sigma is at most 4 n max|t|.
+    sigma = np.ldexp(1.0, np.frexp(len(t) * np.abs(t).max(axis=0))[1] + 1)
+    high = (sigma + t) - sigma
+    return high.sum(axis=0), ((t - high) + e).sum(axis=0)
+
+
+def residual(y: Array, X: Array, b: Array, r: Array, v: Array | None = None) -> Array:
+    """`y − r − X b`, or `y − v r − X b`, rounded once.
+
+    Parameters
+    ----------
+    y, r : (n, k) array
+    X : (n, p) array
+    b : (p, k) array
+    v : (n,) array, optional
+        Multiplies the rows of `r`.
+
+    Returns
+    -------
+    (n, k) array
+        All of them may be stacks, with more axes in front.
+    """
+    n, p = X.shape[-2:]
+    out = np.empty(y.shape)
+    step = max(1, _BLOCK * n // ((p + 2) * y.size))
+    columns = _axis_first(X, -1)[..., np.newaxis]
+    minus_b = -_axis_first(b, -2)[..., np.newaxis, :]
+    for i in range(0, n, step):
+        rows = slice(i, i + step)
+        here = y[..., rows, :]
+        s = np.empty((p + 2, *here.shape))
+        e = np.zeros_like(s)
+        s[0] = here
+        if v is None:
+            np.negative(r[..., rows, :], out=s[1])
+        else:
+            s[1], e[1] = two_product(-r[..., rows, :], v[..., rows, np.newaxis])
+        s[2:], e[2:] = two_product(columns[..., rows, :], minus_b)
+        total, rest = fold(s, e)
+        np.add(total, rest, out=out[..., rows, :])
+    return out
+
+
+def _axis_first(a: Array, axis: int) -> Array:
+    """Return an array with one axis, counted from the last, in front of the others."""
+    axes = list(range(a.ndim))
+    axes.insert(0, axes.pop(axis))
+    return a.transpose(axes)
+
+
+def product(X: Array, b: Array) -> Array:
+    """`X b`, rounded once; X is (n, p), b is (p, k)."""
+    zero = np.zeros((1, 1))
+    shape = (len(X), b.shape[1])
+    return residual(np.broadcast_to(zero, shape), X, -b, np.broadcast_to(zero, shape))
+
+
+def cross_residual(X: Array, r: Array, c: Array | None = None) -> Array:
+    """`c − Xᵀ r`, rounded once; X is (n, p), r is (n, k), c is (p, k) and zero where not given.
+
+    All of them may be stacks, with more axes in front.
+    """
+    n, p = X.shape[-2:]
+    step = max(2, _BLOCK * n // (p * r.size))
+    left = _axis_first(X, -2)[..., np.newaxis]
+    right = -_axis_first(r, -2)[..., np.newaxis, :]
+    sums = [] if c is None else [(c, np.zeros_like(c))]
+    for i in range(0, n, step):
+        rows = slice(i, i + step)
+        sums.append(fold(*two_product(left[rows], right[rows])))
+    if len(sums) == 1:
+        total, rest = sums[0]
+    else:
+        total, rest = fold(np.array([s for s, _ in sums]), np.array([e for _, e in sums]))
+    return np.asarray(total + rest)
+
+
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # the other two axes, in cyclic order
+
+
+def _places(row: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return where G_row,column stands among nine numbers, (9,)."""
+    return (3 * row[:, None] + column).ravel()
+
+
+_FIRST = _places(_NEXT, _NEXT), _places(_LAST, _LAST)
+_SECOND = _places(_NEXT, _LAST), _places(_LAST, _NEXT)
+
+
+def cofactors_of(matrices: Array) -> Array:
+    """Return the cofactors (3, 3, ...) of matrices (3, 3, ...).
+
+    Examples
+    --------
+    >>> cofactors_of(np.diag([2.0, 3.0, 5.0])).tolist()
+    [[15.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 6.0]]
+    """
+    nine = matrices.reshape(9, *matrices.shape[2:])
+    a, b, c, d = (nine.take(place, axis=0) for place in (*_FIRST, *_SECOND))
+    return np.asarray(a * b - c * d).reshape(matrices.shape)

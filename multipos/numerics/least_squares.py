@@ -21,8 +21,8 @@ So the augmented system
     V λ + X b = y,    X' λ = 0,    r = V λ                                                  (3)
 
 is solved by iteration: residuals f = y − V λ − X b and g = −X' λ in twice the working precision
-(`extended`), corrections from the same Q and R. Each step multiplies the error by about κε, until b
-is the exact answer for X, y and V as given, correctly rounded or nearly so, in any order
+(`factoring`), corrections from the same Q and R. Each step multiplies the error by about κε, until
+b is the exact answer for X, y and V as given, correctly rounded or nearly so, in any order
 of the rows. One step does it below κ of some 1e6. (3) is stated in the rows as given because
 whitening rounds.
 
@@ -44,9 +44,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, RankError
-from multipos.numerics import extended
+from multipos.numerics import factoring
 from multipos.numerics.arrays import Array
-from multipos.numerics.combinations import name_combinations
 from multipos.numerics.factoring import (
     BLOCK,
     RANK,
@@ -56,7 +55,7 @@ from multipos.numerics.factoring import (
     factor,
     singular_values,
 )
-from multipos.numerics.separability import separability
+from multipos.numerics.separability import name_combinations, separability
 
 _REFINE_COFACTOR = 1e6  # condition from which the cofactor takes twice the working precision
 _STEPS = 7  # of refinement at most; Filip takes two
@@ -254,7 +253,7 @@ def _refined(
     last = np.ones((len(X), 1, 1))
     for _ in range(_STEPS):
         white = V.whitened(V.residual(y, X, b, multiplier))
-        u = Q_turned @ white - T_turned @ extended.cross_residual(X, multiplier)
+        u = Q_turned @ white - T_turned @ factoring.cross_residual(X, multiplier)
         db = T @ u
         size = _relative(db, b, norms)
         better = size < 0.5 * last
@@ -290,7 +289,7 @@ def _precise_cofactor(X: Array, V: Covariance, T: Array) -> Array:
     step = n if V.full is not None else BLOCK
     for i in range(0, n, step):
         rows = slice(i, i + step)
-        Z = V.whitened(extended.product(X[rows], T), rows)
+        Z = V.whitened(factoring.product(X[rows], T), rows)
         information += Z.T @ Z
     half = np.linalg.inv(np.linalg.cholesky(information)) @ T.T
     return np.asarray(half.T @ half)

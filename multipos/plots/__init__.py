@@ -19,12 +19,17 @@ from multipos.plots.calibration import (
     variance_shares,
 )
 from multipos.plots.check import check_figure, draw_check
-from multipos.plots.curves import calibration_figure
 from multipos.plots.runs import draw_runs, runs_figure
 from multipos.plots.schemes import design_figure, draw_efficiency, draw_scheme, schemes_figure
 from multipos.plots.stability import draw_allan, draw_zero, stability_figure
 from multipos.plots.style import new_figure, render, to_svg
-from multipos.plots.temperature import draw_correction, draw_curve, draw_path, regression_figure
+from multipos.plots.temperature import (
+    calibration_figure,
+    draw_correction,
+    draw_curve,
+    draw_path,
+    regression_figure,
+)
 from multipos.plots.tumble import (
     draw_harmonics,
     draw_residual_harmonics,

@@ -22,8 +22,7 @@ from multipos.plots.style import (
 )
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
-from multipos.sensor.inverse import sensitivities
-from multipos.sensor.nominal import nominal_force
+from multipos.sensor.inverse import nominal_force, sensitivities
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import vector_uncertainty
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from multipos.designs.assessment import Schemes, read_setting
 from multipos.designs.criteria import Criterion, kernels, sensitivity
+from multipos.designs.designing import Design
 from multipos.designs.information import inform, log_det
-from multipos.designs.result import Design
-from multipos.files.lists import Names
+from multipos.files.spelling import Names
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multipos.bias_stability.allan import FLICKER
-from multipos.bias_stability.result import MICRO_G, Stability
+from multipos.bias_stability.stability_result import MICRO_G, Stability
 from multipos.files.numbers import SUPERSCRIPT
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, scale_by_powers, write
 

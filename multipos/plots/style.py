@@ -17,8 +17,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
 from multipos.files.numbers import SUPERSCRIPT, in_unit, readable_unit
-from multipos.plots.fonts import FONT, font_of
-from multipos.plots.svg import Words, svg_canvas, svg_renderer
+from multipos.plots.svg import FONT, Words, font_of, svg_canvas, svg_renderer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

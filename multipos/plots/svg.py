@@ -5,6 +5,13 @@ the layout is measured with the words that stand there in the end. A character a
 high, as the Chinese ones are, is measured as one em, whether or not a font here has it.
 
 Hatches are lines, cut where the shape ends: browsers print a pattern of SVG as an image.
+
+Which font draws a text where the figure is not SVG, whose text the reader's fonts draw.
+
+DejaVu Sans comes with Matplotlib, so that a figure is measured alike everywhere, and has no
+Chinese. A text with characters that are as wide as high takes the first font of the system that
+has them all. Matplotlib's own list of fonts is kept from an earlier day and may lack it, so that
+the files are looked up.
 """
 
 import unicodedata
@@ -16,6 +23,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.path import Path
+from pathlib import Path as FilePath
+
+from multipos.errors import MultiposError
 
 Words = Callable[[str], str]
 
@@ -152,3 +162,80 @@ def _canvas() -> Any:
             return self._measures
 
     return Canvas
+
+
+FONT = "DejaVu Sans"
+# How the names of the files begin that hold sans-serif fonts of Chinese, the free ones first.
+_CHINESE = (
+    "notosanscjk-regular",
+    "notosanscjksc-regular",
+    "notosanssc-regular",
+    "notosanssc[",
+    "sourcehansanssc-regular",
+    "sourcehansanscn-regular",
+    "wqy-zenhei",
+    "wqy-microhei",
+    "droidsansfallback",
+    "pingfang",
+    "hiragino sans gb",
+    "stheiti",
+    "msyh.",
+    "simhei",
+    "simsun",
+    "arial unicode",
+)
+
+
+def font_of(text: str, size: float) -> Any:
+    """Return the font of a text as Matplotlib's properties; size in points.
+
+    Raises
+    ------
+    MultiposError
+        No font of this machine has its Chinese characters.
+    """
+    from matplotlib.font_manager import FontProperties
+
+    wide = frozenset(filter(is_wide, text))
+    if not wide:
+        return FontProperties(
+            family=[FONT],
+            style="normal",
+            variant="normal",
+            weight="normal",
+            stretch="normal",
+            size=size,
+        )
+    return FontProperties(fname=_font_with(wide), size=size)
+
+
+def _font_with(marks: frozenset[str]) -> str:
+    """Return the file of the first font that has all of these characters."""
+    for path in _chinese_fonts():
+        if all(ord(mark) in _characters(path) for mark in marks):
+            return path
+    raise MultiposError(
+        f"no font of this machine has the characters '{''.join(sorted(marks))[:20]}' of the "
+        "figure; install one, such as Noto Sans CJK, or write a .svg file, whose text the "
+        "reader's fonts draw."
+    )
+
+
+@cache
+def _chinese_fonts() -> tuple[str, ...]:
+    from matplotlib.font_manager import findSystemFonts
+
+    places: dict[str, int] = {}
+    for path in sorted(findSystemFonts()):
+        name = FilePath(path).name.lower()
+        place = next((i for i, start in enumerate(_CHINESE) if name.startswith(start)), None)
+        if place is not None:
+            places[path] = place
+    return tuple(sorted(places, key=places.__getitem__))
+
+
+@cache
+def _characters(path: str) -> frozenset[int]:
+    from matplotlib.ft2font import FT2Font
+
+    return frozenset(FT2Font(path).get_charmap())

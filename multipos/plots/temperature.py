@@ -1,4 +1,7 @@
-"""Figures of a regression and of parameters over temperature."""
+"""Figures of a regression and of parameters over temperature.
+
+The figure of a fit: what is left of every output, and its parameters over temperature.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -18,13 +21,21 @@ from multipos.plots.style import (
     scale_by_powers,
     write_title,
 )
-from multipos.regression.result import Regression, format_span
+from multipos.regression.regression import Regression, Regressions, format_span
 from multipos.regression.segment import Segment
-from multipos.regression.several import Regressions
 from multipos.sensor.temperature import Curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
+
+from multipos.plots.calibration import residual_panels
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.temperature import over_temperature
+
+if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _When = Literal["both", "before", "after"]
@@ -202,3 +213,21 @@ def _complete_rows(regression: Regression, table: Table) -> Table:
     sources = [name.removesuffix("_rate") for name in needed] + [regression.time or ""]
     columns = [table.number(n, empty=True) for n in {*needed, *sources} if n in table]
     return table.select(np.flatnonzero(np.isfinite(columns).all(axis=0)).tolist())
+
+
+_TEMPERATURE = "temperature"
+
+
+def temperature_curves(calibration: Calibration) -> tuple[Curve, ...]:
+    """Return the parameters that change over temperature; none without such a term."""
+    model = calibration.model
+    if isinstance(model, ExpressionModel) or _TEMPERATURE not in model.environment:
+        return ()
+    curves = over_temperature(calibration, column=_TEMPERATURE)
+    return tuple(curve for curve in curves if curve.value.min() < curve.value.max())
+
+
+def calibration_figure(calibration: Calibration) -> "Figure":
+    """Return the residuals of every output, and below them what changes over temperature."""
+    curves = [partial(draw_curve, curve) for curve in temperature_curves(calibration)]
+    return figure_of([*residual_panels(calibration), *curves])

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.doubts.criticism import fourier_residuals
+from multipos.diagnostics.criticism import fourier_residuals
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_axis, name_series, new_figure
 from multipos.positions.harmonics import Harmonic, Roll, find_rolls, series
 from multipos.sensor.calibration import Calibration

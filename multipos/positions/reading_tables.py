@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files.lists import Names, quoted, require_columns, split_names
+from multipos.files.spelling import Names, quoted, require_columns, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions import attitudes
-from multipos.positions.column_names import NameParts, component
 from multipos.positions.forces import (
     FORCE,
     known_rows,
@@ -28,6 +27,8 @@ from multipos.positions.forces import (
 from multipos.positions.headers import (
     OF_SURROUNDINGS,
     RESERVED,
+    NameParts,
+    component,
     find_column,
     in_celsius,
     is_environment,
@@ -35,7 +36,7 @@ from multipos.positions.headers import (
     unit_as_known,
     unit_of_outputs,
 )
-from multipos.positions.open_rolls import read_open_rolls, with_angles
+from multipos.positions.orientations import read_open_rolls, with_angles
 from multipos.positions.readings import Readings, select_outputs
 
 

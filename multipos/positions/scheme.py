@@ -20,9 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.characters import visible
-from multipos.files.lists import numbered
 from multipos.files.pipes import is_file
+from multipos.files.spelling import numbered, visible
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import (

@@ -1,4 +1,4 @@
 """Any column described by others, in segments, with the terms that the data support.
 
-Open `result` first, which is what comes out. The front door is `multipos.fitting.columns`.
+Open `regression` first, which is what comes out. The front door is `multipos.fitting.regress_columns`.
 """

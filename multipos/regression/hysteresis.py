@@ -21,9 +21,8 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import Term, evaluate_terms
 from multipos.regression.correlation import effective_size
-from multipos.regression.observations import Data
-from multipos.regression.rates import rows_of_runs
-from multipos.regression.runs import within_runs
+from multipos.regression.observations import Data, rows_of_runs
+from multipos.regression.robust import within_runs
 from multipos.regression.segmentation import segment_of
 
 BRANCHES = ("heating", "cooling")

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import t_tail
-from multipos.numerics.selection import Step, Tested
-from multipos.numerics.subsets import Subset
+from multipos.numerics.selection import Step, Subset, Tested
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms, linear_term
 from multipos.results import Result
 
@@ -75,7 +74,7 @@ class Robust(Result):
 
 @dataclass(frozen=True, eq=False)
 class Between(Result):
-    """What differs from run to run, eq. (2) of `multipos.regression.runs`.
+    """What differs from run to run, eq. (2) of `multipos.regression.robust`.
 
     Attributes
     ----------

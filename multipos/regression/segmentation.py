@@ -14,7 +14,7 @@ no segment with fewer rows than asked. Their number is what makes
 smallest: p coefficients a segment, and every edge counts. Before they are compared, each edge moves
 to the best of finer cuts between its neighbouring bins, or a jump inside a bin would ask for a
 segment of its own. Where rows are correlated in time, they are made independent first
-(`multipos.regression.whitening`).
+(`multipos.regression.correlation`).
 
 **No jump.** A correction that jumps at an edge is a step in the output. With the edge e of variable
 v, a term r v^k that carries v gets a second column beside it,
@@ -40,9 +40,8 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.numbers import number
 from multipos.numerics.arrays import Array
-from multipos.numerics.factors import Factor
 from multipos.numerics.selection import Triangle, compress, join
-from multipos.numerics.terms import Term
+from multipos.numerics.terms import Factor, Term
 
 Rows = NDArray[np.intp]
 

@@ -26,6 +26,7 @@ from multipos.reports.evidence import (
     positions_section,
     residuals_section,
     rolls_section,
+    temperature_sections,
 )
 from multipos.reports.findings import (
     budget_section,
@@ -34,16 +35,14 @@ from multipos.reports.findings import (
     sphere_section,
 )
 from multipos.reports.fit_checks import checks_section
-from multipos.reports.page import PageTable, Section
-from multipos.reports.result import (
+from multipos.reports.page import Language, PageTable, Section, Translator
+from multipos.reports.sensor_result import (
     EQUIPMENT,
     equipment_section,
     result_section,
+    sessions_section,
     signature_section,
 )
-from multipos.reports.sessions import sessions_section
-from multipos.reports.temperature_evidence import temperature_sections
-from multipos.reports.translations import Language, Translator
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.uncertainty.propagation import evaluate_budget

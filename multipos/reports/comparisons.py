@@ -39,10 +39,9 @@ from multipos.files.trees import read_json_value
 from multipos.numerics.arrays import Array
 from multipos.plots.runs import draw_values
 from multipos.reports.certificate import Content, lab_fields, read_lab
-from multipos.reports.page import Figure, PageTable, Section, draw_svg
-from multipos.reports.sessions import sessions_section
-from multipos.reports.translations import Language, Translator
-from multipos.sensor.loading import from_dict
+from multipos.reports.page import Figure, Language, PageTable, Section, Translator, draw_svg
+from multipos.reports.sensor_result import sessions_section
+from multipos.sensor.calibration_file import from_dict
 
 _RUNS = Listed(Fields({"file": Maybe(ANY_TEXT), "created": Maybe(ANY_TEXT)}), 2)
 _VALUES = Listed(Maybe(ANY_NUMBER), 2)

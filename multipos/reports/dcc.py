@@ -24,10 +24,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.characters import one_line
+from multipos.files.spelling import one_line
 from multipos.files.trees import to_json
 from multipos.reports.certificate import Content
-from multipos.reports.translations import Language, Translator
+from multipos.reports.page import Language, Translator
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY
 

@@ -3,6 +3,15 @@
 `report` writes everything that `multipos.reports.certificate` has to say. The HTML is one
 file: figures are inline SVG, nothing is fetched and no script runs, and the same calibration gives
 the same bytes.
+
+Numbers in a report: aligned at the point, with a minus sign, without powers of ten in letters.
+
+Whatever the form of the report; programs read JSON and XML.
+
+A report on paper: the page as PDF, with the number of the report and of the page on every one.
+
+WeasyPrint lays the page out by its own rules for print; it fetches nothing, as the page names
+nothing that is not in it. It is an extra, `multipos[pdf]`.
 """
 
 import os
@@ -12,32 +21,105 @@ import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from multipos.errors import UsageError
-from multipos.files.characters import visible
-from multipos.files.numbers import markdown_line, markdown_table, markdown_text
+from multipos.errors import MultiposError, UsageError
+from multipos.files.numbers import SUPERSCRIPT, markdown_line, markdown_table, markdown_text
+from multipos.files.spelling import visible
 from multipos.files.whole import write_text
 from multipos.fleets.fleet import Fleet
 from multipos.plots.style import COLOURS
-from multipos.regression.result import Regression
-from multipos.regression.several import Regressions
-from multipos.reports.cells import aligned_rows, readable
+from multipos.regression.regression import Regression, Regressions
 from multipos.reports.certificate import Content, build_content
 from multipos.reports.comparisons import comparison_content
 from multipos.reports.dcc import dcc_report
 from multipos.reports.fleets import fleet_content
-from multipos.reports.page import Figure, PageTable, Section
-from multipos.reports.paper import paper_report
+from multipos.reports.page import Figure, Language, PageTable, Section
 from multipos.reports.regressions import regression_content
-from multipos.reports.translations import Language
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.verification.comparison import Comparison
 from multipos.verification.regression_comparison import RegressionComparison
 from multipos.verification.verdicts import Check
+
+_FIGURE, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point
+_PLAIN = re.compile(r"[-+]?\d+(?P<rest>(?:\.\d+)?)(?:\(\d+\))?")
+_POWER = re.compile(r"(?<![\w.])([-+]?\d+(?:\.\d+)?(?:\(\d+\))?)e([-+]?\d+)(?![\w.])")
+_UNIT = re.compile(r"(/[A-Za-z]+)\^(\d)(?!\d)")  # of a unit; a formula stays as it is typed
+_MINUS = re.compile(r"(^|[\[( ])-(?=\d)")  # elsewhere it may be a date or a name
+_ZERO = re.compile(r"(^|[\[( ])-(?=0(?:\.0+)?(?![\d.]))")  # what rounds to it has no sign
+_CELSIUS = re.compile(r"(?<=[/\[])degC\b")
+_DEGREES = re.compile(r"(?<=\[)deg(?=\])|^deg$")
+
+
+def aligned_rows(grid: PageTable, figure: str = _FIGURE, point: str = _POINT) -> list[list[str]]:
+    """Return the rows of a table, filled up by spaces as wide as a figure and as a point."""
+    columns = [list(column) for column in zip(*grid.rows, strict=True)]
+    shown = [
+        [readable(cell) for cell in column]
+        if place < grid.left
+        else _aligned(column, figure, point)
+        for place, column in enumerate(columns)
+    ]
+    return [list(row) for row in zip(*shown, strict=True)]
+
+
+def readable(text: str) -> str:
+    """Return a cell with powers, units and infinity as people write them."""
+    text = _POWER.sub(lambda m: f"{m[1]}×10{str(int(m[2])).translate(SUPERSCRIPT)}", text)
+    text = _DEGREES.sub("°", _CELSIUS.sub("°C", text))
+    text = _UNIT.sub(lambda m: m[1] + m[2].translate(SUPERSCRIPT), text)
+    if text == "inf":
+        return "∞"
+    return _MINUS.sub(r"\1−", _ZERO.sub(r"\1", text))
+
+
+def _aligned(column: Sequence[str], figure: str, space: str) -> list[str]:
+    """Return a column of numbers, each filled up on the right to the longest behind its point."""
+    found = [_PLAIN.fullmatch(cell) for cell in column]
+    longest = max((len(match["rest"]) for match in found if match), default=0)
+    cells = []
+    for cell, match in zip(column, found, strict=True):
+        behind = len(match["rest"]) if match else longest
+        fill = figure * (longest - max(behind, 1)) if longest > behind else ""
+        point = space if longest and match and not match["rest"] else ""
+        cells.append(readable(cell) + point + fill)
+    return cells
+
+
+_LIBRARY = "weasyprint"
+
+
+def paper_report(page: str) -> bytes:
+    """Return an HTML report as PDF.
+
+    Raises
+    ------
+    MultiposError
+        The library is not installed or lacks what it needs of the system; names the way out.
+    """
+    if find_spec(_LIBRARY) is None:
+        raise MultiposError(
+            f"a PDF is made by {_LIBRARY}, which is not installed; install it with pip install "
+            "'multipos[pdf]', or write a .html file and print that."
+        )
+    try:
+        from weasyprint import HTML
+    except OSError as error:  # Pango is a library of the system
+        raise MultiposError(
+            f"{_LIBRARY} cannot start, as a library of the system is missing ({error}); install "
+            "Pango, or write a .html file and print that."
+        ) from None
+    made: bytes = HTML(string=page, url_fetcher=_fetch_nothing).write_pdf()
+    return made
+
+
+def _fetch_nothing(url: str) -> dict[str, object]:
+    """Refuse whatever a page might name: it holds all that it shows."""
+    raise ValueError(f"a report fetches nothing, not {url[:40]}")
 
 
 def html_report(content: Content) -> str:
@@ -235,7 +317,7 @@ def _plain_section(section: Section) -> list[str]:
     parts = [_underlined(section.title, "-")]
     parts += [textwrap.fill(visible(readable(paragraph)), 96) for paragraph in section.paragraphs]
     return parts + [
-        f"{visible(readable(grid.caption))}\n{_aligned(grid)}" for grid in section.tables
+        f"{visible(readable(grid.caption))}\n{_aligned_documents(grid)}" for grid in section.tables
     ]
 
 
@@ -282,7 +364,7 @@ def _columns(text: str) -> int:
     return sum(2 if unicodedata.east_asian_width(mark) in "WF" else 1 for mark in text)
 
 
-def _aligned(grid: PageTable) -> str:
+def _aligned_documents(grid: PageTable) -> str:
     shown = [list(map(readable, grid.header)), *aligned_rows(grid, " ", " ")]
     cells = [list(map(visible, row)) for row in shown]
     widths = [max(_columns(row[i]) for row in cells) for i in range(len(grid.header))]

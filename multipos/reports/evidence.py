@@ -1,10 +1,13 @@
-"""The sections of a report on what was seen: residuals, errors, positions, rolls, another run."""
+"""The sections of a report on what was seen: residuals, errors, positions, rolls, another run.
+
+The section of a report on temperature: what changes with it, with its bands.
+"""
 
 from typing import Any
 
 import numpy as np
 
-from multipos.doubts.criticism import fourier_residuals
+from multipos.diagnostics.criticism import fourier_residuals
 from multipos.errors import MultiposError
 from multipos.files.numbers import in_unit, number, plain_number
 from multipos.numerics.rotations import directions
@@ -18,13 +21,19 @@ from multipos.plots.calibration import (
     size_residuals,
 )
 from multipos.plots.check import draw_check, errors_apart
+from multipos.plots.temperature import draw_curve, temperature_curves
 from multipos.plots.tumble import draw_harmonics, draw_rolls
-from multipos.reports.check_sheets import check_sheets
-from multipos.reports.page import Figure, PageTable, Section, draw_svg, largest_positions
+from multipos.reports.page import (
+    Figure,
+    PageTable,
+    Section,
+    Translator,
+    draw_svg,
+    largest_positions,
+)
 from multipos.reports.quantities import column
-from multipos.reports.result import readings_table
-from multipos.reports.sheets import Sheet, table_error_sheets
-from multipos.reports.translations import Translator
+from multipos.reports.sensor_result import readings_table
+from multipos.reports.sheets import Sheet, check_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.uncertainty.turntable import table_errors
@@ -352,3 +361,33 @@ def _table_of(sheet: Sheet, tr: Translator, left: int = 1) -> PageTable:
 def _translated(cell: str, tr: Translator) -> str:
     """Return a cell, word by word where it is a list."""
     return tr.listed([tr.message(word) for word in cell.split(", ")])
+
+
+def temperature_sections(c: Calibration, tr: Translator) -> tuple[Section, ...]:
+    """Return the section, or none where nothing changes with temperature."""
+    curves = temperature_curves(c)
+    if not curves:
+        return ()
+
+    def draw(axes: Any) -> None:
+        for curve, one in zip(curves, axes, strict=True):
+            draw_curve(curve, one)
+
+    return (
+        Section(
+            tr("Over temperature"),
+            (
+                tr(
+                    "What changes with temperature, over the range of the readings: U holds at one "
+                    "temperature, the band at all of them together (Scheffé)."
+                ),
+            ),
+            (
+                Figure(
+                    tr("Parameters over temperature"),
+                    tr("One panel for each parameter that changes."),
+                    lambda: draw_svg(tr, len(curves), 1.9, draw),
+                ),
+            ),
+        ),
+    )

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from multipos.doubts.model_error import not_stated
-from multipos.doubts.shown_sizes import shown_sizes
+from multipos.diagnostics.model_error import not_stated
+from multipos.diagnostics.projections import shown_sizes
 from multipos.files.numbers import (
     decimals_of,
     number,
@@ -15,21 +15,19 @@ from multipos.files.numbers import (
 )
 from multipos.numerics.terms import COMPONENTS
 from multipos.plots.calibration import draw_budget, draw_coverage
-from multipos.reports.page import Figure, PageTable, Section, draw_svg
+from multipos.reports.page import Figure, PageTable, Section, Translator, draw_svg
 from multipos.reports.quantities import (
     derived_quantities,
     leaning_quantities,
     quantity_rows,
     with_u,
 )
-from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration, Parameter
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation, Row
-from multipos.uncertainty.unseen import unseen_sizes
-from multipos.uncertainty.validity import applied, evaluate_sphere
+from multipos.uncertainty.validity import applied, evaluate_sphere, unseen_sizes
 
 
 def parameters_section(c: Calibration, tr: Translator) -> Section:

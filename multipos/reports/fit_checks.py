@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from multipos.doubts.criticism import find_influence, fourier_residuals, judge_terms
-from multipos.doubts.joint_tests import judge_terms_jointly
+from multipos.diagnostics.criticism import find_influence, fourier_residuals, judge_terms
+from multipos.diagnostics.joint_tests import judge_terms_jointly
 from multipos.files.numbers import (
     chance,
     decimals_of,
@@ -18,9 +18,8 @@ from multipos.files.numbers import (
     plain_number,
     readable_unit,
 )
-from multipos.reports.page import PageTable, Section, largest_positions
+from multipos.reports.page import PageTable, Section, Translator, largest_positions
 from multipos.reports.quantities import column
-from multipos.reports.translations import Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.uncertainty.monte_carlo import MonteCarlo

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from multipos.files.numbers import uncertain
-from multipos.fleets.text import (
+from multipos.fleets.fleet_text import (
     Rows,
     cause_rows,
     drift_rows,
@@ -22,8 +22,7 @@ from multipos.fleets.text import (
 )
 from multipos.plots.fleets import draw_causes, draw_chart, draw_histogram
 from multipos.reports.certificate import Content
-from multipos.reports.page import Figure, PageTable, Section, draw_svg
-from multipos.reports.translations import Language, Translator
+from multipos.reports.page import Figure, Language, PageTable, Section, Translator, draw_svg
 
 _ROUNDING = 1e-9  # [deg]
 _SHOWN = 50  # units of a table; fleet.json has all

@@ -22,12 +22,10 @@ from multipos.numerics.arrays import Array
 from multipos.plots.style import COLOURS
 from multipos.plots.temperature import draw_path
 from multipos.regression.junctions import Junction
-from multipos.regression.result import Regression, format_span
+from multipos.regression.regression import Regression, Regressions, all_of, format_span
 from multipos.regression.segment import Segment
-from multipos.regression.several import Regressions, all_of
 from multipos.reports.certificate import Content, lab_fields, read_lab
-from multipos.reports.page import Figure, PageTable, Section, draw_svg
-from multipos.reports.translations import Language, Translator
+from multipos.reports.page import Figure, Language, PageTable, Section, Translator, draw_svg
 
 Titled = Callable[[str], str]  # the title of a section in a language, of a response
 

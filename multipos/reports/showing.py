@@ -15,17 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from multipos.bias_stability.result import Stability
-from multipos.bias_stability.text import stability_text
+from multipos.bias_stability.stability_result import Stability, stability_text
 from multipos.designs.assessment import Schemes, scheme_rows, schemes_text
+from multipos.designs.designing import Design, design_text
 from multipos.designs.prospects import Worth, worth_text
-from multipos.designs.result import Design, design_text
 from multipos.doubt import NOT_FIT, Doubt, implausible
 from multipos.errors import UsageError
-from multipos.files.characters import visible
 from multipos.files.numbers import number
+from multipos.files.spelling import visible
 from multipos.fleets.fleet import Fleet
-from multipos.fleets.text import fleet_text
+from multipos.fleets.fleet_text import fleet_text
 from multipos.logs.averages import Averages, averages_text
 from multipos.plots.calibration import draw_budget, draw_errors, residual_panels
 from multipos.plots.check import check_panels
@@ -37,14 +36,13 @@ from multipos.plots.style import figure_of, new_figure, to_svg
 from multipos.plots.temperature import draw_curve
 from multipos.plots.tumble import draw_residual_harmonics, draw_signal
 from multipos.positions.scheme import Scheme
-from multipos.reports.check_sheets import check_sheets, check_text, run_conclusions
-from multipos.reports.sheets import table_errors_text
+from multipos.reports.sheets import check_sheets, check_text, run_conclusions, table_errors_text
 from multipos.reports.tumble_text import tumble_text, tumbles_text
 from multipos.results import Columns, Result
 from multipos.sensor.calibration import Calibration, parameter_rows
 from multipos.sensor.temperature import Curve
 from multipos.uncertainty.propagation import Evaluation
-from multipos.uncertainty.table_findings import TableErrors
+from multipos.uncertainty.turntable import TableErrors
 from multipos.verification.comparison import Comparison, comparison_text
 from multipos.verification.regression_comparison import RegressionComparison
 from multipos.verification.single_axis import Tumble

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from multipos.files.numbers import number, table, uncertain
 from multipos.positions.harmonics import Harmonic
 from multipos.reports.sheets import table_error_sheets
-from multipos.uncertainty.table_findings import TableErrors
+from multipos.uncertainty.turntable import TableErrors
 from multipos.verification.coefficients import COEFFICIENTS, TumbleCoefficient
 from multipos.verification.single_axis import Tumble
 from multipos.verification.tumbling import Tumbles

@@ -25,11 +25,10 @@ from multipos.files.whole import write_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.positions.attitudes import Convention
-from multipos.positions.readings import Readings
-from multipos.positions.stated_noise import diagonal
+from multipos.positions.readings import Readings, diagonal
 from multipos.results import Drawn, Result, data_frame
 from multipos.sensor import derived, inverse
-from multipos.sensor.diagnostics import Diagnostics, linearity
+from multipos.sensor.fit_diagnostics import Diagnostics, linearity
 from multipos.sensor.found import (
     Chosen,
     Estimator,
@@ -40,8 +39,8 @@ from multipos.sensor.found import (
     add_scatter,
 )
 from multipos.sensor.gravity import Gravity
+from multipos.sensor.inverse import Nominal
 from multipos.sensor.model import Model, paper_symbol
-from multipos.sensor.nominal import Nominal
 
 
 class Parameter(NamedTuple):

@@ -2,7 +2,7 @@
 
     y_i = h_i(f, e, p),    f the reference [g], e other columns of the readings, p parameters (1)
 
-A formula comes as a line of text or a file (`multipos.sensor.sketches`); a Python function is
+A formula comes as a line of text or a file (`multipos.sensor.formulas`); a Python function is
 called once with CasADi symbols, its arguments say which is which:
 
     def saturating(own, x, y, z, bias, scale, limit=0.0):
@@ -32,10 +32,9 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import Term
-from multipos.sensor.compiled import Compiled, Values, compile_model
-from multipos.sensor.instructions import Instruction
+from multipos.sensor.compiled import Compiled, Instruction, Values, compile_model
+from multipos.sensor.formulas import SHARED, Sketch, StatedParameter
 from multipos.sensor.model import Block, Gauge, Model, RollGauge
-from multipos.sensor.sketches import SHARED, Sketch, StatedParameter
 from multipos.units import unit_per
 
 Expression = Callable[..., Any]
@@ -69,7 +68,7 @@ class ExpressionModel(Model):
     Attributes
     ----------
     functions : tuple of M tuples
-        Instructions (`multipos.sensor.instructions`) of y(f, e, p), p the output's own parameters
+        Instructions (`multipos.sensor.compiled`) of y(f, e, p), p the output's own parameters
         and then those that it shares.
     columns_used : tuple of str
         Columns of the readings, e.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from multipos.numerics.arrays import Array
-from multipos.positions.stated_noise import add_variances
+from multipos.positions.readings import add_variances
 from multipos.results import Keyed
 
 

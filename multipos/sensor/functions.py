@@ -1,7 +1,7 @@
 """Models written as Python functions, for what a formula cannot say.
 
 The function is called once with CasADi symbols, and its file keeps the elementary instructions
-(`multipos.sensor.instructions`) that it is made of.
+(`multipos.sensor.compiled`) that it is made of.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,9 +10,9 @@ from typing import Any
 
 from multipos.errors import UsageError
 from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.compiled import Instruction, require_instructions, write_instructions
 from multipos.sensor.expressions import Expression, ExpressionModel, Symbol, load_casadi
-from multipos.sensor.instructions import Instruction, require_instructions, write_instructions
-from multipos.sensor.sketches import StatedParameter
+from multipos.sensor.formulas import StatedParameter
 from multipos.sensor.stating import check_axes
 
 

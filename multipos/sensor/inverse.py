@@ -17,16 +17,23 @@ At rest |f| = g, which gives one unseen component w up to its sign,
     w = ±sqrt(max(0, g² - |f_seen|²)),                                                      (3)
 
 and (1), (3) are solved in turn: the error shrinks by about (cross term/scale factor) f/w a turn.
+
+The nominal conversion: what a data sheet makes of a reading, before any calibration.
+
+    f = (raw − bias)/scale                                                                  (4)
+
+with one bias [reading] and one scale factor [reading/g] for every output; outputs of one axis are
+averaged. It is what a calibration is compared with.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.errors import MultiposError
-from multipos.numerics.arrays import Array
-from multipos.numerics.medians import median
+from multipos.errors import MultiposError, UsageError
+from multipos.numerics.arrays import LARGEST, Array, median
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.model import Model
 
@@ -271,3 +278,28 @@ def _solve_linear(model: Model, parameters: Array, raw: Array, unseen: Array | N
         known = known + unseen[:, others] @ linear[:, [1 + axis for axis in others]].T
     force: Array = (raw - known) @ inverse.T
     return force
+
+
+class Nominal(NamedTuple):
+    """Bias [reading] and scale factor [reading/g] of eq. (4)."""
+
+    bias: float
+    scale: float
+
+
+def read_nominal(given: Sequence[float]) -> Nominal:
+    """Return a nominal conversion, refusing one that converts nothing."""
+    if len(given) != 2 or not (np.abs(given) <= LARGEST).all() or given[1] == 0.0:
+        raise UsageError(
+            "--nominal takes BIAS,SCALE in reading units, with a scale that is not 0, and no more "
+            f"than {LARGEST:g}."
+        )
+    return Nominal(float(given[0]), float(given[1]))
+
+
+def nominal_force(model: Model, values: Array, nominal: Nominal) -> Array:
+    """Return the force (n, K) [g] that readings (n, M) are by eq. (4)."""
+    converted = (values - nominal.bias) / nominal.scale
+    own = np.array(model.axes)
+    axes = [COMPONENTS[i] for i in sensed_axes(model)]
+    return np.column_stack([converted[:, own == axis].mean(axis=1) for axis in axes])

@@ -10,19 +10,20 @@ from dataclasses import replace
 from typing import Any
 
 from multipos.errors import UsageError
-from multipos.files.lists import near
+from multipos.files.spelling import near
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.expressions import ExpressionModel, Symbol
-from multipos.sensor.formulas import Formula, instruct
-from multipos.sensor.model import Model
-from multipos.sensor.sketches import (
+from multipos.sensor.formulas import (
     EACH,
     SHARED,
+    Formula,
     Sketch,
     StatedParameter,
+    instruct,
     sketch_dict,
     sketch_from_dict,
 )
+from multipos.sensor.model import Model
 from multipos.sensor.stating import check_axes
 
 Fixed = Sequence[tuple[str, str, float]]  # output, name, value

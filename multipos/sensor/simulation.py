@@ -25,8 +25,7 @@ from numpy.typing import ArrayLike
 from multipos.errors import UsageError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import LARGEST, Array
-from multipos.numerics.recursions import recur
-from multipos.numerics.sample_rates import require_rate
+from multipos.numerics.series import recur, require_rate
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Columns, require
 from multipos.sensor.calibration import Calibration

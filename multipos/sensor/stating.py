@@ -5,19 +5,19 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 from multipos.errors import UsageError
-from multipos.files.lists import Names, split_names
 from multipos.files.records import LONGEST
-from multipos.numerics.factors import function_forms
+from multipos.files.spelling import Names, split_names
 from multipos.numerics.terms import (
     COMPONENTS,
     NAMED,
     Term,
     expand_others,
+    function_forms,
     parse_term,
     sees_only,
     split_terms,
 )
-from multipos.positions.column_names import axes_by_name
+from multipos.positions.headers import axes_by_name
 from multipos.sensor.model import Model
 
 

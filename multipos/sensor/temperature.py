@@ -26,7 +26,7 @@ from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
 from multipos.results import Drawn, Result, Tabular, require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.names import parameter_name
+from multipos.sensor.model import parameter_name
 
 _POINTS = 101
 

@@ -11,7 +11,7 @@ from residuals they are in the first rows already: listed, not added again (JCGM
 
 A common quantity scatters the residuals too, as far as the model cannot follow it: a table that is
 not level does so at positions of several headings. What occurred of it is told from its pattern
-and taken out of the first rows (`multipos.uncertainty.common_causes`), so that (1) is added in
+and taken out of the first rows (`multipos.uncertainty.sensitivities`), so that (1) is added in
 full. The degrees of freedom of the sum are Welch's and Satterthwaite's,
 
     ν_eff = u_c⁴ / sum_x (u_x⁴ / ν_x).                                                      (2)
@@ -41,8 +41,7 @@ from multipos.uncertainty.budgets import (
     Quantity,
     read_budget,
 )
-from multipos.uncertainty.common_causes import Cleared, clear_scatter
-from multipos.uncertainty.sensitivities import parameter_effects
+from multipos.uncertainty.sensitivities import Cleared, clear_scatter, parameter_effects
 
 
 @dataclass(frozen=True, eq=False)

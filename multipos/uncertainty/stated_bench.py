@@ -1,6 +1,6 @@
 """A bench whose errors are stated: readings with the covariance that its table gives them.
 
-The quantities of eqs. (1) and (3) of `multipos.uncertainty.table_motion`, each with a standard
+The quantities of eqs. (3) and (5) of `multipos.uncertainty.turntable`, each with a standard
 deviation u_q, and a zero that drifts by u_z from roll to roll, move readings together:
 
     V = s² I + sum over rolls [u_z² 1 1' + sum_q u_q² Δy_q Δy_q'] + u_t² sum_k Δy_k Δy_k',       (1)
@@ -17,7 +17,7 @@ from multipos.positions.harmonics import find_rolls
 from multipos.positions.readings import Readings
 from multipos.results import require
 from multipos.sensor.calibration import Calibration
-from multipos.uncertainty.table_motion import shaft_effects, table_effects, turn_of
+from multipos.uncertainty.turntable import shaft_effects, table_effects, turn_of
 
 
 def state_bench(

@@ -1,7 +1,7 @@
 """The turntable's own errors: what they do to readings, and which of them the data can tell.
 
 The table is off by e(t), five quantities a roll, and its shaft off the horizon, three, which move
-the readings by eqs. (1) to (3) of `multipos.uncertainty.table_motion`. Against the terms of an
+the readings by eqs. (1) to (3) of `multipos.uncertainty.turntable`. Against the terms of an
 input axis along cos t, eq. (2) there is
 
     e_0: −sin t             a misalignment,
@@ -18,29 +18,485 @@ An output along the shaft reads the level of the shaft as a shift of its zero, i
 misalignments.
 
 Beside all of this the parameters of the sensor that no error does the same as are what none moves.
+
+One dividing head for all rolls: its circle told from the sensor by how the case is mounted.
+
+The circle of a head is off by the same at the same angle h of the head, in whatever mounting,
+
+    e(h) = c_1 cos h + s_1 sin h + c_2 cos 2h + s_2 sin 2h,                                 (1)
+
+while the case stands at t = ±h + t_0 + e_0, each mounting with a sense, a start t_0 and a zero e_0
+of its own. The readings move by
+
+    dy = M (du/dt) (e_0 ± e(h)),                                                            (2)
+
+u and M as in `multipos.uncertainty.turntable`. Against h = t, what c_1 does is the product of
+two components, what s_1 does is second order with bias; in a mounting that goes round the other
+way c_1 does the opposite, in one turned by half a turn both do. So one further roll, mounted
+otherwise, tells the circle from all that is second order in every output, also in those that
+it does not turn. What stays are the misalignments, for which the e_0 of each mounting pass.
+
+Level and wobble of the shaft, eq. (3) there, are of each mounting.
+
+The sensor and the table of one or several calibrations of the same positions, as columns.
+
+How a turntable that is not where it says moves the readings of a roll.
+
+The table says t and stands at t + e(t), on each roll with its own
+
+    e(t) = e_0 + c_1 cos t + s_1 sin t + c_2 cos 2t + s_2 sin 2t,                           (3)
+
+a zero offset of the encoder and two harmonics of its circle. A reading then moves by
+
+    dy = M (du/dt) e(t),    u = (cos t, sin t) in the plane of the roll,                    (4)
+
+M the linear part of the model.
+
+The shaft a itself may stand off the horizon by l, and nod as it turns,
+
+    f_a = ±g (l + w_c cos t + w_s sin t).                                                   (5)
+
+Eqs. (10) and (11) of docs/theory/tumble.md.
+
+What rolls tell of the turntable, and of the sensor beside it: results of `turntable`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import RankError
 from multipos.estimation.known import FLOOR
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, median
 from multipos.numerics.least_squares import solve
-from multipos.numerics.quantiles import coverage_factor, t_tail
+from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.harmonics import find_rolls
-from multipos.results import require
+from multipos.positions.harmonics import Roll, find_rolls
+from multipos.positions.readings import Readings
+from multipos.results import Result, Tabular, require
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
+from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
 from multipos.sensor.stating import build_model
-from multipos.uncertainty.bench_columns import Bench, Sizes, separable, solve_beside
-from multipos.uncertainty.dividing_head import find_head, head_errors, said_of_head
-from multipos.uncertainty.table_findings import BesideTable, TableError, TableErrors, ZeroShift
-from multipos.uncertainty.table_motion import QUANTITIES, SHAFT
+from multipos.sensor.tilt import magnitude_of
+
+QUANTITIES = ("zero_offset", "first_cos", "first_sin", "second_cos", "second_sin")
+SHAFT = ("level", "wobble_cos", "wobble_sin")
+
+
+def turn_of(calibration: Calibration, roll: Roll) -> Array:
+    """Return df/dt (n, 3) [g] of a roll."""
+    first, second = (COMPONENTS.index(name) for name in roll.plane)
+    result = np.zeros((len(roll.rows), 3))
+    result[:, first], result[:, second] = -np.sin(roll.angle), np.cos(roll.angle)
+    return calibration.sign * magnitude_of(calibration) * result
+
+
+def table_effects(calibration: Calibration, rolls: tuple[Roll, ...], linear: Array) -> Array:
+    """Return eq. (4) per radian of each quantity of each roll (n M, 5 rolls)."""
+    n, m = len(calibration.readings), len(linear)
+    result = np.zeros((n, m, len(QUANTITIES) * len(rolls)))
+    for place, roll in enumerate(rolls):
+        t = roll.angle
+        waves = (np.ones(len(t)), np.cos(t), np.sin(t), np.cos(2.0 * t), np.sin(2.0 * t))
+        moved = turn_of(calibration, roll) @ linear.T
+        for number_, wave in enumerate(waves):
+            result[roll.rows, :, len(QUANTITIES) * place + number_] = wave[:, None] * moved
+    return result.reshape(n * m, -1)
+
+
+def shaft_effects(calibration: Calibration, rolls: tuple[Roll, ...], linear: Array) -> Array:
+    """Return what eq. (5) does to the readings per radian of each quantity (n M, 3 rolls)."""
+    n, m = len(calibration.readings), len(linear)
+    result = np.zeros((n, m, len(SHAFT) * len(rolls)))
+    size = calibration.sign * magnitude_of(calibration)
+    for place, roll in enumerate(rolls):
+        along = size * linear[:, COMPONENTS.index(roll.axis)]
+        waves = (np.ones(len(roll.angle)), np.cos(roll.angle), np.sin(roll.angle))
+        for number_, wave in enumerate(waves):
+            result[roll.rows, :, len(SHAFT) * place + number_] = np.outer(wave, along)
+    return result.reshape(n * m, -1)
+
+
+_FOUND = 1e-3  # chance of a table's errors where there are none
+
+
+@dataclass(frozen=True, eq=False)
+class TableError(Result):
+    """One quantity of the table on one roll; value, u, U are None where it cannot be told.
+
+    `confounded_with` names the terms of the sensor that do the same to the readings, whether the
+    model has them or leaves them out.
+    """
+
+    plane: str
+    quantity: str
+    value_deg: float | None
+    u_deg: float | None
+    U_deg: float | None
+    confounded_with: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroShift(Result):
+    """How far the zero of an output lies, on one roll, from where it was on the first."""
+
+    plane: str
+    output: str
+    value: float
+    u: float
+    U: float
+    unit: str
+    p: float
+
+
+@dataclass(frozen=True, eq=False)
+class BesideTable(Result):
+    """The parameters of the sensor, estimated together with every error of the table.
+
+    Attributes
+    ----------
+    keys : tuple of (output, term)
+    parameters, covariance : (p,), (p, p) arrays
+    told : tuple of bool
+        Which of them no error of the table does the same as.
+    dof : float
+    p : float
+        Chance of residuals that shrink as much by a table without errors.
+    """
+
+    keys: tuple[tuple[str, str], ...]
+    parameters: Array
+    covariance: Array
+    told: tuple[bool, ...]
+    dof: float
+    p: float
+
+    @property
+    def off(self) -> bool:
+        """Whether the errors of the table are beyond chance."""
+        return self.p < _FOUND
+
+
+@dataclass(frozen=True, eq=False)
+class TableErrors(Result, Tabular):
+    """What the rolls of a calibration tell of the table, and of the sensor's zero between them.
+
+    `errors` are of the angle, `shaft` is of the shaft; a plane is a roll, or a mounting on a head
+    whose own angle is known, such as ``xy+0``, and ``head``.
+    """
+
+    errors: tuple[TableError, ...]
+    zero_shifts: tuple[ZeroShift, ...]
+    dof: float
+    shaft: tuple[TableError, ...] = ()
+    beside: BesideTable | None = None
+
+    def columns(self) -> dict[str, Any]:
+        """Return the errors of the angle and of the shaft; None where one cannot be told."""
+        found = (*self.errors, *self.shaft)
+        of = ["angle"] * len(self.errors) + ["shaft"] * len(self.shaft)
+        names = ("plane", "quantity", "value_deg", "u_deg", "U_deg", "confounded_with")
+        return {"of": of, **{name: [getattr(error, name) for error in found] for name in names}}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as JSON carries it."""
+        return {
+            "errors": [vars(error) for error in self.errors],
+            "shaft": [vars(error) for error in self.shaft],
+            "zero_shifts": [vars(shift) for shift in self.zero_shifts],
+            "dof": self.dof,
+        }
+
+
+_ROUNDING = 1e-12  # of the largest reading
+
+
+class Bench:
+    """The sensor and the table of one or several calibrations of the same positions, as columns."""
+
+    def __init__(self, parts: tuple[Calibration, ...]) -> None:
+        self.parts, self.first = parts, parts[0]
+        self.models = tuple(part.model for part in parts)
+        self.rolls = find_rolls(self.first.readings)
+        self.names = tuple(name for model in self.models for name in model.names)
+        self.keys = tuple((out, str(term)) for model in self.models for out, term in model.keys)
+        self.outputs = tuple(output for model in self.models for output in model.outputs)
+        self.values = np.concatenate([_response(part) for part in parts], axis=1)
+        self.weight = np.tile(
+            np.concatenate([_precision(part) for part in parts]), len(self.first.readings)
+        )
+        slopes = [
+            part.model.linear_part(part.parameters, part.mean_environment)[:, 1:] for part in parts
+        ]
+        axes = [axis for model in self.models for axis in model.axes]
+        own = np.array([[float(axis == name) for name in COMPONENTS] for axis in axes])
+        self.linear, self.own = np.concatenate(slopes), own
+        self.sensor = self.design(self.models)
+        self.shifts = _shifts(self.outputs, len(self.first.readings), self.rolls)
+        # What can be told is a matter of structure: small cross terms must not seem to tell it.
+        self.effect, self.nominal = (
+            table_effects(self.first, self.rolls, m) for m in (self.linear, own)
+        )
+        self.shaft, self.shaft_nominal = (
+            shaft_effects(self.first, self.rolls, m) for m in (self.linear, own)
+        )
+
+    def design(self, models: Sequence[Model]) -> Array:
+        """Return the design of models over all outputs (n M, p), output running fastest."""
+        parts = [_slopes(m, part) for m, part in zip(models, self.parts, strict=True)]
+        n, m, p = len(self.first.readings), len(self.outputs), sum(part.shape[2] for part in parts)
+        whole, row, column = np.zeros((n, m, p)), 0, 0
+        for part in parts:
+            rows, columns = part.shape[1:]
+            whole[:, row : row + rows, column : column + columns] = part
+            row, column = row + rows, column + columns
+        return whole.reshape(n * m, p)
+
+
+def _slopes(model: Model, calibration: Calibration) -> Array:
+    """Return the derivative of readings by the parameters of a model (n, M, p)."""
+    own = model is calibration.model
+    parameters = calibration.parameters if own else np.zeros(len(model.keys))
+    return parameter_jacobian(
+        model, parameters, calibration.reference, calibration.readings.environment
+    )
+
+
+def _response(calibration: Calibration) -> Array:
+    """Return the readings (n, M) as a linear model has them."""
+    c = calibration
+    if not isinstance(c.model, ExpressionModel):
+        return c.readings.values
+    # about its solution, where it is linear
+    return np.asarray(c.residuals + _slopes(c.model, c) @ c.parameters)
+
+
+def _shifts(
+    outputs: Sequence[str], n: int, rolls: tuple[Roll, ...]
+) -> dict[tuple[str, str], Array]:
+    """Return the columns (n M,) of a zero shift of each output on each roll after the first."""
+    columns = {}
+    for roll in rolls[1:]:
+        for place, name in enumerate(outputs):
+            member = np.zeros((n, len(outputs)))
+            member[roll.rows, place] = 1.0
+            columns[roll.plane, name] = member.ravel()
+    return columns
+
+
+def _precision(calibration: Calibration) -> Array:
+    """Return the inverse standard deviation of each output (M,), one where none is known."""
+    sd = calibration.residual_sd
+    usable = np.isfinite(sd).all() and (sd > 0.0).all()
+    return 1.0 / sd if usable else np.ones(len(sd))
+
+
+def separable(design: Array, effects: Array) -> list[int]:
+    """Return the columns of `effects` that the design does not explain, the earlier first."""
+    kept: list[int] = []
+    for column in range(effects.shape[1]):
+        trial = np.column_stack([design, effects[:, [*kept, column]]])
+        if np.abs(effects[:, column]).max() > FLOOR and (
+            separability(trial, floor=FLOOR).rank == trial.shape[1]
+        ):
+            kept.append(column)
+    return kept
+
+
+Sizes = dict[int, tuple[float, float, float]]  # value, u and U of columns by their place
+
+
+def solve_beside(bench: Bench, design: Array, told: NDArray[np.bool_]) -> tuple[BesideTable, Sizes]:
+    """Return the sensor beside errors of the table, and every column of the design with its U.
+
+    Parameters
+    ----------
+    bench : Bench
+    design : (n M, q) array
+        The p columns of the sensor first, then those of the errors, fewer than there are rows.
+    told : (p,) array of bool
+        Which parameters no error does the same as.
+    """
+    p, more = len(bench.keys), design.shape[1] - len(bench.keys)
+    values = bench.values.ravel() * bench.weight
+    found = solve(design * bench.weight[:, None], values)
+    alone = solve(bench.sensor * bench.weight[:, None], values)
+    dof = float(found.dof)
+    variance = float(found.rss) / dof
+    covariance = found.cofactor * variance
+    gain = max(float(alone.rss) - float(found.rss), 0.0) / more
+    floor = (_ROUNDING * float(np.abs(values).max())) ** 2  # of residuals that are rounding alone
+    chance = f_tail(gain / variance, more, dof) if variance > floor else 1.0
+    u = np.sqrt(np.diag(covariance))
+    k = coverage_factor(bench.first.confidence, dof)
+    sizes = {i: (float(found.coefficients[i]), float(u[i]), k * float(u[i])) for i in range(len(u))}
+    flags = tuple(map(bool, told.tolist()))
+    coefficients = found.coefficients[:p]
+    return BesideTable(bench.keys, coefficients, covariance[:p, :p], flags, dof, chance), sizes
+
+
+HEAD = "head_deg"
+_SAME = 1e-3  # [rad] by which angles of one mounting may differ, as files round them
+_FEWEST = 5  # rows of a mounting: three fit a head that turns twice as far
+_MOST = 24  # mountings of a roll
+
+
+class Mounting(NamedTuple):
+    """Rows of a roll taken in one mounting: the case stands at `sense` times the head, and start.
+
+    `roll` has these rows alone; `head` is the angle of the head [rad].
+    """
+
+    roll: Roll
+    sense: float
+    head: Array
+
+    @property
+    def name(self) -> str:
+        """The plane, the sense and the start in degrees: ``xy+0``."""
+        start = float(np.degrees(median(_wrap(self.roll.angle - self.sense * self.head))))
+        return f"{self.roll.plane}{'+' if self.sense > 0.0 else '-'}{round(start) % 360}"
+
+
+def find_head(readings: Readings) -> tuple[Mounting, ...]:
+    """Return the mountings of rolls whose head is read; none where its angle fits no rolls."""
+    mounted = tuple(_mounted(readings))
+    return () if _unused(mounted) else mounted
+
+
+def said_of_head(readings: Readings) -> list[str]:
+    """Say where the angle of the head is missing, or turns otherwise than the roll."""
+    return _unused(_mounted(readings))
+
+
+def _unused(mounted: Iterable[Mounting]) -> list[str]:
+    said = []
+    for one in mounted:
+        row = int(one.roll.rows[0]) + 1
+        if not np.isfinite(one.head).all():
+            said.append(f"some readings of the roll about {one.roll.axis} have no `{HEAD}`: unused")
+        elif len(one.head) < _FEWEST:
+            said.append(
+                f"reading {row}: `{HEAD}` does not turn with the angle of the roll about "
+                f"{one.roll.axis}, one way or the other: unused"
+            )
+    return said
+
+
+def _mounted(readings: Readings) -> list[Mounting]:
+    if readings.up is None or HEAD not in readings.environment:
+        return []
+    head = np.radians(readings.environment[HEAD])
+    found: list[Mounting] = []
+    for roll in find_rolls(readings):
+        turned = head[roll.rows]
+        if not np.isfinite(turned).all():
+            found.append(Mounting(roll, 1.0, turned))
+            continue
+        for sense, rows in _mountings(roll, turned):
+            part = replace(roll, rows=roll.rows[rows], angle=roll.angle[rows])
+            found.append(Mounting(part, sense, turned[rows]))
+    return found
+
+
+def _wrap(angle: Array) -> Array:
+    """Return angles between −π and π."""
+    return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def _mountings(roll: Roll, head: Array) -> list[tuple[float, NDArray[np.intp]]]:
+    """Return the sense and the places of the rows of each mounting of a roll.
+
+    Of a head that turns by itself a single row, which is no mounting.
+    Rows that fit two mountings, as at the start and half a turn on, go with their neighbours.
+    """
+    starts = {sense: roll.angle - sense * head for sense in (1.0, -1.0)}
+    left = np.ones(len(head), dtype=bool)
+    fits: list[tuple[float, NDArray[np.bool_]]] = []
+    while left.any():
+        row = int(np.argmax(left))
+        if len(fits) == _MOST:
+            return [(1.0, np.array([row]))]
+        both = [(s, np.abs(_wrap(start - start[row])) < _SAME) for s, start in starts.items()]
+        best = max(both, key=lambda one: int((one[1] & left).sum()))
+        fits.append(best)
+        left &= ~best[1]
+    fitting = np.array([rows for _, rows in fits])
+    clear = np.flatnonzero(fitting.sum(axis=0) == 1)
+    place = np.argmax(fitting, axis=0)
+    for row in np.flatnonzero(fitting.sum(axis=0) > 1).tolist():
+        near = clear[fitting[place[clear], row]]
+        if len(near):
+            far = 2 * np.abs(near - row) + (near < row)  # of two as near, the one that follows
+            place[row] = place[near[np.argmin(far)]]
+    found = [(sense, np.flatnonzero(place == i)) for i, (sense, _) in enumerate(fits)]
+    return [one for one in found if len(one[1])]
+
+
+def head_errors(bench: Bench, mounted: tuple[Mounting, ...]) -> TableErrors:
+    """Return the sensor beside the head, what the head is off by, and the zero of each mounting."""
+    names, columns = _columns(bench, mounted, bench.linear)
+    nominal = _columns(bench, mounted, bench.own)[1]
+    free = separable(bench.sensor, nominal)
+    free = [free[i] for i in separable(bench.sensor, columns[:, free])]
+    design = np.column_stack([bench.sensor, columns[:, free]])
+    null = separability(np.column_stack([bench.sensor, nominal]), floor=FLOOR).null
+    told = (null == 0.0).all(axis=1)
+    p = len(bench.keys)
+    values: Sizes = {}
+    beside = None
+    if free and len(design) > design.shape[1]:
+        beside, sizes = solve_beside(bench, design, told[:p])
+        places = enumerate(free, start=p)
+        values = {column: sizes[place] for place, column in places if told[p + column]}
+    every = [*bench.names, *(f"{quantity} in {plane}" for plane, quantity in names)]
+    errors = []
+    for column, (plane, quantity) in enumerate(names):
+        value, u_deg, U = (
+            np.degrees(values[column]).tolist() if column in values else (None, None, None)
+        )
+        together = null[:, null[p + column] != 0.0]
+        others = [
+            every[j] for j in np.flatnonzero(together.any(axis=1)).tolist() if j != p + column
+        ]
+        errors.append(TableError(plane, quantity, value, u_deg, U, tuple(others)))
+    felt = np.abs(nominal).max(axis=0, initial=0.0) > FLOOR
+    angle = tuple(error for error in errors if error.quantity in QUANTITIES)
+    shaft = tuple(e for e, seen in zip(errors, felt, strict=True) if seen and e.quantity in SHAFT)
+    return TableErrors(angle, (), 0.0 if beside is None else beside.dof, shaft, beside)
+
+
+def _columns(
+    bench: Bench, mounted: tuple[Mounting, ...], linear: Array
+) -> tuple[list[tuple[str, str]], Array]:
+    """Return plane and quantity of each column, and what it does to the readings per radian.
+
+    The circle is the four columns before those of each mounting: its zero, level and wobble.
+    """
+    n, m = len(bench.first.readings), len(linear)
+    circle = np.zeros((n, m, 4))
+    own = np.zeros((n, m, 4 * len(mounted)))
+    size = bench.first.sign * magnitude_of(bench.first)
+    names = [("head", quantity) for quantity in QUANTITIES[1:]]
+    for place, one in enumerate(mounted):
+        rows, h = one.roll.rows, one.head
+        moved = turn_of(bench.first, one.roll) @ linear.T
+        waves = np.column_stack([np.cos(h), np.sin(h), np.cos(2.0 * h), np.sin(2.0 * h)])
+        circle[rows] = one.sense * moved[:, :, None] * waves[:, None, :]
+        along = size * linear[:, COMPONENTS.index(one.roll.axis)]
+        own[rows, :, 4 * place] = moved
+        nods = np.column_stack([np.ones(len(h)), waves[:, :2]])
+        own[rows, :, 4 * place + 1 : 4 * place + 4] = along[None, :, None] * nods[:, None, :]
+        names += [(one.name, quantity) for quantity in (QUANTITIES[0], *SHAFT)]
+    return names, np.concatenate([circle, own], axis=2).reshape(n * m, -1)
+
 
 _SHIFTED = 1e-3  # chance of a zero shift where there is none
 
@@ -64,7 +520,7 @@ def table_errors(calibration: Calibration, *beside: Calibration) -> TableErrors:
     Every quantity of the angle that the model leaves room for is estimated, with the parameters and
     the zero shifts, in one weighted least-squares problem over all outputs. Where the readings have
     the angle of the head itself, `head_deg`, its circle is one for all mountings
-    (`multipos.uncertainty.dividing_head`).
+    (`multipos.uncertainty.turntable`).
 
     Parameters
     ----------

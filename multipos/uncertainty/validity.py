@@ -10,8 +10,22 @@ them. The reading that is compensated adds its own noise, which is not in these 
 
 What was applied is a sphere of |f| = g, and known forces, which along an axis go from the smallest
 component to the largest and in size to the largest of them. Terms that the positions could not
-show are in the uncertainty as far as the budget states them (`multipos.uncertainty.unseen`):
+show are in the uncertainty as far as the budget states them (`multipos.uncertainty.validity`):
 between the directions applied, and beyond what was applied.
+
+Terms that the positions did not show: what a budget's [unseen] does to compensated force.
+
+A term φ of an output i that is not in the model, of size κ [g] beside the scale factor s_i, moves
+the reading by s_i κ φ(f). The fit absorbed it as far as it looks like the model, so with the gain
+G of the estimator, how parameters follow readings, compensated force is off by
+
+    δf(f) = J⁺ (e_i s_i κ φ(f) − (dh/dp) G e_i s_i κ φ at the positions),                   (2)
+
+of which only κ is unknown: its variance is what the budget states. A term that the model has is
+absorbed whole. Of own³ at the six faces nothing is left at ±1 g along the axes, .4 κ between them,
+and (f² − 1) f κ beyond. `[third_order]` is own³, relative to the scale factor.
+
+Each output has a κ of its own, each product of `own*other` too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,18 +33,93 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.terms import COMPONENTS, kind_terms
 from multipos.positions.scheme import read_scheme
 from multipos.results import Keyed, Tabular, require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.inverse import parameter_jacobian, sensed_axes
 from multipos.sensor.inverse import sensitivities as inverse_sensitivities
+from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.propagation import evaluate_budget
-from multipos.uncertainty.unseen import unseen_covariance
+
+
+def unseen_sizes(calibration: Calibration) -> dict[str, float]:
+    """Return the standard uncertainty [g] of each kind of term that the budget states."""
+    tables = calibration.budget_tables
+    stated = {name: tables[name] for name in ("unseen", "third_order") if name in tables}
+    if not stated:
+        return {}
+    quantities = read_budget(stated).quantities
+    if "third_order" in quantities:
+        return {"own^3": quantities["third_order"].u}
+    return dict(quantities["unseen"].settings)
+
+
+def unseen_covariance(
+    calibration: Calibration, force: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    """Return the covariance (n, K, K) [g²] that unseen terms add, by eq. (2).
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Zero unless its budget states such terms.
+    force : (n, K) array [g]
+        Compensated force, on the axes that the sensor has.
+    environment : mapping of str to (n,) array
+    """
+    c = calibration
+    sensed = list(sensed_axes(c.model))
+    full = np.zeros((len(force), 3))
+    full[:, sensed] = np.where(np.isfinite(force), force, 0.0)  # NaN: no force explains it
+    moves = unseen_moves(c, full, environment)
+    if not moves.size:
+        return np.zeros((len(force), len(sensed), len(sensed)))
+    jacobian = c.model.force_jacobian(c.parameters, full, environment)
+    off = np.linalg.pinv(jacobian[:, :, sensed]) @ moves
+    return np.asarray(off @ off.transpose(0, 2, 1))
+
+
+def unseen_moves(
+    calibration: Calibration, force: Array, environment: Mapping[str, ArrayLike]
+) -> Array:
+    """Return how each unseen term moves readings beyond what the fit absorbed (n, M, terms).
+
+    The bracket of eq. (2), at one standard uncertainty of each term; without terms (n, M, 0).
+
+    Parameters
+    ----------
+    calibration : Calibration
+    force : (n, 3) array [g]
+    environment : mapping of str to (n,) array
+    """
+    c = calibration
+    sizes = unseen_sizes(c)
+    if not any(sizes.values()):
+        return np.zeros((len(force), len(c.outputs), 0))
+    by_parameter = parameter_jacobian(c.model, c.parameters, force, environment)
+    absorbed = estimator_gain(c) @ _moves(c, sizes, c.reference).reshape(c.readings.values.size, -1)
+    return np.asarray(_moves(c, sizes, force) - by_parameter @ absorbed)
+
+
+def _moves(c: Calibration, sizes: Mapping[str, float], force: Array) -> Array:
+    """Return what each term, at its standard uncertainty, does to readings, (n, M, terms)."""
+    components = {axis: force[:, i] for i, axis in enumerate(COMPONENTS)}
+    moves = []
+    for kind, u in sizes.items():
+        for output, axis in enumerate(c.model.axes):
+            scale = c.sensitivity[output, COMPONENTS.index(axis)]
+            for term in kind_terms(kind, axis, c.model.inputs):
+                moved = np.zeros((len(force), len(c.outputs)))
+                moved[:, output] = u * scale * term.evaluate(components)
+                moves.append(moved)
+    return np.stack(moves, axis=2)
+
 
 # Noise and placement make |f| of a sensor at rest differ from 1 g; only more than this is outside.
 _MARGIN = 0.01

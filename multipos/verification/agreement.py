@@ -7,7 +7,7 @@ J = dh/df and C the covariance of the parameters, r = y − h has the covariance
 
 where s is the noise of the run's readings and T what is not known of where they were taken: the
 placement σ² f² (I − uu') of ``orientation_sd_deg``, and ``reference_u_x`` … squared. As long as as
-many outputs as components are sensed, r and the errors e of `multipos.verification.run_errors` are
+many outputs as components are sensed, r and the errors e of `multipos.verification.checks` are
 one and the same to first order, e = J⁻¹ r, and so is the statistic
 
     Q = r' V⁻¹ r    on N = n M degrees of freedom,                                           (2)
@@ -47,7 +47,7 @@ from multipos.positions.readings import Readings
 from multipos.results import Keyed
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.uncertainty.unseen import unseen_moves
+from multipos.uncertainty.validity import unseen_moves
 from multipos.verification.consistency import Words, is_apart, judge_together
 
 _NAMED = 0.01  # chance at which what has moved is named

@@ -27,16 +27,15 @@ import numpy as np
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.estimation.known import FLOOR
 from multipos.numerics.arrays import Array
-from multipos.numerics.combinations import name_combinations
 from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.separability import separability
+from multipos.numerics.separability import name_combinations, separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model
 from multipos.sensor.stating import build_model
-from multipos.uncertainty.table_findings import BesideTable
+from multipos.uncertainty.turntable import BesideTable
 
 # Coefficient: its term of eq. (1), sign, unit, and the customary unit, a millionth of it.
 COEFFICIENTS = {

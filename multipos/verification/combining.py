@@ -31,12 +31,12 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.estimation.gains import estimator_gain, gravity_effect
 from multipos.estimation.options import Options
-from multipos.fitting.readings import calibrate_at
+from multipos.fitting.fit_readings import calibrate_at
 from multipos.numerics.arrays import Array
-from multipos.positions.placement import place
+from multipos.positions.orientations import place
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.diagnostics import Diagnostics
+from multipos.sensor.fit_diagnostics import Diagnostics
 from multipos.sensor.found import Estimator, RestToRest, Sessions
 from multipos.sensor.gravity import add_gravity, signed_size
 from multipos.sensor.inverse import parameter_jacobian

@@ -1,12 +1,20 @@
 """Repeated calibrations of one unit: spread, drift, and whether they agree with what they claim.
 
 Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the
-stability of the biases, and the drift (`multipos.verification.drift`): the slope of the straight
+stability of the biases, and the drift (`multipos.verification.comparison`): the slope of the
+straight
 line through the repeats, per second where their times are absolute or ordered and else per run in
 the order given, judged by Student's t on R − 2 degrees of freedom.
 
 Several methods on the same readings share their noise, so no test of spread applies: they agree
 where no parameter differs by more than its expanded uncertainty.
+
+Drift of repeated calibrations: the straight line through the repeats, and what it is against.
+
+The times of readings tell when a calibration was made only if they share a clock. They do where
+they are absolute, seconds since an epoch, or where they are ordered: no calibration begins before
+another has ended. Four logs that each start at 0 s have a clock of their own each, and only the
+order is left in which the calibrations were given. The slope has n − 2 degrees of freedom.
 
 References
 ----------
@@ -17,32 +25,92 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from multipos.doubt import Doubt, besides
 from multipos.errors import MultiposError, UsageError
-from multipos.files.lists import spread
 from multipos.files.numbers import number, table, uncertain
+from multipos.files.spelling import spread
 from multipos.files.trees import read_schema
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import check_confidence
+from multipos.numerics.quantiles import check_confidence, t_tail
 from multipos.numerics.terms import CONSTANT
+from multipos.regression.regression import Regression, Regressions, all_of
 from multipos.regression.regression_file import SCHEMA, load_regression
-from multipos.regression.result import Regression
-from multipos.regression.several import Regressions, all_of
 from multipos.results import Drawn, Result, data_frame
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.loading import load
+from multipos.sensor.calibration_file import load
 from multipos.verification.combining import combine_sessions
 from multipos.verification.consistency import Judgement, judge_repeats
-from multipos.verification.drift import ABSOLUTE, GIVEN, ORDERED, find_drift
 from multipos.verification.regression_comparison import (
     RegressionComparison,
     compare_regressions,
 )
 from multipos.verification.repeat_doubts import doubt_repeats
+
+ABSOLUTE, ORDERED, GIVEN = "absolute", "ordered", "as given"
+_EPOCH = 1e8  # s: three years, longer than any log; seconds since 1970 are beyond it
+
+
+class Drift(NamedTuple):
+    """Slope of each parameter per second or per run, its u and p; NaN where nothing is left.
+
+    Attributes
+    ----------
+    slope, u, p : (p,) arrays
+    per : str
+        'time', in seconds, or 'run'.
+    times : str
+        'absolute', 'ordered' or, per run, 'as given'.
+    """
+
+    slope: Array
+    u: Array
+    p: Array
+    per: str
+    times: str
+
+
+def find_drift(calibrations: Sequence[Calibration], values: Array) -> Drift:
+    """Return the slopes of the parameters (R, p) of R calibrations."""
+    at, times = _clock(calibrations)
+    per = "run" if times == GIVEN else "time"
+    centred = at - at.mean()
+    square = float(centred @ centred)
+    slope = centred @ values / square
+    dof = len(values) - 2
+    if dof <= 0:
+        unknown = np.full(values.shape[1], math.nan)
+        return Drift(slope, unknown, unknown.copy(), per, times)
+    left = values - values.mean(axis=0) - centred[:, None] * slope
+    u = np.sqrt(np.sum(left**2, axis=0) / dof / square)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = slope / u
+    p = np.array([t_tail(value, dof) if math.isfinite(value) else math.nan for value in t.tolist()])
+    return Drift(slope, u, p, per, times)
+
+
+def _clock(calibrations: Sequence[Calibration]) -> tuple[Array, str]:
+    """Return when each calibration was made, and by what clock."""
+    nothing = np.array([math.nan])
+    known = [c.readings.environment.get("time", nothing) for c in calibrations]
+    at = np.array([time.mean() for time in known])
+    if np.isfinite(at).all() and np.ptp(at) > 0.0:
+        if min(float(time.min()) for time in known) >= _EPOCH:
+            return at, ABSOLUTE
+        if _are_apart(known):
+            return at, ORDERED
+    return np.arange(1.0, len(known) + 1.0), GIVEN
+
+
+def _are_apart(times: Sequence[Array]) -> bool:
+    """Tell whether none begins before another has ended."""
+    spans = sorted((float(time.min()), float(time.max())) for time in times)
+    return all(end < begin for (_, end), (begin, _) in pairwise(spans))
+
 
 Run = Calibration | Regression | Regressions | str | os.PathLike[str]
 

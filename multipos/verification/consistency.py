@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.diagnostics import bartlett
+from multipos.sensor.fit_diagnostics import bartlett
 from multipos.uncertainty.propagation import evaluate_budget
 
 _UNEQUAL = 0.01  # level at which repeats of different scatter are warned of

@@ -26,8 +26,7 @@ from multipos.compensation.correction import (
 from multipos.errors import MultiposError
 from multipos.files.tables import Source, read_table
 from multipos.numerics.quantiles import coverage_factor
-from multipos.regression.result import Regression, format_span
-from multipos.regression.several import Regressions
+from multipos.regression.regression import Regression, Regressions, format_span
 from multipos.verification.agreement import no_agreement
 from multipos.verification.verdicts import (
     Check,

@@ -27,7 +27,7 @@ from multipos.errors import MultiposError
 from multipos.files.numbers import number, table
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
-from multipos.regression.result import Regression, format_span
+from multipos.regression.regression import Regression, format_span
 from multipos.regression.segment import Segment
 from multipos.results import Drawn, Result, Tabular, plain
 from multipos.verification.repeat_doubts import doubt_repeated_regressions

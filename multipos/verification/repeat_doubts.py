@@ -23,7 +23,7 @@ import numpy as np
 from multipos.doubt import Doubt, implausible
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
-from multipos.regression.result import Regression
+from multipos.regression.regression import Regression
 from multipos.sensor.calibration import Calibration
 
 _SCALE = 0.02  # of a scale factor

@@ -18,19 +18,18 @@ from numpy.typing import ArrayLike
 
 from multipos.doubt import Doubt
 from multipos.errors import UsageError
-from multipos.files.lists import Names, split_names
+from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
-from multipos.positions.placement import orient, refuse_open_rolls
+from multipos.positions.orientations import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
 from multipos.results import Drawn, Result, Tabular, stacked
 from multipos.sensor.stating import default_axes, stated_facing
-from multipos.uncertainty.table_findings import BesideTable, TableErrors
-from multipos.uncertainty.turntable import table_errors
+from multipos.uncertainty.turntable import BesideTable, TableErrors, table_errors
 from multipos.verification.coefficients import (
     TumbleCoefficient,
     coefficients_beside,

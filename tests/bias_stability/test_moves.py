@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.bias_stability.moves import find_movement
+from multipos.bias_stability.analysis import find_movement
 
 
 def noise(rng, kind, n=300):

@@ -5,8 +5,15 @@ import pytest
 from noise_bench import flicker, walk, white
 from numpy.testing import assert_allclose
 
-from multipos.bias_stability.allan import Phases, law_variances, octaves, starts
-from multipos.bias_stability.noise_laws import Laws, degrees_of_freedom, fit_laws
+from multipos.bias_stability.allan import (
+    Laws,
+    Phases,
+    degrees_of_freedom,
+    fit_laws,
+    law_variances,
+    octaves,
+    starts,
+)
 
 N = 8192
 

@@ -13,9 +13,8 @@ import multipos as mp
 from multipos.capturing.running import make_plan, make_reading
 from multipos.capturing.screen import picture_of
 from multipos.capturing.session import Session
-from multipos.capturing.sources import open_source
-from multipos.capturing.state import state_of
-from multipos.capturing.words import chinese
+from multipos.capturing.state import chinese, state_of
+from multipos.capturing.streams import open_source
 
 PACKAGE = Path(mp.__file__).parent
 ERRORS = {"MultiposError", "RankError", "ConvergenceError"}

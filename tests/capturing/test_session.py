@@ -13,17 +13,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
+from multipos.capturing.evaluation import read_targets, spread_targets
 from multipos.capturing.keeping import Kept
+from multipos.capturing.live_rests import LiveRests, LiveRows
 from multipos.capturing.poses import find_frame, refuse_repeat
-from multipos.capturing.rests import LiveRests
-from multipos.capturing.rows import LiveRows
 from multipos.capturing.running import make_plan, make_reading, run_session
 from multipos.capturing.screen import obey, picture_of
 from multipos.capturing.session import Session
-from multipos.capturing.sources import open_source
-from multipos.capturing.state import state_of
-from multipos.capturing.targets import read_targets, spread_targets
-from multipos.capturing.words import pose_words
+from multipos.capturing.state import pose_words, state_of
+from multipos.capturing.streams import open_source
 from multipos.cli import main
 from multipos.logs.opening import open_log
 from multipos.logs.rests import Rest

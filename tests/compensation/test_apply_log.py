@@ -10,7 +10,7 @@ from log_bench import sensor, write_csv
 
 import multipos as mp
 from multipos.cli import main
-from multipos.compensation.applied_logs import apply_log
+from multipos.compensation.applying import apply_log
 from multipos.errors import MultiposError
 from multipos.files.trees import json_table, to_json
 from multipos.files.whole import write_text
@@ -38,7 +38,7 @@ def read(path):
 
 
 def test_a_log_is_applied_as_a_table_is(cal, saved, log, tmp_path, monkeypatch):
-    monkeypatch.setattr("multipos.logs.text._PIECE", 5000)  # many pieces
+    monkeypatch.setattr("multipos.logs.text_logs._PIECE", 5000)  # many pieces
     path = write_csv(tmp_path / "log.csv", log)
     out = tmp_path / "out.csv"
     assert main(["apply", saved, str(path), "--uncertainty", "-o", str(out)]) == 0
@@ -107,7 +107,7 @@ def test_json_has_every_column(saved, log, tmp_path, capsys):
 
 
 def test_json_in_pieces_is_json_in_one(cal, log, tmp_path, monkeypatch):
-    monkeypatch.setattr("multipos.logs.text._PIECE", 5000)
+    monkeypatch.setattr("multipos.logs.text_logs._PIECE", 5000)
     monkeypatch.setattr("multipos.files.trees._CELLS", 7)
     far = {name: column.copy() for name, column in log.items()}
     far["az"][[3, -1]] = 1e7
@@ -132,7 +132,7 @@ def test_json_in_pieces_is_json_in_one(cal, log, tmp_path, monkeypatch):
 
 
 def test_rows_outside_are_counted_to_the_end(saved, log, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("multipos.logs.text._PIECE", 5000)
+    monkeypatch.setattr("multipos.logs.text_logs._PIECE", 5000)
     far = {name: column.copy() for name, column in log.items()}
     far["ax"][[10, -1]] = 3.0
     path = write_csv(tmp_path / "log.csv", far)
@@ -175,7 +175,7 @@ def test_bad_logs(saved, text, message, tmp_path, capsys):
 
 
 def test_an_error_half_way_leaves_the_old_file(saved, log, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("multipos.logs.text._PIECE", 5000)
+    monkeypatch.setattr("multipos.logs.text_logs._PIECE", 5000)
     path, out = write_csv(tmp_path / "log.csv", log), tmp_path / "out.csv"
     with path.open("a") as stream:
         stream.write("1,2,x,4\n")

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.designs.result import design_text
+from multipos.designs.designing import design_text
 from multipos.units import cos_deg, sin_deg
 
 FILE = """\

@@ -5,8 +5,8 @@ import pytest
 from scipy import special
 
 import multipos as mp
-from multipos.estimation.claimed_noise import drawn_together, steady_floors
-from multipos.numerics.polygamma import digamma, inverse_trigamma, trigamma
+from multipos.estimation.stated_uncertainty import drawn_together, steady_floors
+from multipos.numerics.quantiles import digamma, inverse_trigamma, trigamma
 
 UP = mp.read_scheme("faces-6").up
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.sensor.diagnostics import OUTLIER_LEVEL, find_correlated_outliers
+from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, find_correlated_outliers
 
 N, M, P = 10, 2, 6
 

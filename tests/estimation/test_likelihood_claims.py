@@ -11,10 +11,9 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 import multipos as mp
-from multipos.doubts.joint_tests import judge_terms_jointly
+from multipos.diagnostics.joint_tests import judge_terms_jointly
 from multipos.errors import MultiposError
-from multipos.estimation.gains import estimator_gain
-from multipos.estimation.restatement import restate, return_to_optimum
+from multipos.estimation.gains import estimator_gain, restate, return_to_optimum
 from multipos.numerics.quantiles import chi2_tail
 from multipos.numerics.rotations import rotation_matrix
 from multipos.positions.scheme import read_scheme

@@ -8,8 +8,8 @@ import pytest
 
 import multipos as mp
 from multipos.positions.scheme import read_scheme
+from multipos.sensor.formulas import read_model
 from multipos.sensor.own_models import build_sketch
-from multipos.sensor.sketches import read_model
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "howto" / "model-gallery.md"
 LINES = re.findall(r"^\| [^|]+ \| `(.+)` \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)

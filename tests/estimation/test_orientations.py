@@ -19,9 +19,8 @@ from orientation_bench import (
 )
 
 import multipos as mp
-from multipos.estimation.gains import uncertain_gain
+from multipos.estimation.gains import restate, return_to_optimum, uncertain_gain
 from multipos.estimation.identifiability import CANDIDATES, condition, plausible_range
-from multipos.estimation.restatement import restate, return_to_optimum
 from multipos.estimation.robustness import _huber_factor
 from multipos.estimation.starts import _require_sphere
 from multipos.estimation.uncertain import _scale_bias

@@ -5,7 +5,7 @@ import pytest
 from orientation_bench import MATRIX, QUADRATIC, Sensor, lower, readings_of, scatter
 
 import multipos as mp
-from multipos.fitting import readings
+from multipos.fitting import fit_readings
 from multipos.numerics.rotations import rotation_matrix
 from multipos.positions.scheme import read_scheme
 
@@ -13,7 +13,7 @@ from multipos.positions.scheme import read_scheme
 @pytest.fixture(autouse=True)
 def without_doubts(monkeypatch):
     """Doubts change no number, and thousands of fits need not be looked at."""
-    monkeypatch.setattr(readings, "examine", lambda calibration: calibration)
+    monkeypatch.setattr(fit_readings, "examine", lambda calibration: calibration)
 
 
 pytestmark = pytest.mark.slow

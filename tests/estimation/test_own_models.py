@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 import multipos as mp
 from multipos.positions.scheme import read_scheme
-from multipos.regression.rates import smoothed_rate
+from multipos.regression.observations import smoothed_rate
 
 UP = read_scheme("all-26").up
 SATURATING = "each = b + s*own/(1 + k*own^2)"

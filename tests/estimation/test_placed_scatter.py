@@ -9,8 +9,7 @@ from test_likelihood import KINDS, a_problem
 
 import multipos as mp
 from multipos.estimation.likelihood import evaluate, linearise
-from multipos.estimation.linearisation import Linearised, linearised
-from multipos.estimation.placed_scatter import _evaluate, _invert
+from multipos.estimation.orientation_variance import Linearised, _evaluate, _invert, linearised
 
 NODES = np.array([0.0, 1e-4, 4e-4, 3e-3])  # the noise is of 1e-2
 FACTORS = np.array([1.0, 0.1, 3.0, 20.0])

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy import integrate, optimize, stats
 
 import multipos as mp
-from multipos.fitting import readings
+from multipos.fitting import fit_readings
 from multipos.positions.scheme import read_scheme
 
 SCALE = np.eye(3)
@@ -153,7 +153,9 @@ def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst, monk
     So the coverage is that of the normal law at U, averaged over residuals: 300 of them know it
     to half a percent. One output alone has two degrees of freedom at six positions.
     """
-    monkeypatch.setattr(readings, "examine", lambda c: c)  # doubts take long and change no number
+    monkeypatch.setattr(
+        fit_readings, "examine", lambda c: c
+    )  # doubts take long and change no number
     rng = np.random.default_rng(n)
     up = sphere(n)
     outputs = 3 if pool else 1

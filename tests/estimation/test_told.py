@@ -7,11 +7,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from multipos.estimation.descent import maximise
+from multipos.estimation.fisher_information import told_at
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
 from multipos.estimation.sphere import SphereSearch
-from multipos.estimation.told import told_at
-from multipos.numerics.cofactors import cofactors_of
+from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.stating import build_model

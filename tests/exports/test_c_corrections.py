@@ -15,7 +15,7 @@ from multipos.exports.c_correction import declarations
 from multipos.exports.parts import Correction
 from multipos.exports.replay import Drive, expected_rows, fitted_rows
 from multipos.exports.target_correction import _MAIN
-from multipos.regression.rates import causal_rate
+from multipos.regression.observations import causal_rate
 
 ROWS = 100_000
 

@@ -12,8 +12,7 @@ from log_bench import sensor, shared
 import multipos as mp
 from multipos.cli import main
 from multipos.exports.c_source import SIGNATURE, signature
-from multipos.exports.reading_back import verify_export
-from multipos.exports.targets import export
+from multipos.exports.targets import export, verify_export
 from multipos.sensor.stating import build_model
 
 READINGS = 100_000

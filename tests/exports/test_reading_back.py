@@ -12,8 +12,7 @@ from log_bench import sensor
 
 import multipos as mp
 from multipos.cli import main
-from multipos.exports.reading_back import verify_export
-from multipos.exports.targets import export
+from multipos.exports.targets import export, verify_export
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no cc on this machine")
 

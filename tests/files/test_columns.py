@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from multipos.errors import MultiposError
-from multipos.files import columns
+from multipos.files import csv_columns as columns
 from multipos.files import tables as files
-from multipos.files.columns import Cells
+from multipos.files.csv_columns import Cells
 
 CELLS = st.sampled_from(
     ["1", " 2.5", "-3e-4 ", "", "x", "1_0", "nan", "inf", "1e400", "٣", "é", "1d3", "0x10", "-"]

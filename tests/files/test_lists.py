@@ -8,7 +8,7 @@ import pytest
 
 import multipos as mp
 from multipos.errors import UsageError
-from multipos.files.lists import near, split_names, split_numbers
+from multipos.files.spelling import near, split_names, split_numbers
 from multipos.logs.opening import open_log
 
 UP = mp.read_scheme("faces-6").up

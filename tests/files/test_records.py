@@ -8,7 +8,6 @@ import pytest
 
 import multipos as mp
 from multipos.errors import MultiposError
-from multipos.files.characters import visible
 from multipos.files.numbers import markdown_line, markdown_text, table
 from multipos.files.records import (
     LARGEST,
@@ -25,7 +24,8 @@ from multipos.files.records import (
     require_covariance,
     restore,
 )
-from multipos.sensor.instructions import require_instructions
+from multipos.files.spelling import visible
+from multipos.sensor.compiled import require_instructions
 
 
 @pytest.mark.parametrize(

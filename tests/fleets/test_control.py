@@ -5,7 +5,7 @@ import pytest
 from fleet_bench import line
 
 import multipos as mp
-from multipos.fleets.control import ewma, ewma_limits, individual_limits, judge_control
+from multipos.fleets.pictures import ewma, ewma_limits, individual_limits, judge_control
 
 # NIST/SEMATECH e-Handbook, 6.3.2.2: flow rates of ten batches, and what is printed of them
 FLOW = [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]

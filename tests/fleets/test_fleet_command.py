@@ -102,10 +102,10 @@ def test_parquet_folders_and_patterns_are_read_as_the_same(tmp_path):
 
 
 def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
-    from multipos.fleets import running
+    from multipos.fleets import workers as running
 
     table = line(6, scheme="faces-corners-14")
-    monkeypatch.setattr("multipos.fleets.piecewise._READINGS", 2 * 14)
+    monkeypatch.setattr("multipos.fleets.fit_many._READINGS", 2 * 14)
     kept = tmp_path / ".progress"
     options = {"unit_column": "unit", "station_column": "station", "progress_folder": kept}
     solve = running.solve_task
@@ -264,7 +264,7 @@ def test_limits_that_are_none(tmp_path, table, text, said, capsys):
 
 
 def test_limits_of_toml_are_those_of_csv(tmp_path):
-    from multipos.fleets.limits import read_limits
+    from multipos.fleets.quality import read_limits
 
     one, other = tmp_path / "limits.csv", tmp_path / "limits.toml"
     one.write_text(LIMITS)

@@ -7,6 +7,7 @@ import pytest
 from fleet_bench import line
 
 import multipos as mp
+from multipos.fleets.fleet_text import fleet_text
 from multipos.fleets.gauge import (
     analyse_variance,
     coefficients,
@@ -14,7 +15,6 @@ from multipos.fleets.gauge import (
     interval_of,
     pool_restricted,
 )
-from multipos.fleets.text import fleet_text
 from multipos.reports.fleets import fleet_content
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")

@@ -5,8 +5,7 @@ import pytest
 from fleet_bench import line
 
 import multipos as mp
-from multipos.fleets.belonging import discoveries
-from multipos.fleets.drift import find_step, normal_scores
+from multipos.fleets.line import discoveries, find_step, normal_scores
 from multipos.fleets.stations import station_effects
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")

@@ -10,8 +10,8 @@ from pathlib import Path, PurePath
 
 from multipos.errors import MultiposError
 from multipos.regression import regression_file
-from multipos.sensor import calibration_file, loading
-from multipos.verification import check_file
+from multipos.sensor import calibration_file
+from multipos.verification import verdicts
 
 from .kinds import Case
 from .running import PACKAGE, Limits, Run
@@ -24,9 +24,9 @@ _LAST_HANDLER = re.compile(r"error: unexpected|unexpected \w*([Ee]rror|Exception
 _NO_NUMBER = re.compile(r"^(?! ?[#*/]).*[\s,={(\[-](inf|nan)f?(?![\w.])", re.MULTILINE)
 # What is written is read again by other commands.
 _READERS = {
-    calibration_file.SCHEMA: loading.load,
+    calibration_file.SCHEMA: calibration_file.load,
     regression_file.SCHEMA: regression_file.load_regression,
-    check_file.SCHEMA: check_file.load_check,
+    verdicts.SCHEMA: verdicts.load_check,
 }
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\x80-\x9f]")
 

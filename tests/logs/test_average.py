@@ -12,9 +12,9 @@ from log_bench import columns_of, sensor, shared, write_csv
 import multipos as mp
 from multipos.cli import main
 from multipos.logs.averaging import average
-from multipos.logs.matching import Match, match_directions
+from multipos.logs.faults import _semi_axes, compare_scales, find_faults
+from multipos.logs.joining import Match, match_directions
 from multipos.logs.opening import open_log, read_log
-from multipos.logs.rest_faults import _semi_axes, compare_scales, find_faults
 from multipos.logs.rest_means import RestMean
 
 FERRARIS = ("acc_x", "acc_y", "acc_z")

@@ -10,8 +10,7 @@ from scipy.special import stdtrit
 import multipos as mp
 from multipos.logs import common_noise
 from multipos.logs.common_noise import settle_together
-from multipos.logs.rest_means import rest_means
-from multipos.logs.rest_sums import RestSum
+from multipos.logs.rest_means import RestSum, rest_means
 
 N = 400
 

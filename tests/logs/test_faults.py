@@ -5,8 +5,7 @@ import pytest
 from log_bench import columns_of, sensor
 
 import multipos as mp
-from multipos.logs.log_faults import find_second_unit, is_factor
-from multipos.logs.rest_faults import is_saturated
+from multipos.logs.faults import find_second_unit, is_factor, is_saturated
 from multipos.logs.rests import Grid, Survey, Windows
 
 OUTPUTS = ("ax", "ay", "az")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from multipos.errors import MultiposError
-from multipos.logs.isolation import read_apart
+from multipos.logs.extras import read_apart
 
 
 def finds(path: Path) -> dict[str, object]:

@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from multipos.errors import MultiposError
-from multipos.logs import plain_text
+from multipos.logs import text_logs
 from multipos.logs.opening import open_log
-from multipos.logs.plain_text import read_plain
+from multipos.logs.text_logs import read_plain
 
 SEPARATORS = ("", ",", ";", "\t")
 WIDTH = 4
@@ -37,8 +37,8 @@ def random_rows(rng, count):
 @pytest.mark.parametrize("block", [64, 1 << 18])
 def test_numbers_are_the_nearest_doubles(monkeypatch, mark, block):
     """Bit by bit what `float` makes of every cell; the cells cross every border of words."""
-    monkeypatch.setattr(plain_text, "_BLOCK", block)
-    monkeypatch.setattr(plain_text, "_SHARE", 1)  # also where most have too many digits
+    monkeypatch.setattr(text_logs, "_BLOCK", block)
+    monkeypatch.setattr(text_logs, "_SHARE", 1)  # also where most have too many digits
     rows = random_rows(np.random.default_rng(1), 500)
     text = "\n".join((mark or " ").join(row) for row in rows)
     expected = bits([[float(cell) for cell in row] for row in rows])
@@ -164,10 +164,10 @@ def test_damaged_text_gives_the_same_by_both_ways(monkeypatch, tmp_path, mark):
         path = tmp_path / f"{case}.txt"
         path.write_text(text, encoding="utf-8", newline="")
         for lenient in (False, True):
-            monkeypatch.setattr("multipos.logs.text._PIECE", 700)
+            monkeypatch.setattr("multipos.logs.text_logs._PIECE", 700)
             quick = outcome(path, lenient=lenient)
             with monkeypatch.context() as patch:
-                patch.setattr("multipos.logs.text.read_plain", lambda *_: None)
+                patch.setattr("multipos.logs.text_logs.read_plain", lambda *_: None)
                 assert quick == outcome(path, lenient=lenient)
             taken += not isinstance(quick, str)
     assert taken > 40  # most of them are read after all

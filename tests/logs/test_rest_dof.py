@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.logs.rest_means import autocovariances, density_with_dof, rest_means
-from multipos.logs.rest_sums import RestSum
+from multipos.logs.rest_means import RestSum, autocovariances, density_with_dof, rest_means
 
 N = 1000
 

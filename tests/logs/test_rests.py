@@ -8,8 +8,7 @@ import pytest
 from log_bench import ar1, shared
 
 from multipos import MultiposError, UsageError
-from multipos.logs.rest_means import autocovariances, density_with_dof, rest_means
-from multipos.logs.rest_sums import RestSum
+from multipos.logs.rest_means import RestSum, autocovariances, density_with_dof, rest_means
 from multipos.logs.rests import (
     PIECE,
     Finder,

@@ -8,15 +8,17 @@ import pytest
 
 import multipos as mp
 from multipos.designs.criteria import _mean_product
-from multipos.numerics.factors import (
+from multipos.numerics.terms import (
     FUNCTIONS,
     Code,
     Factor,
     Function,
+    Term,
     factor_from_list,
     factor_to_list,
+    formula_columns,
+    parse_terms,
 )
-from multipos.numerics.terms import Term, formula_columns, parse_terms
 
 SGN = Function(
     form="sgn({})",

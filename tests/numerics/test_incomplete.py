@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import special
 
-from multipos.numerics.incomplete import LARGEST, beta_tails, gamma_tails, solve
+from multipos.numerics.quantiles import LARGEST, beta_tails, gamma_tails, solve
 
 SHAPE = st.floats(0.25, LARGEST)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from multipos.numerics.medians import median
+from multipos.numerics.arrays import median
 
 
 @pytest.mark.parametrize(

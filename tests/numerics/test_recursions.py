@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from multipos.numerics.recursions import recur
+from multipos.numerics.series import recur
 
 
 def test_a_half_of_the_row_before_by_hand():

@@ -15,13 +15,15 @@ from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail, normal_quantile
 from multipos.numerics.selection import (
     Thresholds,
+    all_subsets,
     compress,
+    criteria,
     join,
+    residual_sums,
     select_backward,
     select_stepwise,
     thresholds,
 )
-from multipos.numerics.subsets import all_subsets, criteria, residual_sums
 
 NAMES = ["1", "x1", "x2", "x3", "x4"]
 HALD = compress(hald.DESIGN, hald.RESPONSE)

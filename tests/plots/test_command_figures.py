@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos import plots
 from multipos.cli import main
-from multipos.designs.sizes import smaller_designs
+from multipos.designs.designing import smaller_designs
 
 
 @pytest.fixture(scope="module")

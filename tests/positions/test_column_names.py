@@ -2,7 +2,7 @@
 
 import pytest
 
-from multipos.positions.column_names import axes_by_name, split_unit
+from multipos.positions.headers import axes_by_name, split_unit
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 
 import multipos as mp
 from multipos.errors import MultiposError
-from multipos.positions.placement import place
+from multipos.positions.orientations import place
 from multipos.positions.reading_tables import read_readings
 
 OUTPUTS = {"ax": [0.1, 0.2, 0.3], "ay": [1.0, 0.0, -1.0], "az": [0.0, 1.0, 0.1]}

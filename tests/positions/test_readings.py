@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from multipos import Readings, fit, read_readings
 from multipos.errors import MultiposError, UsageError
-from multipos.positions.placement import orient
+from multipos.positions.orientations import orient
 from multipos.positions.scheme import read_scheme
 
 UP = {"up_x": [0, 0, 1], "up_y": [0, 1, 0], "up_z": [1, 0, 0]}

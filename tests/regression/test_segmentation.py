@@ -11,7 +11,7 @@ from multipos.errors import MultiposError
 from multipos.numerics.least_squares import solve
 from multipos.numerics.selection import compress
 from multipos.numerics.terms import parse_terms
-from multipos.regression.rates import default_window, smoothed_rate
+from multipos.regression.observations import default_window, smoothed_rate
 from multipos.regression.segmentation import find_edges, hinges, residual_sum, segment_of
 
 

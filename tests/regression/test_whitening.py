@@ -7,8 +7,7 @@ import pytest
 
 import multipos as mp
 from multipos.numerics.quantiles import f_tail, normal_quantile
-from multipos.regression.correlation import time_order
-from multipos.regression.whitening import Law, Whitening, find_noise
+from multipos.regression.correlation import Law, Whitening, find_noise, time_order
 
 
 def slow(rng, n, rho, columns=1):

@@ -11,9 +11,14 @@ import multipos as mp
 from multipos.cli import main
 from multipos.files.numbers import beside, in_unit
 from multipos.plots.errors import draw_error_sphere
-from multipos.reports.cells import aligned_rows, readable
 from multipos.reports.certificate import build_content
-from multipos.reports.documents import html_report, markdown_report, plain_report
+from multipos.reports.documents import (
+    aligned_rows,
+    html_report,
+    markdown_report,
+    plain_report,
+    readable,
+)
 from multipos.reports.page import PageTable
 
 UP = mp.read_scheme("all-26").up
@@ -179,7 +184,7 @@ def test_paper_needs_its_extra(cal, tmp_path, capsys, monkeypatch):
     cal.save(tmp_path / "c.json")
     real = importlib.util.find_spec
     monkeypatch.setattr(
-        "multipos.reports.paper.find_spec",
+        "multipos.reports.documents.find_spec",
         lambda name: None if name == "weasyprint" else real(name),
     )
     assert main(["report", str(tmp_path / "c.json"), "-o", str(tmp_path / "r.pdf")]) == 1

@@ -14,12 +14,11 @@ from multipos import plots
 from multipos.cli import main
 from multipos.files.numbers import in_unit, markdown_text, plain_number, uncertain
 from multipos.positions.scheme import read_scheme
-from multipos.reports.cells import readable
 from multipos.reports.certificate import LAB_FIELDS, build_content
-from multipos.reports.check_sheets import check_text
-from multipos.reports.documents import html_report, markdown_report, plain_report
+from multipos.reports.documents import html_report, markdown_report, plain_report, readable
+from multipos.reports.page import Translator
+from multipos.reports.sheets import check_text
 from multipos.reports.summary import text_report
-from multipos.reports.translations import Translator
 from multipos.results import plain
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.verification.comparison import compare

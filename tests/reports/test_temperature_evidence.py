@@ -6,8 +6,8 @@ import pytest
 import multipos as mp
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report
-from multipos.reports.temperature_evidence import temperature_sections
-from multipos.reports.translations import Translator
+from multipos.reports.evidence import temperature_sections
+from multipos.reports.page import Translator
 
 
 @pytest.fixture(scope="module")

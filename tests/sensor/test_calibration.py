@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 import multipos as mp
 from multipos.errors import MultiposError
 from multipos.reports.summary import text_report
-from multipos.sensor.diagnostics import linearity
-from multipos.sensor.loading import from_dict
+from multipos.sensor.calibration_file import from_dict
+from multipos.sensor.fit_diagnostics import linearity
 
 # INTERFACE, "JSON out"
 PROMISED = """

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from multipos.numerics.least_squares import solve
-from multipos.sensor.diagnostics import (
+from multipos.sensor.fit_diagnostics import (
     bartlett,
     find_outliers,
     find_outlying_positions,

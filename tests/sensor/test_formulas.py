@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import multipos as mp
+from multipos.sensor.formulas import Sketch, read_model, sketch_dict, sketch_from_dict
 from multipos.sensor.own_models import build_sketch
-from multipos.sensor.sketches import Sketch, read_model, sketch_dict, sketch_from_dict
 
 
 def build(text, outputs=("ax",), axes=("x",), columns=()):

@@ -8,8 +8,8 @@ from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
 import multipos as mp
+from multipos.compensation.applying import parity
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.parity import parity
 from multipos.sensor.tilt import reading_noise
 
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / math.sqrt(3)

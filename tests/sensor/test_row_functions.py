@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from multipos.sensor.instructions import _BINARY, _UNARY
-from multipos.sensor.row_functions import _BLOCK, RowFunction
+from multipos.sensor.compiled import _BINARY, _BLOCK, _UNARY, RowFunction
 
 ULPS = 8 * np.finfo(float).eps  # two libraries round the last digits of sines and powers each
 PAIRS = np.array(

@@ -7,8 +7,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_t
 from scipy.stats import t as students_t
 
-from multipos.sensor.diagnostics import find_outliers
-from multipos.sensor.unlike_rows import p_values
+from multipos.sensor.fit_diagnostics import find_outliers, p_values
 
 
 def design_of(n):

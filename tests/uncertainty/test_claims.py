@@ -11,16 +11,14 @@ from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.doubts.criticism import aicc, find_influence, fourier_residuals, judge_terms
+from multipos.diagnostics.criticism import aicc, find_influence, fourier_residuals, judge_terms
 from multipos.errors import ConvergenceError, MultiposError, UsageError
-from multipos.estimation.gains import estimator_gain
-from multipos.estimation.restatement import restate, return_to_optimum
+from multipos.estimation.gains import estimator_gain, restate, return_to_optimum
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.found import Placed, VarianceComponents
 from multipos.uncertainty import monte_carlo
 from multipos.uncertainty.budgets import Quantity
-from multipos.uncertainty.draws import Draws
-from multipos.uncertainty.monte_carlo import numerical_tolerance, simulate_budget
+from multipos.uncertainty.monte_carlo import Draws, numerical_tolerance, simulate_budget
 from multipos.uncertainty.profiles import profile_interval, search_interval
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.validity import evaluate_sphere

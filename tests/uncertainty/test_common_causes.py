@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import multipos as mp
-from multipos.uncertainty import common_causes
+from multipos.uncertainty import sensitivities
 from multipos.uncertainty.propagation import evaluate_budget
 
 LEVEL = 0.1  # degrees
@@ -61,7 +61,7 @@ def pattern(rotation):
 )
 def test_two_residuals_of_which_one_shows_the_cause_by_hand(e, size, variance, left):
     residuals, shown = np.array(e)[:, None], np.array([size, 0.0])[:, None, None]
-    found = common_causes._settle(
+    found = sensitivities._settle(
         residuals,
         shown,
         np.zeros((2, 1)),

@@ -10,12 +10,12 @@ from tumble_bench import TRUTH, triad
 
 import multipos as mp
 from multipos.numerics.quantiles import normal_quantile
-from multipos.positions.placement import orient
+from multipos.positions.orientations import orient
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.reports.tumble_text import tumbles_text
 from multipos.results import plain
-from multipos.uncertainty.dividing_head import find_head, said_of_head
+from multipos.uncertainty.turntable import find_head, said_of_head
 
 HEAD = np.arange(0.0, 360.0, 30.0)
 ROLLS = [("z", 1, 0.0), ("y", 1, 0.0), ("x", 1, 0.0), ("z", -1, 0.0)]

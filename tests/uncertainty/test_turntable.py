@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.positions.harmonics import find_rolls
-from multipos.positions.placement import orient
+from multipos.positions.orientations import orient
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.reports.sheets import installation_sheets, table_error_sheets

@@ -18,8 +18,7 @@ from multipos.positions.scheme import read_scheme
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.propagation import evaluate_budget, state_budget, welch_satterthwaite
 from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
-from multipos.uncertainty.unseen import unseen_covariance
-from multipos.uncertainty.validity import evaluate_sphere
+from multipos.uncertainty.validity import evaluate_sphere, unseen_covariance
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
 BIAS = np.array([0.01, -0.02, 0.015])

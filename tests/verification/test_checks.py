@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos import cli
 from multipos.positions.scheme import read_scheme
-from multipos.reports.check_sheets import check_text
-from multipos.verification.run_errors import _expanded
+from multipos.reports.sheets import check_text
+from multipos.verification.checks import _expanded
 from multipos.verification.verdicts import judge_errors
 
 FACES = read_scheme("faces-corners-14").up

@@ -14,7 +14,7 @@ from multipos.errors import RankError
 from multipos.positions.scheme import read_scheme
 from multipos.reports.tumble_text import tumbles_text
 from multipos.verification.coefficients import fitted_coefficients
-from multipos.verification.hysteresis import passes
+from multipos.verification.single_axis import passes
 
 
 @pytest.mark.parametrize("steps", [8, 12, 24])

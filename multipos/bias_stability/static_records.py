@@ -1,0 +1,238 @@
+"""A static record, read once: its phases to the disk, its blocks to memory."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+
+from multipos.bias_stability.allan import Phases, octaves
+from multipos.errors import MultiposError
+from multipos.logs.clock import time_columns
+from multipos.logs.log_columns import Outputs, choose_outputs
+from multipos.logs.samples import Progress, Samples, Timing
+from multipos.logs.table import Log
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.inverse import sensed_axes
+
+_BLOCKS = 256  # at least so many of a long record, less than twice as many
+_FEWEST = 64  # samples of which anything can be said
+_GAP = 3.0  # usual steps of the time: a longer one is a gap
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """What of a log is wanted.
+
+    Attributes
+    ----------
+    outputs : tuple of str or None
+        Named columns; None for every numeric column without another meaning.
+    calibration : Calibration or None
+        Compensates the outputs.
+    temperature : str or None
+        Named column; None for `temperature` where there is one.
+    timing : Timing
+    drop_bad : bool
+    """
+
+    outputs: tuple[str, ...] | None
+    calibration: Calibration | None
+    temperature: str | None
+    timing: Timing
+    drop_bad: bool
+
+
+@dataclass(frozen=True, eq=False)
+class RawRecord:
+    """One record in samples: blocks (K, b) and sums (K, T) of `octaves(samples)`."""
+
+    source: str
+    names: tuple[str, ...]
+    samples: int
+    rate: float
+    length: int
+    blocks: Array
+    temperature: Array | None
+    sums: Array
+    notes: tuple[str, ...]
+
+
+def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> RawRecord:
+    """Read one record.
+
+    Raises
+    ------
+    MultiposError
+        A column is missing; nothing tells the time; there are too few samples, or the force or the
+        temperature of a row is unknown.
+    UsageError
+        More than three columns could be outputs.
+    """
+    timing = wanted.timing
+    if timing.column is not None:
+        timing = timing._replace(column=log.find(timing.column))
+    raw = _outputs(log, wanted, timing.column)
+    with (
+        Samples(log, raw.names, timing, drop_bad=wanted.drop_bad) as samples,
+        ExitStack() as stack,
+    ):
+        samples.survey(None, progress)
+        rate = _rate(samples)
+        names = _names(raw.names, wanted.calibration)
+        length = 1 << max(samples.rows // _BLOCKS, 1).bit_length() - 1
+        blocks, gaps = _Blocks(length), _Gaps(samples)
+        warmth = _temperature(log, wanted, samples)
+        phases = [stack.enter_context(Phases()) for _ in names]
+        for first, piece in samples.pieces():
+            values = _compensated(wanted.calibration, samples, piece, first)
+            for each, one in zip(phases, values, strict=True):
+                each.feed(one)
+            blocks.feed(np.vstack([values, piece[warmth]]))
+            gaps.feed(piece)
+        lengths, means = octaves(samples.rows), blocks.means()
+        return RawRecord(
+            source=log.source,
+            names=names,
+            samples=samples.rows,
+            rate=rate,
+            length=length,
+            blocks=means[: len(names)],
+            temperature=_measured(log.source, means[len(names) :]),
+            sums=np.array([each.sums(lengths) for each in phases]),
+            notes=tuple(
+                f"{log.source}: {note}"
+                for note in (*log.left_out, *raw.notes, *_dropped(samples), *gaps.notes())
+            ),
+        )
+
+
+def _rate(samples: Samples) -> float:
+    if samples.rate is None:
+        raise MultiposError(
+            f"{samples.log.source}: no column tells the time, so nothing tells how long a sample "
+            "takes; name it with --time-column, or give --rate."
+        )
+    if samples.rows < _FEWEST:
+        raise MultiposError(
+            f"{samples.log.source}: {samples.rows} samples say nothing about stability; a record "
+            f"needs at least {_FEWEST}, and hours for its slow part."
+        )
+    return samples.rate
+
+
+def _dropped(samples: Samples) -> list[str]:
+    if not samples.dropped:
+        return []
+    return [f"{samples.dropped} of {samples.log_rows} rows are bad and left out"]
+
+
+def _outputs(log: Log, wanted: RecordOptions, time_column: str | None) -> Outputs:
+    if wanted.calibration is not None:
+        needed = (*wanted.calibration.outputs, *wanted.calibration.model.environment)
+        for name in needed:
+            log.find(name)
+        return Outputs(wanted.calibration.outputs, ())
+    temperature = None if wanted.temperature is None else log.find(wanted.temperature)
+    taken = [*time_columns(log), *filter(None, (time_column, temperature))]
+    return choose_outputs(log, wanted.outputs, taken)
+
+
+def _names(raw: tuple[str, ...], calibration: Calibration | None) -> tuple[str, ...]:
+    if calibration is None:
+        return raw
+    return tuple(f"f_{COMPONENTS[axis]}" for axis in sensed_axes(calibration.model))
+
+
+def _temperature(log: Log, wanted: RecordOptions, samples: Samples) -> slice:
+    """Return the row of the temperature in the pieces, none where it was not measured."""
+    name = "temperature" if wanted.temperature is None else log.find(wanted.temperature)
+    if name not in samples.others:
+        if wanted.temperature is not None:
+            raise MultiposError(
+                f"{log.source}: column '{name}' is an output or no number, so no temperature; "
+                "name another with --temperature."
+            )
+        return slice(0)
+    row = len(samples.outputs) + samples.others.index(name)
+    return slice(row, row + 1)
+
+
+def _compensated(
+    calibration: Calibration | None, samples: Samples, piece: Array, first: int
+) -> Array:
+    """Return the outputs (K, k) of a piece, compensated where a calibration was given."""
+    raw = piece[: len(samples.outputs)]
+    if calibration is None:
+        return raw
+    columns = dict(zip(samples.others, piece[len(samples.outputs) :], strict=False))
+    environment = {name: columns[name] for name in calibration.model.environment}
+    force = calibration.compensate(raw.T, environment).T
+    unknown = ~np.isfinite(force).all(axis=0)
+    if unknown.any():
+        raise MultiposError(
+            f"{samples.log.source}: row {first + int(np.argmax(unknown)) + 1}: no force explains "
+            "the reading, or a column of the model is empty there; leave the row out."
+        )
+    return np.ascontiguousarray(force)
+
+
+def _measured(source: str, means: Array) -> Array | None:
+    if not len(means):
+        return None
+    if not np.isfinite(means).all():
+        raise MultiposError(
+            f"{source}: the temperature is unknown in part of the record; fill it in, or name "
+            "another column with --temperature."
+        )
+    return np.asarray(means[0])
+
+
+class _Blocks:
+    """Means of blocks of so many samples; a cell that is empty takes no part."""
+
+    def __init__(self, length: int) -> None:
+        self._length = length
+        self._left: Array | None = None
+        self._means: list[Array] = []
+
+    def feed(self, samples: Array) -> None:
+        """Add samples (K, k)."""
+        together = samples
+        if self._left is not None:
+            together = np.concatenate([self._left, samples], axis=1)
+        count = together.shape[1] // self._length
+        whole = together[:, : count * self._length].reshape(len(samples), count, self._length)
+        origin = np.nan_to_num(whole[:, :, :1])
+        known = np.isfinite(whole)
+        with np.errstate(invalid="ignore"):
+            means = np.where(known, whole - origin, 0.0).sum(axis=2) / known.sum(axis=2)
+        self._means.append(means + origin[:, :, 0])
+        self._left = together[:, count * self._length :]
+
+    def means(self) -> Array:
+        """Return the means (K, b) of whole blocks."""
+        return np.concatenate(self._means, axis=1)
+
+
+class _Gaps:
+    """Count the steps of the time that are far longer than usual."""
+
+    def __init__(self, samples: Samples) -> None:
+        self._timed = samples.clock is not None
+        self._longest = _GAP * samples.step
+        self._last = np.empty(0)
+        self._count = 0
+
+    def feed(self, piece: Array) -> None:
+        if not self._timed:
+            return
+        time = piece[-1]
+        self._count += int((np.diff(time, prepend=self._last) > self._longest).sum())
+        self._last = time[-1:]
+
+    def notes(self) -> list[str]:
+        if not self._count:
+            return []
+        return [f"the time has {self._count} gaps; samples are taken as if evenly spaced"]

@@ -1,0 +1,388 @@
+"""Rests as they happen: those that `average` finds in the log, one after the other.
+
+The windows, the threshold and the rule that makes a rest of them are those of
+`multipos.logs.rests`, fed as the rows come. A rest is settled when eight windows after its end
+nothing can join it any more; what is settled never changes. Until the threshold is fixed, from the
+first rests themselves, rests are provisional: the standard deviations of all windows so far are
+kept and gone through again. With the threshold V and the rate R fixed so, the rests are exactly
+those of ``average LOG --threshold V --rate R``.
+
+Rows as they come: outputs, other columns and time, kept only as long as a rest may need them.
+
+What a log gives to `average` as a whole (`multipos.logs.samples`) comes here piece by piece: which
+columns are outputs, which one tells the time and at which rate is settled by the first rows, and a
+row without numbers is counted and left out. Rows are in memory while few, in a temporary file when
+many, and let go of when no rest can begin before them any more.
+"""
+
+import tempfile
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import IO, NamedTuple
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.logs.clock import Clock, read_clock, sample_rate, time_columns
+from multipos.logs.log_columns import choose_outputs
+from multipos.logs.rests import BLOCKS, Finder, Rest, Survey, Windows, choose_grid
+from multipos.logs.samples import Timing, good_rows, small_pieces, usual_size
+from multipos.logs.still import Still, average_rests
+from multipos.logs.table import Log
+from multipos.numerics.arrays import Array
+
+_IN_MEMORY = 1 << 20  # numbers
+_GAP = 3.0  # usual steps of the time: a longer one is a gap
+
+
+@dataclass(frozen=True)
+class RowOptions:
+    """How the rows are read, as `average` is told."""
+
+    outputs: tuple[str, ...] | None = None
+    timing: Timing = field(default_factory=Timing)
+    min_duration: float | None = None
+    threshold: float | None = None
+
+
+class LiveRows:
+    """Outputs, other columns and time of rows that come piece by piece.
+
+    Attributes
+    ----------
+    log : Log
+    outputs, others : tuples of str
+        As in `multipos.logs.samples.Samples`.
+    clock : Clock or None
+    rate : float or None [Hz]
+    step : float [s]
+    rows : int
+        Good rows so far.
+    gaps, bad : int
+        Gaps in the time, and rows left out, so far.
+    notes : tuple of str
+    """
+
+    def __init__(
+        self, log: Log, head: Array, outputs: tuple[str, ...] | None, timing: Timing
+    ) -> None:
+        self.log = log
+        self.rows = self.gaps = self.bad = 0
+        self._left_out: list[int] = []  # how many good rows came before each that was left out
+        named = None if timing.column is None else log.find(timing.column)
+        likely = time_columns(log) if timing.rate is None else []
+        chosen = choose_outputs(log, outputs, [*time_columns(log), *([named] if named else [])])
+        self.outputs, self.notes = chosen.names, (*log.notes, *chosen.notes)
+        column = named or next((name for name in likely if _rises(self._of(head, name))), None)
+        self.clock: Clock | None = None
+        self.rate = timing.rate or log.rate
+        self.step = np.nan
+        if column is not None:
+            self._read_clock(column, self._of(head, column), timing)
+        apart = {*self.outputs, column, *log.nameless}
+        self.others = tuple(name for name in log.numeric if name not in apart)
+        names = [*self.outputs, *self.others, *([column] if column else [])]
+        self._order = [log.numeric.index(name) for name in names]
+        self._usual = usual_size(self._arranged(head))
+        self._last = -np.inf
+        self._store = _Store(len(names))
+
+    def _read_clock(self, column: str, time: Array, timing: Timing) -> None:
+        """Learn from the first times what their unit is, and how often rows come."""
+        time = time[np.isfinite(time)]
+        self.clock = read_clock(self.log, column, time, timing.unit)
+        self.rate = sample_rate(self.log.source, column, time * self.clock.seconds)
+        self.step = 1.0 / self.rate
+
+    def _of(self, head: Array, name: str) -> Array:
+        if name not in self.log.numeric:
+            raise MultiposError(f"{self.log.source}: column '{name}' holds no numbers.")
+        return np.asarray(head[self.log.numeric.index(name)])
+
+    def _arranged(self, columns: Array) -> Array:
+        data = columns[self._order]
+        if self.clock is not None:
+            data[-1] *= self.clock.seconds
+        return data
+
+    def take(self, columns: Array) -> tuple[Array, list[bool]]:
+        """Take up the numeric columns (k, n) of rows; return the outputs, and which are good.
+
+        A time that runs backwards is that of a source that began anew: the row counts as a gap.
+        """
+        data = self._arranged(columns)
+        timed = self.clock is not None
+        good = good_rows(data, len(self.outputs), timed=timed, usual=self._usual)
+        if not good.all():
+            self._left_out += (self.rows + np.cumsum(good)[~good]).tolist()
+            self.bad += int((~good).sum())
+            data = data[:, good]
+        self.rows += data.shape[1]
+        if timed and data.shape[1]:
+            steps = np.diff(
+                data[-1], prepend=self._last if np.isfinite(self._last) else data[-1, 0]
+            )
+            self.gaps += int(((steps > _GAP * self.step) | (steps < 0.0)).sum())
+            self._last = float(data[-1, -1])
+        self._store.add(np.ascontiguousarray(data))
+        return data[: len(self.outputs)], good.tolist()
+
+    def pieces(self) -> Iterator[tuple[int, Array]]:
+        """Yield the first row and the numbers (columns, rows) of each piece that is kept."""
+        return self._store.pieces()
+
+    def forget(self, row: int) -> None:
+        """Let go of the rows before one, as far as that is easy."""
+        self._store.forget(row)
+        del self._left_out[: bisect_left(self._left_out, row)]
+
+    def in_log(self, rest: Rest) -> Rest:
+        """Return the rows of the log that a rest is, those without numbers counted too."""
+        forgotten = self.bad - len(self._left_out)
+        before, within = (
+            forgotten + bisect_right(self._left_out, row) for row in (rest.start, rest.end - 1)
+        )
+        return Rest(rest.start + before, rest.end + within)
+
+    def time(self, rest: Rest) -> tuple[float, float] | None:
+        """Return when a rest begins and ends by the sample rate; None where there is none."""
+        if self.rate is None:
+            return None
+        return rest.start / self.rate, (rest.end - 1) / self.rate
+
+    def close(self) -> None:
+        """Let go of everything that is kept."""
+        self._store.close()
+
+
+class _Store:
+    """Columns (k, n) in pieces, the older ones in a temporary file."""
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._first = 0  # row of the first piece
+        self._new: list[Array] = []
+        self._size = 0  # numbers in the new pieces
+        self._filed: list[int] = []  # rows of the pieces in the file
+        self._file: IO[bytes] | None = None
+
+    def add(self, piece: Array) -> None:
+        if piece.shape[1]:
+            self._new.append(piece)
+            self._size += piece.size
+        if self._size > _IN_MEMORY:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile()  # noqa: SIM115
+            self._file.seek(0, 2)
+            together = np.concatenate(self._new, axis=1)
+            self._file.write(np.ascontiguousarray(together).data)
+            self._filed.append(together.shape[1])
+            self._new, self._size = [], 0
+        elif len(self._new) > 256:
+            self._new = [np.concatenate(self._new, axis=1)]
+
+    def pieces(self) -> Iterator[tuple[int, Array]]:
+        if len(self._new) > 1:  # one long piece is gone through much faster than many short ones
+            self._new = [np.concatenate(self._new, axis=1)]
+        first = self._first
+        if self._file is not None:
+            self._file.seek(0)
+            for rows in self._filed:
+                numbers = np.frombuffer(self._file.read(8 * self._width * rows))
+                yield first, numbers.reshape(self._width, rows)
+                first += rows
+        for piece in self._new:
+            yield first, piece
+            first += piece.shape[1]
+
+    def forget(self, row: int) -> None:
+        filed = sum(self._filed)
+        if self._file is not None and self._first + filed <= row:
+            self._file.truncate(0)
+            self._filed = []
+            self._first += filed
+        while not self._filed and self._new and self._first + self._new[0].shape[1] <= row:
+            piece = self._new.pop(0)
+            self._first += piece.shape[1]
+            self._size -= piece.size
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+        self._new = []
+
+
+def _rises(time: Array) -> bool:
+    time = time[np.isfinite(time)]
+    return len(time) > 1 and bool((np.diff(time) >= 0.0).all()) and bool(time[-1] > time[0])
+
+
+_ENOUGH = 3  # rests that show what stillness is
+_FIRST_PIECE, _PIECE = 512, 64  # samples that the survey is told of at once
+_MANY = 1024  # pieces, each of which costs more than what it holds
+_OFTEN = 4  # windows from one look for provisional rests to the next
+
+
+class Motion(NamedTuple):
+    """What the newest window shows."""
+
+    size: float | None  # standard deviation, in the unit of the outputs
+    still: bool
+    samples_left: int  # to hold still until the stretch is a rest
+
+
+class LiveRests:
+    """Find rests in rows that come piece by piece.
+
+    Attributes
+    ----------
+    grid : Grid
+    survey : Survey
+    threshold : float or None
+        Once it is fixed.
+    settled : list of Still
+        Rests that have ended; provisional ones while there is no threshold.
+    """
+
+    def __init__(self, rows: LiveRows, min_duration: float | None, threshold: float | None) -> None:
+        self._rows = rows
+        self.grid = choose_grid(rows.rate, min_duration)
+        self.survey = Survey(len(rows.outputs), self.grid)
+        self.threshold = threshold
+        self.settled: list[Still] = []
+        self._windows = Windows(self.grid.block)
+        self._finder = None if threshold is None else Finder(self.grid, threshold)
+        self._sizes: list[Array] = []  # of all windows, until the threshold is fixed
+        self._seen = self._looked = 0  # windows, and those at the last look
+        self._pending: list[tuple[Array, Array, Array]] = []  # not in the survey yet
+        self._provisional: Finder | None = None
+        self._newest: float | None = None
+
+    def feed(self, outputs: Array) -> bool:
+        """Take up outputs (M, n) that the rows have taken; tell whether what is settled changed."""
+        for small in small_pieces(outputs):
+            mean, sd = self._windows.feed(small)
+            self._survey(small, mean, sd)
+            if not len(sd):
+                continue
+            self._newest = float(sd[-1])
+            self._seen += len(sd)
+            if self._finder is None:
+                self._sizes.append(sd)
+                if len(self._sizes) > _MANY:
+                    self._sizes = [np.concatenate(self._sizes)]
+            else:
+                self._finder.add(sd)
+        changed = self._settle() if self._finder is not None else self._look()
+        if self._finder is not None:
+            self._rows.forget(self._finder.open_since)
+        return changed
+
+    def finish(self) -> bool:
+        """Settle what is there when no more rows come; tell whether that changed anything.
+
+        Raises
+        ------
+        MultiposError
+            There is no rest, or nothing that shows what one is.
+        """
+        before = len(self.settled)
+        self._survey_pending()
+        if self._finder is None:
+            self._fix(self.survey.threshold())
+        assert self._finder is not None
+        self._append(self._finder.rests(self._rows.rows))
+        if not self.settled:
+            raise MultiposError(
+                f"{self._rows.log.source}: no rest of {self.grid.shortest} samples in "
+                f"{self._rows.rows} rows at threshold {self._finder.threshold:.3g}; hold the "
+                "sensor still for longer, or lower --min-duration."
+            )
+        return len(self.settled) > before
+
+    @property
+    def limit(self) -> float | None:
+        """The threshold, or what it would be by now."""
+        if self._provisional is not None:
+            return self._provisional.threshold
+        return self.threshold
+
+    def motion(self) -> Motion:
+        """Return what the newest window shows, by the threshold as far as it is known."""
+        finder = self._finder or self._provisional
+        since = None if finder is None else finder.still_since
+        whole = self.grid.shortest
+        if since is None:
+            return Motion(self._newest, False, whole)
+        seen = self._seen - since // self.grid.block + BLOCKS - 1
+        return Motion(self._newest, True, max(0, whole - seen * self.grid.block))
+
+    def running(self) -> Still | None:
+        """Return the stretch that is still so far, once it is long enough for a rest."""
+        finder = self._finder or self._provisional
+        since = None if finder is None else finder.still_since
+        if since is None or self.motion().samples_left:
+            return None
+        return self._average([Rest(since, self._rows.rows)])[0]
+
+    def _survey(self, samples: Array, mean: Array, sd: Array) -> None:
+        """Add to the survey, in pieces that show the steps between samples."""
+        self._pending.append((samples, mean, sd))
+        waiting = sum(piece[0].shape[1] for piece in self._pending)
+        if waiting >= (_PIECE if self.survey.rows else _FIRST_PIECE):
+            self._survey_pending()
+
+    def _survey_pending(self) -> None:
+        if self._pending:
+            samples, mean, sd = zip(*self._pending, strict=True)
+            self._pending = []
+            joined = np.concatenate(samples, axis=1), np.concatenate(mean, axis=1)
+            self.survey.add(*joined, np.concatenate(sd))
+
+    def _settle(self) -> bool:
+        assert self._finder is not None
+        before = len(self.settled)
+        self._append(self._finder.settled())
+        return len(self.settled) > before
+
+    def _append(self, found: list[Rest]) -> None:
+        new = found[len(self.settled) :]
+        if new:
+            self.settled += self._average(new)
+
+    def _average(self, found: list[Rest]) -> list[Still]:
+        pairs = [("", rest) for rest in found]
+        limit = self.threshold if self.threshold is not None else np.inf
+        return average_rests(self._rows, pairs, self.grid, self.survey, limit)
+
+    def _look(self) -> bool:
+        """Find provisional rests; fix the threshold when there are enough of them."""
+        if self._seen - self._looked < _OFTEN:
+            return False
+        self._looked = self._seen
+        try:
+            threshold = self.survey.threshold()
+        except MultiposError:  # nothing like a rest yet
+            return False
+        finder = Finder(self.grid, threshold)
+        finder.add(np.concatenate(self._sizes))
+        self._provisional = finder
+        found = finder.settled()
+        if len(found) >= _ENOUGH:
+            self._fix(threshold)
+            return True
+        if [self._rows.in_log(rest) for rest in found] == [each.rows for each in self.settled]:
+            return False
+        self.settled = self._average(found)
+        return True
+
+    def _fix(self, threshold: float) -> None:
+        self.threshold = threshold
+        self._finder = Finder(self.grid, threshold)
+        if self._sizes:
+            self._finder.add(np.concatenate(self._sizes))
+        self._sizes = []
+        self._provisional = None
+        self.settled = []
+        self._settle()

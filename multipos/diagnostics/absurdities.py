@@ -1,0 +1,351 @@
+"""What no sensor gives, and the one repair that would explain it.
+
+The cheap question comes first: are the residuals and the directions of the outputs those of a
+sensor? Only where they are not, the linear view of the readings is made (`linear_view`), repairs
+are tried on it (`repairs`), and where none explains the data, it is asked whether there is a
+signal at all: residuals as large as what the outputs respond to one g, or an output that does
+not respond to its own axis. A sensor that has a signal is then asked for its directions and units.
+
+Which repair of the data is believed, and which of several.
+
+A repair leaves a misfit rho' where there was rho (`linear_view`). It is believed where
+
+    N (rho'/rho)^nu < alpha,    nu = M (n − r),                                              (1)
+
+the chance that one of N repairs, each a point in the nu dimensions of the residuals, comes so near
+to residuals that are nothing but large; alpha is 1e-5, and .005 where rho is beyond what any sensor
+gives, so that only the name is open; nu is less by one for every number fitted. And what it repairs
+must not stick out afterwards, unless no chance brings it so near: an outlier is not an upside-down
+row that happens to be near, nor are many rows upside down where leaving out one explains more. A
+row that a repair moves by D and leaves d away from the others is an outlier by itself with
+the chance (d/D)^M, for repairs of several rows their product.
+
+Of several that are believed the least probable by chance is taken, each output by itself and in
+reading units, so that nothing is gained by a unit:
+
+    log N + sum over outputs of nu_i log(s_i'/s_i) + log J,                                  (2)
+
+N of its own kind, s the residual standard deviation on nu_i = n − r degrees of freedom, one fewer
+where a step was fitted, and J the product of the factors by which readings were made smaller.
+"""
+
+import math
+
+import numpy as np
+
+from multipos.diagnostics.linear_view import View, look
+from multipos.diagnostics.repairs import Repair, candidates
+from multipos.diagnostics.scales import (
+    CLEAR,
+    are_of_unit,
+    cosines,
+    expected_directions,
+    factor_in_words,
+    is_triad,
+    output_unit,
+    reversed_or_permuted,
+    turned,
+    unit,
+)
+from multipos.doubt import Doubt
+from multipos.files.spelling import quoted
+from multipos.numerics.arrays import Array, median
+from multipos.numerics.quantiles import f_tail
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
+
+ABSURD = 0.4  # rho that no sensor at listed positions has
+ABSURD_BUT_ONE = 0.25  # likewise, when the worst position is left out
+_ALPHA, _ALPHA_ABSURD = 1e-5, 0.005
+_BETTER = 1.0 / 3.0  # rho'/rho at most
+_LEFT = 0.15  # rho' at most
+_STICKS_OUT = 1e-4  # chance
+# [g], by which one row must be off at least to be absurd and not an outlier; a factor of 9.8 takes
+# .9 g less a bias. Rows beside it may be as little off as the other side of the horizon is.
+_BY_ROWS = {"flipped-row": 0.8, "wrapped": 0.8, "row-unit": 0.6}
+_TIE = 1.5  # repairs whose misfits are within this factor fit as well as each other
+
+
+def is_absurd(view: View, placement_sd: float) -> bool:
+    """Tell whether the misfit is beyond any sensor, placed to so many radians."""
+    allowed = 2.5 * placement_sd
+    return view.misfit > max(ABSURD, allowed) or view.misfit_but_one > max(ABSURD_BUT_ONE, allowed)
+
+
+def explains(repair: Repair, view: View, tried: int, *, absurd: bool) -> bool:
+    """Tell whether a repair explains the data, by eq. (1) and without a row that sticks out."""
+    before, after = view.misfit, repair.view.misfit
+    if repair.code == "angles-in-radians":  # in reading units: |K| was as wrong as the angles
+        before *= float(view.response.mean() / repair.view.response.mean())
+    if repair.code in _BY_ROWS and _changes(repair, view).max(initial=0.0) < _BY_ROWS[repair.code]:
+        return False
+    if not after <= min(_BETTER * before, _LEFT):
+        return False
+    several = repair.code == "flipped-row" and len(repair.rows) > 1
+    if several and _TIE * view.misfit_but_one < after:
+        return False  # one outlier explains more
+    nu = view.dof * view.values.shape[1] - (len(repair.outputs) if repair.fitted else 0)
+    alpha = _ALPHA_ABSURD if absurd else _ALPHA
+    if math.log(tried) + nu * math.log(max(after / before, 1e-300)) > math.log(alpha):
+        return False
+    return not _sticks_out(repair, view)
+
+
+def as_good_as_best(repairs: list[Repair], view: View) -> list[Repair]:
+    """Return the repairs that explain as much as the best of them, by eq. (2)."""
+    chances = [_chance(repair, view) for repair in repairs]
+    least = min(chances) + view.dof * view.values.shape[1] * math.log(_TIE)
+    return [each for each, chance in zip(repairs, chances, strict=True) if chance <= least]
+
+
+def _chance(repair: Repair, view: View) -> float:
+    """Return the logarithm of eq. (2)."""
+    dof = np.full(view.values.shape[1], float(view.dof))
+    if repair.fitted:
+        dof[list(repair.outputs)] -= 1.0
+    least = 1e-24 * np.sum(view.values**2, axis=0) + np.finfo(float).tiny
+    before, after = (
+        np.maximum(np.sum(each.residuals**2, axis=0), least) for each in (view, repair.view)
+    )
+    ratio = np.log(after / np.maximum(dof, 1.0) * view.dof / before)
+    return math.log(repair.tried) + 0.5 * float(dof @ ratio) + repair.shrunk
+
+
+def _changes(repair: Repair, view: View) -> Array:
+    """Return by how much each row is moved by its repair, in g."""
+    rows, after = list(repair.rows), repair.view
+    turned = (view.odd[rows, :3] - after.odd[rows, :3]) @ after.sensitivity.T
+    expected = after.values[rows] - after.residuals[rows] + turned  # where it is listed
+    return np.asarray(np.linalg.norm((view.values[rows] - expected) / after.response, axis=1))
+
+
+def _sticks_out(repair: Repair, before: View) -> bool:
+    """Tell whether a row that was changed is an outlier among the others even so.
+
+    Its misfit, over what the others leave, follows F on M and M (dof − 1) degrees of freedom.
+    """
+    view, rows = repair.view, np.array(repair.rows)
+    outputs, dof = view.values.shape[1], view.dof
+    if len(rows) >= dof or dof <= 1:
+        return False
+    left = np.maximum(1.0 - np.sum(view.basis**2, axis=1), 1e-9)
+    square = np.sum((view.residuals / view.response) ** 2, axis=1)
+    share = np.sqrt((square / left)[rows]) / np.maximum(_changes(repair, before), 1e-12)
+    by_chance = outputs * float(np.sum(np.log(np.clip(share, 1e-12, 1.0))))
+    if math.log(repair.tried) + by_chance < math.log(_ALPHA):
+        return False
+    mine = float((square / left)[rows].max())
+    rest = max(float(square.sum()) - mine, 1e-30) / (dof - 1)
+    return f_tail(mine / rest, float(outputs), float(outputs * (dof - 1))) < _STICKS_OUT
+
+
+_SUSPICIOUS = 0.02  # residual sd as a share of the signal, or terms beyond the linear ones
+_ROUNDING = 1e-12  # likewise, where readings are exact
+_CALM = 0.94  # cosine of an output with its own axis, 20°
+_NO_RESPONSE = 0.2  # of an output to its own axis, as a share of its whole response
+_FEW = 2.0  # standard deviations of a reading, as small as a response may be to be none
+_SILENT = 0.02  # of what the other outputs respond
+_QUIET = 0.2  # likewise, as scatter
+_SKEW = 0.5  # cosine between two outputs of a triad, which should be at right angles
+
+
+def explained(c: Calibration) -> tuple[Doubt, ...]:
+    """Return what is absurd about the fit as a whole: the repair, or what it says as it is."""
+    if _is_calm(c):
+        return ()
+    silent = _silent(c)
+    if silent is not None:
+        return (silent,)
+    view = look(c)
+    sensitivity = c.sensitivity
+    if view is not None and view.dof > 0:
+        if not c.model.has_all_linear:
+            sensitivity = view.sensitivity
+        repaired = _repair(c, view)
+        if repaired is not None:
+            return (repaired,)
+        lost = _no_signal(c, view)
+        if lost is not None:
+            return (lost,)
+    found = [ask(c, sensitivity) for ask in (_no_response, output_unit, unit)]
+    if found[0] is None:
+        found.append(reversed_or_permuted(c, sensitivity))
+    if found[0] is found[-1] is None:
+        found.append(turned(c, sensitivity))
+    return tuple(doubt for doubt in found if doubt is not None)
+
+
+def _is_calm(c: Calibration) -> bool:
+    """Tell, from what the fit has found, that a closer look is not worth its time.
+
+    Nearly every fit ends here, so it goes by plain numbers: arrays of three cost more.
+    """
+    sizes = []
+    faces = c.facing or c.model.axes
+    for row, axis, sd in zip(c.sensitivity.tolist(), faces, c.residual_sd.tolist(), strict=True):
+        size = math.hypot(*row)
+        sizes.append(size)
+        along = row[COMPONENTS.index(axis[-1])] * (-1.0 if axis.startswith("-") else 1.0)
+        if not sd < _SUSPICIOUS * size or along < _CALM * size:
+            return False  # a NaN too, where nothing is left over
+        if c.diagnostics.outliers and sd > _ROUNDING * size:
+            return False
+    if not are_of_unit(sizes, c.model.unit):
+        return False
+    if not c.estimator.exact:
+        return c.estimator == Estimator.UNKNOWN or c.rms < _SUSPICIOUS
+    return c.model.is_linear or not _bends(c, dict(zip(c.outputs, sizes, strict=True)))
+
+
+def _bends(c: Calibration, sizes: dict[str, float]) -> bool:
+    """Tell whether terms beyond the linear ones are large, or a formula is far from linear."""
+    if not c.model.has_all_linear:
+        view = look(c)
+        return view is None or not view.misfit < _SUSPICIOUS
+    return any(
+        term.force_degree > 1 and abs(value) > 10.0 * _SUSPICIOUS * sizes[output]
+        for (output, term), value in zip(c.model.keys, c.parameters.tolist(), strict=True)
+    )
+
+
+def _silent(c: Calibration) -> Doubt | None:
+    """Find outputs that only scatter, and as the others do; in another unit they would do less."""
+    response = np.linalg.norm(c.sensitivity, axis=1)
+    middle, scatter = float(median(response)), float(median(c.residual_sd))
+    if not (response < _SILENT * middle).any() or not scatter > 0.0:
+        return None
+    alike = c.residual_sd / scatter > np.sqrt(response / middle)
+    alike &= c.residual_sd < _QUIET * middle  # else a row may be upside down, say
+    found = (response < _SILENT * middle) & alike
+    silent = [output for output, each in zip(c.outputs, found.tolist(), strict=True) if each]
+    if not silent:
+        return None
+    return Doubt(
+        "no-signal",
+        "implausible",
+        f"{quoted(silent)} does not respond to gravity along any axis: the output is not "
+        "connected, or the column is another one; mend it, or leave it out with --outputs",
+        outputs=tuple(silent),
+    )
+
+
+def _placement_sd(c: Calibration) -> float:
+    sd = c.readings.orientation_sd
+    return 0.0 if sd is None or c.estimator.exact else float(np.max(sd))
+
+
+def _repair(c: Calibration, view: View) -> Doubt | None:
+    """Return what one repair explains, the one after which the outputs face their own axes."""
+    expected = expected_directions(c)
+    found, tried = candidates(view, expected)
+    absurd = is_absurd(view, _placement_sd(c))
+    sound = [
+        repair
+        for repair in found
+        if explains(repair, view, tried, absurd=absurd)
+        and (  # an output that wrapped at both ends looks reversed beside one that did at one
+            repair.code == "wrapped" or reversed_or_permuted(c, repair.view.sensitivity) is None
+        )
+    ]
+    if not sound:
+        return None
+    best = max(as_good_as_best(sound, view), key=lambda each: _faces(each.view, expected))
+    return _in_words(c, best)
+
+
+def _faces(view: View, expected: Array) -> float:
+    """Return how well outputs face their own axes, the worst of them."""
+    return float(np.round(cosines(view.sensitivity, expected).min(), 2))
+
+
+def _in_words(c: Calibration, repair: Repair) -> Doubt:
+    labels = c.readings.labels
+    rows = tuple(labels[row] for row in repair.rows)
+    named = _positions(rows)
+    outputs = tuple(c.outputs[i] for i in repair.outputs)
+    before = "of no use" if np.isnan(c.rms) else f"{c.rms:.3g} g"
+    after = f"the rms falls from {before} to {repair.view.left_over:.3g} g"
+    count = "is" if len(rows) == 1 else "are"
+    texts = {
+        "interchanged-rows": f"{named} look interchanged: with their readings exchanged {after}; "
+        "exchange them, or measure both again",
+        "flipped-row": f"{named} {count} upside down: with the other side up {after}; turn the "
+        "direction round in the list, or measure again",
+        "row-unit": f"{named} {count} in another unit, {factor_in_words(repair.size)}: with the "
+        f"factor taken out {after}; bring all rows to one unit",
+        "wrapped": f"{quoted(outputs)} ran over one end of the range at {named} and came out "
+        f"at the other: with {repair.size:.6g} put back {after}; add it, or measure again in a "
+        "wider range",
+        "angles-in-radians": "the angles look like radians under a name that ends in _deg: taken "
+        f"as such {after}; convert them to degrees",
+    }
+    everywhere = repair.code == "angles-in-radians"
+    text = texts[repair.code]
+    return Doubt(repair.code, "implausible", text, () if everywhere else rows, outputs)
+
+
+def _positions(rows: tuple[str, ...]) -> str:
+    named = f"{', '.join(rows[:12])}" + (f" and {len(rows) - 12} more" if len(rows) > 12 else "")
+    return f"position {named}" if len(rows) == 1 else f"positions {named}"
+
+
+def _no_signal(c: Calibration, view: View) -> Doubt | None:
+    """Find residuals as large as the signal, or outputs of a triad that are not three."""
+    own = c.residual_sd / np.maximum(np.linalg.norm(c.sensitivity, axis=1), np.finfo(float).tiny)
+    poor = np.isnan(own) | (own > _SUSPICIOUS)
+    if not is_absurd(view, _placement_sd(c)) or not poor.any():
+        return None
+    share = np.sqrt(np.sum(view.residuals**2, axis=0) / view.dof) / view.response
+    loud = [output for output, own in zip(c.outputs, share.tolist(), strict=True) if own > ABSURD]
+    outputs = tuple(loud) if len(loud) < len(c.outputs) else ()
+    return Doubt(
+        "no-signal",
+        "implausible",
+        f"the residuals{f' of {quoted(outputs)}' if outputs else ''} are "
+        f"{100.0 * float(share.max()):.0f} % of what one g does to the output: the readings do not "
+        "follow the positions; the order of the rows, the scheme and the columns are where to look",
+        outputs=outputs,
+    )
+
+
+def _no_response(c: Calibration, sensitivity: Array) -> Doubt | None:
+    """Find outputs that do not respond to their own axis, in a sensor that is not turned."""
+    size = np.linalg.norm(sensitivity, axis=1)
+    expected = expected_directions(c)
+    within = size <= _known_to(c)
+    skew = not is_triad(c) or not size.all() or _is_skew(sensitivity / size[:, None])
+    if not within.any() and not skew:
+        return None  # a triad: turned, if anything
+    own = np.abs(cosines(sensitivity, expected))
+    least = CLEAR if is_triad(c) else _NO_RESPONSE
+    silent = [
+        output
+        for output, cosine, lost in zip(c.outputs, own.tolist(), within.tolist(), strict=True)
+        if cosine < least or lost
+    ]
+    if not silent:
+        return None
+    axes = dict(zip(c.outputs, c.model.axes, strict=True))
+    named = ", ".join(f"{output} to {axes[output]}" for output in silent)
+    return Doubt(
+        "no-signal",
+        "implausible",
+        f"an output does not respond to its own axis: {named}; look at the columns and the wiring, "
+        "or say with --axes which axis each output senses",
+        outputs=tuple(silent),
+    )
+
+
+def _known_to(c: Calibration) -> Array:
+    """Return how well the response of each output is known (M,), as its own scale factor is."""
+    scales = list(c.model.own_scales)
+    if len(scales) != len(c.outputs):
+        return np.zeros(len(c.outputs))
+    return np.fmin(c.U[scales], _FEW * c.residual_sd)  # U of one degree of freedom says little
+
+
+def _is_skew(unit: Array) -> bool:
+    """Tell whether outputs of a triad are far from right angles to each other."""
+    between = np.abs(unit @ unit.T - np.eye(3))
+    return bool(between.max() > _SKEW)

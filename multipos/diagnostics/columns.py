@@ -1,0 +1,236 @@
+"""Doubts that the columns raise by themselves, whatever was fitted.
+
+A dead output stands still, to the last digit, while its own axis turned from one side of the
+horizon to the other. A sensor at rest scatters and quantises, but over an own reference that spans
+more than half a g it does not repeat one number.
+
+A counter rises by the same step from row to row, again to the last digit.
+
+A saturated output repeats its largest (or smallest) reading at positions where the fit to its
+other readings is beyond it. Where too few others are left, outputs that all end at the same number
+say the same: it is a limit, and not gravity, that made them.
+
+Repeated rows have all outputs equal to the last digit, and an output has so many digits that
+noise would have shown in them: copies, not repeats. At different positions they are stale.
+
+A temperature in kelvin: all of it between 200 and 400, where a temperature in degrees Celsius at
+which a sensor is calibrated stays below that.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.diagnostics.linear_view import listed_reference
+from multipos.doubt import Doubt
+from multipos.files.spelling import quoted
+from multipos.numerics.arrays import Array, median, row_keys
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.calibration import Calibration
+
+_SPAN = 0.5  # of the own reference [g], below which an output may well stand still
+_KELVIN = (200.0, 400.0)
+_COUNTED = 5  # rows that make a counter
+_SHORT = 0.01  # of the signal, by which a saturated reading falls short at least
+_ENDS = 4  # equal ends of outputs that make a limit
+_BY_CHANCE = 1e-6
+_MEDIAN = 0.6745  # of the size of a normal error with standard deviation one
+_LEVELS = 100  # readings of which the resolution is found
+_BEYOND = 4.0  # standard deviations, and steps, that a saturated reading falls short
+
+
+def dead_output(c: Calibration) -> Doubt | None:
+    """Find outputs that gave one number while gravity moved along their axis."""
+    still = (np.ptp(c.readings.values, axis=0) == 0.0).tolist()
+    if not any(still):
+        return None
+    dead = [
+        output
+        for output, axis, stands in zip(c.outputs, c.model.axes, still, strict=True)
+        if stands and np.ptp(c.reference[:, COMPONENTS.index(axis)]) > _SPAN
+    ]
+    if not dead:
+        return None
+    return Doubt(
+        "dead-output",
+        "implausible",
+        f"{quoted(dead)} read the same number at all {len(c.readings)} positions: the output is "
+        "not connected, or the column is another one; mend it, or leave it out with --outputs",
+        outputs=tuple(dead),
+    )
+
+
+def temperature_kelvin(c: Calibration) -> Doubt | None:
+    """Find a temperature that the model uses and that looks like kelvin."""
+    column = c.readings.environment.get("temperature")
+    if column is None or "temperature" not in c.model.environment:
+        return None
+    low, high = float(column.min()), float(column.max())
+    if not _KELVIN[0] <= low <= high <= _KELVIN[1]:
+        return None
+    return Doubt(
+        "temperature-kelvin",
+        "caution",
+        f"the temperature, {low:g} to {high:g}, looks like kelvin: coefficients are for degrees "
+        "Celsius, and the bias is that at 0; subtract 273.15 from the column",
+    )
+
+
+def counter_column(c: Calibration) -> Doubt | None:
+    """Find outputs that only count the rows."""
+    values = c.readings.values
+    if len(values) < _COUNTED:
+        return None
+    first, second, third = values[:3].tolist()
+    counters = []
+    for i, output in enumerate(c.outputs):
+        step = second[i] - first[i]
+        least = 1e-9 * abs(step)
+        if step == 0.0 or abs(third[i] - second[i] - step) > least:
+            continue  # as nearly always: the rest need not be looked at
+        if float(np.abs(np.diff(values[:, i]) - step).max()) <= least:
+            counters.append(output)
+    if not counters:
+        return None
+    return Doubt(
+        "counter-column",
+        "implausible",
+        f"{quoted(counters)} rises by the same step from row to row: a counter or a clock, not an "
+        "output; name the outputs with --outputs",
+        outputs=tuple(counters),
+    )
+
+
+def saturated(c: Calibration) -> Doubt | None:
+    """Find outputs that ran into the end of their range."""
+    values = c.readings.values
+    top, bottom = values.max(axis=0), values.min(axis=0)
+    again = [
+        np.count_nonzero((values == top) | (values == bottom)) - 2 * len(top),
+        len(top) - len(set(top.tolist())),
+        len(bottom) - len(set(bottom.tolist())),
+    ]
+    if not any(again):
+        return None  # no number ends a range twice
+    reference = listed_reference(c)
+    rows: dict[str, None] = {}
+    outputs: dict[str, None] = {}
+    for i, output in enumerate(c.outputs):
+        for sign in (1.0, -1.0):
+            clipped = None if reference is None else _clipped(reference, sign * values[:, i])
+            if clipped is not None:
+                outputs[output] = None
+                rows.update(dict.fromkeys(c.readings.labels[row] for row in clipped.tolist()))
+    if not outputs and _has_common_ends(c):
+        outputs = dict.fromkeys(c.outputs)
+    if not outputs:
+        return None
+    named = quoted(list(outputs))
+    where = f" at position {', '.join(list(rows)[:12])}" if rows else ""
+    return Doubt(
+        "saturated",
+        "implausible",
+        f"{named} ran into the end of its range{where}: readings stop at the same number where "
+        "more is expected; measure again in a wider range, or leave these positions out",
+        tuple(rows),
+        tuple(outputs),
+    )
+
+
+def _clipped(reference: Array, values: Array) -> NDArray[np.intp] | None:
+    """Return the rows whose reading is the largest of all and should have been larger."""
+    top = values == values.max()
+    others = ~top
+    design = np.column_stack([np.ones(len(values)), reference])
+    if top.sum() < 2 or np.linalg.matrix_rank(design[others], tol=1e-6) < design.shape[1]:
+        return None
+    if len(np.unique(values[others])) <= design.shape[1] + 1:
+        return None  # so coarse that ties are ordinary
+    found, square, *_ = np.linalg.lstsq(design[others], values[others], rcond=None)
+    dof = int(others.sum()) - design.shape[1]
+    if dof < 1:
+        return None
+    s = math.sqrt(max(float(square[0]) if len(square) else 0.0, 0.0) / dof)
+    steps = np.diff(np.unique(values))
+    short = design[top] @ found - values.max()
+    least = _BEYOND * (s + float(steps.min()))
+    signal = float(np.linalg.norm(found[1:]))
+    if short.max() > max(least, _SHORT * signal) and short.min() > -least:
+        return np.flatnonzero(top)
+    return None
+
+
+def _has_common_ends(c: Calibration) -> bool:
+    """Tell whether outputs end at the same numbers more often than by chance.
+
+    By chance an end is that of another output, both adjusted alike, about once in 4 s/q times, s
+    the scatter of the readings and q their resolution.
+    """
+    values = c.readings.values
+    top, bottom = values.max(axis=0), values.min(axis=0)
+    again = int(np.sum(top == top.max()) + np.sum(bottom == bottom.min())) - 2
+    scatter = float(np.nanmax(c.residual_sd, initial=0.0))
+    if again < _ENDS - 2 or not scatter > 0.0:
+        return False
+    return (resolution(values) / (4.0 * scatter)) ** again < _BY_CHANCE
+
+
+def resolution(values: Array) -> float:
+    """Return the step that readings are multiples of, 0 where there is none to be seen."""
+    levels = np.unique(values)
+    if len(levels) > _LEVELS:
+        levels = np.sort(np.random.default_rng(0).choice(levels, _LEVELS, replace=False))
+    least = 1e-9 * float(np.abs(levels).max())
+    step = 0.0
+    for difference in np.diff(levels).tolist():
+        larger, smaller = max(step, difference), min(step, difference)
+        while smaller > least:  # Euclid's algorithm, up to rounding
+            rest = math.remainder(larger, smaller)
+            larger, smaller = smaller, abs(rest)
+        step = larger
+    return 0.0 if step <= 100.0 * least else step
+
+
+def repeated_rows(c: Calibration) -> Doubt | None:
+    """Find rows that are copies of others."""
+    keys = row_keys(c.readings.values)
+    if len(set(keys)) == len(keys):
+        return None
+    first: dict[bytes, int] = {}
+    copies: list[tuple[int, int]] = []
+    for row, key in enumerate(keys):
+        origin = first.setdefault(key, row)
+        if origin != row:
+            copies.append((origin, row))
+    if not _shows_noise(c):
+        return None
+    labels = c.readings.labels
+    reference = listed_reference(c)
+    stale = [
+        f"{labels[row]} and {labels[origin]}"
+        for origin, row in copies
+        if reference is not None and float(np.abs(reference[row] - reference[origin]).max()) > 1e-6
+    ]
+    text = (
+        f"positions {_some(stale)} read the same to the last digit though they differ: a reading "
+        "was not taken anew; measure again, or leave one out"
+        if stale
+        else f"{len(copies)} of {len(labels)} rows are copies of others to the last digit, which "
+        "tell nothing new but make U smaller than it is; leave them out"
+    )
+    rows = dict.fromkeys(labels[row] for pair in copies for row in pair)
+    return Doubt("repeated-rows", "caution", text, tuple(rows))
+
+
+def _shows_noise(c: Calibration) -> bool:
+    """Tell whether readings have digits enough for noise to show in repeats."""
+    n, outputs = c.readings.values.shape
+    left = max(1.0 - len(c.parameters) / outputs / n, 1e-3)
+    scatter = float(median(np.abs(c.residuals))) / (_MEDIAN * math.sqrt(left))
+    return resolution(c.readings.values) < scatter / 2.0
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")

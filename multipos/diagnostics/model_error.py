@@ -1,0 +1,217 @@
+"""Doubts about the model: a term that the data ask for, and terms that the positions cannot show.
+
+A term that is missing spoils compensated force by as much as it is large, and no U of the
+parameters holds it: with a linear model and 2 mg of third order, U covers 58 % at 24 positions
+and 10 % at 400. Where positions show the term, its test finds it long before that
+(`multipos.diagnostics.score_tests`); where they do not, the budget's [unseen] states how large it may
+be. Terms are named one after the other, each tested beside those that were named.
+
+Does the zero differ from one soak to the next? Rows of one soak are then no readings apart.
+
+A soak is a stay at one temperature, in which several positions are read. Its rows share whatever
+the zero did there beside what the model follows (hysteresis, a switch-on, a chamber that tilts):
+
+    y_k = x_k' p + a_s(k) + e_k,    a_s ~ N(0, σ_a²).                                       (1)
+
+The fit takes all rows as independent, and its U and the band over temperature are too small by as
+much as the soaks have rows. With Δ what columns of the soaks explain beyond the model and the next
+power of temperature, on q degrees of freedom, and ν left,
+
+    F = (Δ/q) / (rest/ν),      σ_a² = (F − 1) s² q / Σ left of the columns,                 (2)
+
+one F an output, their p values combined as in `multipos.sensor.fit_diagnostics`. A curve that was
+fitted
+straight shows as the next power of temperature (`multipos.diagnostics.score_tests`); of the two causes a
+zero of its own for each soak explains the other, so it is asked first.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.diagnostics.projections import Kind, formula_with, lacking, left_of, seen_rows
+from multipos.diagnostics.score_tests import judge_model, significant
+from multipos.doubt import Doubt
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.fit_diagnostics import ModelTest
+from multipos.uncertainty.validity import unseen_sizes
+
+COLUMN = "temperature"
+_LEVEL = 0.01
+_GAP = 0.04  # of the span of temperature, by which levels are apart
+_FEWEST = 4  # soaks
+
+
+def zero_per_soak(c: Calibration) -> Doubt | None:
+    """Find a zero that differs from soak to soak, by eq. (2)."""
+    found = judge_soaks(c)
+    if found is None or not found[0].is_below(_LEVEL):
+        return None
+    test, sizes = found
+    told = ", ".join(
+        f"{output} {size:.2g}" for output, size in zip(c.outputs, sizes.tolist(), strict=True)
+    )
+    return Doubt(
+        "zero-per-soak",
+        "caution",
+        f"the zero differs from soak to soak, beyond what the model follows (p = {test.p:.1g}; "
+        f"{told} {c.model.unit}): rows of one soak are not independent, and U and the band over "
+        "temperature are too small; take more soaks, or state it in a budget, [stability] u_… = …",
+    )
+
+
+def judge_soaks(c: Calibration) -> tuple[ModelTest, Array] | None:
+    """Test eq. (1) in every output; None where there are no soaks, or nothing is left.
+
+    Returns
+    -------
+    ModelTest
+    sizes : (M,) array
+        σ_a, in reading units.
+    """
+    plain = c.estimator.exact and c.noise is None and c.robust_weight is None
+    if not plain or isinstance(c.model, ExpressionModel) or COLUMN not in c.readings.environment:
+        return None
+    soak = find_soaks(c.readings.environment[COLUMN])
+    if soak is None:
+        return None
+    columns = (soak[:, None] == np.unique(soak)).astype(np.float64)
+    phi = c.model.basis(c.reference, c.readings.environment)
+    curved = [kind for kind in lacking(c) if kind.name.partition("^")[0] == COLUMN]
+    ratios, dofs, sizes = [], [], []
+    for i, mine in enumerate(c.model.columns):
+        design = np.column_stack([phi[:, mine], _columns(curved, i, c)])
+        Q = np.linalg.qr(design)[0]
+        V = left_of(Q, columns)
+        rows = seen_rows(V, columns)
+        q, nu = float(len(rows)), float(len(Q) - Q.shape[1] - len(rows))
+        e = c.residuals[:, i] - Q @ (Q.T @ c.residuals[:, i])
+        explained = float(np.sum((rows @ e) ** 2))
+        rest = float(e @ e) - explained
+        if q < 1.0 or nu < 1.0 or not rest > 0.0:
+            return None
+        ratios.append(explained / q / (rest / nu))
+        dofs.append((q, nu))
+        sizes.append(np.sqrt(max(ratios[-1] - 1.0, 0.0) * rest / nu * q / np.sum(V**2)))
+    return ModelTest("soak", c.outputs, tuple(ratios), tuple(dofs)), np.array(sizes)
+
+
+def find_soaks(temperature: Array) -> NDArray[np.intp] | None:
+    """Return the number of the soak of each row, None where temperatures do not stand in levels.
+
+    Levels are apart by a gap; a level that is left and come back to is another soak, where rows
+    stand in order.
+    """
+    if not np.isfinite(temperature).all() or not np.ptp(temperature) > 0.0:
+        return None
+    order = np.argsort(temperature, kind="stable")
+    steps = np.diff(temperature[order]) > _GAP * np.ptp(temperature)
+    level = np.empty(len(order), dtype=np.intp)
+    level[order] = np.concatenate([[0], np.cumsum(steps)])
+    runs = np.concatenate([[0], np.cumsum(np.diff(level) != 0)])
+    soak = runs if runs[-1] + 1 <= len(runs) / 3.0 else level
+    counts = np.bincount(soak)
+    return soak if len(counts) >= _FEWEST and counts.min() >= 2 else None
+
+
+def _columns(kinds: list[Kind], output: int, c: Calibration) -> Array:
+    """Return the columns (n, q) of kinds of terms of one output."""
+    variables = {axis: c.reference[:, i] for i, axis in enumerate(COMPONENTS)}
+    variables |= dict(c.readings.environment)
+    terms = [term for kind in kinds for term in kind.terms[output]]
+    columns = [np.broadcast_to(term.evaluate(variables), len(c.reference)) for term in terms]
+    return np.column_stack(columns) if columns else np.zeros((len(c.reference), 0))
+
+
+_MOST = 3  # terms named
+_AS_GOOD = 6.6  # of twice the logarithm of the likelihood: the 99 % point of chi² on one degree
+
+
+def missing_term(c: Calibration) -> Doubt | None:
+    """Name the terms that the data ask for, the one that explains most first."""
+    best = significant(c.diagnostics.model_tests)
+    if any(test.term.startswith(COLUMN) for test in best) and zero_per_soak(c) is not None:
+        best = tuple(test for test in best if not test.term.startswith(COLUMN))
+    if not best:
+        return None
+    named, first = _named(c, best), best[0]
+    others = [t.term for t in best[1:] if t.gain > first.gain - _AS_GOOD and t.term not in named]
+    instead = f"; {' or '.join(others)} would explain them as well" if others else ""
+    chance = "less than 1e-99" if first.p < 1e-99 else f"{first.p:.1g}"
+    return Doubt(
+        "missing-term",
+        "caution",
+        f"the residuals ask for {' and '.join(named)}, which the model lacks (p = {chance}"
+        f"{instead}): U of compensated force does not hold that error; {_way_out(c, named)}",
+        outputs=_showing(first),
+    )
+
+
+def hidden_terms(c: Calibration) -> Doubt | None:
+    """Name the terms that the positions cannot show and the budget does not state."""
+    hidden = not_stated(c)
+    if not hidden:
+        return None
+    return Doubt(
+        "hidden-terms",
+        "caution",
+        f"these positions cannot show {_listed(hidden)}, and U of compensated force leaves such "
+        "terms out: add directions between those there are, or state them in a budget, [unseen]",
+    )
+
+
+def not_stated(c: Calibration) -> tuple[str, ...]:
+    """Return the hidden terms that the budget does not state."""
+    stated = unseen_sizes(c)
+    return tuple(kind for kind in c.diagnostics.hidden if kind not in stated)
+
+
+def said_of_hidden(c: Calibration) -> tuple[str, ...]:
+    """Return a sentence on the hidden terms for who applies a calibration; none where all show."""
+    hidden = not_stated(c)
+    if not hidden:
+        return ()
+    said = (
+        f"the positions of the calibration could not show {_listed(hidden)}: between the "
+        "directions that were applied force may be off by such terms, and U leaves them out"
+    )
+    return (said,)
+
+
+def _named(c: Calibration, best: Sequence[ModelTest]) -> tuple[str, ...]:
+    """Return the best term, and what is asked for beside it."""
+    named: tuple[str, ...] = (best[0].term,)
+    while len(named) < _MOST:
+        more = significant(judge_model(c, named).tests)
+        if not more:
+            break
+        named = (*named, more[0].term)
+    return named
+
+
+def _way_out(c: Calibration, named: tuple[str, ...]) -> str:
+    if isinstance(c.model, ExpressionModel):
+        return "write the term into the model"
+    columns = {kind.name: sum(map(len, kind.terms)) for kind in lacking(c)}
+    shown = {t.term: sum(q for q, _ in t.dofs) for t in c.diagnostics.model_tests}
+    formula = f"fit --model '{formula_with(c.model, named)}'"
+    if all(shown.get(name) == columns[name] for name in named):
+        return formula
+    return f"{formula} at positions that show all of it"
+
+
+def _showing(test: ModelTest) -> tuple[str, ...]:
+    """Return the outputs in which the term shows; none where all were tested as one."""
+    alone = [
+        ModelTest(test.term, (output,), (f,), (dof,))
+        for output, f, dof in zip(test.outputs, test.ratios, test.dofs, strict=False)
+    ]
+    return tuple(one.outputs[0] for one in alone if one.p < 0.01)
+
+
+def _listed(kinds: Sequence[str]) -> str:
+    return kinds[0] if len(kinds) == 1 else f"{', '.join(kinds[:-1])} or {kinds[-1]}"

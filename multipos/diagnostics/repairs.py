@@ -1,0 +1,426 @@
+"""The one repair that would explain readings which no linear sensor explains.
+
+A row may belong to another position, have been taken upside down, or stand in another unit; a
+converter may have wrapped around; angles may have been radians. Each such repair is tried, on the
+linear view of the readings (`linear_view`); which one is believed stands in `belief`.
+
+All changes of readings y' = y + d v' in a few rows have closed forms: with M = I − QQ' the
+projector on the residuals, r = M y,
+
+    rss' = rss + 2 d (v·r) + d² v'Mv.                                                       (1)
+
+Rows in another unit, or of another size altogether, where the fit ends with an error.
+
+Wherever a triad at rest points, its readings are of one size, but for bias and scale factors:
+
+    |y_k| = |b + K f_k|,    a third to three times the median for a bias below half a g.    (2)
+
+A row beyond that by a factor that two units have between them is in another one. Such a row leaves
+no ellipsoid on which the readings could lie, so the estimator fails, and this says why.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.diagnostics.linear_view import View
+from multipos.errors import MultiposError
+from multipos.numerics.arrays import Array, median
+from multipos.positions.readings import Readings
+from multipos.units import STANDARD_GRAVITY, cos_deg, sin_deg
+
+Rows = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+FACTORS = (
+    STANDARD_GRAVITY,
+    1.0 / STANDARD_GRAVITY,
+    1000.0,
+    1e-3,
+    1000.0 * STANDARD_GRAVITY,
+    1e-3 / STANDARD_GRAVITY,
+    180.0 / np.pi,
+    np.pi / 180.0,
+)
+_TAKEN = 0.1  # of the step of a converter, that a signal spans at least which ran over its end
+_ROWS = 60  # of those that fit worst, among which one or two are looked for
+_TURNS = 12  # of an alternation between rows and fit
+
+
+@dataclass(frozen=True)
+class Repair:
+    """A change of the data that might explain them.
+
+    Attributes
+    ----------
+    code : str
+        Of the doubt.
+    rows : tuple of int
+        What is changed.
+    view : View
+        The data as changed.
+    outputs : tuple of int
+        Those changed, where not all are.
+    size : float
+        The factor, or the step of a converter in reading units.
+    tried : int
+        How many repairs of its kind this is the best of.
+    fitted : bool
+        Whether a number was fitted for each changed output, as the step of a converter is.
+    shrunk : float
+        The logarithm of the factors by which readings became smaller, summed.
+    """
+
+    code: str
+    rows: tuple[int, ...]
+    view: View
+    outputs: tuple[int, ...] = ()
+    size: float = 1.0
+    tried: int = 1
+    fitted: bool = False
+    shrunk: float = 0.0
+
+
+def candidates(view: View, guess: Array) -> tuple[list[Repair], int]:
+    """Return the best repair of each kind, and how many were tried.
+
+    Parameters
+    ----------
+    view : View
+    guess : (M, 3) array
+        Which way each output should respond, for a first sight of rows that are upside down.
+    """
+    rows = _worst_rows(view)
+    found: list[Repair] = []
+    tried = 0
+    for kind in (_interchanges, _single_factors, _single_flips):
+        repairs, count = kind(view, rows)
+        found += repairs
+        tried += count
+    several = [*_many_flips(view, guess), *_many_factors(view), *_wrapped(view), *_radians(view)]
+    return found + several, tried + len(several)
+
+
+def _worst_rows(view: View) -> Rows:
+    """Return the rows that fit worst, in their order."""
+    if len(view.values) <= _ROWS:
+        return np.arange(len(view.values))
+    size = np.sum((view.residuals / view.response) ** 2, axis=1)
+    return np.sort(np.argsort(size)[-_ROWS:])
+
+
+def _squares(view: View) -> tuple[Array, Array]:
+    """Return the residual sums (M,), and what makes outputs of any unit comparable (M,)."""
+    spread = np.var(view.values, axis=0)
+    return np.sum(view.residuals**2, axis=0), 1.0 / np.maximum(spread, 1e-24 * spread.max())
+
+
+def _projector(view: View, rows: Rows) -> Array:
+    basis = view.basis[rows]
+    return np.asarray(np.eye(len(rows)) - basis @ basis.T)
+
+
+def _interchanges(view: View, rows: Rows) -> tuple[list[Repair], int]:
+    """Return the best interchanges of two rows, by eq. (1)."""
+    rss, weight = _squares(view)
+    M, e, y = _projector(view, rows), view.residuals[rows], view.values[rows]
+    d = y[None, :] - y[:, None]  # what row i gains
+    diagonal = np.diag(M)
+    curvature = (diagonal[:, None] + diagonal[None, :] - 2.0 * M)[:, :, None]
+    total = (rss + 2.0 * d * (e[:, None] - e[None, :]) + d**2 * curvature) @ weight
+    first, second = np.triu_indices(len(rows), 1)
+    moved = np.abs(d[first, second]).max(axis=1) > 0.0
+    first, second = first[moved], second[moved]
+    best = np.argsort(total[first, second])[:6]
+    found = []
+    for i, j in zip(rows[first[best]].tolist(), rows[second[best]].tolist(), strict=True):
+        values = view.values.copy()
+        values[[i, j]] = values[[j, i]]
+        again = view.with_values(values)
+        found.append(Repair("interchanged-rows", (i, j), again, tried=len(first)))
+    return found, len(first)
+
+
+def _single_factors(view: View, rows: Rows) -> tuple[list[Repair], int]:
+    """Return the best repairs of one row in another unit, by eq. (1)."""
+    rss, weight = _squares(view)
+    M, e, y = _projector(view, rows), view.residuals[rows], view.values[rows]
+    gain = np.array(FACTORS)[:, None, None] - 1.0
+    d = gain * y
+    total = (rss + 2.0 * d * e + d**2 * np.diag(M)[:, None]) @ weight
+    found = []
+    for place in np.argsort(total, axis=None)[:3].tolist():
+        k, i = divmod(place, len(rows))
+        values = view.values.copy()
+        values[rows[i]] *= FACTORS[k]
+        found.append(
+            Repair(
+                "row-unit",
+                (int(rows[i]),),
+                view.with_values(values),
+                size=1.0 / FACTORS[k],
+                tried=total.size,
+                shrunk=-float(np.log(FACTORS[k])) * values.shape[1],
+            )
+        )
+    return found, total.size
+
+
+def _single_flips(view: View, rows: Rows) -> tuple[list[Repair], int]:
+    """Return the best repairs of one row upside down, from the normal equations of each."""
+    design = np.hstack([view.even, view.odd])
+    turned = np.hstack([view.even, -view.odd])
+    values = view.values - view.values.mean(axis=0)
+    X, Z, y = design[rows], turned[rows], values[rows]
+    normal = design.T @ design + Z[:, :, None] * Z[:, None] - X[:, :, None] * X[:, None]
+    right = design.T @ values + (Z - X)[:, :, None] * y[:, None]
+    beta = np.linalg.pinv(normal, hermitian=True, rcond=1e-12) @ right
+    residual = values - design @ beta
+    residual[np.arange(len(rows)), rows] = y - (Z[:, None] @ beta)[:, 0]
+    total = np.sum(residual**2, axis=1) @ _squares(view)[1]
+    best = rows[np.argsort(total)[:3]].tolist()
+    found = [Repair("flipped-row", (i,), view.turned(np.array([i])), tried=len(rows)) for i in best]
+    return found, len(rows)
+
+
+def _many_flips(view: View, guess: Array) -> Iterator[Repair]:
+    """Yield sets of rows upside down: as first guessed, then in turns with the fit."""
+    n = len(view.values)
+    reference = view.odd[:, :3]
+    middle = (view.values.max(axis=0) + view.values.min(axis=0)) / 2.0
+    width = np.ptp(view.values, axis=0)
+    width = np.maximum(width, 1e-12 * width.max())
+    looks = np.sum((view.values - middle) / width * (reference @ guess.T), axis=1) < 0.0
+    order = np.arange(n)
+    seen = set()
+    for start in (looks, order % 2 == 1, order >= n // 2):
+        rows = _alternate(start, partial(_upside_down, view))
+        if 2 * len(rows) > n:  # the others are the exception
+            rows = np.setdiff1d(order, rows)
+        if len(rows) > 1 and rows.tobytes() not in seen:
+            seen.add(rows.tobytes())
+            yield Repair("flipped-row", tuple(rows.tolist()), view.turned(rows))
+
+
+def _upside_down(view: View, rows: Rows) -> Mask:
+    """Return which rows are nearer to the other side of the fit where `rows` are turned."""
+    trial = view.turned(rows)
+    here = trial.residuals
+    odd = trial.odd[:, :3] @ trial.sensitivity.T
+    there = here + 2.0 * odd
+    nearer = np.sum((there / trial.response) ** 2, axis=1) < np.sum(
+        (here / trial.response) ** 2, axis=1
+    )
+    now = np.zeros(len(nearer), dtype=bool)
+    now[rows] = True
+    return np.asarray(now ^ nearer)
+
+
+def _alternate(start: Mask, step: Callable[[Rows], Mask]) -> Rows:
+    """Return the rows of a set that the fit to it gives again, or the last of some turns."""
+    chosen = start
+    for _ in range(_TURNS):
+        after = step(np.flatnonzero(chosen))
+        if (after == chosen).all():
+            break
+        chosen = after
+    return np.flatnonzero(chosen)
+
+
+def _many_factors(view: View) -> Iterator[Repair]:
+    """Yield sets of rows in another unit: the largest readings first, then in turns."""
+    n, outputs = view.values.shape
+    width = np.abs(view.values).mean(axis=0)
+    width = np.maximum(width, 1e-12 * width.max())
+    size = np.linalg.norm(view.values, axis=1), np.linalg.norm(view.values / width, axis=1)
+    orders = np.argsort(size, axis=1)  # outputs of one unit, and of several
+    for factor in (STANDARD_GRAVITY, 1000.0, 180.0 / np.pi):
+        counts = range(2, n - 1, 1 + n // _ROWS)
+        splits = [order[n - larger :] for order in orders for larger in counts]
+        trials = [(_divided(view, rows, factor).misfit, rows) for rows in splits]
+        if not trials:
+            continue
+        _, first = min(trials, key=lambda trial: trial[0])
+        start = np.zeros(n, dtype=bool)
+        start[first] = True
+        larger = _alternate(start, partial(_too_large, view, factor=factor))
+        smaller = np.setdiff1d(np.arange(n), larger)
+        few, times = (larger, factor) if len(larger) <= len(smaller) else (smaller, 1.0 / factor)
+        yield Repair(
+            "row-unit",
+            tuple(few.tolist()),
+            _divided(view, larger, factor),
+            size=times,
+            tried=len(trials),
+            shrunk=len(larger) * outputs * float(np.log(factor)),
+        )
+
+
+def _divided(view: View, rows: Rows, factor: float) -> View:
+    values = view.values.copy()
+    values[rows] /= factor
+    return view.with_values(values)
+
+
+def _too_large(view: View, rows: Rows, factor: float) -> Mask:
+    """Return which rows are nearer to the fit when divided, where `rows` are."""
+    trial = _divided(view, rows, factor)
+    expected = trial.values - trial.residuals
+    as_is, divided = (
+        np.sum(((values - expected) / trial.response) ** 2, axis=1)
+        for values in (view.values, view.values / factor)
+    )
+    return np.asarray(divided < as_is)
+
+
+def _wrapped(view: View) -> Iterator[Repair]:
+    """Yield the outputs whose largest or smallest readings came out at the other end.
+
+    With v the rows that wrapped, +1 at the top and −1 at the bottom of the own component, eq. (1)
+    is smallest for the step −(v·r)/(v'Mv), and it must be wider than all that was read.
+    """
+    n, outputs = view.values.shape
+    if n > _ROWS:
+        return
+    M = _projector(view, np.arange(n))
+    values, changed, rows, step = view.values.copy(), [], set(), 0.0
+    for output in range(outputs):
+        found = _wrap_of(view, M, output)
+        if found is not None:
+            v, width = found
+            values[:, output] += width * v
+            changed.append(output)
+            rows |= set(np.flatnonzero(v).tolist())
+            step = max(step, width)
+    if changed:
+        view = view.with_values(values)
+        yield Repair(
+            "wrapped",
+            tuple(sorted(rows)),
+            view,
+            tuple(changed),
+            step,
+            tried=8 * (n // 2 + 1) ** 2,  # of `_wrap_of`
+            fitted=True,
+        )
+
+
+def _wrap_of(view: View, M: Array, output: int) -> tuple[Array, float] | None:
+    """Return the rows of one output that wrapped (n,), ±1, and the step; None where none did."""
+    n = len(view.values)
+    e, y = view.residuals[:, output], view.values[:, output]
+    before, tried = float(e @ e), []
+    for order in (*np.argsort(view.odd[:, :3], axis=0).T, np.argsort(-e)):
+        half = n // 2 + 1
+        top = np.zeros((half, n))
+        bottom = np.zeros((half, n))
+        for k in range(1, half):
+            top[k:, order[n - k]] = 1.0
+            bottom[k:, order[k - 1]] = 1.0
+        v = (top[:, None] - bottom[None]).reshape(-1, n)[1:]
+        for sign in (1.0, -1.0):
+            u = sign * v
+            curvature = np.maximum(np.einsum("ij,ij->i", u @ M, u), 1e-9)
+            step = -(u @ e) / curvature
+            left = e @ e + 2.0 * step * (u @ e) + step**2 * curvature
+            left = np.where(step >= 0.98 * np.ptp(y), left, np.inf)
+            for k in np.flatnonzero(left < 0.25 * before).tolist():
+                if np.ptp(y + step[k] * u[k]) < _TAKEN * step[k]:
+                    continue
+                tried.append((float(left[k]), int(np.abs(u[k]).sum()), u[k], float(step[k])))
+    if not tried:
+        return None
+    least = min(left for left, *_ in tried)
+    enough = [each for each in tried if each[0] <= max(4.0 * least, 0.01 * before)]
+    _, _, rows, width = min(enough, key=lambda each: (each[1], each[0]))
+    return rows, width
+
+
+def _radians(view: View) -> Iterator[Repair]:
+    """Yield the readings at the angles that were meant, where radians were read as degrees."""
+    up = view.odd[:, :3]
+    size = np.linalg.norm(up, axis=1, keepdims=True)
+    sign = np.sign(up.sum(axis=0) @ np.array([1.0, 1.0, -1.0])) or 1.0
+    up = sign * up / size
+    degree = 180.0 / np.pi
+    if (up[:, 2] < -0.98).all():  # roll and pitch: level is z down
+        pitch = degree**2 * np.arcsin(up[:, 0])
+        roll = degree**2 * np.arctan2(-up[:, 1], -up[:, 2])
+        meant = np.column_stack(
+            [
+                sin_deg(pitch),
+                -sin_deg(roll) * cos_deg(pitch),
+                -cos_deg(roll) * cos_deg(pitch),
+            ]
+        )
+    elif (np.maximum(up[:, 0], up[:, 1]) > 0.98).all():  # turns about a horizontal axis
+        meant = np.zeros_like(up)
+        about_x = np.abs(up[:, 0]) < 1e-9
+        about_y = ~about_x & (np.abs(up[:, 1]) < 1e-9)
+        for rows, first, second in (
+            (about_x, 1, 2),
+            (about_y, 0, 2),
+            (~about_x & ~about_y, 0, 1),
+        ):
+            angle = degree**2 * np.arctan2(up[rows, second], up[rows, first])
+            meant[rows, first], meant[rows, second] = cos_deg(angle), sin_deg(angle)
+    else:
+        return
+    rows = tuple(range(len(up)))
+    yield Repair("angles-in-radians", rows, view.at(sign * size * meant))
+
+
+_APART = 3.0  # times the median size of a row
+_NEAR = 1.6  # times a known factor
+_SHOWN = 6
+_DROWNED = 1e12  # times the median reading: doubles hold 16 digits, and a fit needs some of them
+
+
+def explain_failure(error: MultiposError, readings: Readings) -> MultiposError:
+    """Return an error that names the rows in another unit, if there are any; else the same."""
+    rows, factor = rows_in_another_unit(readings)
+    if not rows:
+        return error
+    some = ", ".join(rows[:_SHOWN]) + (f" and {len(rows) - _SHOWN} more" if rows[_SHOWN:] else "")
+    named = f"position {some} looks" if len(rows) == 1 else f"positions {some} look"
+    return MultiposError(
+        f"{readings.source or 'the readings'}: {named} to be in another unit, {factor:.4g} times "
+        f"the others; bring all rows to one unit (otherwise: {str(error).rstrip('.')})."
+    )
+
+
+def explain_breakdown(
+    error: np.linalg.LinAlgError, readings: Readings
+) -> MultiposError | np.linalg.LinAlgError:
+    """Return an error that names the largest reading, if the others drown in it; else the same."""
+    size = np.abs(readings.values)
+    largest, typical = float(size.max()), float(median(size[size > 0.0]))
+    if not largest > _DROWNED * typical:
+        return error
+    row, column = divmod(int(size.argmax()), size.shape[1])
+    return MultiposError(
+        f"{readings.source or 'the readings'}: position {readings.labels[row]}: "
+        f"{readings.outputs[column]} is {largest:.3g}, beside which no digit is left of the other "
+        f"readings, of {typical:.3g} as a rule; leave such rows out, or look at the file."
+    )
+
+
+def rows_in_another_unit(readings: Readings) -> tuple[tuple[str, ...], float]:
+    """Return the labels of rows by eq. (2), and the factor; none where no factor is known."""
+    size = np.linalg.norm(readings.values, axis=1)
+    middle = float(np.sort(size)[(len(size) - 1) // 2])  # of halves the smaller
+    if not middle > 0.0:
+        return (), 1.0
+    ratio = size / middle
+    odd = np.flatnonzero((ratio > _APART) | (ratio < 1.0 / _APART))
+    if not len(odd) or 2 * len(odd) > len(size):
+        return (), 1.0
+    typical = float(np.exp(np.mean(np.log(np.maximum(ratio[odd], np.finfo(float).tiny)))))
+    known = np.array(FACTORS)
+    nearest = float(known[np.argmin(np.abs(np.log(known / typical)))])
+    spread = np.abs(np.log(np.maximum(ratio[odd], np.finfo(float).tiny) / nearest))
+    if float(spread.max()) > np.log(_NEAR):
+        return (), 1.0
+    return tuple(readings.labels[i] for i in odd.tolist()), nearest

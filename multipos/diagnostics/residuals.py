@@ -1,0 +1,464 @@
+"""Cautions about what the residuals show, of readings that are no absurdity.
+
+- Repeats scatter less than the model misses their means (lack of fit, an F test of the fit).
+- Residuals are alike from row to row though the positions are not: something drifted. With the
+  pooled lag-one product c = sum e_k e_k+1 / sum e², its mean under white noise
+  tr(S(I − H))/(n − r),
+  S the lag by one and H the hat matrix, and its variance nearly 1/(M (n − r)).
+
+Doubts about what was claimed of readings and positions, and the cause that the data favour.
+
+Beside a stated noise Σ the residuals of known positions may have one of three more parts,
+
+    V_k = Σ_k + τ² I,    V_k = Σ_k + diag(τ_i²),    V_k = Σ_k + τ² I + s² J_k J_k',         (1)
+
+scatter from rest to rest alike in all outputs, unlike ones, and placement, J_k J_k' = H (|f|² −
+f f') H' with H = dh/df. The restricted likelihood
+
+    −2 ln L = Σ ln det V_k + ln det X'V⁻¹X + e'V⁻¹e − e'V⁻¹X (X'V⁻¹X)⁻¹X'V⁻¹e               (2)
+
+at its maximum tells which of them the data favour: the second and third against the first by χ² on
+M − 1 and on one degree of freedom, at 1 %. A missing term comes before all of them: it is found by
+its own test, and looks like any of them.
+
+Placement moves readings across the force and not along it. So without a stated noise it shows in
+
+    R = (|P e|²/ν_across) / (|(1 − P) e|²/ν_along),                                         (3)
+
+P the projection on J_k, which is asked first; (2) is worked out where R is more than chance.
+
+Uncertain and unknown orientations take the noise of outputs as equal, or as stated. With the
+projection P = W − WA S⁻¹A'W of `multipos.estimation.likelihood` and v_i the variances taken, the
+score of ln v_i and its information are
+
+    U_i = ½ Σ_k (v_i (Σ_k⁻¹ r_k)_i² / φ − v_i P_ki,ki),    I_ij = ½ Σ_kl v_i v_j P_ki,lj²,      (4)
+
+φ the common factor that makes Σ U_i zero; U'I⁻¹U follows χ² on M − 1 where they are right.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+
+from multipos.diagnostics.columns import repeated_rows, resolution
+from multipos.diagnostics.score_tests import significant
+from multipos.doubt import Doubt
+from multipos.estimation.gains import told_by_solution
+from multipos.estimation.known import DENIED
+from multipos.estimation.likelihood import weigh
+from multipos.numerics.arrays import Array, median
+from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile
+from multipos.numerics.terms import COMPONENTS
+from multipos.positions.readings import diagonal
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.found import Estimator
+from multipos.sensor.inverse import parameter_jacobian
+
+_LEVEL = 0.01  # at which repeats deny the model, all outputs together
+_DRIFTS = 3.7  # standard deviations, one in ten thousand
+_FEWEST = 12  # positions that show a drift
+_APART = 60.0  # [deg] from one position to the next, so that order and direction are two things
+_ROUNDING = 1e-12  # of a response: residuals that are nothing
+_SHOWN = 4
+
+
+def outlier(c: Calibration) -> Doubt | None:
+    """Find positions that stick out."""
+    found = c.diagnostics.outliers
+    noise = c.residual_sd > _ROUNDING * np.linalg.norm(c.sensitivity, axis=1) if found else ()
+    if not found or not np.any(noise):
+        return None
+    more = f"; and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
+    heads = [(f"position {label}:", f"position {label} ", label) for label in c.readings.labels]
+    rows = [label for *starts, label in heads if any(s.startswith(tuple(starts)) for s in found)]
+    return Doubt(
+        "outlier",
+        "caution",
+        f"{'; '.join(found[:_SHOWN])}{more}: measure again, leave it out, or fit with --robust "
+        "huber",
+        tuple(dict.fromkeys(rows)),
+    )
+
+
+def lack_of_fit(c: Calibration) -> Doubt | None:
+    """Find outputs whose repeats scatter less than the model misses them."""
+    if c.effective_rows:  # neighbours are no repeats
+        return None
+    level = _LEVEL / len(c.outputs)
+    small = {}
+    for output, test in c.diagnostics.lack_of_fit.items():
+        p, i = test["p"], c.outputs.index(output)
+        if not isinstance(p, float) or p >= level:
+            continue
+        # repeats that agree because they are rounded say nothing of the noise
+        if c.residual_sd[i] > resolution(c.readings.values[:, i]):
+            small[output] = p
+    if not small or repeated_rows(c) is not None:  # copies are no repeats
+        return None
+    said = ", ".join(f"{output} (p = {p:.2g})" for output, p in small.items())
+    return Doubt(
+        "lack-of-fit",
+        "caution",
+        f"repeats of a position agree better than the model meets them: {said}; the model lacks a "
+        "term, or the positions are not where they are listed (--orientation-sd)",
+        outputs=tuple(small),
+    )
+
+
+def time_correlated(c: Calibration) -> Doubt | None:
+    """Find rows that are worth fewer, and residuals alike where the positions are not."""
+    if c.effective_rows:
+        return _worth_fewer(c, c.effective_rows)
+    n, outputs = c.residuals.shape
+    terms = min(map(len, c.model.terms))
+    left = n - terms
+    if n < _FEWEST or not left or not c.estimator.exact:
+        return None
+    square = np.sum(c.residuals**2, axis=0)
+    if not (square > 0.0).all():
+        return None
+    e = c.residuals / np.sqrt(square)
+    product = float(np.sum(e[1:] * e[:-1])) / outputs
+    enough = _DRIFTS / math.sqrt(outputs * left)
+    if product + terms / left < enough:  # -tr(SH) is no more than tr H
+        return None
+    phi = c.model.basis(c.reference, c.readings.environment)
+    basis = np.linalg.svd(phi, full_matrices=False)[0][:, :terms]
+    expected = -float(np.sum(basis[1:] * basis[:-1])) / left
+    if product - expected < enough or float(median(_angles_between(c.reference))) < _APART:
+        return None
+    return Doubt(
+        "time-correlated",
+        "caution",
+        "residuals are alike from one row to the next though the positions are not: something "
+        "drifted while it was measured, and U is too small; take the positions in random order, "
+        "or fit a term of time or temperature",
+    )
+
+
+def _worth_fewer(c: Calibration, effective: Mapping[str, float]) -> Doubt:
+    """Return the doubt about rows whose correlation U follows from."""
+    n = len(c.residuals)
+    fewer = {output: rows for output, rows in effective.items() if rows < n}
+    said = ", ".join(f"{output} {max(rows, 1.0):.2g}" for output, rows in fewer.items())
+    return Doubt(
+        "time-correlated",
+        "caution",
+        f"neighbouring rows have nearly the same error: the mean of {n} is worth that of fewer "
+        f"independent ones, {said}, and U is larger for it; take the positions several times, in "
+        "random order",
+        outputs=tuple(fewer),
+    )
+
+
+def _angles_between(reference: Array) -> Array:
+    """Return the angles [degrees] from each position (n, 3) to the next (n − 1,)."""
+    size = np.linalg.norm(reference, axis=1, keepdims=True)
+    unit = reference / np.where(size > 0.0, size, 1.0)
+    cosines = np.sum(unit[1:] * unit[:-1], axis=1)
+    return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))
+
+
+_SUSPECT = 0.05  # of R in eq. (3), from which the likelihood is asked
+_TELLING = 6  # contrasts along the force from which --orientation-sd auto serves
+_GRID = 9  # nodes of a logarithm, in rounds that narrow it
+_ROUNDS = 7
+_DECADES = 6.0
+_FEW = 6.0  # degrees of freedom below which the law of eq. (4) is not reached
+_MOST = 600  # readings beyond which eq. (4) is not worked out
+_TURNS = 6  # of scatter and placement in turn
+_SETTLED = 0.01  # of the deviance
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """A fit at known positions as a linear model of its residuals."""
+
+    error: Array  # (n, M)
+    design: Array  # (n, M, p)
+    across: Array  # (n, M, M), J J' per rad²
+    floor: Array  # (n, M), stated variances
+
+    @classmethod
+    def of(cls, c: Calibration) -> "_Known":
+        """Return the linear model of a calibration at known positions."""
+        f, columns = c.reference, c.readings.environment
+        H = c.model.force_jacobian(c.parameters, f, columns)
+        turns = np.einsum("ni,ni->n", f, f)[:, None, None] * np.eye(3)
+        turns = turns - f[:, :, None] * f[:, None, :]
+        stated = c.readings.noise
+        floor = np.zeros_like(c.residuals)
+        if stated is not None:
+            floor = diagonal(stated).reshape(c.residuals.shape)
+        design = parameter_jacobian(c.model, c.parameters, f, columns)
+        return cls(c.residuals, design, H @ turns @ H.transpose(0, 2, 1), floor)
+
+    @cached_property
+    def scattered(self) -> tuple[float, float]:
+        """τ² alike in all outputs, and the deviance there."""
+        return smallest(partial(self.alike, 0.0), self.scale)
+
+    @cached_property
+    def apart(self) -> tuple[Array, float]:
+        """τ_i², and the deviance there; outputs do not touch each other."""
+        tau2 = np.zeros(self.error.shape[1])
+        for i in range(len(tau2)):
+            tau2[i] = smallest(partial(self.alone, i), self.scale)[0]
+        return tau2, self.deviance(tau2, 0.0)
+
+    @cached_property
+    def moved(self) -> tuple[float, float]:
+        """s² beside τ², and the deviance there."""
+        size = self.scale / float(np.mean(np.einsum("nmm->nm", self.across)))
+        (tau2, least), s2 = self.scattered, 0.0
+        for _ in range(_TURNS):
+            s2, _ = smallest(partial(self.turned, tau2), size)
+            tau2, now = smallest(partial(self.alike, s2), self.scale)
+            if least - now < _SETTLED:
+                break
+            least = now
+        return s2, min(least, now)
+
+    @property
+    def placed(self) -> float | None:
+        """How far positions were off [degrees], where the likelihood favours that at 1 %."""
+        s2, least = self.moved
+        # on the edge of what s² may be chi² has half its weight at zero
+        if self.scattered[1] - least < chi2_quantile(1.0 - 2.0 * _LEVEL, 1.0):
+            return None
+        return math.degrees(math.sqrt(s2))
+
+    @property
+    def unequal(self) -> bool:
+        """Whether the likelihood favours outputs of unlike scatter at 1 %."""
+        free = self.error.shape[1] - 1.0
+        return free > 0.0 and self.scattered[1] - self.apart[1] > chi2_quantile(1.0 - _LEVEL, free)
+
+    @cached_property
+    def scale(self) -> float:
+        """Variance (all readings') that residuals and floors are of the size of."""
+        return float(np.mean(self.error**2) + np.mean(self.floor))
+
+    def deviance(self, tau2: Array, s2: float) -> float:
+        """Return −2 ln L of eq. (2) at τ_i² (M,) and s²."""
+        n, m, p = self.design.shape
+        V: Array = s2 * self.across
+        V = V + (self.floor + tau2 + 1e-12 * self.scale)[:, :, None] * np.eye(m)
+        L = np.linalg.cholesky(V)
+        both = np.concatenate([self.design, self.error[:, :, None]], axis=2)
+        R = np.asarray(np.linalg.qr(np.linalg.solve(L, both).reshape(n * m, p + 1), mode="r"))
+        logs = np.log(np.abs(np.diag(R)[:p])).sum()
+        determinants = np.log(np.einsum("nmm->nm", L)).sum()
+        return float(2.0 * (determinants + logs) + R[p, p] ** 2)
+
+    def alike(self, s2: float, tau2: float) -> float:
+        """Return the deviance at one τ² of all outputs."""
+        return self.deviance(np.full(self.error.shape[1], tau2), s2)
+
+    def alone(self, output: int, tau2: float) -> float:
+        """Return the deviance at τ² of one output."""
+        return self.deviance(tau2 * (np.arange(self.error.shape[1]) == output), 0.0)
+
+    def turned(self, tau2: float, s2: float) -> float:
+        """Return the deviance at s²."""
+        return self.alike(s2, tau2)
+
+
+def smallest(function: Callable[[float], float], centre: float) -> tuple[float, float]:
+    """Return where a function of a variance is smallest, and its value; zero is tried as well."""
+    best = (0.0, function(0.0))
+    middle, width = math.log(centre), _DECADES * math.log(10.0)
+    for _ in range(_ROUNDS):
+        nodes = np.linspace(middle - width, middle + width, _GRID)
+        values = [function(math.exp(node)) for node in nodes.tolist()]
+        least = int(np.argmin(values))
+        middle, width = float(nodes[least]), 2.0 * width / (_GRID - 1)
+        if values[least] < best[1]:
+            best = (math.exp(middle), values[least])
+    return best
+
+
+def denied_noise(c: Calibration) -> Doubt | None:
+    """Find a stated noise that the residuals deny, and name the cause that the data favour."""
+    claim = c.diagnostics.claim
+    if claim is None or not claim.chi2 > chi2_quantile(DENIED, claim.dof):
+        return None
+    found = c.variance_components
+    scatter = found and found.rest_to_rest
+    added = "its covariance is multiplied by what they show"
+    if scatter:
+        sizes = ", ".join(dict.fromkeys(f"{part.value:.3g}" for part in scatter.values()))
+        added = f"a scatter from position to position of {sizes} {c.model.unit} is added to it"
+    return Doubt(
+        "denied-noise",
+        "caution",
+        f"the residuals deny the stated reading noise (chi-square {claim.chi2:.4g} on "
+        f"{claim.dof:g} degrees of freedom): {added}; {_cause(c)}",
+    )
+
+
+def placement(c: Calibration) -> Doubt | None:
+    """Find readings that scatter across the force, as placement makes them."""
+    if c.noise is not None or not _separable(c) or significant(c.diagnostics.model_tests):
+        return None
+    if not _is_suspect(c):
+        return None
+    told = _Known.of(c).placed
+    if told is None:
+        return None
+    return Doubt(
+        "placement",
+        "caution",
+        "the residuals lie across the force, as those of positions that were off by some "
+        f"{told:.2g} degrees do: known orientations weigh them wrongly; --orientation-sd auto "
+        "estimates that with the parameters",
+    )
+
+
+def unequal_noise(c: Calibration) -> Doubt | None:
+    """Find outputs of unequal noise where the likelihood takes them as equal, or as stated."""
+    if c.estimator.exact or c.robust_weight is not None or len(c.outputs) < 2:
+        return None
+    p, sizes = judge_equality(c)
+    if not p < _LEVEL or significant(c.diagnostics.model_tests):
+        return None
+    told = ",".join(f"{size:.2g}" for size in sizes.tolist())
+    return Doubt(
+        "unequal-noise",
+        "caution",
+        f"the outputs scatter unequally (p = {p:.1g}), and the fit takes them as "
+        f"{'stated' if c.readings.noise is not None else 'equal'}: U of the noisiest is too small; "
+        f"state their noise, --reading-sd {told} is what the residuals show",
+        outputs=c.outputs,
+    )
+
+
+def _cause(c: Calibration) -> str:
+    """Return the cause of a denied claim that the data favour, with the way out in this mode."""
+    missing = significant(c.diagnostics.model_tests)
+    if missing:
+        return f"a term that the model lacks explains them, {missing[0].term}"
+    if c.estimator.exact:
+        return _cause_at_known(c)
+    if c.robust_weight is None and judge_equality(c)[0] < _LEVEL:
+        return "the outputs scatter unequally, so state the noise of each"
+    if c.estimator is Estimator.UNKNOWN:
+        return "the data favour scatter from rest to rest, beyond that within one"
+    return "no placement as stated explains them: the data favour scatter from rest to rest"
+
+
+def _cause_at_known(c: Calibration) -> str:
+    scatter = "the data favour scatter from rest to rest"
+    plain = c.readings.noise is not None and c.readings.noise.ndim == 1 and c.robust_weight is None
+    if not plain or isinstance(c.model, ExpressionModel):
+        return scatter
+    known = _Known.of(c)
+    degrees = known.placed if _separable(c) else None
+    if degrees is not None and known.moved[1] <= known.apart[1]:
+        size = f"the data favour placement, some {degrees:.2g} degrees"
+        if _contrasts(c, _normals(c)) >= _TELLING:
+            return f"{size}: see --orientation-sd auto"
+        return f"{size}, if not scatter: so few positions tell little; see --orientation-sd"
+    told = _contrasts(c, _normals(c)) if degrees is None and _separable(c) else 1
+    if known.unequal:
+        pairs = zip(c.outputs, np.sqrt(known.apart[0]).tolist(), strict=True)
+        sizes = ", ".join(f"{output} {size:.2g}" for output, size in pairs)
+        return f"{scatter}, unlike in the outputs ({sizes} {c.model.unit}): state the noise of each"
+    if told < 1:
+        return "these positions cannot tell placement from scatter from rest to rest"
+    return scatter
+
+
+def judge_equality(c: Calibration) -> tuple[float, Array]:
+    """Test by eq. (4) whether outputs have the noise that an uncertain or unknown fit takes.
+
+    Returns
+    -------
+    p : float
+    sizes : (M,) array
+        Standard deviations that the residuals show.
+    """
+    n, m = c.residuals.shape
+    if n * m > _MOST:
+        return 1.0, np.full(m, np.nan)
+    problem, told = told_by_solution(c)
+    if float(problem.degrees.sum()) - problem.unknowns < _FEW:
+        return 1.0, np.full(m, np.nan)
+    P = told.projection()
+    push = weigh(problem.precision, told.point.residuals)
+    precision = problem.precision
+    if precision.ndim == 3:
+        precision = np.diagonal(precision, axis1=1, axis2=2)
+    V = 1.0 / precision
+    root = np.sqrt(V)
+    P *= root[:, :, None, None] * root
+    traces = np.einsum("nini->i", P)
+    squares = np.einsum("ni,ni->i", root * push, root * push)
+    if not squares.any():
+        return 1.0, np.zeros(m)  # readings so coarse that nothing is left
+    common = squares.sum() / traces.sum()
+    U = 0.5 * (squares / common - traces)
+    information = 0.5 * np.einsum("kilj,kilj->ij", P, P)
+    solved = np.linalg.solve(information, U)
+    statistic = U @ solved
+    sizes = np.sqrt(np.mean(V, axis=0) * common * np.maximum(1.0 + solved, 0.05))
+    return chi2_tail(float(statistic), m - 1.0), sizes
+
+
+def _separable(c: Calibration) -> bool:
+    """Tell whether placement shows beside scatter: a triad at known positions, all counted."""
+    return (
+        c.estimator.exact
+        and c.robust_weight is None
+        and sorted(c.model.axes) == list(COMPONENTS)
+        and not isinstance(c.model, ExpressionModel)
+        and not c.readings.forced.any()
+        and int(np.linalg.matrix_rank(_linear_part(c))) == len(COMPONENTS)
+    )
+
+
+def _linear_part(c: Calibration) -> Array:
+    """Return the scale factors and cross terms (M, 3)."""
+    return np.asarray((c.model.linear_map(c.mean_environment) @ c.parameters)[:, 1:])
+
+
+def _normals(c: Calibration) -> Array:
+    """Return vectors (n, M) of readings that no turn of the position moves."""
+    H = c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)
+    return np.asarray(np.linalg.solve(H.transpose(0, 2, 1), c.reference[:, :, None])[:, :, 0])
+
+
+def _units(vectors: Array) -> Array:
+    """Return vectors (n, M) of length one."""
+    return np.asarray(vectors / np.sqrt(np.einsum("nm,nm->n", vectors, vectors))[:, None])
+
+
+def _contrasts(c: Calibration, normals: Array) -> int:
+    """Return how many combinations of readings along the force the parameters leave."""
+    along = _units(normals)
+    phi = c.model.basis(c.reference, c.readings.environment).T
+    left = np.concatenate([phi[columns] * along[:, i] for i, columns in enumerate(c.model.columns)])
+    size = np.sqrt(np.einsum("pn,pn->p", left, left).max())
+    return int(len(along) - np.linalg.matrix_rank(left / size))
+
+
+def _is_suspect(c: Calibration) -> bool:
+    """Tell whether R of eq. (3) is more than chance."""
+    if not (c.residual_sd > 0.0).all():
+        return False
+    e = c.residuals / c.residual_sd
+    normals = _normals(c)
+    along = float(np.sum(np.einsum("nm,nm->n", _units(normals * c.residual_sd), e) ** 2))
+    total = float(np.sum(e**2))
+    nu = float(e.size - len(c.model.keys))
+    if along * e.shape[1] > total:  # most of it lies along the force
+        return False
+    left = _contrasts(c, normals)
+    if left < _TELLING:
+        return False
+    ratio = (total - along) / (nu - left) / (along / left)
+    return ratio > f_quantile(1.0 - _SUSPECT, nu - left, float(left))

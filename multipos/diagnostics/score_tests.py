@@ -1,0 +1,362 @@
+"""Does the model lack a term? Score tests of all that it could have, from one projection.
+
+About a solution the readings have whitened residuals e, the whitened design X of the parameters
+(and of what positions share), and terms that the model lacks would add columns Z. With
+
+    V = Z − X X⁺Z,    Δ = e'V (V'V)⁻¹ V'e,    R = (Δ/q) / ((e'e − Δ)/ν),                    (1)
+
+R follows F(q, ν) if nothing is in the terms, q the rank of V and ν what is left of the degrees of
+freedom: no model is fitted again, and at known orientations (1) is the F test of nested models.
+- Known orientations without a stated noise: each output has a scatter and so an R of its own.
+- Elsewhere outputs are whitened by what was found of their noise and share one R. Uncertain and
+  unknown orientations have the marginal weights W_k of `multipos.estimation.likelihood`, so that
+  V'V = Z'WZ − Z'WA S⁻¹ A'WZ, and V'e = Z'Σ⁻¹r − Z'WA S⁻¹ A'Σ⁻¹r.
+- Rows that are correlated count as the effective number of them: R is multiplied by their share in
+  all rows, and so is ν.
+
+What positions cannot show, and how V is made and kept, is said in `multipos.diagnostics.projections`.
+
+References
+----------
+C. R. Rao 1948, Proc. Cambridge Phil. Soc. 44, 50 (the score test); IEEE Std 1293 (the terms).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.diagnostics.projections import (
+    OF_FORCE,
+    TOLD,
+    Kind,
+    Setting,
+    hides,
+    lacking,
+    level_of,
+    project,
+    sphere,
+    terms_of,
+)
+from multipos.estimation.gains import told_by_solution
+from multipos.estimation.likelihood import respond
+from multipos.estimation.problem import Problem
+from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import directions
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.fit_diagnostics import ModelTest
+from multipos.sensor.found import Estimator
+from multipos.sensor.inverse import inverses, sensed_axes
+
+LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
+# of the readings' span: what scatters less is rounded, and rounding follows no law
+_FINEST = 3e-7
+_LARGEST = 1e30  # of R, where nothing is left
+_CLEAR = 0.005  # of a column's square: with as much left of it no term is hidden
+
+
+@dataclass(frozen=True)
+class Tested:
+    """What was tested, and the kinds of terms that the positions do not show."""
+
+    tests: tuple[ModelTest, ...]
+    hidden: tuple[str, ...]
+
+
+def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
+    """Test every kind of term that the model lacks, by eq. (1).
+
+    Parameters
+    ----------
+    c : Calibration
+    added : tuple of str
+        Kinds that are taken as if the model had them.
+    """
+    kinds = lacking(c)
+    alone = c.estimator.exact and not isinstance(c.model, ExpressionModel)
+    told = bool((np.isfinite(c.residual_sd) & (c.residual_sd > 0.0)).all())
+    told = alone or (told and (c.robust_weight is None or c.robust_weight.ndim == 1))
+    if not kinds or not told:
+        return Tested((), ())
+    try:
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            tested = (_at_known if alone else _as_one)(c, kinds, added)
+    except np.linalg.LinAlgError:  # as good as singular: nothing can be said of what is beside it
+        return Tested((), ())
+    if not c.effective_rows:
+        return tested
+    share = min(c.effective_rows.values()) / len(c.residuals)
+    return replace(tested, tests=tuple(_of_fewer(test, share) for test in tested.tests))
+
+
+def _of_fewer(test: ModelTest, share: float) -> ModelTest:
+    """Return a test as if there were only a share of the rows, as correlated ones are worth."""
+    return replace(
+        test,
+        ratios=tuple(ratio * share for ratio in test.ratios),
+        dofs=tuple((q, max(nu * share, 1.0)) for q, nu in test.dofs),
+    )
+
+
+def significant(tests: Sequence[ModelTest]) -> tuple[ModelTest, ...]:
+    """Return the tests that chance alone passes once in a hundred sets of tests, the best first.
+
+    The best is the least probable; where probabilities are too small for numbers, what gains most.
+    """
+    if not tests:
+        return ()
+    level = 1.0 - (1.0 - LEVEL) ** (1.0 / len(tests))
+    return tuple(sorted((t for t in tests if t.is_below(level)), key=lambda t: (t.p, -t.gain)))
+
+
+def _at_known(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> Tested:
+    """Test at known orientations, with a projection that is kept from one fit to the next."""
+    found = project(Setting(c, kinds, added))
+    if not len(found.starts):
+        return Tested((), found.hidden)
+    e = found.whitened(c.residuals) * level_of(c)
+    if added or c.estimator is Estimator.CLOSED_FORM or c.robust_weight is not None:
+        pairs = zip(found.fitted, e.T, strict=True)  # such residuals are not orthogonal to X
+        e = np.column_stack([column - Q @ (Q.T @ column) for Q, column in pairs])
+    along = (found.rows @ e)[np.arange(len(found.rows)), found.output]
+    explained = np.zeros(found.q.shape)
+    explained.flat[found.place] = np.add.reduceat(along**2, found.starts)
+    whole, q, left = np.einsum("nm,nm->m", e, e), found.q, found.left
+    if c.noise is None:
+        floor = np.square(np.ptp(c.readings.values, axis=0) * _FINEST)
+        tests = _ratios(found.names, c.outputs, explained, whole, q, left, floor)
+        return Tested(tests, found.hidden)
+    explained, q = explained.sum(axis=1, keepdims=True), q.sum(axis=1, keepdims=True)
+    one = _ratios(found.names, (), explained, whole.sum(), q, left.sum(), np.zeros(1))
+    return Tested(one, found.hidden)
+
+
+def _ratios(
+    kinds: Sequence[str],
+    outputs: tuple[str, ...],
+    explained: Array,
+    whole: Array | float,
+    q: Array,
+    left: Array | float,
+    floor: Array,
+) -> tuple[ModelTest, ...]:
+    """Return R of eq. (1) for kinds (K, B) of outputs, or of all as one."""
+    nu = left - q
+    rest = np.maximum(whole - explained, nu * floor)
+    told = (q > 0.0) & (nu >= 1.0) & (rest > 0.0) & np.isfinite(explained)
+    safe = np.where(told, rest, 1.0)
+    ratio = np.minimum(explained * nu / (np.where(told, q, 1.0) * safe), _LARGEST)
+    tests = []
+    for kind, chosen, fs, qs, nus in zip(
+        kinds, told.tolist(), ratio.tolist(), q.tolist(), nu.tolist(), strict=True
+    ):
+        rows = [i for i, keep in enumerate(chosen) if keep]
+        if rows:
+            tests.append(
+                ModelTest(
+                    kind,
+                    tuple(outputs[i] for i in rows if outputs),
+                    tuple(fs[i] for i in rows),
+                    tuple((qs[i], nus[i]) for i in rows),
+                )
+            )
+    return tuple(tests)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """What eq. (1) is made of, with Z in R columns and the p unknowns of the solution.
+
+    Attributes
+    ----------
+    gram, score : (R, R), (R,) arrays
+        V'V and V'e.
+    size : (R,) array
+        Squares of the columns of Z.
+    across : (p, R) array
+        X⁺Z.
+    information : (p, p) array
+        X'X.
+    kind_of : (R,) array of int
+        The kind of each column.
+    whole, left, floor : float
+        e'e, degrees of freedom without the terms, and the least that one of them may leave.
+    """
+
+    gram: Array
+    score: Array
+    size: Array
+    across: Array
+    information: Array
+    kind_of: NDArray[np.intp]
+    whole: float
+    left: float
+    floor: float = 0.0
+
+
+def _as_one(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> Tested:
+    """Test all outputs as one, about the solution."""
+    plain = c.estimator.exact and c.robust_weight is None
+    plain = plain and (c.noise is None or c.noise.ndim == 1)
+    sums = (_sums_at_known if plain else _sums_of_likelihood)(c, kinds)
+    gram, score, left, kind_of = sums.gram, sums.score, sums.left, sums.kind_of
+    names = [kind.name for kind in kinds]
+    for name in added:  # fitted beside the parameters
+        T = _told(gram, sums.size, kind_of == names.index(name))
+        score, gram = score - gram @ T @ (T.T @ score), gram - gram @ T @ (T.T @ gram)
+        left -= T.shape[1]
+    explained, q, least = _explained(gram, score, sums.size, kind_of, len(kinds))
+    asked = np.array([name not in added for name in names])
+    explained, q = explained * asked, q * asked
+    faint = [k for k, name in enumerate(names) if least[k] < _CLEAR and name in OF_FORCE]
+    hidden: tuple[str, ...] = ()
+    if faint and not added:
+        some = np.flatnonzero((kind_of[:, None] == faint).any(axis=1))
+        shown = gram[some[:, None], some], sums.across[:, some], sums.information
+        hidden = _hidden(c, [kinds[k] for k in faint], *shown)
+    floor = np.full(1, sums.floor)
+    alone = explained[:, None], sums.whole, q[:, None], left, floor
+    return Tested(_ratios(names, (), *alone), hidden)
+
+
+def _sums_at_known(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
+    """Return the sums where positions are exact: of each output by itself, (A, Z, e)'(A, Z, e)."""
+    shape, p = c.residuals.shape, len(c.parameters)
+    variances = np.square(c.residual_sd) if c.noise is None else c.noise.reshape(shape)
+    root = np.broadcast_to(1.0 / np.sqrt(variances), shape)
+    outputs, blocks = c.model.respond(c.parameters, c.reference, c.readings.environment)
+    left = c.readings.values - outputs
+    Z, output_of, kind_of = terms_of(kinds, c.reference, c.readings.environment)
+    end = p + len(kind_of)
+    whole = np.zeros((end + 1, end + 1))
+    for i, (own, slopes) in enumerate(blocks):
+        mine = np.flatnonzero(output_of == i)
+        rows = np.concatenate([slopes.T, Z[mine], left[None, :, i]]) * root[:, i]
+        places = np.concatenate([own, p + mine, [end]])
+        whole[places[:, None], places] += rows @ rows.T
+    cross, information = whole[:p, p:end], whole[:p, :p]
+    information.flat[:: p + 1] += c.model.beliefs
+    across = respond(information, cross)
+    return _Sums(
+        gram=whole[p:end, p:end] - cross.T @ across,
+        score=whole[p:end, end] - across.T @ whole[:p, end],
+        size=whole.diagonal()[p:end],
+        across=across,
+        information=information,
+        kind_of=kind_of,
+        whole=float(whole[end, end]),
+        left=float(left.size - p),
+    )
+
+
+def _sums_of_likelihood(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
+    """Return the sums with the marginal weights of the likelihood."""
+    problem, told = told_by_solution(c)
+    Z, output_of, kind_of = terms_of(kinds, c.reference, c.readings.environment)
+    beside = told.beside(Z, output_of)
+    across = respond(told.information, beside.cross)
+    return _Sums(
+        gram=beside.gram - beside.cross.T @ across,
+        score=beside.score - across.T @ beside.own,
+        size=beside.gram.diagonal(),
+        across=across,
+        information=told.information,
+        kind_of=kind_of,
+        whole=float(np.sum(told.point.q)) + _of_priors(c, problem),
+        left=float(problem.degrees[problem.weight == 1.0].sum()) - problem.unknowns,
+        # what was stated of positions is a floor: less is no finer scale to judge by
+        floor=float(problem.has_prior),
+    )
+
+
+def _of_priors(c: Calibration, problem: Problem) -> float:
+    """Return what steps and tilt add to F, which is stated about the solution itself."""
+    found = c.orientations
+    if found is None or not problem.has_prior:
+        return 0.0
+    total = 0.0
+    if found.orientation_error_deg is not None:
+        steps = np.radians(np.nan_to_num(found.orientation_error_deg))
+        total += float(problem.prior @ steps**2)
+    if found.level_tilt_deg is not None and found.level_sd_deg:
+        total += float(np.sum((found.level_tilt_deg / found.level_sd_deg) ** 2))
+    return total
+
+
+def _scale(size: Array) -> Array:
+    """Return the lengths of columns by their squares, 1 of a column of nothing."""
+    return np.where(size > 0.0, np.sqrt(np.maximum(size, 0.0)), 1.0)
+
+
+def _explained(
+    gram: Array, score: Array, size: Array, kind_of: NDArray[np.intp], kinds: int
+) -> tuple[Array, Array, Array]:
+    """Return Δ, q and the least part that is left of a term, (K,) each, of every kind."""
+    explained, q, least = np.zeros(kinds), np.zeros(kinds), np.zeros(kinds)
+    columns: list[list[int]] = [[] for _ in range(kinds)]
+    for column, kind in enumerate(kind_of.tolist()):
+        columns[kind].append(column)
+    alike: dict[int, list[int]] = {}
+    for kind, mine in enumerate(columns):
+        alike.setdefault(len(mine), []).append(kind)
+    scale = _scale(size)
+    unit, score = gram / (scale[:, None] * scale), score / scale
+    for some in alike.values():  # kinds of as many terms at once
+        places = np.array([columns[kind] for kind in some])
+        values, vectors = np.linalg.eigh(unit[places[:, :, None], places[:, None, :]])
+        told = values > TOLD
+        along = np.einsum("kr,krs->ks", score[places], vectors)
+        explained[some] = np.sum(along**2 / np.where(told, values, np.inf), axis=1)
+        q[some], least[some] = told.sum(axis=1), values[:, 0]
+    return explained, q, least
+
+
+def _told(gram: Array, size: Array, mine: NDArray[np.bool_]) -> Array:
+    """Return T (R, r) of the terms of a kind, T'GT = 1."""
+    scale = _scale(size)
+    values, vectors = np.linalg.eigh((gram / (scale[:, None] * scale))[mine][:, mine])
+    seen = values > TOLD
+    result = np.zeros((len(size), int(seen.sum())))
+    result[mine] = vectors[:, seen] / np.sqrt(values[seen]) / scale[mine, None]
+    return result
+
+
+def _hidden(
+    c: Calibration,
+    kinds: Sequence[Kind],
+    gram: Array,
+    across: Array,
+    information: Array,
+) -> tuple[str, ...]:
+    """Return which kinds are hidden, as far as force is concerned.
+
+    Where nothing ties the case to the world, only the size of a force is judged: its direction
+    has a rotation in it that is a convention.
+    """
+    force, means = sphere(c)
+    p = len(c.parameters)
+    by_force = c.model.force_jacobian(c.parameters, force, means)
+    inverse = inverses(by_force[:, :, list(sensed_axes(c.model))])
+    if c.model.gauge is not None:
+        inverse = directions(force)[:, None, :] @ inverse
+    moved = np.zeros((*inverse.shape[:2], p))
+    for i, (places, slopes) in enumerate(c.model.respond(c.parameters, force, means)[1]):
+        moved[:, :, places] += inverse[:, :, i, None] * slopes[:, None, :]
+    Z, output_of, kind_of = terms_of(kinds, force, means)
+    whole = inverse[:, :, output_of] * Z.T[:, None, :]
+    moved = moved.reshape(-1, p)
+    error = whole - (moved @ across[:p]).reshape(whole.shape)
+    covariance = np.linalg.inv(information)[:p, :p]
+    size = float(np.sum((moved @ covariance) * moved)) / len(moved)
+    found = []
+    for k, kind in enumerate(kinds):
+        mine = kind_of == k
+        wrong, all_of_it = (
+            np.sqrt(part.shape[1]) * part[:, :, mine].reshape(-1, int(mine.sum()))
+            for part in (error, whole)
+        )
+        if hides(gram[np.ix_(mine, mine)], wrong, all_of_it, size):
+            found.append(kind.name)
+    return tuple(found)

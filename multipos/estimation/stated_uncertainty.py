@@ -1,0 +1,231 @@
+"""What a stated uncertainty is worth that was itself estimated from few samples.
+
+The u_k of the readings of one output are estimates with d_k degrees of freedom. Weights 1/u_k² of
+few of them favour those that came out small by chance, so that each is drawn towards what all of
+them have in common, a scaled inverse χ² of d_0 degrees of freedom about s_0² [1]_:
+
+    ũ_k² = (d_0 s_0² + d_k u_k²)/(d_0 + d_k),                                              (1)
+    ψ'(d_0/2) = var(e) − mean ψ'(d_k/2),     ln s_0² = mean(e) + ψ(d_0/2) − ln(d_0/2),       (2)
+
+with e_k = ln u_k² − ψ(d_k/2) + ln(d_k/2). Where the u_k differ by no more than chance allows, d_0
+is infinite and all become one, Σ d_k u_k²/Σ d_k; where they truly differ, each stays what it is.
+
+The floors of a fit then have by Welch and Satterthwaite
+
+    ν_c = (Σ ũ_k²)²/Σ (ũ_k⁴/d_k),     1/ν' = 1/ν + w²/ν_c,                                  (3)
+
+where w is the part that floors are of the variance of the readings, the rest being scatter from
+rest to rest with its own ν. Where ν is infinite, U grows by k(ν_c)/k(∞).
+
+An applied force that is known with an uncertainty: what it adds to the noise of the readings.
+
+A reading at a force f + δ, δ with standard uncertainties u_f of its components, moves by J δ,
+J = dh/df, so that the readings of position k have
+
+    V_k = U_k + J_k diag(u_f²) J_kᵀ,                                                        (4)
+
+U_k what they state themselves. J is that of a first fit, which knows the scale factors well enough
+for a weight. Readings that state nothing get a floor far below what they scatter
+(`multipos.estimation.excess_variance` finds the rest), so that their noise stays what the
+residuals say.
+
+References
+----------
+.. [1] G. K. Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004), article 3, section 6.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.solution import Solution
+from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import digamma, inverse_trigamma, trigamma
+from multipos.positions.readings import Readings
+
+_KNOWN = 1000.0  # degrees of freedom from which on u is taken as known
+_FEW = 30.0  # below which it is said
+_LEAST, _MOST = 1e-140, 1e140  # of u, whose squares are numbers still
+_APART = 1e3  # times that uncertainties of a unit may differ, where weights have digits left
+_FEWEST = 3  # readings that tell what they have in common
+
+
+def steady_floors(readings: Readings) -> Readings:
+    """Return readings whose uncertainties are those of eq. (1), where they have few dof."""
+    if readings.dof is None or readings.u is None:
+        return readings
+    u = drawn_together(readings.u[None], readings.dof[None])[0]
+    least = float(readings.dof.min())
+    if least >= _FEW:
+        return replace(readings, u=u)
+    said = (
+        f"the readings' uncertainties have as few as {least:.2g} degrees of freedom: they are "
+        "drawn towards what they have in common, and U is larger for it"
+    )
+    return replace(readings, u=u, notes=(*readings.notes, said))
+
+
+class Claims(NamedTuple):
+    """What many units state of their noise.
+
+    Attributes
+    ----------
+    u : (B, n, M) array
+        As it weighs readings: that of eq. (1) where it has degrees of freedom, and 1 of units whose
+        claims cannot be weights.
+    dof : (B, n, M) array or None
+    sound : (B,) array of bool
+        Units whose claims can be weights, and of which nothing is an error.
+    """
+
+    u: Array
+    dof: Array | None
+    sound: NDArray[np.bool_]
+
+
+def take_claims(stated: Sequence[Array], claimed: Sequence[Array]) -> Claims:
+    """Return what many units state of their noise.
+
+    Parameters
+    ----------
+    stated : M arrays (B, n)
+        Standard uncertainties of the readings.
+    claimed : M arrays (B, n), or none
+        Their degrees of freedom.
+    """
+    u = np.stack(list(stated), axis=2)
+    sound = ((u > _LEAST) & (u < _MOST)).all(axis=(1, 2))
+    sound &= u.max(axis=(1, 2)) < _APART * u.min(axis=(1, 2))
+    if not claimed:
+        return Claims(np.where(sound[:, None, None], u, 1.0), None, sound)
+    dof = np.stack(list(claimed), axis=2)
+    sound &= ((dof >= 1.0) & np.isfinite(dof)).all(axis=(1, 2))
+    u, dof = (np.where(sound[:, None, None], each, 1.0) for each in (u, dof))
+    return Claims(drawn_together(u, dof), dof, sound)
+
+
+def drawn_together(u: Array, dof: Array) -> Array:
+    """Return ũ of eq. (1), of B units, from u and their degrees of freedom, (B, n, M) each.
+
+    Where fewer than three readings of an output tell what they have in common, u stays.
+    """
+    few = dof < _KNOWN
+    count = np.sum(few, axis=1, keepdims=True)
+    drawn = few & (count >= _FEWEST)
+    if not drawn.any():
+        return u
+    count = np.maximum(count, _FEWEST)
+    square, dof = np.where(few, u**2, 1.0), np.where(few, dof, 1.0)
+    half = dof / 2.0
+    e = np.log(square) - digamma(half) + np.log(half)
+    mean = np.sum(few * e, axis=1, keepdims=True) / count
+    excess = np.sum(few * (e - mean) ** 2, axis=1, keepdims=True) / (count - 1)
+    excess -= np.sum(few * trigamma(half), axis=1, keepdims=True) / count
+    alike = excess <= 0.0  # as far as chance allows
+    prior = 2.0 * inverse_trigamma(np.where(alike, 1.0, excess))
+    common = np.exp(mean + digamma(prior / 2.0) - np.log(prior / 2.0))
+    total = np.sum(few * dof, axis=1, keepdims=True)
+    pooled = np.sum(few * dof * square, axis=1, keepdims=True) / np.where(total > 0.0, total, 1.0)
+    together = np.where(alike, pooled, (prior * common + dof * square) / (prior + dof))
+    return np.where(drawn, np.sqrt(together), u)
+
+
+def carry_dof(solution: Solution, readings: Readings, *, joint: bool) -> Solution:
+    """Return a solution with the degrees of freedom of the readings' uncertainties, eq. (3).
+
+    Parameters
+    ----------
+    solution : Solution
+    readings : Readings
+    joint : bool
+        Whether parameters rest on all outputs together.
+    """
+    if readings.dof is None or readings.u is None:
+        return solution
+    scatter = np.zeros(readings.dof.shape[1])
+    found = solution.variance_components
+    if found is not None and found.rest_to_rest is not None:
+        scatter = np.array([found.rest_to_rest[o].value ** 2 for o in solution.model.outputs])
+    spread = _spread(readings.u[None] ** 2, readings.dof[None], scatter)[0]
+    if joint:
+        spread = np.full(len(spread), spread.max())
+    each = np.repeat(spread, [len(terms) for terms in solution.model.terms])
+    with np.errstate(divide="ignore"):
+        # what is infinite tells that nothing was found from residuals, and stays
+        dof = np.where(np.isinf(solution.dof), np.inf, 1.0 / (1.0 / solution.dof + spread))
+        own = 1.0 / (1.0 / solution.parameter_dof + each)
+    return replace(solution, dof=dof, parameter_dof=own)
+
+
+def carried_dof(dof: Array, floor: Array, claimed: Array, scatter: Array) -> Array:
+    """Return degrees of freedom (B, M) with those of the floors, eq. (3), of B units.
+
+    Parameters
+    ----------
+    dof, scatter : (B, M) arrays
+        Of the variance of a reading, and τ².
+    floor, claimed : (B, n, M) arrays
+        Stated variances and their degrees of freedom.
+    """
+    return np.asarray(1.0 / (1.0 / dof + _spread(floor, claimed, scatter)))
+
+
+def carried_jointly(dof: Array, claims: Claims, scatter: Array) -> Array:
+    """Return degrees of freedom (B,) of parameters that rest on all outputs together, eq. (3).
+
+    Parameters
+    ----------
+    dof, scatter : (B,) arrays
+        Of the variance of a reading, and τ².
+    claims : Claims
+    """
+    if claims.dof is None:
+        return dof
+    spread = _spread(claims.u**2, claims.dof, scatter[:, None]).max(axis=1)
+    return np.asarray(1.0 / (1.0 / dof + spread))
+
+
+def _spread(floor: Array, dof: Array, scatter: Array) -> Array:
+    """Return w²/ν_c of eq. (3), (B, M)."""
+    claimed = np.sum(floor, axis=1) ** 2 / np.sum(floor**2 / dof, axis=1)
+    share = floor.mean(axis=1) / (floor.mean(axis=1) + scatter)
+    return np.asarray(share**2 / claimed)
+
+
+_FLOOR = 1e-3  # of a residual standard deviation: nothing beside the scatter that is found
+_CORRELATED = 0.01  # below which outputs of one reading count as independent
+
+
+def add_reference_noise(readings: Readings, solution: Solution) -> Readings:
+    """Return readings whose noise holds what the forces add, eq. (4).
+
+    Unchanged where the forces are exact, or nothing is left to tell the noise of the readings.
+    """
+    stated = readings.noise
+    if readings.reference_u is None or not readings.reference_u.any():
+        return readings
+    if stated is None and not np.isfinite(solution.residual_sd).all():
+        return readings
+    n, m = readings.values.shape
+    slopes = solution.model.force_jacobian(
+        solution.parameters, solution.reference, readings.environment
+    )
+    moved = slopes * readings.reference_u[:, None, :]
+    blocks = moved @ moved.transpose(0, 2, 1)
+    if stated is None:
+        floor = np.maximum(_FLOOR * solution.residual_sd, np.finfo(float).tiny ** 0.5)
+        stated = np.tile(floor**2, n)
+    variances = np.einsum("nmm->nm", blocks)
+    apart = blocks - variances[:, :, None] * np.eye(m)
+    if stated.ndim == 1:
+        total = stated.reshape(n, m) + variances
+        size = np.sqrt(total[:, :, None] * total[:, None, :])
+        if (np.abs(apart) <= _CORRELATED * size).all():
+            return replace(readings, u=np.sqrt(total), covariance=None)
+        stated = np.diag(stated)
+    covariance = stated.copy().reshape(n, m, n, m)
+    covariance[np.arange(n), :, np.arange(n), :] += blocks
+    return replace(readings, u=None, covariance=covariance.reshape(n * m, n * m))

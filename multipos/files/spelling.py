@@ -1,0 +1,133 @@
+r"""Names and numbers as people list them: 'ax, ay, az', or a sequence; and as they are told.
+
+Characters that act instead of being read, and text in which they are only shown.
+
+Labels, names and file names come from elsewhere. A control character in one would move the cursor
+of a terminal, begin a line of its own in a parameter file or end a comment; here it becomes the
+escape that JSON has for it, ``\u001b``, so that in JSON it stays the same character.
+"""
+
+import unicodedata
+from collections.abc import Collection, Iterable, Sequence
+from functools import lru_cache
+from typing import TypeVar
+
+from multipos.errors import MultiposError, UsageError
+
+Names = str | Sequence[str]
+T = TypeVar("T")
+
+
+def split_names(given: Names, option: str = "") -> tuple[str, ...]:
+    """Return names given as a sequence, or as text with commas between them; blanks do not count.
+
+    Raises
+    ------
+    UsageError
+        A name is empty, or there is none; the message begins with the option.
+    TypeError
+        Something is no name.
+    """
+    parts = given.split(",") if isinstance(given, str) else tuple(given)
+    where = f"{option}: " if option else ""
+    for part in parts:
+        if not isinstance(part, str):
+            raise TypeError(f"{where}a name must be text, got {part!r}.")
+    names = tuple(part.strip() for part in parts)
+    if not names or not all(names):
+        raise UsageError(f"{where}'{','.join(parts)}' names nothing beside a comma.")
+    return names
+
+
+def split_numbers(text: str) -> tuple[float, ...]:
+    """Return numbers that commas separate.
+
+    Raises
+    ------
+    UsageError
+        One of them is no number.
+    """
+    try:
+        return tuple(float(number) for number in text.split(","))
+    except ValueError:
+        raise UsageError(f"'{text}' is not a number or numbers.") from None
+
+
+def spread(given: Sequence["T | Sequence[T]"]) -> tuple[T, ...]:
+    """Return what a function was given one by one, or as one list or tuple."""
+    if len(given) == 1 and isinstance(given[0], list | tuple):
+        return tuple(given[0])
+    return tuple(given)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=1)
+def numbered(count: int, start: int = 1) -> tuple[str, ...]:
+    """Return 1, 2, … as labels of what has none; the last ones are kept."""
+    return tuple(map(str, range(start, start + count)))
+
+
+def near(name: str, known: Collection[str]) -> str:
+    """Return the end of a sentence: "; did you mean 'scale_ax'?", or "." where none is like it."""
+    from difflib import get_close_matches  # as slow to import as all of argparse
+
+    folded = {other.casefold(): other for other in known}
+    close = get_close_matches(name.casefold(), folded, n=1)
+    return f"; did you mean '{folded[close[0]]}'?" if close else "."
+
+
+def require_columns(names: Sequence[str], columns: Collection[str], where: str) -> None:
+    """Refuse names of which a table, named by `where`, has no column."""
+    missing = [name for name in names if name not in columns]
+    if missing:
+        way = near(missing[0], columns).removesuffix(".")
+        raise MultiposError(
+            f"{where}: no column {quoted(missing)}{way}; the columns are {quoted(columns)}."
+        )
+
+
+def quoted(names: Iterable[object]) -> str:
+    """Return the first dozen names in quotes, separated by commas."""
+    texts = [f"'{name}'" for name in names]
+    return ", ".join(texts[:12]) + (f" and {len(texts) - 12} more" if len(texts) > 12 else "")
+
+
+# Marks that turn the direction of the text after them, so that it reads as what it is not.
+_TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+
+
+def control_characters(text: str) -> bool:
+    """Tell whether a text moves more than the cursor: controls, line ends, turns, half a pair."""
+    if text.isprintable():
+        return False
+    return any(_is_control(mark) for mark in text)
+
+
+def visible(text: str) -> str:
+    """Return text on one line, its control characters as escapes."""
+    if text.isprintable():
+        return text
+    return "".join(escaped(mark) if _is_control(mark) else mark for mark in text)
+
+
+def visible_lines(text: str) -> str:
+    """Return text that keeps its line feeds and tabs, other control characters as escapes."""
+    if text.isprintable():
+        return text
+    return "".join(
+        escaped(mark) if mark not in "\n\t" and _is_control(mark) else mark for mark in text
+    )
+
+
+def one_line(text: str) -> str:
+    """Return text as one line, white space of any length and kind as one blank."""
+    return visible(" ".join(text.split()))
+
+
+def escaped(text: str) -> str:
+    r"""Return each character as ``\uXXXX``, as JSON does, in two where one does not suffice."""
+    raw = text.encode("utf-16-be", "surrogatepass")
+    return "".join(f"\\u{raw[i : i + 2].hex()}" for i in range(0, len(raw), 2))
+
+
+def _is_control(mark: str) -> bool:
+    return unicodedata.category(mark) in ("Cc", "Cs", "Zl", "Zp") or mark in _TURNS

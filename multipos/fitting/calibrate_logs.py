@@ -1,0 +1,239 @@
+"""The front door of logs: from raw logs to a complete calibration, in one go.
+
+The rests are found and averaged (`multipos.logs.averaging`), and their means fitted
+(`multipos.fitting`), each output along the axis that it names. Where no scheme says how the sensor
+stood, nothing is known of the orientations but that gravity has the same size in all of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from multipos.errors import RankError
+from multipos.estimation.losses import Loss
+from multipos.files.spelling import Names
+from multipos.files.tables import Source
+from multipos.fitting.fit_readings import fit
+from multipos.logs.averages import Averages
+from multipos.logs.averaging import average
+from multipos.logs.clock import TimeUnit
+from multipos.logs.samples import Progress
+from multipos.logs.table import Log
+from multipos.numerics.arrays import median
+from multipos.numerics.terms import COMPONENTS
+from multipos.positions.attitudes import Convention
+from multipos.positions.readings import Readings
+from multipos.positions.scheme import Scheme
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import Expression
+from multipos.sensor.model import Gauge
+from multipos.uncertainty.budgets import Budget, BudgetSource
+from multipos.units import STANDARD_GRAVITY
+
+# What one g reads in the units that logs are in, and how far a sensor with a bias may be from it.
+_ONE_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1000.0}
+_NEAR = 0.15
+
+
+def calibrate(
+    *logs: "Source | Log",
+    outputs: Names | None = None,
+    columns: Names | None = None,
+    time_column: str | None = None,
+    time_unit: TimeUnit | None = None,
+    rate: float | None = None,
+    min_duration: float | None = None,
+    threshold: float | None = None,
+    sections: Source | None = None,
+    label_column: str | None = None,
+    only: Names | None = None,
+    drop_bad: bool = False,
+    accept_faults: bool = False,
+    scheme: "Source | Scheme | None" = None,
+    model: str | Expression = "linear",
+    convention: Convention = "specific-force",
+    axes: Names | None = None,
+    inputs: Names = COMPONENTS,
+    closed_form: bool = False,
+    unknown_orientation: bool = False,
+    orientation_sd: float | Literal["auto"] | None = None,
+    gauge: Gauge = "lower",
+    robust: Loss | None = None,
+    pool: bool = False,
+    stepwise: bool = False,
+    reading_sd: ArrayLike | None = None,
+    gravity: float | None = None,
+    gravity_u: float | None = None,
+    latitude: float | None = None,
+    height: float | None = None,
+    level_sd: float = 0.0,
+    budget: "BudgetSource | Budget | None" = None,
+    unit: str | None = None,
+    range: Sequence[float] | None = None,
+    nominal: Sequence[float] | None = None,
+    confidence: float = 0.95,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate an accelerometer from raw logs.
+
+    Parameters
+    ----------
+    *logs : path, mapping of columns, data frame, or Log
+        One or more, or one list of them.
+    outputs, columns, time_column, time_unit, rate, min_duration, threshold, sections, label_column
+    only, drop_bad, accept_faults, progress
+        How the logs are read and where they stand still: as for `multipos.average`.
+    scheme : Scheme, name, path, mapping of columns, or data frame, optional
+        The positions; otherwise the orientations are unknown.
+    model, convention, axes, inputs, closed_form, unknown_orientation, orientation_sd, gauge, robust
+    pool, stepwise, reading_sd, gravity, gravity_u, latitude, height, level_sd, budget, unit, range
+    nominal, confidence
+        What is fitted, and how: as for `multipos.fit`.
+
+    Returns
+    -------
+    Calibration
+        What averaging has to say is among its warnings.
+
+    Raises
+    ------
+    MultiposError, UsageError
+        As of `multipos.average` and `multipos.fit`.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> sensor = mp.demo().calibration
+    >>> log = mp.simulate_log(sensor, "all-26", rate=50, rest=4, sample_sd=1e-3, seed=1)
+    >>> cal = mp.calibrate(log)
+    >>> print(cal.estimator, len(cal.readings), bool(cal.rms < 1e-3))
+    unknown-orientation 26 True
+    """
+    found = average(
+        *logs,
+        outputs=outputs,
+        columns=columns,
+        time_column=time_column,
+        time_unit=time_unit,
+        rate=rate,
+        min_duration=min_duration,
+        threshold=threshold,
+        sections=sections,
+        label_column=label_column,
+        only=only,
+        drop_bad=drop_bad,
+        accept_faults=accept_faults,
+        scheme=scheme,
+        convention=convention,
+        progress=progress,
+    )
+    return fit_rests(
+        found,
+        model=model,
+        convention=convention,
+        axes=axes,
+        inputs=inputs,
+        closed_form=closed_form,
+        unknown_orientation=unknown_orientation,
+        orientation_sd=orientation_sd,
+        gauge=gauge,
+        robust=robust,
+        pool=pool,
+        stepwise=stepwise,
+        reading_sd=reading_sd,
+        gravity=gravity,
+        gravity_u=gravity_u,
+        latitude=latitude,
+        height=height,
+        level_sd=level_sd,
+        budget=budget,
+        unit=unit,
+        range=range,
+        nominal=nominal,
+        confidence=confidence,
+    )
+
+
+def fit_rests(
+    found: Averages,
+    *,
+    model: str | Expression = "linear",
+    convention: Convention = "specific-force",
+    axes: Names | None = None,
+    inputs: Names = COMPONENTS,
+    closed_form: bool = False,
+    unknown_orientation: bool = False,
+    orientation_sd: float | Literal["auto"] | None = None,
+    gauge: Gauge = "lower",
+    robust: Loss | None = None,
+    pool: bool = False,
+    stepwise: bool = False,
+    reading_sd: ArrayLike | None = None,
+    gravity: float | None = None,
+    gravity_u: float | None = None,
+    latitude: float | None = None,
+    height: float | None = None,
+    level_sd: float = 0.0,
+    budget: "BudgetSource | Budget | None" = None,
+    unit: str | None = None,
+    range: Sequence[float] | None = None,
+    nominal: Sequence[float] | None = None,
+    confidence: float = 0.95,
+) -> Calibration:
+    """Fit the means of rests: of unknown orientation, unless a scheme was matched to them.
+
+    Parameters and errors are those of `calibrate`.
+    """
+    told = closed_form or orientation_sd is not None or level_sd != 0.0
+    assumed = found.scheme_up is None and not told
+    try:
+        return fit(
+            readings_of(found, unit),
+            model=model,
+            convention=convention,
+            axes=axes,
+            inputs=inputs,
+            closed_form=closed_form,
+            unknown_orientation=unknown_orientation or assumed,
+            orientation_sd=orientation_sd,
+            gauge=gauge,
+            robust=robust,
+            pool=pool,
+            stepwise=stepwise,
+            reading_sd=reading_sd,
+            gravity=gravity,
+            gravity_u=gravity_u,
+            latitude=latitude,
+            height=height,
+            level_sd=level_sd,
+            budget=budget,
+            range=range,
+            nominal=nominal,
+            confidence=confidence,
+        )
+    except RankError as error:
+        if unknown_orientation or not assumed:
+            raise
+        raise RankError(
+            f"{error} Where you know how the sensor stood, say so with --scheme.",
+            rank=error.rank,
+            parameters=error.parameters,
+            combinations=error.combinations,
+        ) from None
+
+
+def readings_of(found: Averages, unit: str | None) -> Readings:
+    """Return the readings of rests: in the unit given, that of the log, or the one they show."""
+    readings = replace(found.readings, notes=found.warnings)
+    if unit is not None or found.unit is not None:
+        return replace(readings, unit=unit or found.unit or "")
+    size = float(median(np.linalg.norm(readings.values, axis=1)))
+    if readings.values.shape[1] == 3:
+        for likely, one in _ONE_G.items():
+            if abs(size / one - 1.0) < _NEAR:
+                note = f"the unit is taken to be {likely}, since gravity reads {size:.3g}"
+                return replace(readings, unit=likely, notes=(*readings.notes, note))
+    return readings

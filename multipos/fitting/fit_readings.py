@@ -1,0 +1,484 @@
+"""The front door: from readings and a scheme to a complete calibration.
+
+`fit` reads what it is given, resolves where the positions were, builds the model, picks the
+estimator, completes the `Calibration`, and looks whether it looks right before giving it away.
+
+What is said of the axis and sense of outputs: by their names, and by a minus before an axis.
+
+Where the orientations are unknown the fit leaves every reflection free,
+y = b + K f = b + (K D)(D f) with D of signs, and takes own-axis scale factors positive. An output
+that is said to face down its axis has a negative one: the reflection that makes it so is applied
+to what was found.
+
+Where every output falls as what it is said to sense rises, the other convention is the likely one.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from multipos.diagnostics.examination import examine
+from multipos.diagnostics.repairs import explain_breakdown, explain_failure
+from multipos.errors import MultiposError, UsageError, warn_of
+from multipos.estimation.closed_form import solve_closed_form
+from multipos.estimation.completion import complete
+from multipos.estimation.correlated_rows import spread_correlation
+from multipos.estimation.known import solve_known
+from multipos.estimation.losses import Loss
+from multipos.estimation.model_selection import select_terms, with_selection
+from multipos.estimation.options import (
+    Options,
+    check_options,
+    choose_estimator,
+    criterion_in_words,
+)
+from multipos.estimation.solution import Solution
+from multipos.estimation.stated_uncertainty import add_reference_noise, carry_dof, steady_floors
+from multipos.estimation.uncertain import solve_uncertain
+from multipos.estimation.user_models import is_apart, solve_own_known
+from multipos.files.spelling import Names, split_names
+from multipos.files.tables import Source
+from multipos.numerics.terms import COMPONENTS, Term, formula_columns, largest_value
+from multipos.positions.attitudes import CONVENTIONS, Convention
+from multipos.positions.orientations import Placement, as_used, resolve
+from multipos.positions.reading_tables import read_readings
+from multipos.positions.readings import Readings, require_range, spread_reading_sd
+from multipos.positions.scheme import Scheme
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import Expression, ExpressionModel
+from multipos.sensor.formulas import Sketch, read_model
+from multipos.sensor.found import Chosen, Estimator
+from multipos.sensor.functions import build_expression
+from multipos.sensor.gravity import Gravity, resolve_gravity, signed_size
+from multipos.sensor.inverse import read_nominal
+from multipos.sensor.model import GAUGES, Gauge, Model
+from multipos.sensor.own_models import build_sketch
+from multipos.sensor.stating import build_model, default_axes, stated_facing
+from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
+from multipos.uncertainty.propagation import state_budget
+from multipos.uncertainty.turntable import roll_warnings
+
+
+def note_names(readings: Readings, model: Model) -> Readings:
+    """Return readings that say where their outputs stand in another order than x, y, z."""
+    if model.axes == COMPONENTS[: len(model.axes)]:
+        return readings
+    pairs = zip(model.outputs, model.axes, strict=True)
+    said = ", ".join(f"{output} senses {axis}" for output, axis in pairs)
+    note = f"by their names {said}; --axes says otherwise"
+    return replace(readings, notes=(*readings.notes, note))
+
+
+def face(calibration: Calibration, facing: tuple[str, ...] | None) -> Calibration:
+    """Return a calibration that knows what was said of its outputs, reflected where it is free.
+
+    Where nothing was said every output is taken to face along its axis. One that says of all its
+    outputs that they face the other way has that as a warning.
+
+    Raises
+    ------
+    UsageError
+        A symmetric gauge, which no reflection leaves.
+    """
+    if facing is None:
+        return _with_convention(calibration, calibration.model.axes)
+    down = {axis.removeprefix("-") for axis in facing if axis.startswith("-")}
+    if down and calibration.model.gauge is not None:
+        calibration = _reflected(calibration, down)
+    return _with_convention(replace(calibration, facing=facing), facing)
+
+
+def _with_convention(calibration: Calibration, facing: tuple[str, ...]) -> Calibration:
+    """Return a calibration that warns where the readings look like the other convention."""
+    c = calibration
+    down = {o for o, axis in zip(c.outputs, facing, strict=True) if axis.startswith("-")}
+    along = [-scale if output in down else scale for output, scale in _own_scales(c)]
+    if not along or max(along) >= 0.0:
+        return c
+    other = next(name for name in CONVENTIONS if name != c.convention)
+    how = "of the other sign than --axes says" if down else "negative"
+    text = (
+        f"every own-axis scale factor is {how} under --convention {c.convention}; "
+        f"the readings look like --convention {other}"
+    )
+    diagnostics = replace(c.diagnostics, warnings=(*c.diagnostics.warnings, text))
+    return replace(c, diagnostics=diagnostics)
+
+
+def _own_scales(c: Calibration) -> list[tuple[str, float]]:
+    """Return how each output responds along its axis, of those that have a term for it."""
+    if isinstance(c.model, ExpressionModel):
+        slopes = c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)
+        along = [COMPONENTS.index(axis) for axis in c.model.axes]
+        mean = slopes.mean(axis=0)[range(len(along)), along]
+        return list(zip(c.outputs, mean.tolist(), strict=True))
+    return [(c.model.keys[i][0], float(c.parameters[i])) for i in c.model.own_scales]
+
+
+def _reflected(calibration: Calibration, down: set[str]) -> Calibration:
+    """Return a calibration whose gauge leaves it free with some axes the other way round."""
+    gauge = calibration.model.gauge
+    terms = [term for _, term in calibration.model.keys]
+    if gauge == "symmetric" or not all(isinstance(term, Term) for term in terms):
+        raise UsageError(
+            "--axes with a minus needs --gauge lower, and a model of terms, where orientations are "
+            "unknown."
+        )
+    sign = np.array([_parity(term, down) for term in terms])
+    mirror = np.array([-1.0 if axis in down else 1.0 for axis in COMPONENTS])
+    return replace(
+        calibration,
+        parameters=sign * calibration.parameters,
+        covariance=np.outer(sign, sign) * calibration.covariance,
+        reference=calibration.reference * mirror + 0.0,
+    )
+
+
+def _parity(term: Term, axes: set[str]) -> float:
+    """Return what a term is multiplied by where components change their sign; a modulus is even."""
+    odd = sum(factor.power for factor in term.factors if factor.variable in axes)
+    return -1.0 if odd % 2 else 1.0
+
+
+_TIED = "the listed directions leave no rotation of the case to choose"
+_ROLLED = "the rolls of open angle say which rotation of the case is free, if any"
+
+
+def fit(
+    readings: "Source | Readings",
+    *,
+    scheme: "Source | Scheme | None" = None,
+    model: str | Expression = "linear",
+    convention: Convention = "specific-force",
+    outputs: Names | None = None,
+    axes: Names | None = None,
+    inputs: Names = COMPONENTS,
+    closed_form: bool = False,
+    unknown_orientation: bool = False,
+    orientation_sd: float | Literal["auto"] | None = None,
+    gauge: Gauge = "lower",
+    robust: Loss | None = None,
+    pool: bool = False,
+    stepwise: bool = False,
+    reading_sd: ArrayLike | None = None,
+    gravity: float | None = None,
+    gravity_u: float | None = None,
+    latitude: float | None = None,
+    height: float | None = None,
+    level_sd: float = 0.0,
+    budget: "BudgetSource | Budget | None" = None,
+    unit: str | None = None,
+    range: Sequence[float] | None = None,
+    nominal: Sequence[float] | None = None,
+    confidence: float = 0.95,
+) -> Calibration:
+    """Calibrate an accelerometer from readings at static positions.
+
+    Parameters
+    ----------
+    readings : Readings, path, mapping of columns, or data frame
+    scheme : Scheme, name, path, mapping of columns, or data frame, optional
+        The orientation of each position; otherwise the readings' own columns say it.
+    model : str or function
+        'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2', or a Python
+        function of the components and the parameters (see `multipos.sensor.expressions`).
+    convention : str
+        'specific-force': the axis that points up reads +1; 'gravity': the one that points down.
+    outputs, axes, inputs : sequences of str, or comma-separated str, optional
+        The output columns, the case axis each senses, -x where it faces down that axis, and the
+        components the model sees. Outputs named ax, ay, az sense the axes they name.
+    closed_form : bool
+        Use the six-position inversion instead of least squares.
+    unknown_orientation : bool
+        Nothing is known of the orientations but that gravity has the same size in all of them.
+    orientation_sd : float [degrees] or 'auto', optional
+        Standard deviation of every position about each axis, instead of the readings' own
+        column; 'auto' estimates it together with the reading noise.
+    gauge : str
+        'lower' or 'symmetric': how the rotation of the case is fixed where nothing else does.
+    robust : str, optional
+        'huber', 'soft-l1' or 'cauchy': the loss that lets bad positions count less.
+    pool : bool
+        Use one residual variance for all outputs.
+    stepwise : bool
+        Keep of the model's terms only those that the readings support.
+    reading_sd : float or M floats, optional
+        Standard uncertainty of an averaged reading, in reading units.
+    gravity, gravity_u : float [m/s²], optional
+        Local gravity and its standard uncertainty; without it one g is the local gravity.
+    latitude, height : float [degrees, m], optional
+        Take gravity from the WGS 84 normal-gravity formula.
+    level_sd : float [degrees]
+        Standard deviation of a tilt that all positions share, about each level axis.
+    budget : path, tables or Budget, optional
+        What is known of the measurement beside the readings (`multipos.uncertainty.budgets`).
+    unit : str, optional
+        Unit of the readings.
+    range : (low, high), optional
+        Readings outside these limits are an error.
+    nominal : (bias, scale), optional
+        The conversion (raw − bias)/scale before the calibration, with which reports compare it.
+    confidence : float
+        Coverage probability of U.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    MultiposError
+        The data are at fault; the message says what, where, and the way out.
+    RankError
+        The positions cannot separate the parameters, which are named.
+    ConvergenceError
+        An uncertain or unknown orientation could not be solved for.
+    UsageError
+        An option is at fault.
+
+    Warns
+    -----
+    CalibrationWarning
+        Once for each of `diagnostics.warnings`, of which doubts about the result are the first.
+
+    References
+    ----------
+    JCGM 100:2008, clauses 5.1, 6.2 and annex G; Song and Qin 2009 for the six positions.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> columns = {"direction": ["E-U-S", "E-N-U", "D-E-S", "W-D-S", "U-W-S", "S-W-D"],
+    ...            "ax": [0.0071, -0.0094, -0.9965, -0.0076, 0.9965, 0.0067]}
+    >>> cal = mp.fit(columns, unit="V")
+    >>> bias = cal["bias_ax"]
+    >>> print(f"{bias.value:.5f} {bias.unit}, U = {bias.U:.4f}, dof {bias.dof:g}")
+    -0.00053 V, U = 0.0018, dof 2
+    """
+    options = check_options(
+        convention=convention,
+        gauge=gauge,
+        robust=robust,
+        confidence=confidence,
+        closed_form=closed_form,
+        unknown_orientation=unknown_orientation,
+        pool=pool,
+        stepwise=stepwise,
+        orientation_sd=orientation_sd,
+        level_sd=level_sd,
+    )
+    stated = None if budget is None else read_budget(budget)
+    before = None if nominal is None else read_nominal(nominal)
+    local = _gravity_of(stated, resolve_gravity(gravity, gravity_u, latitude, height))
+    written = model if callable(model) else read_model(model)
+    used = _columns_named(written)
+    data = read_readings(readings, outputs=outputs, unit=unit, environment=used)
+    if range is not None:
+        require_range(data, range)
+    if reading_sd is not None:
+        data = _with_reading_sd(data, reading_sd)
+    built = _build(written, data, axes, inputs)
+    if axes is None:
+        data = note_names(data, built)
+    _check_environment(data, built)
+    data, placement = resolve(
+        data,
+        scheme,
+        signed_size(local, convention),
+        unknown=options.unknown_orientation,
+        orientation_sd=options.orientation_sd,
+        estimate=options.estimate_orientation_sd,
+        level_sd=options.level_sd,
+    )
+    _require_one_unit(data, local)
+    try:
+        calibration = calibrate_at(built, data, placement, options, local)
+    except MultiposError as error:
+        if not options.unknown_orientation:
+            raise
+        raise explain_failure(error, data) from None
+    except np.linalg.LinAlgError as error:
+        raise explain_breakdown(error, data) from None
+    if before is not None:
+        calibration = replace(calibration, nominal=before)
+    calibration = face(calibration, stated_facing(axes))
+    if stated is not None:
+        calibration = state_budget(calibration, stated)
+    calibration = examine(calibration)
+    warn_of(calibration.diagnostics.warnings)
+    return calibration
+
+
+def calibrate_at(
+    model: Model,
+    readings: Readings,
+    placement: Placement,
+    options: Options,
+    gravity: Gravity | None,
+    *,
+    ordered: bool = True,
+) -> Calibration:
+    """Return the calibration of readings whose positions are resolved; no doubt is asked yet.
+
+    Rows that are `ordered` stand in the order of time, and may be correlated.
+    """
+    tied = _TIED if placement.listed.any() else placement.rolls and _ROLLED
+    if options.gauge != GAUGES[0] and tied:
+        note = f"--gauge {options.gauge} has no effect: {tied}"
+        readings = replace(readings, notes=(*readings.notes, note))
+    estimator = choose_estimator(options, placement)
+    readings = steady_floors(readings)
+    solve = _solver(estimator, readings, placement, options)
+    chosen = None
+    if options.stepwise:
+        model, chosen = _stepwise(model, readings, placement, solve)
+    solution = solve(model)
+    if readings.reference_u is not None:
+        claimed = readings.noise is not None
+        readings = add_reference_noise(readings, solution)
+        solution = _solver(estimator, readings, placement, options, claimed=claimed)(model)
+    solution = carry_dof(solution, readings, joint=not estimator.exact)
+    if ordered:
+        solution = spread_correlation(solution, readings, placement, estimator)
+    found = solution.orientation_sd
+    calibration = complete(
+        solution,
+        as_used(readings, placement.orientation_sd if found is None else found),
+        listed=np.where(placement.listed[:, None], placement.reference, np.nan),
+        convention=options.convention,
+        gravity=gravity,
+        estimator=estimator,
+        criterion=criterion_in_words(estimator, options, model, readings),
+        confidence=options.confidence,
+    )
+    calibration = _with_roll_warnings(calibration)
+    return calibration if chosen is None else with_selection(calibration, chosen)
+
+
+def _require_one_unit(readings: Readings, gravity: Gravity | None) -> None:
+    """Refuse known forces, which are in standard g, beside a gravity of unknown size."""
+    forced = readings.forced
+    if gravity is None and forced.any() and not forced.all():
+        label = readings.labels[int(np.argmin(forced))]
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: position '{label}' is at rest in gravity, "
+            "others have a known force in standard g; give --gravity or --latitude, so that both "
+            "are in one unit."
+        )
+
+
+def _solver(
+    estimator: Estimator,
+    readings: Readings,
+    placement: Placement,
+    options: Options,
+    *,
+    claimed: bool = True,
+) -> Callable[[Model], Solution]:
+    """Return what solves a model by the estimator; `claimed`: the noise is the user's word."""
+    reference, pool = placement.reference, options.pool
+
+    def solve(model: Model) -> Solution:
+        if estimator is Estimator.CLOSED_FORM:
+            return solve_closed_form(model, reference, readings, pool=pool)
+        exact = estimator is Estimator.LINEAR and options.robust is None
+        own = isinstance(model, ExpressionModel)
+        if isinstance(model, ExpressionModel) and exact and is_apart(model, readings):
+            return solve_own_known(model, reference, readings, pool=pool, claimed=claimed)
+        if exact and not own:
+            return solve_known(model, reference, readings, pool=pool, claimed=claimed)
+        return solve_uncertain(
+            model, readings, placement, gauge=options.gauge, robust=options.robust, pool=pool
+        )
+
+    return solve
+
+
+def _stepwise(
+    model: Model, readings: Readings, placement: Placement, solve: Callable[[Model], Solution]
+) -> tuple[Model, dict[str, Chosen]]:
+    """Return the model with the terms that the readings support, and how they were chosen."""
+    if isinstance(model, ExpressionModel):
+        raise UsageError("--stepwise chooses among the terms of a formula, not of an expression.")
+    if placement.exact:
+        return select_terms(model, placement.reference, readings)
+    whole = solve(model)  # where the positions are is found with all terms
+    return select_terms(whole.model, whole.reference, readings)
+
+
+def _gravity_of(budget: Budget | None, local: Gravity | None) -> Gravity | None:
+    """Return the gravity of the options or of the budget."""
+    if budget is None or budget.gravity is None:
+        return local
+    if local is not None:
+        raise UsageError("the options and the budget's [gravity] both state it; give one.")
+    return Gravity(*budget.gravity)
+
+
+def _with_roll_warnings(calibration: Calibration) -> Calibration:
+    """Return the calibration of one or two axes with what its rolls warn of."""
+    said = roll_warnings(calibration) if len(calibration.outputs) < 3 else []
+    if not said:
+        return calibration
+    found = calibration.diagnostics
+    return replace(calibration, diagnostics=replace(found, warnings=(*found.warnings, *said)))
+
+
+def _columns_named(model: str | Expression | Sketch) -> tuple[str, ...]:
+    """Return the names in a model that are columns, where the readings have such."""
+    if isinstance(model, Sketch):
+        return model.possible_columns
+    return formula_columns(model) if isinstance(model, str) else ()
+
+
+def _build(
+    model: str | Expression | Sketch,
+    readings: Readings,
+    axes: Names | None,
+    inputs: Names,
+) -> Model:
+    own = default_axes(readings.outputs, axes)
+    columns = tuple(readings.environment)
+    seen = split_names(inputs, "--inputs")
+    if isinstance(model, Sketch):
+        used = model.columns_among(columns)
+        model.require_no_near_miss(used, (*columns, *readings.outputs), readings.outputs)
+        return build_sketch(model, readings.outputs, own, seen, readings.unit, used)
+    if not isinstance(model, str):
+        return build_expression(model, readings.outputs, own, readings.unit, columns)
+    return build_model(model, readings.outputs, own, seen, readings.unit, columns)
+
+
+def _with_reading_sd(readings: Readings, reading_sd: ArrayLike) -> Readings:
+    u = spread_reading_sd(reading_sd, readings.values.shape)
+    notes = readings.notes
+    if readings.u is not None or readings.covariance is not None:
+        notes += ("the readings' own uncertainties are ignored, --reading-sd is used",)
+    return replace(readings, u=u, dof=None, covariance=None, notes=notes)
+
+
+def _check_environment(readings: Readings, model: Model) -> None:
+    for name in model.environment:
+        if name not in readings.environment:
+            raise MultiposError(
+                f"{readings.source or 'the readings'}: the model uses '{name}', but there is no "
+                "such column; add it, or take the term out of the model."
+            )
+        bad = ~np.isfinite(readings.environment[name])
+        if bad.any():
+            raise MultiposError(
+                f"{readings.source or 'the readings'}: row {int(np.argmax(bad)) + 1}, "
+                f"column '{name}' is empty or not finite, but the model uses it."
+            )
+        limit = largest_value((term for _, term in model.keys), name)
+        far = np.abs(readings.environment[name]) > limit
+        if far.any():
+            row = int(np.argmax(far))
+            raise MultiposError(
+                f"{readings.source or 'the readings'}: row {row + 1}, column '{name}': "
+                f"{readings.environment[name][row]:g} is beyond {limit:.0e}, whose powers are no "
+                "numbers in this model; correct it, or give the column in another unit."
+            )

@@ -1,0 +1,650 @@
+"""The front door of regression: from a table to a tested piecewise model.
+
+`regress` reads the columns, forms rates and the list of terms, cuts the rows into segments and
+branches, has every segment fitted (`multipos.regression.piecewise`), and says what a reader should
+know before believing it (`multipos.fitting.regress_columns`).
+
+Where a rate is named, heating and cooling are modelled apart if they differ.
+
+What a reader should know before believing a regression: what was chosen, jumps, too few rows.
+
+Validation by blocks of time: what a model is worth on data it has not seen.
+
+Leaving out single rows of a log proves nothing, since the neighbours that stay know the answer. So
+the rows are cut into consecutive blocks of time; each is predicted by a model whose terms were
+chosen and fitted on the other blocks alone,
+
+    rms_cv² = Σ (y_k − ŷ_k without the block of k)² / n,       R²_cv = 1 − n rms_cv² / Σ (y − ȳ)².
+
+Edges that were found stay where they are: they are not judged by this.
+
+Sources: P. Burman, E. Chow, D. Nolan, Biometrika 81, 1994 (blocks for dependent data).
+
+Rows cut into segments and branches, each of which is fitted.
+
+Edges are given, or found where they are worth their coefficients; branches are the rows of
+heating and of cooling, by the sign of a rate.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from multipos import __version__
+from multipos.doubt import Doubt
+from multipos.errors import MultiposError, UsageError
+from multipos.files.spelling import Names, split_names, split_numbers, visible
+from multipos.files.tables import Source, read_table
+from multipos.files.whole import now
+from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import check_confidence
+from multipos.numerics.selection import CRITERIA, SubsetCriterion, thresholds
+from multipos.numerics.terms import evaluate_terms, largest_value
+from multipos.regression.correlation import Noise, find_noise, whitening_of
+from multipos.regression.hysteresis import BRANCHES, branch_of, compare_branches
+from multipos.regression.junctions import Junction, find_junctions
+from multipos.regression.observations import (
+    Data,
+    Observations,
+    Rows,
+    check_columns,
+    read_observations,
+)
+from multipos.regression.piecewise import (
+    METHODS,
+    Plan,
+    fit_continuous,
+    fit_segment,
+    read_candidates,
+)
+from multipos.regression.regression import Regression, Regressions, format_span
+from multipos.regression.robust import ROBUST, RowDependence, within_runs
+from multipos.regression.segment import Segment
+from multipos.regression.segmentation import check_edges, find_edges, segment_of
+
+
+def order_said(read: Observations, result: Regression) -> tuple[str, ...]:
+    """Say by what rows are neighbours, where that was of any consequence."""
+    return read.order if any(s.robust is not None for s in result.segments) else ()
+
+
+def state_cautions(
+    plan: Plan,
+    segments: Sequence[Segment],
+    hysteresis: Mapping[str, Any] | None,
+    validation: Mapping[str, Any] | None,
+) -> list[str]:
+    """Say what the choice of terms, the branches and each segment leave to doubt."""
+    said = []
+    if not plan.constant:
+        said.append("no intercept: F and R² are about zero, not about the mean, dof n − k")
+    if plan.method != "full":
+        said.append(
+            "the terms were chosen by the same data that test them: F and p of the chosen model "
+            "are optimistic"
+            + ("" if validation else "; --cross-validate checks it by blocks of time")
+        )
+    if hysteresis is not None and not hysteresis["significant"]:
+        p = hysteresis["p"]
+        said.append(
+            f"heating and cooling do not differ (p = {p:.2g}): one model for both"
+            if p == p
+            else "too few independent rows to tell heating from cooling: one model for both"
+        )
+    for where, segment in _named(segments):
+        said += _segment_warnings(plan, segment, where)
+    return said
+
+
+def doubt_segments(segments: Sequence[Segment]) -> tuple[Doubt, ...]:
+    """Return the doubts about a regression: nothing to test it with, or rows that are not apart."""
+    found = []
+    for where, segment in _named(segments):
+        robust = segment.robust
+        if segment.dof[0] > 0 and segment.dof[1] == 0:
+            text = f"{where}: as many terms as rows, nothing is left to test it with"
+            found.append(Doubt("no-redundancy", "caution", text))
+        apart = robust is None or robust.kind == "cluster" or robust.n_effective == segment.n
+        if robust is not None and not apart:
+            text = (
+                f"{where}: neighbouring rows are correlated ({robust.lag_one:.2f}); {segment.n} "
+                f"rows are worth about {robust.n_effective:.3g}, see F_robust"
+            )
+            found.append(Doubt("time-correlated", "caution", text))
+    return tuple(found)
+
+
+def _named(segments: Sequence[Segment]) -> Iterator[tuple[str, Segment]]:
+    """Yield segments with what they are called."""
+    for number, segment in enumerate(segments, start=1):
+        yield f"segment {number}" if len(segments) > 1 else "the model", segment
+
+
+def jumps_said(variable: str | None, junctions: Sequence[Junction]) -> tuple[str, ...]:
+    """Name the largest jump that is none by chance, and the way without."""
+    clear = [j for j in junctions if j.clear]
+    if not clear:
+        return ()
+    most = max(clear, key=lambda j: abs(j.jump))
+    said = (
+        f"the model jumps at {variable} = {most.edge:.6g} by up to {abs(most.jump):.2g} "
+        f"(U {most.U:.2g}); --continuous fits without a jump"
+    )
+    return (said,)
+
+
+def _segment_warnings(plan: Plan, segment: Segment, where: str) -> list[str]:
+    said = []
+    k, nu = segment.dof
+    if k == 0:
+        said.append(f"{where}: no term is supported by the data, the model is the mean alone")
+    elif nu > 0 and not segment.significant:
+        said.append(f"{where} means nothing: F = {segment.F:.3g} is below {segment.F_critical:.4g}")
+    if segment.collinear:
+        said.append(
+            f"{where}: {', '.join(segment.collinear)} cannot be told from the terms in the model"
+        )
+    robust = segment.robust
+    if robust is not None and segment.significant and not robust.p < 1.0 - plan.confidence:
+        said.append(f"{where}: significant by F, not by F_robust (p = {robust.p:.2g})")
+        if robust.kind != "cluster" and robust.n_effective == segment.n:
+            said.append(
+                f"{where}: {segment.n} rows cannot tell slow noise beside white noise from white "
+                f"noise alone: F (p = {segment.p:.2g}) stands if theirs is white, F_robust if it "
+                "is as slow as they leave open; more rows, or several runs, tell"
+            )
+    return said
+
+
+def check_by_blocks(data: Data, blocks: int, fit: Callable[[Data], Regression]) -> dict[str, Any]:
+    """Return {blocks, rms, r2, rms_of_blocks} of predictions of blocks left out in turn.
+
+    Parameters
+    ----------
+    data : Data
+        Rows in the order of time where they have one, else as they stand.
+    blocks : int
+    fit : function
+        Chooses and fits a model on some of the rows.
+
+    Raises
+    ------
+    MultiposError
+        There are fewer rows than blocks, or a model cannot be fitted without one of them.
+    """
+    if blocks > len(data):
+        raise MultiposError(
+            f"--cross-validate {blocks} takes a row or more a block, but there are {len(data)} "
+            "rows; give fewer blocks."
+        )
+    order = np.arange(len(data)) if data.order is None else data.order.order
+    errors = np.empty(len(data))
+    parts = np.array_split(order, blocks)
+    for number, left_out in enumerate(parts, start=1):
+        kept = np.setdiff1d(np.arange(len(data)), left_out)
+        try:
+            model = fit(data.take(kept))
+        except MultiposError as error:
+            raise MultiposError(
+                f"--cross-validate, without block {number} of {blocks}: {error}"
+            ) from None
+        unseen = {name: column[left_out] for name, column in data.columns.items()}
+        errors[left_out] = data.response[left_out] - model.predict(unseen)
+    total = float(((data.response - data.response.mean()) ** 2).sum())
+    return {
+        "blocks": blocks,
+        "rms": float(np.sqrt(np.mean(errors**2))),
+        # A response that never changes, told without an intercept, has nothing to compare with.
+        "r2": 1.0 - float((errors**2).sum()) / total if total > 0.0 else np.nan,
+        "rms_of_blocks": [float(np.sqrt(np.mean(errors[part] ** 2))) for part in parts],
+    }
+
+
+@dataclass(frozen=True)
+class Cut:
+    """How rows are cut: at edges of a variable, and by the sign of a rate."""
+
+    variable: str | None
+    edges: tuple[float, ...]
+    continuous: bool
+    branch_column: str | None
+
+
+def settle_edges(
+    plan: Plan,
+    data: Data,
+    variable: str | None,
+    given: tuple[float, ...] | None,
+    min_rows: int | None,
+) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """Return the edges that are given or found, and what there is to say of them.
+
+    Raises
+    ------
+    MultiposError
+        An edge is outside the data.
+    UsageError
+        `min_rows` are no more than the terms.
+    """
+    if variable is None:
+        return (), ()
+    if given is not None:
+        check_edges(variable, given, data.columns[variable])
+        return given, ()
+    edges = _find_edges(plan, data, variable, min_rows)
+    if not edges:
+        return (), (f"no edge in {variable} is worth its coefficients: one segment",)
+    return edges, ()
+
+
+def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> tuple[float, ...]:
+    p = len(plan.terms)
+    minimum = 2 * p if min_rows is None else min_rows
+    if minimum <= p and plan.method == "full":
+        raise UsageError(f"--min-rows must be above the number of terms, {p}; got {minimum}.")
+    design, data = within_runs(evaluate_terms(plan.terms, data.columns, len(data)), data)
+    values = data.columns[variable]
+    response = data.response
+    if data.order is not None:
+        # what five segments leave is close to noise alone, whatever the edges will be
+        bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
+        noise = _noise(design, data, segment_of(values, bins.tolist()))
+        whitening = whitening_of(data.order, noise)
+        if whitening is not None:
+            design, response = whitening(design), whitening(response)
+    return find_edges(values, design, response, minimum=minimum)
+
+
+def _noise(design: Array, data: Data, place: Rows) -> Noise | None:
+    """Return what is told of the noise that fits to the rows of each place leave."""
+    apart = [np.where((place == i)[:, np.newaxis], design, 0.0) for i in np.unique(place)]
+    return find_noise(np.column_stack(apart), data.response, data.order)
+
+
+@dataclass(frozen=True)
+class _Branch:
+    """Rows of one sign of the rate, or all where `name` is None, and the segment of each."""
+
+    name: str | None
+    rows: Rows
+    place: Rows
+
+
+def _branches(data: Data, cut: Cut) -> list[_Branch]:
+    n = len(data)
+    place = np.zeros(n, dtype=np.intp)
+    if cut.variable is not None:
+        place = segment_of(data.columns[cut.variable], cut.edges)
+    if cut.branch_column is None:
+        return [_Branch(None, np.arange(n), place)]
+    sign = branch_of(data.columns[cut.branch_column], data.run)
+    return [
+        _Branch(name, np.flatnonzero(sign == b), place[sign == b])
+        for b, name in enumerate(BRANCHES)
+    ]
+
+
+def fit_cut(plan: Plan, data: Data, cut: Cut) -> list[Segment]:
+    """Return the fitted segments, branch by branch.
+
+    Raises
+    ------
+    MultiposError
+        A segment has no rows, or fewer than terms, or terms that its rows cannot tell apart.
+    """
+    fit = _fit_joined if cut.continuous and cut.edges else _fit_apart
+    branches = _branches(data, cut)
+    design, within = within_runs(evaluate_terms(plan.terms, data.columns, len(data)), data)
+    place = np.empty(len(data), dtype=np.intp)
+    for b, branch in enumerate(branches):
+        place[branch.rows] = branch.place + b * (len(cut.edges) + 1)
+    data = replace(data, noise=_noise(design, within, place))
+    return [segment for branch in branches for segment in fit(plan, data, cut, branch)]
+
+
+def _fit_joined(plan: Plan, data: Data, cut: Cut, branch: _Branch) -> list[Segment]:
+    """Return the segments of one branch without a jump at the edges."""
+    variable, spans = _spans(plan, data, cut)
+    for number, span in enumerate(spans):
+        if number not in branch.place:
+            empty = _segment_name(number, variable, span, branch)
+            raise MultiposError(f"{empty} has no rows; move the edge, or give more rows.")
+    where = "the continuous model" if branch.name is None else f"the {branch.name} branch"
+    rows = data.take(branch.rows)
+    return fit_continuous(plan, rows, variable, cut.edges, spans, branch.name, where)
+
+
+def _fit_apart(plan: Plan, data: Data, cut: Cut, branch: _Branch) -> list[Segment]:
+    """Return the segments of one branch, each fitted by itself."""
+    variable, spans = _spans(plan, data, cut)
+    segments = []
+    for number, span in enumerate(spans):
+        where = "the table"
+        if cut.edges or branch.name:
+            where = _segment_name(number, variable, span, branch)
+        mine = branch.rows[branch.place == number]
+        some = data if len(mine) == len(data) else data.take(mine)
+        segments.append(fit_segment(plan, some, variable, span, branch.name, where))
+    return segments
+
+
+def _spans(plan: Plan, data: Data, cut: Cut) -> tuple[str, list[tuple[float, float]]]:
+    """Return the variable that segments lie along, and from where to where each goes."""
+    variable = cut.variable or plan.variables[0]
+    values = data.columns[variable]
+    return variable, list(pairwise([float(values.min()), *cut.edges, float(values.max())]))
+
+
+def _segment_name(number: int, variable: str, span: tuple[float, float], branch: _Branch) -> str:
+    return f"segment {number + 1} ({format_span(variable, span, branch.name)})"
+
+
+def regress(
+    data: Source,
+    *,
+    response: Names,
+    variables: Names | None = None,
+    degree: int | None = None,
+    terms: str | None = None,
+    stepwise: bool = False,
+    backward: bool = False,
+    subsets: bool = False,
+    enter: float | None = None,
+    remove: float | None = None,
+    f_enter: float | None = None,
+    f_remove: float | None = None,
+    criterion: SubsetCriterion = "aicc",
+    hierarchy: bool = False,
+    segment: str | None = None,
+    min_rows: int | None = None,
+    continuous: bool = False,
+    branches: str | None = None,
+    time: str | None = None,
+    rate_window: float | None = None,
+    causal: bool = False,
+    run: str | None = None,
+    robust: RowDependence = "hac",
+    cluster: str | None = None,
+    cross_validate: int | None = None,
+    confidence: float = 0.95,
+    drop_missing: bool = False,
+) -> Regression | Regressions:
+    """Describe one column by others, in segments, with terms that the data support.
+
+    Parameters
+    ----------
+    data : path, mapping of columns, or data frame
+    response : names
+        The column that is described; several, one for each axis, are described by the same
+        variables, each by itself.
+    variables : names, optional
+        Those the terms are made of; a name that ends `_rate` and is no column is formed from
+        the column without that ending. Not needed beside `terms`.
+    degree : int, optional
+        All products of variables up to this degree; 1 by default.
+    terms : str, optional
+        A formula instead, such as '1 + A + A^2 + A*B'; without 1 there is no intercept.
+    stepwise, backward, subsets : bool
+        Choose terms forward with removal, backward, or by the criterion over all subsets.
+    enter, remove, f_enter, f_remove : float, optional
+        Thresholds as p (.05 and .10) or as F.
+    criterion : str
+        'aicc', 'bic' or 'adjusted_r2', for subsets.
+    hierarchy : bool
+        T before T².
+    segment : str, optional
+        'VARIABLE:EDGE,EDGE' or 'VARIABLE:auto'.
+    min_rows : int, optional
+        Fewest rows of a segment that is found; twice the terms by default.
+    continuous : bool
+        No jump at the edges.
+    branches : str, optional
+        A rate; heating and cooling are modelled apart where they differ.
+    time : str, optional
+        The time column; `time` where there is one.
+    rate_window : float, optional
+        Width of the smoothed derivative, in the unit of time.
+    causal : bool
+        Rates from the rows up to each, by the recursion that the exported C runs.
+    run : str, optional
+        A column that tells one switch-on from another; time may start again in each.
+    robust : str
+        'hac' or 'effective', for F_robust where rows are correlated in time.
+    cluster : str, optional
+        A column whose equal values mark rows that belong together.
+    cross_validate : int, optional
+        Check by leaving out this many blocks of time in turn.
+    confidence : float
+        Of the critical F.
+    drop_missing : bool
+        Leave out rows with an empty cell.
+
+    Returns
+    -------
+    Regression, or Regressions of several responses
+
+    Raises
+    ------
+    MultiposError
+        The data are at fault; the message says what, where, and the way out.
+    UsageError
+        An option is at fault.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> T = np.linspace(-20.0, 60.0, 81)
+    >>> table = {"T": T, "error": 0.01 + 5e-4 * T + 1e-4 * np.sin(7.0 * T)}
+    >>> found = mp.regress(table, response="error", variables="T")
+    >>> (segment,) = found.segments
+    >>> [str(term) for term in segment.terms], segment.significant
+    (['1', 'T'], True)
+    >>> print(f"rms {1e6 * segment.rms:.0f}e-6")
+    rms 72e-6
+    """
+    arguments = dict(locals())  # all arguments as they are, for each of several responses
+    responses = split_names(response, "--response")
+    if len(responses) > 1:
+        return _regress_each(responses, arguments)
+    (response,) = responses
+    method = _method(stepwise, backward, subsets)
+    limits = thresholds(enter, remove, f_enter, f_remove)
+    names, candidates = read_candidates(response, variables, degree, terms)
+    _check_options(
+        method, criterion, robust, confidence, cross_validate, response, branches, cluster, run
+    )
+    plan = Plan(candidates, names, method, limits, criterion, hierarchy, confidence, robust)
+    if run is not None and not plan.constant:
+        raise UsageError("--run is about the constant; add 1 to --terms, or leave out --run.")
+    wanted, given = _parse_segment(segment, continuous)
+    table = read_table(data, what="data")
+    read = read_observations(
+        table,
+        response,
+        [*names, *(name for name in (wanted, branches) if name)],
+        time=time,
+        rate_window=rate_window,
+        causal=causal,
+        cluster=cluster,
+        run=run,
+        drop_missing=drop_missing,
+        largest={name: largest_value(candidates, name) for name in names},
+    )
+    source, sha256 = table.source, table.sha256
+    del table  # whose text may be most of what is in memory
+    check_columns(source, read.data, response, names, constant=plan.constant)
+    edges, said = settle_edges(plan, read.data, wanted, given, min_rows)
+    cut = Cut(wanted, edges, continuous, branches)
+    result = _describe(plan, response, read, cut, cross_validate)
+    return replace(
+        result,
+        causal=causal,
+        run=run,
+        source=visible(source) if sha256 else None,
+        sha256=sha256,
+        warnings=(
+            *(doubt.text for doubt in result.doubts),
+            *read.notes,
+            *order_said(read, result),
+            *said,
+            *result.warnings,
+        ),
+    )
+
+
+def _regress_each(responses: Sequence[str], given: Mapping[str, Any]) -> Regressions:
+    """Describe several columns by the same arguments, each by itself."""
+    if len(set(responses)) < len(responses):
+        raise UsageError(f"--response names a column twice: {','.join(responses)}.")
+    table = read_table(given["data"], what="data")
+    found = {}
+    for name in responses:
+        one = regress(**{**given, "data": table, "response": (name,)})
+        assert isinstance(one, Regression)  # of one name
+        found[name] = one
+    return Regressions(found)
+
+
+def _describe(
+    plan: Plan, response: str, read: Observations, cut: Cut, blocks: int | None
+) -> Regression:
+    """Return the fitted segments with what tells how far to believe them."""
+    hysteresis = None
+    if cut.branch_column is not None:
+        hysteresis = compare_branches(
+            plan.terms, read.data, cut.branch_column, cut.variable, cut.edges, plan.confidence
+        )
+        if not hysteresis["significant"]:
+            cut = replace(cut, branch_column=None)
+    segments = fit_cut(plan, read.data, cut)
+    validation = None
+    if blocks is not None:
+        validation = check_by_blocks(
+            read.data,
+            blocks,
+            lambda some: _assemble(plan, response, fit_cut(plan, some, cut), cut),
+        )
+    junctions: tuple[Junction, ...] = ()
+    if not cut.continuous:
+        junctions = find_junctions(
+            segments, read.data, cut.variable, cut.edges, cut.branch_column, plan.confidence
+        )
+    return replace(
+        _assemble(plan, response, segments, cut),
+        junctions=junctions,
+        time=read.time,
+        rates=read.rates,
+        n=len(read.data),
+        dropped=read.dropped,
+        hysteresis=hysteresis,
+        cross_validation=validation,
+        doubts=doubt_segments(segments),
+        warnings=(
+            *state_cautions(plan, segments, hysteresis, validation),
+            *jumps_said(cut.variable, junctions),
+        ),
+    )
+
+
+def _assemble(plan: Plan, response: str, segments: Sequence[Segment], cut: Cut) -> Regression:
+    """Return the result of fitted segments, without what concerns the whole table."""
+    used = plan.limits.__dict__ if plan.method in ("stepwise", "backward") else {}
+    return Regression(
+        response=response,
+        variables=plan.variables,
+        candidates=tuple(map(str, plan.terms)),
+        method=plan.method,
+        segments=tuple(segments),
+        segment_variable=cut.variable,
+        edges=cut.edges,
+        continuous=cut.continuous,
+        branch_column=cut.branch_column,
+        time=None,
+        rates={},
+        confidence=plan.confidence,
+        n=0,
+        dropped=0,
+        hysteresis=None,
+        cross_validation=None,
+        warnings=(),
+        source=None,
+        sha256=None,
+        created=now(),
+        version=__version__,
+        thresholds={name: value for name, value in used.items() if value is not None},
+    )
+
+
+# --- options
+
+
+def _method(stepwise: bool, backward: bool, subsets: bool) -> str:
+    asked = [
+        name for name, on in zip(METHODS[1:], (stepwise, backward, subsets), strict=True) if on
+    ]
+    if len(asked) > 1:
+        raise UsageError(f"--{asked[0]} and --{asked[1]} are two ways to choose terms; give one.")
+    return asked[0] if asked else "full"
+
+
+def _check_options(
+    method: str,
+    criterion: SubsetCriterion,
+    robust: RowDependence,
+    confidence: float,
+    blocks: int | None,
+    response: str,
+    branches: str | None,
+    cluster: str | None,
+    run: str | None,
+) -> None:
+    _check_columns_named(response, branches, cluster, run)
+    if criterion not in CRITERIA:
+        raise UsageError(f"--criterion takes {', '.join(CRITERIA)}, got '{criterion}'.")
+    if criterion != CRITERIA[0] and method != "subsets":
+        raise UsageError("--criterion chooses among --subsets; give both.")
+    if robust not in ROBUST:
+        raise UsageError(f"--robust takes {', '.join(ROBUST)}, got '{robust}'.")
+    check_confidence(confidence)
+    if blocks is not None and blocks < 2:
+        raise UsageError(f"--cross-validate takes 2 blocks or more, got {blocks}.")
+
+
+def _check_columns_named(
+    response: str, branches: str | None, cluster: str | None, run: str | None
+) -> None:
+    if cluster is not None and run is not None:
+        raise UsageError(
+            "--cluster changes the tests alone, --run what is uncertain too; give one of them."
+        )
+    for option, name in (("--branches", branches), ("--cluster", cluster), ("--run", run)):
+        if name == response:
+            raise UsageError(f"{option} names the response '{response}'; give another column.")
+
+
+def _parse_segment(
+    text: str | None, continuous: bool
+) -> tuple[str | None, tuple[float, ...] | None]:
+    """Return the segment variable and its edges; None where they are to be found."""
+    if text is None:
+        if continuous:
+            raise UsageError("--continuous joins segments; give --segment VARIABLE:EDGE,….")
+        return None, None
+    variable, colon, rest = text.rpartition(":")
+    if not (colon and variable and rest):
+        raise UsageError(f"--segment takes VARIABLE:EDGE,EDGE or VARIABLE:auto, got '{text}'.")
+    return variable, None if rest.strip() == "auto" else _parse_edges(rest)
+
+
+def _parse_edges(rest: str) -> tuple[float, ...]:
+    try:
+        edges = split_numbers(rest)
+    except ValueError:
+        raise UsageError(f"--segment: '{rest}' is not a list of numbers, nor 'auto'.") from None
+    if any(b <= a for a, b in pairwise(edges)) or not np.isfinite(edges).all():
+        raise UsageError(f"--segment: edges must be finite and increase, got '{rest}'.")
+    return edges

@@ -1,0 +1,280 @@
+"""Whether a station moved: steps and trends of its units' parameters in the order of time.
+
+The n values of a parameter at one station, in their order, are replaced by the normal scores of
+their ranks, so that a few bad units count no more than their place. For a step after the k-th,
+
+    Z_k = |S_k − k S_n/n| / √(k (n − k)/n),    S_k the sum of the first k scores,             (1)
+
+and the step is put where Z is largest, over the middle nine tenths. Its chance without a step is
+
+    P(max Z ≥ b) ≈ φ(b) [(b − 1/b) ln((t₁ (1 − t₀))/(t₀ (1 − t₁))) + 4/b],   t₀ = 1 − t₁,     (2)
+
+which errs to the safe side, as it is for a path that is looked at between units too. What is as
+well or better described by a straight line is a trend. Of all parameters and stations those are
+named of which at most one in a hundred is so by chance.
+
+Sources: R. Miller, D. Siegmund, Biometrics 38, 1982, 1011–1016, eq. (8).
+
+Units that do not belong to the others: far from them in all parameters together.
+
+With θ_j what is known of unit j, its parameters and the cube root of its mean squared residual
+(which is nearly normal, after Wilson and Hilferty), less the median of its station, p numbers in
+all, and S their covariance,
+
+    T² = θ_j' (S + D_j)⁻¹ θ_j,    T² (n − p)/(p (n − 1)) ~ F(p, n − p),                     (3)
+
+D_j what the unit was measured worse than others, u_j² less its median, where that is positive, so
+that a poor measurement is not taken for another kind of unit. S comes from the units nearest to
+the median, repeated until they stay the same, scaled so that as many as expected lie within: a
+hundredth of bad ones does not widen it. Of many units some are far by chance; those are named of
+which at most one in a hundred is so (false discovery rate of Benjamini and Hochberg).
+
+Sources: H. Hotelling 1931, Ann. Math. Statist. 2. P. J. Rousseeuw, K. Van Driessen, Technometrics
+41, 1999 (concentration steps). Y. Benjamini, Y. Hochberg, J. R. Stat. Soc. B 57, 1995.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.fleets.pictures import line_order
+from multipos.fleets.stations import NORMAL, near_median
+from multipos.fleets.unit_results import Units
+from multipos.numerics.arrays import Array, median
+
+RATE = 0.01  # of false discoveries
+_KEPT = 0.975  # share of a normal law that S is taken from
+_STEPS = 10
+_FEW = 3  # times as many units as parameters are needed
+_SHOWN = 3  # parameters that are named of a unit
+_ROWS = 50_000  # units that are worked on at once
+
+
+def find_outliers(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, Any]]:
+    """Return the units that do not belong, the farthest first.
+
+    Parameters
+    ----------
+    units : Units
+    counted : (B,) array of bool
+        Units whose numbers count.
+    """
+    mine = np.flatnonzero(counted & np.isfinite(units.parameters).all(axis=1))
+    mine = mine[np.isfinite(units.rms[mine])]
+    n, p = len(mine), len(units.names) + 1
+    if p == 1 or n < _FEW * (p + 1):
+        return []
+    theta = np.empty((n, p))  # column by column, as there may be millions of rows
+    for place in range(p - 1):
+        theta[:, place] = units.parameters[mine, place]
+    theta[:, -1] = np.cbrt(units.rms[mine] ** 2)
+    _, station = np.unique(np.array(units.station)[mine], return_inverse=True)
+    for place in np.unique(station).tolist():
+        theta[station == place] -= median(theta[station == place], axis=0)
+    scale = NORMAL * np.array([median(np.abs(column)) for column in theta.T])
+    if not (scale > 0.0).all():
+        return []  # as many units are exactly alike, nothing tells how units differ
+    theta /= scale
+    covariance = _concentrated(theta)
+    distance = _squared(theta, covariance)
+    p_values = _tail(distance, n, p)
+    near = np.flatnonzero(p_values < RATE)
+    excess = np.zeros((len(near), p))
+    for place in range(p - 1):
+        u2 = (units.u[mine, place] / scale[place]) ** 2
+        excess[:, place] = np.maximum(u2[near] - median(u2), 0.0)
+    for place, row in enumerate(near.tolist()):
+        if excess[place].any():
+            worse = covariance + np.diag(excess[place])
+            distance[row] = float(theta[row] @ np.linalg.solve(worse, theta[row]))
+    p_values[near] = _tail(distance[near], n, p)
+    found = discoveries(p_values)
+    sd = np.sqrt(np.diag(covariance))
+    return [
+        {
+            "unit": units.unit[mine[row]],
+            "station": units.station[mine[row]],
+            "statistic": float(distance[row]),
+            "p": float(p_values[row]),
+            "parameters": _farthest(units, theta[row] / sd, int(mine[row])),
+        }
+        for row in sorted(found.tolist(), key=lambda row: -distance[row])
+    ]
+
+
+def _concentrated(theta: Array) -> Array:
+    """Return the covariance (p, p) of the bulk of (n, p) numbers about zero."""
+    from scipy.special import chdtri
+
+    p = theta.shape[1]
+    limit = float(chdtri(p, 1.0 - _KEPT))
+    middle = float(chdtri(p, 0.5))
+    kept = np.maximum(theta.max(axis=1), -theta.min(axis=1)) <= np.sqrt(limit)
+    if kept.sum() <= 2 * p:
+        kept = np.ones(len(theta), dtype=np.bool_)
+    covariance = np.eye(p)
+    for _ in range(_STEPS):
+        covariance = _covariance(theta, kept)
+        distance = _squared(theta, covariance)
+        covariance *= median(distance) / middle
+        before, kept = kept, distance <= limit * median(distance) / middle
+        if np.array_equal(before, kept):
+            break
+    return covariance
+
+
+def _squared(theta: Array, covariance: Array) -> Array:
+    half = np.linalg.inv(np.linalg.cholesky(covariance)).T
+    distance = np.empty(len(theta))
+    for rows in _blocks(len(theta)):
+        white = theta[rows] @ half
+        distance[rows] = np.einsum("np,np->n", white, white)
+    return distance
+
+
+def _covariance(theta: Array, kept: NDArray[np.bool_]) -> Array:
+    """Return the covariance (p, p) of the rows of (n, p) that are kept."""
+    count, mean = int(kept.sum()), np.mean(theta, axis=0, where=kept[:, None])
+    square = np.zeros((len(mean), len(mean)))
+    for rows in _blocks(len(theta)):
+        left = theta[rows][kept[rows]] - mean
+        square += left.T @ left
+    return square / (count - 1)
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Yield rows, few enough at a time for their copies to be nothing."""
+    for first in range(0, count, _ROWS):
+        yield slice(first, first + _ROWS)
+
+
+def _tail(distance: Array, n: int, p: int) -> Array:
+    from scipy.special import fdtrc
+
+    return np.asarray(fdtrc(p, n - p, distance * (n - p) / (p * (n - 1.0))))
+
+
+def discoveries(p_values: Array) -> NDArray[np.intp]:
+    """Return which p values are so small that of all these at most `RATE` are so by chance."""
+    order = np.argsort(p_values)
+    allowed = RATE * np.arange(1, len(order) + 1) / len(order)
+    below = np.flatnonzero(p_values[order] <= allowed)
+    return order[: below[-1] + 1] if len(below) else order[:0]
+
+
+def _farthest(units: Units, away: Array, unit: int) -> list[dict[str, Any]]:
+    order = np.argsort(-np.abs(away))[:_SHOWN]
+    return [
+        {
+            "name": (*units.names, "rms")[i],
+            "value": float((*units.parameters[unit], units.rms[unit])[i]),
+            "deviation": float(away[i]),
+        }
+        for i in order.tolist()
+    ]
+
+
+_EDGE = 0.05  # of the units at either end, in which no step is looked for
+_FEWEST = 20  # units of a station
+
+
+def find_drift(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, Any]]:
+    """Return the parameters that moved, by station, the surest first.
+
+    Parameters
+    ----------
+    units : Units
+    counted : (B,) array of bool
+        Units whose numbers count.
+    """
+    stations = np.array(units.station)
+    order, timed = line_order(units)
+    tests: list[tuple[str, int, NDArray[np.intp], int, float]] = []
+    for station in dict.fromkeys(units.station):
+        mine = order[(counted & (stations == station))[order]]
+        if len(mine) < _FEWEST:
+            continue
+        for place in range(len(units.names)):
+            told = mine[np.isfinite(units.parameters[mine, place])]
+            if len(told) < _FEWEST:
+                continue
+            after, chance = find_step(normal_scores(units.parameters[told, place]))
+            tests.append((station, place, told, after, chance))
+    if not tests:
+        return []
+    found = discoveries(np.array([test[-1] for test in tests]))
+    return [_said(units, timed, *tests[each]) for each in found.tolist()]
+
+
+def normal_scores(values: Array) -> Array:
+    """Return the normal scores of the ranks of values (n,), with variance one."""
+    from scipy.special import ndtri
+
+    order = np.argsort(values, kind="stable")
+    ranks = np.empty(len(values))
+    ranks[order] = np.arange(1, len(values) + 1)
+    same, place = np.unique(values, return_inverse=True)
+    if len(same) < len(values):  # equal values share their mean rank
+        ranks = (np.bincount(place, ranks) / np.bincount(place))[place]
+    scores = np.asarray(ndtri((ranks - 0.5) / len(values)))
+    spread = float(scores.std())
+    return scores / spread if spread > 0.0 else scores
+
+
+def find_step(scores: Array) -> tuple[int, float]:
+    """Return after how many of n scores a step is likeliest, and its chance without one."""
+    n = len(scores)
+    k = np.arange(1, n)
+    partial = np.cumsum(scores)[:-1] - k * scores.mean()
+    z = np.abs(partial) / np.sqrt(k * (n - k) / n)
+    edge = max(int(np.ceil(_EDGE * n)), 2)
+    inside = (k >= edge) & (k <= n - edge)
+    after = int(k[inside][np.argmax(z[inside])])
+    b = float(z[inside].max())
+    if b < 1.0:
+        return after, 1.0
+    t0 = edge / n
+    log = 2.0 * np.log((1.0 - t0) / t0)
+    density = np.exp(-0.5 * b**2) / np.sqrt(2.0 * np.pi)
+    return after, float(min(density * ((b - 1.0 / b) * log + 4.0 / b), 1.0))
+
+
+def _said(
+    units: Units,
+    timed: bool,
+    station: str,
+    place: int,
+    mine: NDArray[np.intp],
+    after: int,
+    chance: float,
+) -> dict[str, Any]:
+    values = units.parameters[mine, place]
+    same = np.zeros(len(mine), dtype=np.intp)
+    kept = near_median(values, np.isfinite(values), same)
+    before, behind = values[:after][kept[:after]], values[after:][kept[after:]]
+    x = np.arange(len(mine)) / (len(mine) - 1.0) - 0.5
+    slope = float(np.sum(x[kept] * values[kept]) / np.sum(x[kept] ** 2))
+    centred = values[kept] - values[kept].mean()
+    by_line = float(np.sum((centred - slope * (x[kept] - x[kept].mean())) ** 2))
+    by_step = float(np.sum((before - before.mean()) ** 2) + np.sum((behind - behind.mean()) ** 2))
+    trend = by_line <= by_step
+    variance = min(by_line, by_step) / (len(centred) - 2)
+    if trend:
+        size, u = slope, np.sqrt(variance / np.sum(x[kept] ** 2))
+    else:
+        size = float(behind.mean() - before.mean())
+        u = np.sqrt(variance * (1.0 / len(before) + 1.0 / len(behind)))
+    first = int(mine[after])
+    return {
+        "station": station,
+        "name": units.names[place],
+        "kind": "trend" if trend else "step",
+        "from_unit": units.unit[first],
+        "time": float(units.time[first]) if timed else None,
+        "value": size,
+        "u": float(u),
+        "p": chance,
+        "order": "time" if timed else "rows",
+    }

@@ -1,0 +1,137 @@
+"""The numbers of all units, and where they are gathered while tasks come in."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.fleets.grouping import GaugeStudy
+from multipos.fleets.labels import Labels
+from multipos.fleets.nests import NestSums
+from multipos.fleets.solving import Solved
+from multipos.numerics.arrays import Array
+from multipos.results import Columns
+from multipos.sensor.model import Model
+
+# texts as they are: of one width, all would be as long as the longest
+Texts = NDArray[np.object_]
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """Every unit's numbers, (B,) or (B, p); NaN and a reason where a unit failed.
+
+    Attributes
+    ----------
+    unit : Labels
+        Of every unit (B,).
+    station : tuple of B str
+        '' where no column names them.
+    model : Model or None
+        None where every unit failed.
+    names : tuple of p str
+    parameters, u, dof : (B, p) arrays
+    rms : (B,) array [g]
+    doubts : (B,) array of str
+        Codes, with spaces between them.
+    implausible : (B,) array of bool
+        Whose calibration is not fit for use.
+    reasons : (B,) array of str
+        Why a unit failed; '' where it did not.
+    first, time : (B,) arrays
+        The first row of each unit in the tables, and the mean of its column `time`, NaN without.
+    nests : tuple of NestSums
+    confidence : float
+    gravity_u : float
+        Relative uncertainty of gravity, which all units have in common.
+    sources : tuple of (name, SHA-256)
+    counted : bool
+        Units are whole numbers in the tables.
+    study : GaugeStudy or None
+        Repeats of units at several stations.
+    """
+
+    unit: Labels
+    station: tuple[str, ...]
+    model: Model | None
+    names: tuple[str, ...]
+    parameters: Array
+    u: Array
+    dof: Array
+    rms: Array
+    doubts: Texts
+    implausible: NDArray[np.bool_]
+    reasons: Texts
+    first: NDArray[np.intp]
+    time: Array
+    nests: tuple[NestSums, ...]
+    confidence: float
+    gravity_u: float
+    sources: tuple[tuple[str, str | None], ...]
+    counted: bool
+    study: GaugeStudy | None = None
+
+    def __len__(self) -> int:
+        return len(self.unit)
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Which units have no numbers."""
+        return np.array([bool(reason) for reason in self.reasons])
+
+    @cached_property
+    def unit_column(self) -> NDArray[Any]:
+        """The units as the tables name them, texts or whole numbers (B,)."""
+        texts = np.array(list(self.unit), dtype=np.str_)
+        return texts.astype(np.int64) if self.counted else texts
+
+    def columns(self) -> Columns:
+        """Return the table of calibrations, one row a unit."""
+        columns: dict[str, Any] = {
+            "unit": self.unit_column,
+            "station": np.array(self.station, dtype=np.str_),
+        }
+        columns |= {name: self.parameters[:, i] for i, name in enumerate(self.names)}
+        columns |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.names)}
+        columns |= {f"dof_{name}": self.dof[:, i] for i, name in enumerate(self.names)}
+        columns["rms"] = self.rms
+        return Columns(columns | {"doubts": self.doubts, "reason": self.reasons})
+
+
+class UnitsFound:
+    """What tasks have found so far, by unit."""
+
+    def __init__(self, count: int) -> None:
+        """Begin with nothing known of so many units."""
+        self.names: tuple[str, ...] = ()
+        self.parameters = self.u = self.dof = np.empty((count, 0))
+        self.rms = np.full(count, np.nan)
+        self.doubts: Texts = np.full(count, "", dtype=np.object_)
+        self.reasons: Texts = np.full(count, "", dtype=np.object_)
+        self.implausible = np.zeros(count, dtype=np.bool_)
+        self.nests: list[NestSums] = []
+
+    def take(self, solved: Solved) -> None:
+        """Take up what a task found."""
+        if solved.names and not self.names:
+            self.names = solved.names
+            shape = (len(self.rms), len(solved.names))
+            self.parameters, self.u, self.dof = (np.full(shape, np.nan) for _ in range(3))
+        same = solved.names == self.names
+        for row, unit in enumerate(solved.units.tolist()):
+            reason = solved.reasons[row]
+            if not reason and not same:
+                reason = "its columns give other parameters than those of the other units."
+            self.reasons[unit] = reason
+            self.doubts[unit] = "" if reason else solved.doubts[row]
+        good = np.array([not self.reasons[unit] for unit in solved.units.tolist()], dtype=np.bool_)
+        units = solved.units[good]
+        if len(units):
+            self.parameters[units] = solved.parameters[good]
+            self.u[units] = solved.u[good]
+            self.dof[units] = solved.dof[good]
+            self.rms[units] = solved.rms[good]
+            self.implausible[units] = solved.implausible[good]
+        self.nests += solved.nests

@@ -1,0 +1,324 @@
+"""Logs that are arrays: in memory, or in NumPy's and MATLAB's formats.
+
+Workbooks: the sheet that was open when it was saved, as the text it would be.
+
+HDF5, which MATLAB's version 7.3 is too: the data sets of a file, under their names.
+
+Tables of Arrow: Parquet and Feather.
+
+Archives that phones export: one table a sensor; the accelerometer's, with gravity, is taken.
+
+phyphox puts one experiment into ``Raw Data.csv``. Sensor Logger has ``TotalAcceleration.csv`` with
+gravity, while its ``Accelerometer.csv`` has had gravity taken away, which no calibration can use.
+"""
+
+import csv
+import datetime
+import io
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.files.pipes import Unpacked
+from multipos.files.tables import Column, Table
+from multipos.logs.extras import first_line, read_apart, require_extra
+from multipos.logs.log_columns import name_header
+from multipos.logs.table import Log, Piece
+from multipos.positions.headers import split_unit
+
+_ROWS = 1 << 16  # at a time
+
+
+def log_of_columns(source: str, found: Mapping[str, Any], names: Sequence[str] | None) -> Log:
+    """Return a log of arrays by name; shorter ones than the longest are left out."""
+    flat = _flat(found)
+    rows = max(map(len, flat.values()), default=0)
+    whole = {name: column for name, column in flat.items() if len(column) == rows}
+    if not rows or not whole:
+        raise MultiposError(f"{source}: no arrays of samples; a log needs rows.")
+    header = None if all(map(str.isdigit, whole)) else list(whole)
+    named = name_header(source, header, len(whole), names)
+    arrays = dict(zip(named.columns, whole.values(), strict=True))
+    told = zip(named.columns, map(split_unit, whole), strict=True)
+    return Log(
+        source=source,
+        columns=named.columns,
+        numeric=_of_kind(arrays, "fiubM"),
+        delimiter=",",
+        text=False,
+        read=partial(_read_arrays, source, arrays, rows),
+        header=named.header,
+        units={name: unit for name, (_, unit) in told if unit},
+        headless=named.headless,
+        nameless=named.nameless,
+        dates=frozenset(_of_kind(arrays, "M")),
+    )
+
+
+def _of_kind(arrays: Mapping[str, NDArray[Any]], kinds: str) -> tuple[str, ...]:
+    return tuple(name for name, column in arrays.items() if column.dtype.kind in kinds)
+
+
+def _read_arrays(
+    source: str,
+    columns: Mapping[str, NDArray[Any]],
+    rows: int,
+    names: Sequence[str],
+    optional: Sequence[str] = (),
+    texts: Sequence[str] = (),
+    *,
+    lenient: bool = False,
+) -> Iterator[Piece]:
+    del lenient  # arrays have all their cells
+    for start in range(0, rows, _ROWS):
+        end = min(start + _ROWS, rows)
+        part: dict[str, Column] = {
+            name: _numbers(_cells(columns[name][start:end]))
+            for name in dict.fromkeys((*names, *optional))
+        }
+        cells = {name: _cells(columns[name][start:end]) for name in texts}
+        plain = Table(source, cells, rows=end - start)
+        part |= {name: list(plain.text(name)) for name in texts}
+        table = Table(source, part, rows=end - start, first=start)
+        for name in names:
+            table.number(name)
+        yield Piece(table, None, end / rows)
+
+
+def _cells(column: NDArray[Any]) -> NDArray[Any]:
+    """Return cells as they are, of bytes their text."""
+    return np.char.decode(column, "utf-8", "replace") if column.dtype.kind == "S" else column
+
+
+def _numbers(column: NDArray[Any]) -> Column:
+    if column.dtype.kind == "U":  # cells that the table reads, and names where they are no numbers
+        return [str(cell) for cell in column.tolist()]
+    if column.dtype.kind != "M":
+        return np.array(column, dtype=np.float64)
+    seconds = column.astype("datetime64[ns]").astype(np.int64) * 1e-9
+    return np.where(np.isnat(column), np.nan, seconds)
+
+
+def _flat(found: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Return arrays as columns: acc (n, 3) as acc_x, acc_y, acc_z, wider ones by number."""
+    columns: dict[str, NDArray[Any]] = {}
+    for name, value in found.items():
+        array = _plain(value)
+        if array.ndim == 1 and array.size:
+            columns[name] = array
+        elif array.ndim == 2:
+            columns |= _split_columns(name, array)
+    return columns
+
+
+def _plain(value: Any) -> NDArray[Any]:
+    """Return an array of numbers, dates or texts; an empty one for structures, and for scalars."""
+    array = np.asarray(value)
+    if array.dtype.kind == "O" and array.size and isinstance(array.flat[0], str):
+        array = array.astype(np.str_)  # texts of a data frame
+    if array.dtype.kind not in "fiubUSM" or array.size < 2:
+        return np.empty(0)
+    return array.ravel() if array.ndim == 2 and min(array.shape) == 1 else array
+
+
+def _split_columns(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    width = array.shape[1]
+    ends = "xyz" if width == 3 else [str(i + 1) for i in range(width)]
+    stem = f"{name}_" if name else ""
+    return {f"{stem}{end}": array[:, i] for i, end in enumerate(ends)}
+
+
+def read_npy(path: os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the columns of an array file, which stay on the disk until they are read."""
+    array = loaded(path, lambda: np.load(Path(path), mmap_mode="r", allow_pickle=False))
+    if array.ndim not in (1, 2) or not array.size:
+        raise MultiposError(
+            f"{path}: an array of shape {array.shape}; a log is one column (n,), or one row a "
+            "sample (n, columns)."
+        )
+    if array.dtype.names:
+        return _legible(path, {name: array[name] for name in array.dtype.names})
+    if array.ndim == 1:
+        array = array[:, None]
+    return _legible(path, {str(i + 1): array[:, i] for i in range(array.shape[1])})
+
+
+def read_npz(path: os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the arrays of an archive."""
+
+    def load() -> dict[str, Any]:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+            return dict(archive)
+
+    return _legible(path, loaded(path, load))
+
+
+def _legible(path: os.PathLike[str], columns: dict[str, Any]) -> dict[str, Any]:
+    """Return columns whose texts are made of characters: NumPy reads any four bytes as one."""
+    for name, column in columns.items():
+        # what is no array in an archive comes as bytes
+        is_text = isinstance(column, np.ndarray) and column.dtype.kind == "U"
+        if not is_text or not column.dtype.itemsize:
+            continue
+        number = np.dtype(np.uint32).newbyteorder(column.dtype.byteorder)
+        if (np.ascontiguousarray(column).view(number) > sys.maxunicode).any():
+            raise MultiposError(
+                f"{path}: cannot read the log: column '{name}' has text that is none; the file is "
+                "damaged, write it again."
+            )
+    return columns
+
+
+def read_mat(path: os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the variables of a MATLAB file up to version 7, whose reader a damaged one crashes."""
+    return read_apart(path, load_mat)
+
+
+def load_mat(path: os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the variables of a MATLAB file: in a process of its own."""
+    from scipy.io import loadmat
+
+    found: dict[str, Any] = loadmat(path, squeeze_me=False)
+    return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def loaded(path: os.PathLike[str], load: Callable[[], Any]) -> Any:
+    """Return what a library's reader gives, and refuse a damaged file by its first line."""
+    try:
+        return load()
+    except Exception as error:  # each format has exceptions of its own for a damaged file
+        raise MultiposError(
+            f"{path}: cannot read the log: {first_line(error)}; write it again."
+        ) from None
+
+
+def unpack_workbook(path: os.PathLike[str]) -> Unpacked:
+    """Return a workbook's sheet as a file of text, row by row."""
+    require_extra(path, "an Excel workbook", "openpyxl", "excel")
+    rows = loaded(path, lambda: _rows(path))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return Unpacked(str(path), io.BytesIO(text.getvalue().encode()), ".csv")
+
+
+def _rows(path: os.PathLike[str]) -> list[list[str]]:
+    from openpyxl import load_workbook
+
+    with Path(path).open("rb") as stream:
+        book = load_workbook(stream, read_only=True, data_only=True)
+        return [[_cell(cell) for cell in row] for row in book.active.iter_rows(values_only=True)]
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, datetime.datetime):
+        return value.isoformat(sep=" ", timespec="microseconds")
+    return "" if value is None else str(value)
+
+
+_MATLAB = b"MATLAB 7.3"  # stores matrices column by column, so that they come out transposed
+
+
+def load_hdf(path: os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the data sets of numbers, and the columns of tables."""
+    import h5py
+
+    with Path(path).open("rb") as stream:
+        transposed = stream.read(len(_MATLAB)) == _MATLAB
+    found: dict[str, Any] = {}
+
+    def take(name: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset) or item.attrs.get("MATLAB_class") == b"char":
+            return
+        if item.dtype.names:
+            found.update({f"{name}/{part}": item[part] for part in item.dtype.names})
+        elif item.dtype.kind in "fiub" and item.ndim in (1, 2):
+            found[name] = np.asarray(item).T if transposed else np.asarray(item)
+
+    with h5py.File(os.fspath(path), "r") as file:
+        file.visititems(take)
+    rows = max((len(column) for column in found.values()), default=0)
+    samples = {name: column for name, column in found.items() if len(column) == rows}
+    last = [name.rpartition("/")[2] for name in samples]
+    if len(set(last)) == len(last):
+        return dict(zip(last, samples.values(), strict=True))
+    return samples
+
+
+def load_arrow(path: os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the columns that are numbers, times or texts."""
+    from pyarrow import feather, parquet
+
+    with Path(path).open("rb") as stream:
+        whole = parquet if stream.read(4) == b"PAR1" else feather
+        stream.seek(0)
+        table = whole.read_table(stream)
+    columns = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        array = column.to_numpy()
+        if array.dtype.kind == "O" and all(isinstance(cell, str | None) for cell in array):
+            array = np.array([cell or "" for cell in array], dtype=np.str_)
+        columns[name] = array
+    return columns
+
+
+# In the order in which they are looked for.
+_WITH_GRAVITY = [
+    re.compile(pattern, re.IGNORECASE)
+    for pattern in (
+        r"total ?acc.*",
+        r"acc.*uncalibrated.*",
+        r"acc.*with.?g.*",
+        r"acc.*",
+        r"raw data",
+    )
+]
+_TABLES = (".csv", ".tsv", ".txt")
+
+
+def tables_in(path: os.PathLike[str]) -> list[str]:
+    """Return the tables in an archive, in its first folder."""
+    from zipfile import ZipFile
+
+    with ZipFile(path) as archive:
+        names = [PurePosixPath(name) for name in archive.namelist()]
+    return [str(each) for each in names if each.suffix.lower() in _TABLES and len(each.parts) <= 1]
+
+
+def unpack_phone(path: os.PathLike[str]) -> Unpacked:
+    """Return the accelerometer's table of an archive.
+
+    Raises
+    ------
+    MultiposError
+        There is none, or only one without gravity.
+    """
+    names: list[str] = loaded(path, lambda: tables_in(path))
+    stems = {PurePosixPath(name).stem: name for name in names}
+    found = next((s for p in _WITH_GRAVITY for s in stems if p.fullmatch(s)), None)
+    if found is None and len(stems) == 1:
+        found = next(iter(stems))
+    if found is None:
+        raise MultiposError(
+            f"{path}: none of {', '.join(names)} looks like an accelerometer's; unpack the one."
+        )
+    if found == "Accelerometer" and "Gravity" in stems:
+        raise MultiposError(
+            f"{path}: Accelerometer.csv has gravity taken away, as Gravity.csv beside it says; "
+            "record total acceleration, or the uncalibrated accelerometer."
+        )
+    return loaded(path, lambda: _unpacked(path, stems[found]))  # type: ignore[no-any-return]
+
+
+def _unpacked(path: os.PathLike[str], name: str) -> Unpacked:
+    from zipfile import ZipFile
+
+    with ZipFile(path) as archive, archive.open(name) as stream:
+        return Unpacked(str(path), stream, PurePosixPath(name).suffix)

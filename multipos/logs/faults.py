@@ -1,0 +1,341 @@
+"""What is wrong with a whole log: numbers that wrap around, and a part of it in another unit.
+
+What is wrong with rests: saturated or stuck outputs, mixed units, motion, drift, gaps, twins.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from multipos.logs.rest_means import Counts, RestMean
+from multipos.logs.rests import Rest, Survey
+from multipos.logs.samples import Kept, Samples
+from multipos.numerics.arrays import Array, median
+
+# A share of the samples at one value, the extreme of the log, that noise does not explain.
+_SATURATED = 0.01
+_SATURATED_SAMPLES = 5
+_BESIDE = 3  # values beside an extreme whose counts are compared with its own
+_HEAP = 1.5  # times as many samples as at the values beside it
+_NOISY = 1.5  # steps of resolution: with less noise many samples share one value anyway
+_STUCK = 20  # equal samples in a row
+_UNITS = 3.0  # times the scale factor of another output: no pair of one unit differs so much
+_SPREAD = 50.0  # condition of the ellipsoid: worse where the positions do not span the sphere
+_FEW = 30.0  # independent samples, below which u is itself uncertain
+_SIGNIFICANT = 5.0  # times its standard uncertainty
+_UNSTEADY = 3.0  # times the usual standard deviation of a rest
+_TWIN_DEG = 2.0
+_EDGE = 0.1  # of the windows of a section may be its edges
+
+
+def compare_scales(outputs: Sequence[str], means: Array) -> str | None:
+    """Return what is said of outputs of different units, by the ellipsoid of their means (n, 3)."""
+    scale = _semi_axes(means)
+    if scale is None or scale.max() <= _UNITS * scale.min():
+        return None
+    large, small = outputs[int(np.argmax(scale))], outputs[int(np.argmin(scale))]
+    return (
+        f"1 g moves '{large}' {scale.max() / scale.min():.3g} times as far as '{small}': mixed "
+        "units? Convert the outputs to one unit, average them one at a time with --outputs"
+    )
+
+
+def _semi_axes(means: Array) -> Array | None:
+    """Return the semi-axes of the ellipsoid along the axes that the means (n, 3) lie on."""
+    if means.shape[1] != 3 or len(means) < 6:
+        return None
+    half = np.ptp(means, axis=0) / 2.0
+    if not half.all():
+        return None
+    y = (means - means.min(axis=0)) / half - 1.0
+    rows = np.column_stack([y**2, y])
+    if np.linalg.cond(rows) > _SPREAD:
+        return None
+    a, b = np.split(np.linalg.lstsq(rows, np.ones(len(rows)), rcond=None)[0], 2)
+    if not (a > 0.0).all():
+        return None
+    return np.asarray(half / np.sqrt(a / (1.0 + float((b**2 / (4.0 * a)).sum()))))
+
+
+def find_stuck(
+    outputs: Sequence[str], found: Sequence[RestMean], surveys: Sequence[Survey]
+) -> list[list[str]]:
+    """Return what is said of each rest in which an output never changes.
+
+    At an extreme of its log it is saturated, elsewhere stuck.
+    """
+    usual = median([each.sd for each in found], axis=0)
+    said = []
+    for each, survey in zip(found, surveys, strict=True):
+        constant = (each.sd == 0.0) & (usual > 0.5 * np.nan_to_num(survey.resolution))
+        extreme = (each.low == survey.lowest) | (each.low == survey.highest)
+        said.append(
+            [
+                at_one_value(
+                    outputs[j],
+                    "saturated" if extreme[j] else "stuck",
+                    float(each.low[j]),
+                    each.n,
+                    each.n,
+                )
+                for j in np.flatnonzero(constant).tolist()
+            ]
+        )
+    return said
+
+
+def at_one_value(output: str, fault: str, value: float, count: int, n: int) -> str:
+    """Return how an output is said to be at one value too often."""
+    return f"output '{output}' is {fault} at {value:.10g} ({count} of {n} samples)"
+
+
+def suspects(each: RestMean, survey: Survey) -> list[tuple[int, bool]]:
+    """Return the outputs that are often at an extreme of the whole log, and whether the upper."""
+    noisy = (each.sd >= _NOISY * survey.resolution) & (survey.resolution > 0.0)
+    enough = max(_SATURATED_SAMPLES, _SATURATED * each.n)
+    high = noisy & (each.high == survey.highest) & (each.at_high >= enough)
+    low = noisy & (each.low == survey.lowest) & (each.at_low >= enough)
+    found = [(j, True) for j in np.flatnonzero(high).tolist()]
+    return found + [(j, False) for j in np.flatnonzero(low & ~high).tolist()]
+
+
+def is_saturated(counts: Sequence[int]) -> bool:
+    """Tell from how many samples have each value, from the extreme inward.
+
+    Noise has fewer samples at its extreme than beside it, or as many where codes differ in
+    width; what was cut off has all of its tail there.
+    """
+    beside = max(counts[1 : 1 + _BESIDE], default=0)
+    more = counts[0] - beside
+    return more > _SIGNIFICANT * (counts[0] + beside) ** 0.5 and counts[0] > _HEAP * beside
+
+
+def find_faults(
+    outputs: Sequence[str],
+    found: Sequence[RestMean],
+    resolution: Array,
+    gaps: Sequence[int],
+    moving: Sequence[float | None],
+    labels: Sequence[str],
+) -> tuple[list[list[str]], list[str]]:
+    """Return what is to be said of each rest, and of all of them together."""
+    usual = median([each.sd for each in found], axis=0)
+    faults = []
+    for each, gap, moved in zip(found, gaps, moving, strict=True):
+        own = [] if moved else _rest_faults(outputs, each, usual, resolution)
+        faults.append([*_moved(moved), *_gaps(gap), *own])
+    still = [i for i, moved in enumerate(moving) if not moved]
+    return faults, _twins([found[i] for i in still], [labels[i] for i in still])
+
+
+def _moved(share: float | None) -> list[str]:
+    if share is not None and share > _EDGE:
+        return [f"in motion during {100 * share:.0f} % of the time"]
+    return ["motion at its edges; give fewer rows"] if share else []
+
+
+def _gaps(count: int) -> list[str]:
+    if not count:
+        return []
+    return ["a gap in the time" if count == 1 else f"{count} gaps in the time"]
+
+
+def _rest_faults(
+    outputs: Sequence[str], each: RestMean, usual: Array, resolution: Array
+) -> list[str]:
+    return [
+        note
+        for j, output in enumerate(outputs)
+        for note in _output_faults(output, j, each, float(usual[j]), float(resolution[j]))
+    ]
+
+
+def _output_faults(
+    output: str, j: int, each: RestMean, usual: float, resolution: float
+) -> list[str]:
+    notes = []
+    noisy = each.sd[j] >= _NOISY * resolution
+    if noisy and each.longest[j] >= max(_STUCK, each.n / 10):
+        notes.append(f"'{output}' repeats one value {each.longest[j]} times")
+    if usual > 0.0 and each.sd[j] > _UNSTEADY * usual:
+        notes.append(f"'{output}' is unsteady, its sd {each.sd[j] / usual:.1f} times the usual")
+    if each.drift_u[j] > 0.0 and abs(each.drift[j]) > _SIGNIFICANT * each.drift_u[j]:
+        notes.append(f"'{output}' drifts by {each.drift[j]:+.3g}")
+    elif each.edge[j] > _SIGNIFICANT:
+        notes.append(f"'{output}' is off at an edge; motion there?")
+    return notes + _settled(output, j, each)
+
+
+def common_noise(outputs: Sequence[str], found: Sequence[RestMean]) -> list[str]:
+    """Say where all rests together show that means do not settle."""
+    ratio = np.array([each.common for each in found])
+    names = [f"'{outputs[j]}'" for j in np.flatnonzero((ratio > 1.0).any(axis=0)).tolist()]
+    if not names:
+        return []
+    raised = ratio[ratio > 1.0]
+    low, high = f"{raised.min():.2g}", f"{raised.max():.2g}"
+    times = low if low == high else f"{low} to {high}"
+    said = (
+        f"the rests together show slow noise in {', '.join(names)}, so that means do not settle: u "
+        f"is {times} times what the scatter of samples says"
+    )
+    return [said]
+
+
+def _settled(output: str, j: int, each: RestMean) -> list[str]:
+    """Say where a mean does not settle, or rests on few independent samples."""
+    if each.common[j] > 1.0:  # which is said once, of all rests
+        return []
+    if each.wander[j] > 1.0:
+        said = (
+            f"'{output}' wanders: its Allan deviation does not fall as that of noise does, and u "
+            f"is {each.wander[j]:.2g} times what its scatter says"
+        )
+        return [said]
+    if each.sd[j] > 0.0 and each.effective[j] < _FEW:
+        said = (
+            f"'{output}' is worth {each.effective[j]:.2g} independent samples only, so that its u "
+            f"has {each.dof[j]:.2g} degrees of freedom"
+        )
+        return [said]
+    return []
+
+
+def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[str]:
+    if len(found) < 3 or len(found[0].mean) == 2:  # two axes read the same of two directions
+        return []
+    means = np.array([each.mean for each in found])
+    half_range = float(np.ptp(means, axis=0).max()) / 2.0
+    near = np.radians(_TWIN_DEG) * half_range
+    pairs = []
+    for i, mean in enumerate(means):
+        apart = np.linalg.norm(means[i + 1 :] - mean, axis=1)
+        others = (i + 1 + np.flatnonzero(apart < near)).tolist()
+        pairs += [f"{labels[i]} and {labels[k]}" for k in others if labels[i] != labels[k]]
+    if not pairs:
+        return []
+    listed = ", ".join(pairs[:6]) + (f" and {len(pairs) - 6} more pairs" if len(pairs) > 6 else "")
+    note = (
+        f"nearly the same position, within about {_TWIN_DEG:g} degrees: {listed}; they say little "
+        "more than one, unless repeats are meant"
+    )
+    return [note]
+
+
+_BITS = (8, 10, 12, 14, 16, 18, 20, 24, 32)
+_FULL = 0.98  # of what so many bits hold: a sensor that wraps has been near both ends
+_ACROSS = 0.9  # of it from one sample to the next: no motion
+_FACTORS = (9.80665, 1000.0, 1000.0 / 9.80665, 9806.65, 980.665)  # between g, mg, m/s², mm/s², Gal
+_NEAR = 0.1  # relative: how far a bias moves the factor
+_ALIKE = 0.4  # relative: how far the size of gravity is from its median, with a bias
+_MOST = 0.8  # of the windows of a part: the others are in motion
+_PARTS = 64  # places where a log may be cut in two
+_FEWEST = 8  # windows of a part
+
+
+def find_wrapped(samples: Samples, survey: Survey) -> list[str]:
+    """Return what is said of outputs that wrap around: whole numbers of so many bits.
+
+    A sample beyond the largest number comes out as the smallest.
+    """
+    bits = [_bits(survey, j) for j in range(len(samples.outputs))]
+    if not any(bits):
+        return []
+    across = [_ACROSS * 2.0**each if each else np.inf for each in bits]
+    jumps = np.zeros(len(bits), dtype=np.int64)
+    first = np.full(len(bits), -1)
+    for begin, piece in samples.pieces():
+        steps = np.abs(np.diff(piece[: len(bits)], axis=1)) > np.array(across)[:, None]
+        for j in np.flatnonzero(steps.any(axis=1) & (first < 0)).tolist():
+            first[j] = begin + int(np.argmax(steps[j])) + 1
+        jumps += steps.sum(axis=1)
+    return [
+        f"output '{output}' wraps around: {jumps[j]} times it jumps across all of {bits[j]} bits, "
+        f"from {survey.lowest[j]:.10g} to {survey.highest[j]:.10g}, first at row {first[j]}"
+        for j, output in enumerate(samples.outputs)
+        if jumps[j]
+    ]
+
+
+def _bits(survey: Survey, j: int) -> int:
+    """Return how many bits an output fills, 0 where it does not."""
+    low, high, step = survey.lowest[j], survey.highest[j], survey.resolution[j]
+    if not float(low).is_integer() or not float(high).is_integer() or not step >= 1.0:
+        return 0
+    for bits in _BITS:
+        signed = low >= -(2.0 ** (bits - 1)) and high < 2.0 ** (bits - 1)
+        unsigned = low >= 0.0 and high < 2.0**bits
+        if (signed or unsigned) and high - low >= _FULL * (2.0**bits - 1.0):
+            return bits
+    return 0
+
+
+def find_saturated(samples: Kept, rest: Rest, found: RestMean, survey: Survey) -> list[str]:
+    """Return what is said of outputs that are cut off at an extreme of the log in one rest."""
+    said = []
+    for j, upper in suspects(found, survey):
+        values, counts = _values(samples, rest, j)
+        inward = counts[::-1] if upper else counts
+        if is_saturated(inward.tolist()):
+            value = float(values[-1] if upper else values[0])
+            name = samples.outputs[j]
+            said.append(at_one_value(name, "saturated", value, int(inward[0]), found.n))
+    return said
+
+
+def _values(samples: Kept, rest: Rest, j: int) -> tuple[Array, Counts]:
+    """Return the values of an output in a rest, in order, and how many samples have each."""
+    parts = [
+        piece[j, max(rest.start - first, 0) : max(rest.end - first, 0)]
+        for first, piece in samples.pieces()
+    ]
+    values, counts = np.unique(np.concatenate(parts), return_counts=True)
+    return values, counts
+
+
+def find_second_unit(survey: Survey) -> list[str]:
+    """Return what is said of a log that goes on in another unit: gravity has two sizes."""
+    sizes = survey.sizes()
+    places = np.unique(np.linspace(_FEWEST, len(sizes) - _FEWEST, _PARTS).astype(int))
+    places = places[(places >= _FEWEST) & (places <= len(sizes) - _FEWEST)]
+    if not len(places):
+        return []
+    logs = np.log(np.maximum(sizes, np.finfo(float).tiny))
+    if np.ptp(logs) < np.log((1.0 - _NEAR) * min(_FACTORS)):
+        return []  # no two medians of them can differ by a factor
+    steps = [float(median(logs[at:]) - median(logs[:at])) for at in places]
+    at = int(places[int(np.argmax(np.abs(steps)))])
+    before, after = float(median(logs[:at])), float(median(logs[at:]))
+    # Where the fewest windows lie nearer to the size of the other part.
+    nearer = np.where(np.abs(logs - before) < np.abs(logs - after), 1, -1)
+    at = int(np.argmax(np.cumsum(nearer))) + 1
+    ratio = float(np.exp(after - before))
+    if not is_factor(ratio) or not (_alike(sizes[:at]) and _alike(sizes[at:])):
+        return []
+    row = at * survey.grid.window
+    more, times = ("larger", ratio) if ratio > 1.0 else ("smaller", 1.0 / ratio)
+    said = f"from about row {row} on the readings are {times:.3g} times {more} than before"
+    return [f"{said}: two units in one log"]
+
+
+def is_factor(ratio: float) -> bool:
+    """Tell whether a ratio is that of two units of acceleration."""
+    size = max(ratio, 1.0 / ratio)
+    return any(abs(size / factor - 1.0) < _NEAR for factor in _FACTORS)
+
+
+def _alike(sizes: Array) -> bool:
+    if not len(sizes):
+        return False
+    usual = median(sizes)
+    return bool((np.abs(sizes - usual) <= _ALIKE * usual).mean() >= _MOST)
+
+
+def differ_in_unit(surveys: Sequence[Survey]) -> tuple[int, float] | None:
+    """Return which log reads how many times what the first does, by a factor of units."""
+    sizes = [survey.sizes() for survey in surveys]
+    usual = [float(median(each)) if len(each) else 0.0 for each in sizes]
+    for i, each in enumerate(usual):
+        if usual[0] > 0.0 and each > 0.0 and is_factor(each / usual[0]):
+            return i, each / usual[0]
+    return None

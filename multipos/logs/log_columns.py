@@ -1,0 +1,200 @@
+"""The names of a log's columns, and which of them are outputs.
+
+The outputs are the columns that a log names as acceleration, where it names other sensors beside
+them; what a name says is for `multipos.positions.headers`.
+
+Which columns of a log without names show gravity.
+
+Three columns in a row that sense gravity turn with the sensor and keep their size; a gyro at rest
+shows its bias, which neither turns nor means anything, and in motion any size. So blocks of rows
+are taken in which nothing moves, the quietest third, and the triad is looked for whose size varies
+least there while its direction changes.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from multipos.errors import MultiposError, UsageError
+from multipos.logs.rests import LARGEST_SAMPLE
+from multipos.logs.table import Log
+from multipos.numerics.arrays import Array, median
+from multipos.positions.headers import NameParts, component, is_environment, split_unit, triads_of
+
+_BLOCK = 32  # rows
+_FEWEST = 12  # blocks
+_VARIES = 0.15  # relative: by a bias of so many g the size of gravity does, over the directions
+_TURNS = 0.5  # of its size: how far a component goes when the sensor is turned
+_CLEAR = 3.0  # times the variation of the next: a magnetometer turns too
+
+
+def triad_of_gravity(log: Log, names: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Return the three columns in a row that show gravity; None where that is not clear."""
+    if len(names) % 3:
+        return None
+    table = next(iter(log.read((), names, lenient=True))).table
+    data = np.array([table.columns[name] for name in names], dtype=np.float64)
+    data = data[:, (np.abs(data) <= LARGEST_SAMPLE).all(axis=0)]  # and no NaN
+    count = data.shape[1] // _BLOCK
+    if count < _FEWEST:
+        return None
+    blocks = data[:, : count * _BLOCK].reshape(len(names), count, _BLOCK)
+    mean, sd = blocks.mean(axis=2), blocks.std(axis=2)
+    usual = median(sd, axis=1)[:, None]
+    moves = (sd / np.where(usual > 0.0, usual, 1.0)).max(axis=0)
+    quiet = mean[:, moves <= np.quantile(moves, 1.0 / 3.0)]
+    varies = [_variation(quiet[i : i + 3]) for i in range(0, len(names), 3)]
+    order = np.argsort(varies)
+    best = int(order[0])
+    if varies[best] > _VARIES or _CLEAR * varies[best] > varies[int(order[1])]:
+        return None
+    return names[3 * best : 3 * best + 3]
+
+
+def _variation(means: Array) -> float:
+    """Return how the size of means (3, n) varies, relatively; infinite where they do not turn."""
+    size = np.linalg.norm(means, axis=0)
+    usual = float(median(size))
+    if not usual or float(np.ptp(means, axis=1).max()) < _TURNS * usual:
+        return np.inf
+    low, high = np.quantile(size, [0.1, 0.9]).tolist()
+    return float(high - low) / usual
+
+
+def name_columns(
+    source: str, header: Sequence[str] | None, width: int, given: Sequence[str] | None
+) -> tuple[str, ...]:
+    """Return the names of the columns: as given, by the header, or 1, 2, 3, ….
+
+    A column that the header leaves without a name has its number.
+
+    Raises
+    ------
+    UsageError
+        Not as many names are given as there are columns.
+    MultiposError
+        A name appears twice.
+    """
+    if given is not None:
+        if len(given) != width:
+            raise UsageError(
+                f"--columns names {len(given)} columns, but {source} has {width}; name each."
+            )
+        header = given
+    names = tuple(name or str(i + 1) for i, name in enumerate(header or [""] * width))
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise MultiposError(
+                f"{source}: column '{name}' appears twice; rename one or give --columns."
+            )
+    return names
+
+
+class Named(NamedTuple):
+    """The columns of a log: their names, without units, and how the header has them."""
+
+    columns: tuple[str, ...]
+    header: tuple[str, ...]
+    nameless: frozenset[str]
+    headless: bool
+
+
+def name_header(
+    source: str, header: Sequence[str] | None, width: int, given: Sequence[str] | None
+) -> Named:
+    """Return the columns that a header names, units in brackets aside, or those given for it.
+
+    Raises
+    ------
+    UsageError, MultiposError
+        As of `name_columns`.
+    """
+    if given is not None or header is None:
+        columns = name_columns(source, None, width, given)
+        return Named(columns, columns, frozenset(), given is None)
+    bare = [split_unit(name)[0] for name in header]
+    unlike = len(set(bare)) == len(bare)  # else the units tell the columns apart
+    columns = name_columns(source, bare if unlike else header, width, None)
+    pairs = list(zip(columns, header, strict=True))
+    nameless = frozenset(name for name, cell in pairs if not cell)
+    return Named(columns, tuple(cell or name for name, cell in pairs), nameless, False)
+
+
+class Outputs(NamedTuple):
+    """The columns that are outputs, and what is to be said of the choice."""
+
+    names: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str]) -> Outputs:
+    """Return the outputs of a log: as given, or by their names.
+
+    Parameters
+    ----------
+    log : Log
+    given : names, optional
+    clocks : names
+        Columns that tell the time, or a label.
+
+    Raises
+    ------
+    MultiposError
+        There is no such column, none can be an output, or one that is named as one holds text.
+    UsageError
+        More than three could be.
+    """
+    if given is not None:
+        return Outputs(tuple(map(log.find, given)), ())
+    apart = {*clocks, *log.nameless, *filter(is_environment, log.numeric)}
+    names = [name for name in log.numeric if name not in apart]
+    kinds = {name: component(name) for name in log.columns}
+    chosen, by = _by_name(names, kinds), "their names"
+    if len(chosen) > 3 and log.headless:
+        chosen, by = triad_of_gravity(log, chosen) or chosen, "what they show of gravity"
+    _refuse_text(log, chosen, kinds)
+    if not chosen:
+        raise MultiposError(f"{log.source}: no numeric column can be an output; see --columns.")
+    if len(chosen) > 3:
+        raise UsageError(
+            f"{log.source}: {len(chosen)} columns could be outputs: {', '.join(chosen)}; name "
+            "them with --outputs."
+        )
+    return Outputs(chosen, _said(chosen, names, by))
+
+
+def _by_name(names: Sequence[str], kinds: dict[str, NameParts]) -> tuple[str, ...]:
+    """Return the outputs among numeric columns: the triad of acceleration, where there is one."""
+    named = [name for name in names if kinds[name].acceleration]
+    triads = triads_of(named, kinds)
+    if len(triads) == 1:
+        return triads[0]
+    if triads or (named and any(kinds[name].elsewhere for name in names)):
+        return tuple(named)
+    whole = triads_of(names, kinds) if len(names) == 3 else []
+    return whole[0] if whole else tuple(names)
+
+
+def _refuse_text(log: Log, chosen: Sequence[str], kinds: dict[str, NameParts]) -> None:
+    stems = {kinds[name].stem.casefold() for name in chosen if kinds[name].axis >= 0}
+    for name in log.columns:
+        kind = kinds[name]
+        if name not in log.numeric and kind.axis >= 0 and kind.stem.casefold() in stems:
+            raise MultiposError(
+                f"{log.source}: column '{name}' is an output by its name, but holds no number in "
+                "its first rows; correct it, or name the outputs with --outputs."
+            )
+
+
+def _said(chosen: tuple[str, ...], names: Sequence[str], by: str) -> tuple[str, ...]:
+    notes = []
+    others = [name for name in names if name not in chosen]
+    if others:
+        notes.append(
+            f"outputs are {', '.join(chosen)}, by {by}; {', '.join(others)} beside them "
+            f"{'is no output' if len(others) == 1 else 'are none'}"
+        )
+    elif [name for name in names if name in chosen] != list(chosen):
+        notes.append(f"outputs are taken in the order {', '.join(chosen)}, by their names")
+    return tuple(notes)

@@ -1,0 +1,48 @@
+"""Recursions of the first order, z_k = w_k + a z_{k−1}, of any number of runs and columns at once.
+
+They are the forward substitution of a matrix with two diagonals, for which LAPACK has a routine;
+`scipy.signal`, which has them too, takes half a second to import.
+
+Sample rates that a log may have.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import UsageError
+from multipos.numerics.arrays import Array
+
+
+def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
+    """Return z (n,) or (n, p) with z_k = w_k + a z_{k−1}, and z_k = w_k where a run begins.
+
+    Parameters
+    ----------
+    w : (n,) or (n, p) array
+    a : float
+    first : (n,) array of bool, optional
+        Rows where a run begins, beside the first.
+    """
+    from scipy.linalg.lapack import dtbtrs
+
+    bands = np.ones((2, len(w)))
+    bands[1, :-1] = -a if first is None else np.where(first[1:], 0.0, -a)
+    z, _ = dtbtrs(bands, w.reshape(len(w), -1), uplo="L", diag="U")
+    return np.asarray(z.reshape(w.shape))
+
+
+SLOWEST, FASTEST = 1e-12, 1e7  # [Hz]
+
+
+def require_rate(rate: float) -> None:
+    """Refuse a rate [Hz] out of range.
+
+    Raises
+    ------
+    UsageError
+        The message begins with the option.
+    """
+    if not SLOWEST <= rate <= FASTEST:
+        raise UsageError(
+            f"--rate must be above 0, from {SLOWEST:g} to {FASTEST:g} Hz, got {rate:g}."
+        )

@@ -1,0 +1,480 @@
+"""Where the sensor stood, resolved: listed, uncertain, unknown, in groups, on a tilted table.
+
+Readings, a scheme and options together say, position by position, where the reference should be and
+how far it may be from there. `resolve` gathers that once; what follows reads a `Placement` and asks
+no more. A standard deviation of zero is a position known exactly, an infinite one a position of
+which nothing is known, in every type.
+
+Rolls of open angle: the sensor turned about one case axis by an angle that nobody read.
+
+About a level case axis a, up lies on a circle, about one that leans it lies on a cone:
+
+    u = sin(beta) a + cos(beta) c(t),      c(t) a unit vector across a, t open,              (1)
+
+with c(t) as in the named rolls: (0, cos t, sin t) about x. Each position has its own t. The
+inclination beta of the axis is 0, or unknown and shared by the rolls of one `group`: a pointer that
+is aimed at one mark and turned about itself between the shots. Such rolls say along which line of
+the case the sensor's axes lie, which positions of wholly unknown orientation do not.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.files.spelling import quoted
+from multipos.files.tables import Source, Table
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS
+from multipos.positions.attitudes import rows_without_angle
+from multipos.positions.readings import Readings
+from multipos.positions.scheme import Scheme, read_scheme
+
+
+@dataclass(frozen=True, eq=False)
+class OpenRolls:
+    """Which positions are rolls of open angle.
+
+    Attributes
+    ----------
+    axis : (n,) array of int
+        Number of the case axis, −1 for a position that is none.
+    cone : (n,) array of int
+        Number of the inclination that it shares, −1 where the axis is level.
+    """
+
+    axis: NDArray[np.intp]
+    cone: NDArray[np.intp]
+
+    @property
+    def rows(self) -> NDArray[np.bool_]:
+        """Positions that are rolls of open angle, (n,)."""
+        return np.asarray(self.axis >= 0)
+
+    @property
+    def cones(self) -> int:
+        """Number of unknown inclinations."""
+        return int(self.cone.max(initial=-1)) + 1
+
+    @property
+    def vectors(self) -> Array:
+        """The axes (n, 3), zero for a position that is none."""
+        return np.concatenate([np.eye(3), np.zeros((1, 3))])[self.axis]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The case axes that rolls are about."""
+        return tuple(COMPONENTS[i] for i in sorted(set(self.axis[self.rows].tolist())))
+
+
+def across(axis: Array) -> Array:
+    """Return a unit vector across each case axis (n, 3): any of its circle, the same everywhere."""
+    return np.roll(axis, 1, axis=1)
+
+
+def with_angles(table: Table) -> Table:
+    """Return a table whose rolls have a column of angles, empty where it had none."""
+    if "roll_axis" not in table or "angle_deg" in table:
+        return table
+    return replace(table, columns={**table.columns, "angle_deg": [""] * table.rows})
+
+
+def read_open_rolls(table: Table, notes: list[str]) -> tuple[str, ...] | None:
+    """Return the axis of each roll of open angle (n,), '' elsewhere; None without such rolls."""
+    open_ = rows_without_angle(table)
+    if not open_.any():
+        return None
+    rows = ", ".join(str(row + 1) for row in np.flatnonzero(open_)[:6].tolist())
+    notes.append(
+        f"row {rows}{' and more' if open_.sum() > 6 else ''}: the angle of the roll is open and "
+        "estimated; the axis is level, or rolls of one group share its inclination"
+    )
+    return tuple(
+        axis if one else "" for axis, one in zip(table.text("roll_axis"), open_, strict=True)
+    )
+
+
+def gather_open_rolls(
+    axes: Sequence[str] | None,
+    group: Sequence[str],
+    unknown: NDArray[np.bool_],
+    labels: Sequence[str],
+) -> OpenRolls | None:
+    """Return the rolls of open angle among positions; None where there are none.
+
+    Parameters
+    ----------
+    axes : n str, optional
+        As `read_open_rolls` returns them.
+    group : n str
+        Label of the group, '' for none.
+    unknown : (n,) array of bool
+        Positions of which nothing is known, whatever they are said to be.
+    labels : n str
+
+    Raises
+    ------
+    MultiposError
+        A group has rolls about two axes, or rolls of open angle beside other positions.
+    """
+    if axes is None or not any(axes):
+        return None
+    axis = np.array([COMPONENTS.index(one) if one else -1 for one in axes])
+    axis = np.where(unknown, -1, axis)
+    if (axis < 0).all():
+        return None
+    first: dict[str, int] = {}
+    cone = np.full(len(axis), -1)
+    number = {label: i for i, label in enumerate(dict.fromkeys(_grouped(axis, group)))}
+    for row, label in enumerate(group):
+        if not label:
+            continue
+        if axis[first.setdefault(label, row)] != axis[row]:
+            raise MultiposError(
+                f"position '{labels[row]}': group '{label}' has rolls of open angle about one axis "
+                "beside other positions; rolls of one group share the inclination of one axis, so "
+                "give the others a group of their own."
+            )
+        cone[row] = number.get(label, -1)
+    return OpenRolls(axis, cone)
+
+
+def _grouped(axis: NDArray[np.intp], group: Sequence[str]) -> list[str]:
+    """Return the groups of rolls of open angle, in their order."""
+    return [label for one, label in zip(axis, group, strict=True) if label and one >= 0]
+
+
+_FIRST_SD = np.radians(0.1)  # where the estimate of an orientation sd starts
+_ONE_G = 0.01  # within which a known force may pass for gravity
+_ANY = (1.0, 0.0, 0.0)  # a direction, where none is known
+_EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no position is known
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """What is known of the positions.
+
+    Attributes
+    ----------
+    reference : (n, 3) array [g]
+        Listed ±g u; anything where `orientation_sd` is infinite.
+    orientation_sd : (n,) array [rad]
+        Standard deviation per axis; 0 exact, inf unknown.
+    group : (n,) array of int
+        Number of the group that shares an unknown rotation, −1 for none.
+    attitude : (n, 3, 3) array or None
+        Level to case, where `level_sd` is above 0.
+    level_sd : float [rad]
+        Standard deviation of a tilt that all positions share.
+    estimated : bool
+        `orientation_sd` is relative; its size is to be estimated.
+    rolls : OpenRolls or None
+        Positions whose angle about an axis is open; `orientation_sd` is across their circle.
+    """
+
+    reference: Array
+    orientation_sd: Array
+    group: NDArray[np.intp]
+    attitude: Array | None = None
+    level_sd: float = 0.0
+    estimated: bool = False
+    rolls: OpenRolls | None = None
+
+    @property
+    def exact(self) -> bool:
+        """Whether every position is known exactly, so that the fit is linear."""
+        fixed = not self.groups and not self.level_sd and self.rolls is None
+        return fixed and not self.orientation_sd.any()
+
+    @property
+    def unknown(self) -> bool:
+        """Whether nothing is known of any position."""
+        return bool(np.isinf(self.orientation_sd).all())
+
+    @property
+    def groups(self) -> int:
+        """Number of groups."""
+        return int(self.group.max()) + 1
+
+    @property
+    def listed(self) -> NDArray[np.bool_]:
+        """Positions whose direction is listed in the world's axes, (n,)."""
+        return listed_rows(self.orientation_sd, self.group, self.rolls)
+
+
+def listed_rows(
+    orientation_sd: Array, group: NDArray[np.intp], rolls: OpenRolls | None
+) -> NDArray[np.bool_]:
+    """Return the positions (n,) whose direction is listed in the world's axes."""
+    listed = np.isfinite(orientation_sd) & (group < 0)
+    return listed if rolls is None else listed & ~rolls.rows
+
+
+def resolve(
+    readings: Readings,
+    scheme: "Source | Scheme | None",
+    size: float,
+    *,
+    unknown: bool = False,
+    orientation_sd: float | None = None,
+    estimate: bool = False,
+    level_sd: float = 0.0,
+) -> tuple[Readings, Placement]:
+    """Return readings with the orientations that are used, and what is known of them.
+
+    Parameters
+    ----------
+    readings : Readings
+    scheme : Scheme, name, path, mapping of columns, or data frame, optional
+        Otherwise the readings' own columns say where the sensor stood.
+    size : float [g]
+        Magnitude of the reference, negative under the gravity convention.
+    unknown : bool
+        Use no orientation at all.
+    orientation_sd, estimate, level_sd
+        As in `place`.
+    """
+    oriented = _without_orientation(readings, scheme) if unknown else orient(readings, scheme)
+    return oriented, place(
+        oriented, size, orientation_sd=orientation_sd, estimate=estimate, level_sd=level_sd
+    )
+
+
+def place(
+    readings: Readings,
+    size: float,
+    *,
+    orientation_sd: float | None = None,
+    estimate: bool = False,
+    level_sd: float = 0.0,
+) -> Placement:
+    """Return what oriented readings and options say of the positions.
+
+    Parameters
+    ----------
+    readings : Readings
+        With up vectors; NaN where nothing is known of a position.
+    size : float [g]
+        Magnitude of the reference, negative under the gravity convention.
+    orientation_sd : float [rad], optional
+        Instead of the readings' own. Below the rounding of a unit vector it counts as exact.
+    estimate : bool
+        The size of the orientation sd is to be estimated.
+    level_sd : float [rad]
+
+    Raises
+    ------
+    MultiposError
+        A position has no orientation and none is said to be unknown, or lacks a heading.
+    """
+    labels = readings.group or ("",) * len(readings)
+    sd = _sd_of(readings, labels, orientation_sd)
+    level = 0.0 if level_sd < _EXACT else level_sd
+    unknown = np.isinf(sd)
+    rolls = gather_open_rolls(readings.open_roll, labels, unknown, readings.labels)
+    group = _group_numbers(labels, rolls)
+    if estimate and not sd[~unknown].any():
+        sd = np.where(unknown, sd, _FIRST_SD)
+    return Placement(
+        reference=_references(readings, unknown, rolls, size),
+        orientation_sd=sd,
+        group=group,
+        attitude=_attitude(readings, unknown) if level else None,
+        level_sd=level,
+        estimated=estimate,
+        rolls=rolls,
+    )
+
+
+def _group_numbers(labels: Sequence[str], rolls: OpenRolls | None) -> NDArray[np.intp]:
+    """Return the number of the group whose rotation a position shares (n,), −1 for none."""
+    if rolls is not None:  # whose groups share an inclination
+        pairs = zip(labels, rolls.rows.tolist(), strict=True)
+        labels = ["" if rolled else label for label, rolled in pairs]
+    number = {label: i for i, label in enumerate(dict.fromkeys(filter(None, labels)))}
+    if not number:
+        return np.full(len(labels), -1)
+    return np.array([number.get(label, -1) for label in labels])
+
+
+def _references(
+    readings: Readings, unknown: NDArray[np.bool_], rolls: OpenRolls | None, size: float
+) -> Array:
+    """Return the references (n, 3) [g]: known forces as they stand, the others of a size."""
+    reference = size * _directions(readings, unknown, rolls) + 0.0
+    if readings.force is None:
+        return reference
+    # Of a force in a direction that is unknown the size is left.
+    length = np.linalg.norm(readings.force, axis=1)[:, None] * _ANY
+    known = np.where(unknown[:, None], length, readings.force)
+    return np.where(readings.forced[:, None], np.sign(size) * known, reference) + 0.0
+
+
+def _directions(readings: Readings, unknown: NDArray[np.bool_], rolls: OpenRolls | None) -> Array:
+    """Return up vectors (n, 3), any where a direction is unknown, any of its circle for a roll."""
+    if unknown.all():
+        return np.tile(_ANY, (len(readings), 1))
+    up = np.full((len(readings), 3), np.nan) if readings.up is None else readings.up
+    if rolls is not None:
+        up = np.where(rolls.rows[:, None], across(rolls.vectors), up)
+    missing = np.isnan(up).any(axis=1) & ~unknown & ~readings.forced
+    if missing.any():
+        raise MultiposError(
+            f"position '{readings.labels[int(np.argmax(missing))]}' has no orientation; give it, "
+            "or leave its orientation_sd_deg empty for unknown."
+        )
+    return np.where(unknown[:, None], _ANY, up)
+
+
+def _sd_of(readings: Readings, labels: Sequence[str], stated: float | None) -> Array:
+    """Return the standard deviation of every position [rad], what rounds to nothing as exact."""
+    if stated is not None:
+        sd = np.full(len(readings), stated)
+    elif readings.orientation_sd is None:
+        sd = np.zeros(len(readings))
+    else:  # within a group only the group's rotation is unknown
+        sd = readings.orientation_sd
+        if readings.group is not None:
+            grouped = np.array([label != "" for label in labels])
+            sd = np.where(np.isinf(sd) & grouped, 0.0, sd)
+    return np.where(sd < _EXACT, 0.0, sd)
+
+
+def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
+    """Return readings with the orientation of a scheme, matched by label or row by row.
+
+    Raises
+    ------
+    MultiposError
+        Neither the readings nor a scheme say the orientation, or labels and counts do not match.
+    """
+    oriented = readings.up is not None or readings.rotation is not None
+    if scheme is None:
+        if oriented:
+            return _with_up(readings)
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: no orientation; give --scheme (a name or a "
+            "file) or orientation columns such as direction or up_x, up_y, up_z, or known forces "
+            "f_x, f_y, f_z."
+        )
+    given = read_scheme(scheme)
+    rows = _match(readings, given)
+    notes = readings.notes
+    if oriented:
+        notes += (f"the orientation columns are ignored, scheme '{given.name}' is used",)
+    positions = readings.positions
+    if positions is None and given.labels is not None:
+        positions = tuple(given.labels[row] for row in rows)
+    return replace(
+        readings,
+        up=given.up[rows],
+        rotation=given.rotation[rows],
+        force=None if given.force is None else given.force[rows],
+        open_roll=None,
+        positions=positions,
+        notes=notes,
+    )
+
+
+def refuse_open_rolls(readings: Readings) -> None:
+    """Refuse rolls of open angle, where positions have to be known."""
+    if readings.rolled.any():
+        label = readings.labels[int(np.argmax(readings.rolled))]
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: position '{label}' is a roll of open angle, "
+            "which is no known position; write its angle_deg, or leave the position out."
+        )
+
+
+def as_used(readings: Readings, orientation_sd: Array) -> Readings:
+    """Return readings that say of their positions what was used of them (n,) [rad]."""
+    said = readings.orientation_sd
+    same = not orientation_sd.any() if said is None else np.array_equal(said, orientation_sd)
+    return readings if same else replace(readings, orientation_sd=orientation_sd)
+
+
+def _without_orientation(readings: Readings, scheme: object) -> Readings:
+    """Return readings of which no orientation is used, saying what is ignored."""
+    notes = readings.notes
+    _require_one_size(readings)
+    given = (readings.up, readings.rotation, readings.orientation_sd, readings.group)
+    if any(columns is not None for columns in given):
+        notes += ("the orientation columns are ignored, the orientation is taken as unknown",)
+    if scheme is not None:
+        notes += ("--scheme is ignored, the orientation is taken as unknown",)
+    return replace(
+        readings,
+        up=None,
+        rotation=None,
+        force=None,
+        orientation_sd=np.full(len(readings), np.inf),
+        group=None,
+        open_roll=None,
+        notes=notes,
+    )
+
+
+def _require_one_size(readings: Readings) -> None:
+    """Refuse forces of different sizes where only one size of all could be used."""
+    if readings.force is None or not readings.forced.any():
+        return
+    size = np.linalg.norm(readings.force[readings.forced], axis=1)
+    if np.abs(size - 1.0).max() > _ONE_G:
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: the known forces are of {size.min():.3g} to "
+            f"{size.max():.3g} g, but --unknown-orientation takes all as one g; leave that option "
+            "out, or give these rows an empty orientation_sd_deg, which keeps their size."
+        )
+
+
+def _attitude(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
+    n = len(readings)
+    rotation = np.full((n, 3, 3), np.nan) if readings.rotation is None else readings.rotation
+    open_heading = np.isnan(rotation).any(axis=(1, 2)) & ~unknown
+    if open_heading.any():
+        names = [readings.labels[row] for row in np.flatnonzero(open_heading)[:6].tolist()]
+        raise MultiposError(
+            f"--level-sd needs the heading, and position {', '.join(map(repr, names))} has none; "
+            "give direction, roll_deg pitch_deg yaw_deg, a quaternion, or roll_axis angle_deg."
+        )
+    return np.where(unknown[:, None, None], np.eye(3), rotation)
+
+
+def _with_up(readings: Readings) -> Readings:
+    if readings.up is not None:
+        return readings
+    assert readings.rotation is not None
+    return replace(readings, up=readings.rotation[:, :, 2])
+
+
+def _match(readings: Readings, scheme: Scheme) -> list[int]:
+    """Return the row of the scheme of every reading: by label, or row by row."""
+    labels, known = readings.positions, scheme.labels
+    if labels is not None and known is not None:
+        return _match_labels(readings, labels, scheme, known)
+    if len(readings) == len(scheme):
+        return list(range(len(scheme)))
+    unlabelled = "neither" if labels is None and known is None else "only one"
+    count = Counter(labels or known or ())
+    seen = f"; the labels are {quoted(count)}" if count else ""
+    raise MultiposError(
+        f"{readings.source or 'the readings'}: {len(readings)} readings but scheme "
+        f"'{scheme.name}' has {len(scheme)} positions and {unlabelled} has labels{seen}; "
+        "add a 'position' column to both."
+    )
+
+
+def _match_labels(
+    readings: Readings, labels: tuple[str, ...], scheme: Scheme, known: tuple[str, ...]
+) -> list[int]:
+    index = {label: row for row, label in enumerate(known)}
+    strange = sorted({label for label in labels if label not in index}, key=labels.index)
+    if strange:
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: position {quoted(strange)} is not in "
+            f"scheme '{scheme.name}', whose labels are {quoted(known)}; use its labels."
+        )
+    return [index[label] for label in labels]

@@ -1,0 +1,217 @@
+"""What a report says first, and what it signs last: the result, the readings, the equipment.
+
+The first screen is the result in units that people read, each value to the digits that its u
+supports, one picture of all errors before and after, and how far it holds.
+
+The section of a report on a calibration that was combined from sessions.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from multipos.files.numbers import decimals_of, in_unit, plain_number, readable_unit
+from multipos.plots.calibration import compensated_error, nominal_error
+from multipos.plots.errors import draw_error_sphere
+from multipos.reports.page import (
+    Figure,
+    PageTable,
+    Section,
+    Translator,
+    draw_svg,
+    largest_positions,
+)
+from multipos.reports.quantities import (
+    Quantity,
+    column,
+    derived_quantities,
+    leaning_quantities,
+    quantity_rows,
+    with_u,
+)
+from multipos.reports.sheets import run_conclusions
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Sessions
+from multipos.sensor.inverse import sensed_axes
+from multipos.uncertainty.propagation import Evaluation
+from multipos.uncertainty.validity import applied
+from multipos.verification.verdicts import Check
+
+EQUIPMENT = {
+    "name": "Equipment",
+    "type": "Type",
+    "serial": "Serial number",
+    "calibrated": "Calibrated",
+    "due": "Due",
+    "certificate": "Certificate",
+}
+_LINE = "________________"  # to be written on by hand
+
+
+def result_section(
+    c: Calibration, budget: Evaluation, check: Check | None, tr: Translator, *, forces: bool
+) -> Section:
+    """Return the first screen: verdict, errors before and after, validity, and the sensor.
+
+    Parameters
+    ----------
+    c : Calibration
+    budget : Evaluation
+    check : Check or None
+    tr : Translator
+    forces : bool
+        Whether readings give forces, so that there are errors to speak of.
+    """
+    paragraphs = [] if check is None else list(map(tr.message, run_conclusions(check)))
+    if forces:
+        before, after = (
+            float(np.sqrt(np.mean(e**2))) for e in (nominal_error(c), compensated_error(c))
+        )
+        paragraphs.append(
+            tr(
+                "Error at the positions, rms: {before} before, {after} after compensation.",
+                before=in_unit(before, "g"),
+                after=in_unit(after, "g"),
+            )
+        )
+    paragraphs.append(_validity(c, tr))
+    rows = quantity_rows(derived_quantities(c, budget, tr) or _of_few_axes(c, tr))
+    header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
+    caption = tr("Sensitivity, offset and axes, U with {percent} %", percent=_percent(c))
+    return Section(
+        tr("Result"),
+        tuple(paragraphs),
+        (_picture(c, tr),) if forces else (),
+        (PageTable(caption, header, tuple(rows)),) if rows else (),
+    )
+
+
+def _picture(c: Calibration, tr: Translator) -> Figure:
+    return Figure(
+        tr("Errors at all positions, before and after compensation"),
+        tr(
+            "The two halves of the sphere of up vectors. Arrows are errors across, rings errors "
+            "along the up vector, filled where they point out; each picture has a scale of its own."
+        ),
+        lambda: draw_svg(tr, 1, 1.75, lambda axes: draw_error_sphere(c, axes[0])),
+    )
+
+
+def _validity(c: Calibration, tr: Translator) -> str:
+    """Return within what the calibration holds."""
+    said = tr(
+        "Valid for forces {range}", range=tr.message(applied(c).in_words(sensed_axes(c.model)))
+    )
+    for name in c.model.environment:
+        column = c.readings.environment[name]
+        said += tr(
+            ", {name} {low} to {high}",
+            name=tr(name),
+            low=f"{column.min():.4g}",
+            high=f"{column.max():.4g}",
+        )
+    return said + tr(".")
+
+
+def _percent(c: Calibration) -> str:
+    return f"{100.0 * c.confidence:g}"
+
+
+def _of_few_axes(c: Calibration, tr: Translator) -> list[Quantity]:
+    """Return scale factors, biases and how the outputs lean, of one or two axes."""
+    wanted = [p for p in c.entries if p.name.startswith(("scale_", "bias_"))]
+    wanted.sort(key=lambda p: not p.name.startswith("scale_"))
+    found = [Quantity(tr.message(p.label), p.unit, p.value, p.u, p.U, p.k) for p in wanted]
+    return found + leaning_quantities(c, tr)
+
+
+def readings_table(c: Calibration, tr: Translator) -> PageTable:
+    """Return the readings as they were measured, with what was stated of each."""
+    shown, suffix = largest_positions(tr, c.relative_residuals)
+    r = c.readings
+    columns: list[tuple[str, Sequence[str]]] = [(tr("Position"), r.labels)]
+    for i, output in enumerate(c.outputs):
+        decimals = decimals_of(float(c.residual_sd[i]))
+        form = ".10g" if decimals is None or decimals > 12 else f".{decimals + 1}f"
+        columns.append((f"{output} [{c.model.unit}]", [f"{v:{form}}" for v in r.values[:, i]]))
+    if r.u is not None:
+        for i, output in enumerate(c.outputs):
+            stated = column(r.u[:, i], c.model.unit)
+            columns.append((f"u {output} [{stated.unit}]", stated.cells))
+    if r.samples is not None:
+        columns.append(("n", [f"{n:g}" for n in r.samples]))
+    columns += [
+        (tr(name), [f"{v:.6g}" for v in r.environment[name]]) for name in c.model.environment
+    ]
+    rows = tuple(tuple(column[row] for _, column in columns) for row in shown)
+    header = tuple(name for name, _ in columns)
+    return PageTable(tr("Readings as measured") + suffix, header, rows)
+
+
+def equipment_section(said: Mapping[str, str], tr: Translator) -> Section | None:
+    """Return the equipment that the laboratory names; nothing where it names none."""
+    rows: list[tuple[str, ...]] = []
+    while any(f"equipment.{len(rows) + 1}.{key}" in said for key in EQUIPMENT):
+        rows.append(tuple(said.get(f"equipment.{len(rows) + 1}.{key}", "-") for key in EQUIPMENT))
+    if not rows:
+        return None
+    header = tuple(map(tr, EQUIPMENT.values()))
+    table = PageTable(tr("Equipment used"), header, tuple(rows), left=len(header))
+    return Section(tr("Equipment"), tables=(table,))
+
+
+def signature_section(said: Mapping[str, str], tr: Translator) -> Section:
+    """Return where the report is signed."""
+    rows = (
+        (tr("Authorised by"), said.get("report.authorised_by", _LINE)),
+        (tr("Date"), said.get("report.issued", _LINE)),
+        (tr("Signature"), _LINE),
+    )
+    table = PageTable(tr("Signed by"), (tr("Item"), tr("Value")), rows, left=2)
+    return Section(tr("Signature"), tables=(table,))
+
+
+def sessions_section(c: Calibration, sessions: Sessions, tr: Translator) -> Section:
+    """Return how many sessions there were, how they differ, and what U holds.
+
+    Parameters
+    ----------
+    c : Calibration
+        Combined of the sessions.
+    sessions : Sessions
+        Its own.
+    tr : Translator
+    """
+    header = ("Parameter", "Value", "u", "U", "Unit", "k", "sd between sessions")
+    table = PageTable(
+        tr("Parameters of all sessions"),
+        tuple(map(tr, header)),
+        tuple(_row(c, name, sd) for name, sd in sessions.sd.items()),
+    )
+    return Section(
+        tr("Combined sessions"),
+        (
+            tr(
+                "{count} sessions were combined: {files}.",
+                count=str(sessions.runs),
+                files=tr.listed(sessions.files),
+            ),
+            tr(
+                "U is that of the next session beside these parameters: it holds how the sessions "
+                "differ, mounting and switch-on among it, on {dof} degrees of freedom, and what "
+                "all sessions share, such as gravity.",
+                dof=str(sessions.runs - 1),
+            ),
+        ),
+        tables=(table,),
+    )
+
+
+def _row(c: Calibration, name: str, sd: float) -> tuple[str, ...]:
+    """Return a parameter with its U, and the sd over the sessions in the same unit."""
+    p = c[name]
+    shown = with_u(p.value, p.u, p.U, p.unit)
+    factor, _ = readable_unit(max(abs(p.value), p.U), p.unit)
+    decimals = decimals_of(factor * p.u)
+    spread = plain_number(factor * sd, 2) if decimals is None else f"{factor * sd:.{decimals}f}"
+    return p.name, *shown, plain_number(p.k, 3), spread

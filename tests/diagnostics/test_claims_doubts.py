@@ -1,0 +1,102 @@
+"""What a denied claim is put down to: placement, a term, scatter, unequal outputs; advice fits."""
+
+import numpy as np
+import pytest
+from tests.doubts.test_model_error import BIAS, MATRIX
+
+import multipos as mp
+from multipos.diagnostics.residuals import judge_equality, smallest
+from multipos.positions.scheme import read_scheme
+
+
+def readings(scheme, seed, *, off_deg=0.0, sd=1e-4, cubic=0.0):
+    rng = np.random.default_rng(seed)
+    up = read_scheme(scheme).up
+    stood = up + np.cross(np.radians(off_deg) * rng.standard_normal(up.shape), up)
+    stood /= np.linalg.norm(stood, axis=1)[:, None]
+    values = BIAS + stood @ MATRIX.T + cubic * stood**3
+    values = values + np.asarray(sd) * rng.standard_normal(up.shape)
+    return mp.Readings(values, outputs=("ax", "ay", "az"), up=up, unit="g")
+
+
+def told(c, code):
+    return [doubt.text for doubt in c.diagnostics.doubts if doubt.code == code]
+
+
+def test_the_smallest_of_a_variance():
+    # a ln v + b/v is smallest at b/a
+    assert smallest(lambda v: 3.0 * np.log(v + 1e-300) + 2.0 / (v + 1e-300), 1.0)[
+        0
+    ] == pytest.approx(2.0 / 3.0, rel=1e-3)
+    assert smallest(lambda v: v, 1.0) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "made", "cause"),
+    [
+        ("fibonacci-24", {"off_deg": 0.3}, "favour placement, some 0."),
+        ("fibonacci-24", {"sd": 1e-3}, "favour scatter from rest to rest"),
+        ("fibonacci-24", {"sd": [1e-4, 1e-4, 1e-3]}, "unlike in the outputs (ax "),
+        ("fibonacci-24", {"cubic": 2e-3}, "a term that the model lacks explains them, own^3"),
+        ("faces-6", {"off_deg": 0.3}, "cannot tell placement from scatter"),
+    ],
+    ids=["placement", "scatter", "unequal", "term", "six faces"],
+)
+def test_a_denied_claim_names_its_cause(scheme, made, cause):
+    (said,) = told(mp.fit(readings(scheme, 1, **made), reading_sd=1e-4), "denied-noise")
+    assert "deny the stated reading noise (chi-square" in said
+    assert cause in said
+    assert ("--orientation-sd" in said) == ("favour placement" in cause)
+
+
+def test_the_placement_that_is_named_is_the_one_that_was_made():
+    """s of the likelihood against the steps that were made: 48 angles, so to a fifth at 95 %."""
+    (said,) = told(mp.fit(readings("fibonacci-24", 2, off_deg=0.3)), "placement")
+    assert "--orientation-sd auto" in said
+    size = float(said.split("off by some ")[1].split(" degrees")[0])
+    assert size == pytest.approx(0.3, rel=0.3)
+    auto = mp.fit(readings("fibonacci-24", 2, off_deg=0.3), orientation_sd="auto")
+    assert size == pytest.approx(auto.variance_components.orientation_sd_deg.value, rel=0.15)
+
+
+def test_where_auto_could_not_tell_nobody_is_sent_to_it():
+    for scheme in ("faces-6", "icosahedron-12"):
+        assert told(mp.fit(readings(scheme, 3, off_deg=0.3)), "placement") == []
+
+
+def test_under_unknown_orientation_nobody_is_sent_to_orientation_sd():
+    data = readings("fibonacci-24", 4, sd=1e-3)
+    c = mp.fit(data, reading_sd=1e-4, unknown_orientation=True)
+    (said,) = told(c, "denied-noise")
+    assert "--orientation-sd" not in " ".join(c.diagnostics.warnings)
+    assert "scatter from rest to rest" in said
+    assert c.diagnostics.claim.dof == 24 - 9
+
+
+def test_outputs_of_unequal_noise_are_named_where_they_are_taken_as_equal():
+    data = readings("fibonacci-24", 5, sd=[1e-4, 1e-4, 1e-3], off_deg=0.02)
+    (said,) = told(mp.fit(data, orientation_sd=0.02), "unequal-noise")
+    assert "--reading-sd" in said
+    p, sizes = judge_equality(mp.fit(data, orientation_sd=0.02))
+    assert p < 0.01
+    assert sizes[2] > 3 * max(sizes[:2])
+    # known orientations have a scatter for each output
+    assert told(mp.fit(data), "unequal-noise") == []
+
+
+def test_good_claims_are_not_doubted():
+    for how in ({"reading_sd": 1e-4}, {}, {"unknown_orientation": True}):
+        c = mp.fit(readings("fibonacci-24", 6), **how)
+        assert c.diagnostics.doubts == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_groups_that_leave_directions_free_end_no_fit(seed):
+    # one group has a single position, whose turn about the vertical nothing tells
+    up = read_scheme("all-26").up
+    group = "03303433340330100000111121"
+    values = up + 5e-3 * np.random.default_rng(seed).standard_normal(up.shape)
+    columns = dict(zip(("up_x", "up_y", "up_z", "ax", "ay", "az"), (*up.T, *values.T), strict=True))
+    columns["group"] = list(map(int, group))
+    fitted = mp.fit(columns, orientation_sd=0.1, reading_sd=0.001)
+    assert 0.0 <= judge_equality(fitted)[0] <= 1.0

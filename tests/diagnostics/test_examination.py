@@ -1,0 +1,85 @@
+"""Doubts: what they are, where they stand, and how they reach the user."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos.reports.certificate import build_content
+from multipos.reports.documents import html_report, markdown_report, plain_report
+from multipos.reports.summary import text_report
+from multipos.sensor.calibration_file import from_dict
+from tests.cli_bench import SIX, run
+
+DEAD = {
+    "direction": ["E-U-S", "E-N-U", "D-E-S", "W-D-S", "U-W-S", "S-W-D"],
+    "ax": [0.0071, -0.0094, -0.9965, -0.0076, 0.9965, 0.0067],
+    "ay": [0.0041] * 6,
+}
+
+
+def test_a_doubt_is_named_and_read_back(tmp_path):
+    cal = mp.fit(DEAD)
+    (doubt,) = cal.diagnostics.doubts
+    assert (doubt.code, doubt.severity, doubt.outputs) == ("dead-output", "implausible", ("ay",))
+    assert cal.diagnostics.warnings[0] == doubt.text
+    cal.save(tmp_path / "cal.json")
+    assert mp.load(tmp_path / "cal.json").diagnostics.doubts == (doubt,)
+    (said,) = cal.to_dict()["diagnostics"]["doubts"]
+    assert said == {**doubt, "rows": [], "outputs": ["ay"]}
+
+
+def test_a_file_from_before_there_were_doubts_is_read():
+    content = mp.fit(DEAD).to_dict()
+    del content["diagnostics"]["doubts"]
+    assert from_dict(json.loads(json.dumps(content))).diagnostics.doubts == ()
+
+
+def test_doubts_come_first_wherever_a_calibration_is_shown():
+    cal = mp.fit(DEAD)
+    text = cal.diagnostics.doubts[0].text
+    assert text_report(cal).startswith(
+        f"This calibration is not fit for use.\n{36 * '-'}\n- {text}"
+    )
+    content = build_content(cal)
+    for page in (plain_report(content), markdown_report(content), html_report(content)):
+        verdict, doubt, first = map(page.index, ("not fit for use", "read the same", "Results"))
+        assert verdict < doubt < first
+    assert "本校准结果不可使用" in plain_report(build_content(cal, language="zh"))
+
+
+def test_warnings_of_a_fit_are_warnings_of_python():
+    with pytest.warns(mp.CalibrationWarning, match="'ay' read the same number") as caught:
+        mp.fit(DEAD)
+    assert {warning.filename for warning in caught} == {__file__}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert mp.fit(DEAD).diagnostics.warnings
+
+
+def test_on_the_command_line_each_is_said_once(tmp_path, capsys):
+    path = tmp_path / "six.csv"
+    path.write_text(SIX.replace("0.0027", "0.003"))
+    table = mp.read_table(path)
+    lines = [f"{row.rpartition(',')[0]},0.25" for row in path.read_text().splitlines()[1:]]
+    path.write_text("\n".join([",".join(table.columns), *lines]))
+    status, out, err = run(capsys, "fit", path)
+    assert status == 0
+    assert err.count("'az' read the same number at all 6 positions") == 1
+    assert out.startswith("This calibration is not fit for use.")
+
+
+@pytest.mark.parametrize(("shift", "codes"), [(0.0, []), (273.15, ["temperature-kelvin"])])
+def test_kelvin_is_told_from_celsius(shift, codes):
+    rng = np.random.default_rng(4)
+    up = np.tile(mp.read_scheme("faces-6").up, (3, 1))
+    temperature = np.repeat([-20.0, 25.0, 60.0], 6)
+    readings = mp.Readings(
+        up + 1e-4 * temperature[:, None] + 1e-4 * rng.standard_normal((18, 3)),
+        up=up,
+        environment={"temperature": temperature + shift},
+    )
+    cal = mp.fit(readings, model="1 + x + y + z + temperature")
+    assert [d.code for d in cal.diagnostics.doubts if d.code == "temperature-kelvin"] == codes

@@ -1,0 +1,183 @@
+"""Terms that a model lacks: score tests against nested fits, what positions hide, what is said."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.diagnostics.joint_tests import judge_terms_jointly
+from multipos.diagnostics.model_error import _way_out
+from multipos.diagnostics.score_tests import judge_model, significant
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.calibration_file import from_dict
+
+BIAS = np.array([0.012, -0.021, 0.034])
+MATRIX = np.array([[1.012, 0.007, -0.003], [0.005, 0.99, 0.007], [-0.007, 0.004, 1.003]])
+BEYOND = {
+    "nothing": lambda f: 0.0 * f,
+    "own^2": lambda f: f**2,
+    "own^3": lambda f: f**3,
+    "own*|own|": lambda f: f * np.abs(f),
+    "own*other": lambda f: f * np.roll(f, 1, axis=1),
+}
+
+
+def readings(scheme, truth, seed, size=2e-3, sd=1e-4, **columns):
+    up = read_scheme(scheme).up
+    noise = sd * np.random.default_rng(seed).standard_normal(up.shape)
+    values = BIAS + up @ MATRIX.T + size * BEYOND[truth](up) + noise
+    return mp.Readings(values, outputs=("ax", "ay", "az"), up=up, unit="g", **columns)
+
+
+def codes(c):
+    return [doubt.code for doubt in c.diagnostics.doubts]
+
+
+def test_at_known_positions_it_is_the_f_test_of_nested_models():
+    """Δ and R of the score test are those of two fits, one with the term (joint tests)."""
+    c = mp.fit(readings("fibonacci-24", "own^3", 1, size=1e-4))
+    nested = {test.terms: test for test in judge_terms_jointly(c)}
+    tests = c.diagnostics.model_tests
+    assert {test.term for test in tests} == set(nested)
+    for test in tests:
+        assert test.dof == nested[test.term].dof
+        # the same sums of squares on two ways: ten digits
+        assert_allclose(test.statistic, nested[test.term].statistic, rtol=1e-8)
+
+
+def test_a_stated_noise_makes_one_test_of_all_outputs():
+    c = mp.fit(readings("fibonacci-24", "own^2", 2), reading_sd=1e-4)
+    test = next(t for t in c.diagnostics.model_tests if t.term == "own^2")
+    assert test.outputs == ()
+    assert test.dof == (3.0, 3 * 24 - 12 - 3)
+    # one sd for all: R of pooled sums, by hand
+    larger = mp.fit(readings("fibonacci-24", "own^2", 2), model="own-quadratic")
+    chi2 = [float(np.sum(fit.residuals**2)) for fit in (c, larger)]
+    assert_allclose(test.statistic, (chi2[0] - chi2[1]) / 3 / (chi2[1] / 57), rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {},
+        {"reading_sd": 1e-4},
+        {"orientation_sd": "auto"},
+        {"unknown_orientation": True},
+        {"robust": "huber"},
+        {"pool": True},
+    ],
+    ids=["plain", "stated", "auto", "unknown", "robust", "pooled"],
+)
+@pytest.mark.parametrize("truth", ["own^2", "own^3", "own*other"])
+def test_a_missing_term_is_named_in_every_estimator(how, truth):
+    c = mp.fit(readings("fibonacci-24", truth, 3), **how)
+    doubt = next(d for d in c.diagnostics.doubts if d.code == "missing-term")
+    assert doubt.severity == "caution"
+    assert truth in doubt.text  # turned by hand, own*|own| explains nearly as much as own^3
+    assert "fit --model '1 + x + y + z + own" in doubt.text
+    assert doubt.text in c.diagnostics.warnings
+
+
+def test_the_formula_that_is_printed_mends_the_fit():
+    data = readings("fibonacci-24", "own*other", 4)
+    told = next(d.text for d in mp.fit(data).diagnostics.doubts if d.code == "missing-term")
+    formula = told.split("--model '")[1].split("'")[0]
+    mended = mp.fit(data, model=formula)
+    assert codes(mended) == []
+    assert abs(mended["ax", "x*z"].value - 2e-3) < mended["ax", "x*z"].U
+
+
+def test_two_missing_terms_are_named_together():
+    data = readings("fibonacci-24", "own^3", 5)
+    data = mp.Readings(data.values + 1e-3 * data.up**2, outputs=data.outputs, up=data.up, unit="g")
+    told = next(d.text for d in mp.fit(data).diagnostics.doubts if d.code == "missing-term")
+    assert "own^3 and own^2" in told
+
+
+@pytest.mark.parametrize(
+    ("scheme", "model", "hidden"),
+    [
+        ("faces-6", "linear", ("own*|own|", "own^3", "own*other")),
+        ("faces-6", "own-quadratic", ("own*|own|", "own^3", "own*other")),
+        ("edges-12", "linear", ("own*|own|", "own^3")),  # an edge is at ±1/√2 or 0
+        ("corners-8", "linear", ("own^2", "own*|own|", "own^3")),
+        ("icosahedron-12", "linear", ()),
+        ("faces-corners-14", "linear", ()),
+        ("dual-axis-48", "linear", ("own*other",)),  # x and y never together
+        ("roll-z-24", "1 + x + y", ()),  # within the plane that was applied
+    ],
+)
+def test_what_positions_hide_by_hand(scheme, model, hidden):
+    data = readings(scheme, "nothing", 6)
+    c = mp.fit(data, model=model)
+    assert c.diagnostics.hidden == hidden
+    assert ("hidden-terms" in codes(c)) == bool(hidden)
+
+
+def test_faces_that_are_nearly_level_hide_as_faces_do():
+    rng = np.random.default_rng(7)
+    up = np.vstack([read_scheme("faces-6").up] * 2)
+    up = up + np.radians(1.0) * rng.standard_normal(up.shape)
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    values = BIAS + up @ MATRIX.T + 1e-4 * rng.standard_normal(up.shape)
+    assert mp.fit(mp.Readings(values, up=up)).diagnostics.hidden == (
+        "own*|own|",
+        "own^3",
+        "own*other",
+    )
+
+
+def test_what_a_budget_states_is_not_hidden():
+    data = readings("faces-6", "nothing", 8)
+    unseen = {"own^3": 2e-3, "own*|own|": 1e-3, "own*other": 2e-3}
+    assert "hidden-terms" not in codes(mp.fit(data, budget={"unseen": unseen}))
+    only = mp.fit(data, budget={"unseen": {"own^3": 2e-3, "own*|own|": 0.0}})
+    assert only.diagnostics.hidden == ("own*|own|", "own^3", "own*other")
+    assert "cannot show own*other, and" in next(d.text for d in only.diagnostics.doubts)
+
+
+def test_tests_and_hidden_terms_go_through_files():
+    c = mp.fit(readings("dual-axis-48", "nothing", 9))
+    content = json.loads(json.dumps(c.to_dict()))["diagnostics"]
+    assert content["hidden"] == ["own*other"]
+    first = content["model_tests"][0]
+    assert set(first) == {"term", "statistic", "dof", "p", "outputs"}
+    back = from_dict(json.loads(json.dumps(c.to_dict()))).diagnostics
+    assert back.model_tests == c.diagnostics.model_tests
+    assert [t.p for t in back.model_tests] == [t.p for t in c.diagnostics.model_tests]
+
+
+def test_a_temperature_that_the_model_leaves_out_is_asked_of():
+    rng = np.random.default_rng(10)
+    data = readings("fibonacci-24", "nothing", 10)
+    warm = rng.uniform(15.0, 35.0, 24)
+    columns = {"outputs": data.outputs, "up": data.up, "environment": {"temperature": warm}}
+    plain = mp.fit(mp.Readings(data.values, **columns))
+    assert {"temperature", "temperature*own"} <= {t.term for t in plain.diagnostics.model_tests}
+    assert "missing-term" not in codes(plain)
+    drifting = mp.fit(mp.Readings(data.values + 1e-4 * (warm[:, None] - 25.0), **columns))
+    told = next(d.text for d in drifting.diagnostics.doubts if d.code == "missing-term")
+    assert "ask for temperature" in told
+
+
+def test_false_alarms_of_the_whole_set():
+    """Good sets of 12 positions: 1 % of 400 is 4; more than 12 has a chance of one in 2,700."""
+    up = read_scheme("icosahedron-12").up
+    rng = np.random.default_rng(11)
+    first = mp.fit(readings("icosahedron-12", "nothing", 11))
+    X = np.column_stack([np.ones(12), up])
+    left = np.eye(12) - X @ np.linalg.pinv(X)
+    alarms = 0
+    for _ in range(400):
+        c = replace(first, residuals=left @ rng.standard_normal((12, 3)) * 1e-4)
+        alarms += bool(significant(judge_model(c).tests))
+    assert alarms <= 12
+
+
+def test_a_term_that_shows_only_beside_another_is_asked_for_where_all_of_it_shows():
+    c = mp.fit(readings("faces-6", "nothing", 8))
+    assert "own*|own|" not in {test.term for test in c.diagnostics.model_tests}
+    assert _way_out(c, ("own*|own|",)).endswith("at positions that show all of it")

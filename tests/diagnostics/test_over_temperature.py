@@ -1,0 +1,66 @@
+"""A zero that differs from soak to soak, and a curve fitted straight."""
+
+import numpy as np
+import pytest
+from tests.doubts.test_model_error import BIAS, MATRIX
+
+import multipos as mp
+from multipos.diagnostics.model_error import find_soaks, judge_soaks
+from multipos.positions.scheme import read_scheme
+
+MODEL = "1 + x + y + z + temperature + temperature*own"
+LEVELS = np.linspace(-40.0, 80.0, 7)
+
+
+def over_temperature(seed, *, zero=0.0, curve=0.0, sd=1e-4):
+    """Six faces at each of seven soaks: a straight drift of bias and scale, and what is asked."""
+    rng = np.random.default_rng(seed)
+    up = np.vstack([read_scheme("faces-6").up] * len(LEVELS))
+    soak = np.repeat(np.arange(len(LEVELS)), 6)
+    warm = LEVELS[soak] + 0.3 * rng.standard_normal(len(soak))
+    values = BIAS + up @ MATRIX.T + 1e-4 * (warm[:, None] - 20.0) * (1.0 + up)
+    values += zero * rng.standard_normal((len(LEVELS), 3))[soak]
+    values += curve * ((warm[:, None] - 20.0) / 60.0) ** 2
+    values += sd * rng.standard_normal(up.shape)
+    return mp.Readings(
+        values, outputs=("ax", "ay", "az"), up=up, environment={"temperature": warm}, unit="g"
+    )
+
+
+def found(c):
+    return [doubt.code for doubt in c.diagnostics.doubts if doubt.code != "hidden-terms"]
+
+
+def test_soaks_are_levels_or_stays_in_order():
+    assert find_soaks(np.array([20.1, 20.0, 40.0, 40.2, 60.0, 60.1, 80.0, 80.1])).tolist() == [
+        *(0, 0, 1, 1, 2, 2, 3, 3)
+    ]
+    up_and_down = np.repeat([20.0, 40.0, 60.0, 40.0, 20.0], 3)
+    assert find_soaks(up_and_down).tolist() == np.repeat(np.arange(5), 3).tolist()
+    by_position = np.tile([20.0, 40.0, 60.0, 80.0], 6)  # every position at all levels in turn
+    assert find_soaks(by_position).tolist() == np.tile([0, 1, 2, 3], 6).tolist()
+    assert find_soaks(np.linspace(20.0, 60.0, 40)) is None  # a ramp has no soaks
+    assert find_soaks(np.full(12, 25.0)) is None
+
+
+def test_a_zero_of_each_soak_is_named_with_its_size():
+    c = mp.fit(over_temperature(1, zero=5e-4), model=MODEL)
+    assert found(c) == ["zero-per-soak"]
+    test, sizes = judge_soaks(c)
+    assert test.p < 1e-10
+    # 7 soaks less 3 of the curve: to a third in one output, 68 %; the three together
+    assert np.sqrt(np.mean(sizes**2)) == pytest.approx(5e-4, rel=0.6)
+
+
+def test_a_curve_fitted_straight_is_a_missing_term():
+    c = mp.fit(over_temperature(2, curve=5e-4), model=MODEL)
+    assert found(c) == ["missing-term"]
+    told = next(d.text for d in c.diagnostics.doubts if d.code == "missing-term")
+    assert f"fit --model '{MODEL} + temperature^2'" in told
+    assert found(mp.fit(over_temperature(2, curve=5e-4), model=f"{MODEL} + temperature^2")) == []
+
+
+def test_good_soaks_are_not_doubted():
+    """1 % of 40 for each of two doubts; more than 4 has a chance of one in 1,000."""
+    named = [found(mp.fit(over_temperature(seed), model=MODEL)) for seed in range(40)]
+    assert sum(map(bool, named)) <= 4

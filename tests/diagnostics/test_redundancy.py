@@ -1,0 +1,79 @@
+"""What nothing checks, what positions hardly tell, and rows that make a fit impossible."""
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos.diagnostics.repairs import rows_in_another_unit
+from multipos.errors import MultiposError
+from multipos.units import STANDARD_GRAVITY
+
+UP = mp.read_scheme("icosahedron-12").up
+
+
+def readings(factor=1.0, rows=()):
+    values = [0.1, -0.2, 0.05] + UP * [1.02, 0.97, 1.0]
+    values += 1e-3 * np.random.default_rng(1).standard_normal(values.shape)
+    values[list(rows)] *= factor
+    return mp.Readings(values)
+
+
+def codes(cal):
+    return [doubt.code for doubt in cal.diagnostics.doubts]
+
+
+@pytest.mark.parametrize("factor", [STANDARD_GRAVITY, 1 / STANDARD_GRAVITY, 1e3, 1e-3])
+@pytest.mark.parametrize("rows", [(4,), (0, 7, 9)], ids=len)
+def test_rows_in_another_unit_are_named_where_no_orientation_is_known(factor, rows):
+    labels = [str(row + 1) for row in rows]
+    with pytest.raises(MultiposError) as caught:
+        mp.fit(readings(factor, rows), unknown_orientation=True)
+    assert f"{', '.join(labels)} look" in str(caught.value)
+    assert f"{factor:.4g} times the others" in str(caught.value)
+
+
+def test_half_of_the_rows_in_another_unit_are_named():
+    found, factor = rows_in_another_unit(readings(STANDARD_GRAVITY, range(6)))
+    assert found == ("1", "2", "3", "4", "5", "6")
+    assert factor == pytest.approx(STANDARD_GRAVITY)
+
+
+def test_good_rows_and_ones_beyond_any_unit_are_none():
+    assert rows_in_another_unit(readings())[0] == ()
+    assert rows_in_another_unit(readings(100.0, (3,)))[0] == ()  # by no factor of units
+    noise = mp.Readings(np.random.default_rng(2).standard_normal((12, 3)))
+    with pytest.raises(MultiposError):  # no calibration of noise, whatever the reason told
+        mp.fit(noise, unknown_orientation=True)
+
+
+def test_as_many_terms_as_positions_are_said():
+    """Of twelve positions as many terms leave nothing to ask residuals of."""
+    up = mp.read_scheme("fibonacci-12").up
+    values = up + 1e-3 * np.random.default_rng(0).standard_normal(up.shape)
+    powers = " + ".join(f"own^{power}" for power in range(2, 7))
+    formula = f"1 + x + y + z + own*other + own*|own| + {powers}"
+    cal = mp.fit(mp.Readings(values, up=up), model=formula)
+    assert (cal.dof == 0.0).all()
+    assert codes(cal) == ["no-redundancy"]
+
+
+def test_positions_much_alike_are_said():
+    """Within half a degree of upright, z is as good as constant: a condition above 10⁴."""
+    angles = np.radians(
+        [[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [-0.25, 0.0], [0.0, -0.25], [0.4, 0.4]]
+    )
+    up = np.column_stack([np.sin(angles), np.sqrt(1.0 - np.sum(np.sin(angles) ** 2, axis=1))])
+    values = up + 1e-6 * np.random.default_rng(3).standard_normal(up.shape)
+    cal = mp.fit(mp.Readings(values, up=up))
+    assert cal.diagnostics.condition > 1e4
+    assert "no-redundancy" in codes(cal)
+    assert "badly (condition" in cal.diagnostics.warnings[0]
+
+
+def test_a_scale_factor_that_u_leaves_open_is_said():
+    rng = np.random.default_rng(4)
+    noisy = mp.Readings(UP + 0.15 * rng.standard_normal(UP.shape), up=UP)
+    assert "U leaves scale factors open: scale_az to 27 %" in " ".join(
+        mp.fit(noisy).diagnostics.warnings
+    )
+    assert "no-redundancy" not in codes(mp.fit(mp.Readings(readings().values, up=UP)))
