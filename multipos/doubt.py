@@ -2,7 +2,8 @@
 
 `implausible` means that no sensor on earth gives such readings at such positions, or that what is
 given contradicts itself: the calibration is not fit for use. A `caution` is for who knows better.
-What is looked for stands in `multipos.diagnostics`; here is what a finding is, and its form in files.
+What is looked for stands in `multipos.diagnostics`; here is what a finding is, and its form in
+files.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

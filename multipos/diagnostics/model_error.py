@@ -1,10 +1,10 @@
 """Doubts about the model: a term that the data ask for, and terms that the positions cannot show.
 
 A term that is missing spoils compensated force by as much as it is large, and no U of the
-parameters holds it: with a linear model and 2 mg of third order, U covers 58 % at 24 positions
-and 10 % at 400. Where positions show the term, its test finds it long before that
-(`multipos.diagnostics.score_tests`); where they do not, the budget's [unseen] states how large it may
-be. Terms are named one after the other, each tested beside those that were named.
+parameters holds it: with a linear model and 2 mg of third order, U covers 58 % at 24 positions and
+10 % at 400. Where positions show the term, its test finds it long before that
+(`multipos.diagnostics.score_tests`); where they do not, the budget's [unseen] states how large it
+may be. Terms are named one after the other, each tested beside those that were named.
 
 Does the zero differ from one soak to the next? Rows of one soak are then no readings apart.
 
@@ -20,9 +20,8 @@ power of temperature, on q degrees of freedom, and ν left,
     F = (Δ/q) / (rest/ν),      σ_a² = (F − 1) s² q / Σ left of the columns,                 (2)
 
 one F an output, their p values combined as in `multipos.sensor.fit_diagnostics`. A curve that was
-fitted
-straight shows as the next power of temperature (`multipos.diagnostics.score_tests`); of the two causes a
-zero of its own for each soak explains the other, so it is asked first.
+fitted straight shows as the next power of temperature (`multipos.diagnostics.score_tests`); of the
+two causes a zero of its own for each soak explains the other, so it is asked first.
 """
 
 from collections.abc import Sequence

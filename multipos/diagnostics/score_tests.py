@@ -14,7 +14,8 @@ freedom: no model is fitted again, and at known orientations (1) is the F test o
 - Rows that are correlated count as the effective number of them: R is multiplied by their share in
   all rows, and so is ν.
 
-What positions cannot show, and how V is made and kept, is said in `multipos.diagnostics.projections`.
+What positions cannot show, and how V is made and kept, is said in
+`multipos.diagnostics.projections`.
 
 References
 ----------

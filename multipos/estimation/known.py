@@ -8,10 +8,8 @@ output, y = X p + e, and is solved by `multipos.numerics.least_squares`. The cov
 
 A stated noise is a floor: V is it and what readings scatter from rest to rest beside it
 (`multipos.estimation.excess_variance`). Where χ² = r'V⁻¹r under the stated part alone passes its
-99.9
-%
-point it is denied, which `multipos.diagnostics.residuals` says with its cause; below its 0.1 % point it
-is called overstated.
+99.9 % point it is denied, which `multipos.diagnostics.residuals` says with its cause; below its 0.1
+% point it is called overstated.
 
 References
 ----------

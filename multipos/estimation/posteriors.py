@@ -15,10 +15,9 @@ The posterior of scatter and placement together, over a grid of both, of B units
 Readings have the variances Σ + τ² + F s² J J' with stated Σ, s and J, and two numbers that nobody
 stated: the scatter τ² and the factor F on the squares of the orientation sds
 (`multipos.estimation.orientation_variance`). The posterior density of ln(τ² + size) and ln F is
-known at
-any nodes; it is integrated by the trapezoidal rule over a grid that was narrowed to where something
-is probable. What a claim that τ² = 0 weighs stands in the first row of the grid, and what one that
-F = 1 weighs in its first column. What is left of parameters is that of
+known at any nodes; it is integrated by the trapezoidal rule over a grid that was narrowed to where
+something is probable. What a claim that τ² = 0 weighs stands in the first row of the grid, and what
+one that F = 1 weighs in its first column. What is left of parameters is that of
 `multipos.estimation.posteriors`. A single fit is a batch of one.
 """
 

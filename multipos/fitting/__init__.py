@@ -1,4 +1,5 @@
 """The front doors: from readings, columns or raw logs to a finished result.
 
-Open `fit_readings` for `fit`; `regress_columns` has `regress`, and `calibrate_logs` has `calibrate`.
+Open `fit_readings` for `fit`; `regress_columns` has `regress`, and `calibrate_logs` has
+`calibrate`.
 """

@@ -7,8 +7,8 @@ depends on which way was taken.
 
 Which units of a batch may not be fit for use: each is fitted alone, and looked at in full.
 
-Implausible doubts of `multipos.diagnostics` need something to begin with, and each bound here is passed
-by far less than any of them needs:
+Implausible doubts of `multipos.diagnostics` need something to begin with, and each bound here is
+passed by far less than any of them needs:
 
 - residuals of half a percent of a g, or one of eight tenths (rows interchanged, flipped, in another
   unit, saturated; they need two percent, or one);

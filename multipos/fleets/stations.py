@@ -5,12 +5,12 @@ at station s is
 
     y_js = θ_s + b_j + e_js,    b ~ (0, σ_b²),  e ~ (0, σ_w²),                               (1)
 
-and θ is its weighted least squares with σ_b², what units differ by, in its covariance: two
-stations of a thousand units differ by chance however well each unit was measured. A unit that was
-at several stations is in it with all its rows and so compares them within itself; σ_w² then comes
-from what is left within units, and is not needed where there are none; where too few of them tell
-it, each row counts as a unit. Where every unit was at one
-station, θ_s is the mean of its units and its variance (σ_b² + σ_w²)/n_s.
+and θ is its weighted least squares with σ_b², what units differ by, in its covariance: two stations
+of a thousand units differ by chance however well each unit was measured. A unit that was at several
+stations is in it with all its rows and so compares them within itself; σ_w² then comes from what is
+left within units, and is not needed where there are none; where too few of them tell it, each row
+counts as a unit. Where every unit was at one station, θ_s is the mean of its units and its variance
+(σ_b² + σ_w²)/n_s.
 
 The level of station s is the rotation ω_s that turns its listed references into the true ones,
 f_true = f + ω_s × f. With A the mean sensitivities of all units, the sensitivities A_j that a unit

@@ -14,10 +14,10 @@ every run counting once. The zeros scatter by
 
     s² = Σ o_i²/(m − 1),        u²(a) = s²/m + x̄' C_b x̄.                                   (2)
 
-A slope of the variable v (that of the segments, else the first) may differ from run to run as
-well: o_i + c_i (v − v̄). It is told where the scatter of the c_i is beyond what the noise within the
-runs gives them (F at 95 % on m − 1), and v itself is a term. Ψ is the covariance of o_i and c_i.
-A prediction for a run that nobody has seen, at terms x, with z = (1, v − v̄),
+A slope of the variable v (that of the segments, else the first) may differ from run to run as well:
+o_i + c_i (v − v̄). It is told where the scatter of the c_i is beyond what the noise within the runs
+gives them (F at 95 % on m − 1), and v itself is a term. Ψ is the covariance of o_i and c_i. A
+prediction for a run that nobody has seen, at terms x, with z = (1, v − v̄),
 
     u² = x' C x + z' Ψ z + rms²,        U² = t²(m − 1) (1 + 1/m) z' Ψ z + t²(ν) · the rest,      (3)
 

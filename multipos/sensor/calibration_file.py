@@ -1,9 +1,8 @@
 """Calibrations in files: what a calibration file holds, key by key, and its writing.
 
 Its reading is `multipos.sensor.calibration_file`. What a calibration derives again when it is read
-(its rms,
-the labels of its parameters) is not read and not described here; what every key means is in
-`docs/reference/formats`.
+(its rms, the labels of its parameters) is not read and not described here; what every key means is
+in `docs/reference/formats`.
 
 Calibrations out of files: `load`, and what makes the parts of a calibration from its keys.
 

@@ -43,9 +43,8 @@ less than one keeps its residuals as they are, and the cause is in U twice.
 
 Beside a stated noise d_mk the scatter is τ_m² from rest to rest, W = diag(d_mk + τ_m²), and (3) is
 `multipos.estimation.excess_variance` of e − A t, made as long as (3) has it. Estimates stay what
-they are;
-only their variance follows what is left. Not looked for is a cause where robust weights follow it
-themselves, and where U comes from how sessions differ.
+they are; only their variance follows what is left. Not looked for is a cause where robust weights
+follow it themselves, and where U comes from how sessions differ.
 
 References
 ----------

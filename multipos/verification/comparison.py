@@ -2,9 +2,8 @@
 
 Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the
 stability of the biases, and the drift (`multipos.verification.comparison`): the slope of the
-straight
-line through the repeats, per second where their times are absolute or ordered and else per run in
-the order given, judged by Student's t on R − 2 degrees of freedom.
+straight line through the repeats, per second where their times are absolute or ordered and else per
+run in the order given, judged by Student's t on R − 2 degrees of freedom.
 
 Several methods on the same readings share their noise, so no test of spread applies: they agree
 where no parameter differs by more than its expanded uncertainty.
