@@ -1,10 +1,10 @@
 """What is not fit for use is not passed on, unless it is accepted; then it says so."""
 
 import pytest
-from tests.doubts.test_absurdities import sense
 
 import multipos as mp
 from tests.cli_bench import SIX, run
+from tests.diagnostics.test_absurdities import sense
 
 
 @pytest.fixture(scope="module")

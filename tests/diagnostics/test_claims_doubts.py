@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from tests.doubts.test_model_error import BIAS, MATRIX
 
 import multipos as mp
 from multipos.diagnostics.residuals import judge_equality, smallest
 from multipos.positions.scheme import read_scheme
+from tests.diagnostics.test_model_error import BIAS, MATRIX
 
 
 def readings(scheme, seed, *, off_deg=0.0, sd=1e-4, cubic=0.0):

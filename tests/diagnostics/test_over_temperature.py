@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from tests.doubts.test_model_error import BIAS, MATRIX
 
 import multipos as mp
 from multipos.diagnostics.model_error import find_soaks, judge_soaks
 from multipos.positions.scheme import read_scheme
+from tests.diagnostics.test_model_error import BIAS, MATRIX
 
 MODEL = "1 + x + y + z + temperature + temperature*own"
 LEVELS = np.linspace(-40.0, 80.0, 7)

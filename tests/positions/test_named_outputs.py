@@ -5,7 +5,7 @@ import pytest
 
 import multipos as mp
 from tests.cli_bench import SIX, run
-from tests.doubts.test_absurdities import sense
+from tests.diagnostics.test_absurdities import sense
 
 UP = mp.read_scheme("all-26").up
 
