@@ -43,6 +43,7 @@ from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
 from multipos.numerics.terms import COMPONENTS, Term, formula_columns, largest_value
 from multipos.positions.attitudes import CONVENTIONS, Convention
+from multipos.positions.order import Order
 from multipos.positions.orientations import Placement, as_used, resolve
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, spread_reading_sd
@@ -151,6 +152,7 @@ def fit(
     readings: "Source | Readings",
     *,
     scheme: "Source | Scheme | None" = None,
+    order: Order = "paper",
     model: str | Expression = "linear",
     convention: Convention = "specific-force",
     outputs: Names | None = None,
@@ -182,6 +184,9 @@ def fit(
     readings : Readings, path, mapping of columns, or data frame
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The orientation of each position; otherwise the readings' own columns say it.
+    order : str
+        'paper', 'spread' or 'travel': in which the rows of readings without labels follow the
+        scheme (`multipos.positions.order`).
     model : str or function
         'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2', or a Python
         function of the components and the parameters (see `multipos.sensor.expressions`).
@@ -288,6 +293,7 @@ def fit(
         data,
         scheme,
         signed_size(local, convention),
+        order=order,
         unknown=options.unknown_orientation,
         orientation_sd=options.orientation_sd,
         estimate=options.estimate_orientation_sd,
