@@ -29,6 +29,7 @@ ORDER = (
     ("plots",),
     ("reports",),
     ("song_qin", "capturing"),
+    ("page",),
     ("commands",),
     ("cli",),
     ("__main__",),

@@ -30,6 +30,7 @@ COMMANDS = {
     "schemes": "list schemes and what they can tell about a model",
     "design": "find the best positions for a model, with proof",
     "worth": "tell what one more position would bring to a calibration",
+    "page": "write or serve a page that calibrates in the browser, with nothing to install",
     "completion": "print a script that lets a shell complete commands and options",
 }
 

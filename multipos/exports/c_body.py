@@ -26,6 +26,8 @@ exceeds one half nothing is written.
 import itertools
 import math
 import re
+from fractions import Fraction
+from operator import mul
 
 import numpy as np
 
@@ -100,6 +102,7 @@ def steps_in_words(steps: int, rho: float) -> str:
 
 # Output, product of force components, and its coefficient: a number times a named constant.
 _RestTerm = tuple[int, Term, tuple[float, str]]
+_Exact = list[list[Fraction]]
 
 
 def function_body(calibration: Calibration, *, single: bool) -> tuple[str, str]:
@@ -133,6 +136,57 @@ def literal(value: float, single: bool) -> str:
     return f"{held!s}f" if single else repr(float(held))
 
 
+def exact_inverse(A: Array) -> Array:
+    """Return A⁻¹, or of a tall A its least-squares inverse (AᵀA)⁻¹Aᵀ, correctly rounded.
+
+    Kernels of linear algebra differ in the last digit; a file that is verified on another machine,
+    or was written in a browser, must be the same there.
+    """
+    rows = [[Fraction(value) for value in row] for row in A.tolist()]
+    n, k = A.shape
+    if n == k:
+        return _rounded(_solved(rows, [[Fraction(i == j) for j in range(k)] for i in range(k)]))
+    return _rounded(_solved(_normal(rows), _transposed(rows)))
+
+
+def exact_normal_inverse(A: Array) -> Array:
+    """Return (AᵀA)⁻¹, correctly rounded."""
+    k = A.shape[1]
+    rows = [[Fraction(value) for value in row] for row in A.tolist()]
+    return _rounded(
+        _solved(_normal(rows), [[Fraction(i == j) for j in range(k)] for i in range(k)])
+    )
+
+
+def _transposed(A: _Exact) -> _Exact:
+    return [list(column) for column in zip(*A, strict=True)]
+
+
+def _normal(A: _Exact) -> _Exact:
+    """Return AᵀA."""
+    columns = _transposed(A)
+    return [[sum(map(mul, a, b), Fraction(0)) for b in columns] for a in columns]
+
+
+def _solved(A: _Exact, B: _Exact) -> _Exact:
+    """Return A⁻¹ B by elimination, which needs no pivot but one that is not zero."""
+    rows = [[*a, *b] for a, b in zip(A, B, strict=True)]
+    for i in range(len(rows)):
+        pivot = next((j for j in range(i, len(rows)) if rows[j][i]), None)
+        if pivot is None:
+            raise np.linalg.LinAlgError("Singular matrix")
+        rows[i], rows[pivot] = rows[pivot], rows[i]
+        rows[i] = [value / rows[i][i] for value in rows[i]]
+        for j, row in enumerate(rows):
+            if j != i and row[i]:
+                rows[j] = [value - row[i] * lead for value, lead in zip(row, rows[i], strict=True)]
+    return [row[len(A) :] for row in rows]
+
+
+def _rounded(A: _Exact) -> Array:
+    return np.array([[float(value) for value in row] for row in A])
+
+
 class _Writer:
     """Turn the model into lines of C."""
 
@@ -150,8 +204,7 @@ class _Writer:
         linear = self._model.linear_map(self._middle) @ calibration.parameters
         self._bias = linear[:, 0]
         self._slope = linear[:, [1 + i for i in sensed_axes(self._model)]]
-        square = self._slope.shape[0] == self._slope.shape[1]
-        self._inverse = np.linalg.inv(self._slope) if square else np.linalg.pinv(self._slope)
+        self._inverse = exact_inverse(self._slope)
 
     @property
     def is_linear(self) -> bool:
@@ -224,7 +277,7 @@ class _Writer:
         for k in range(len(self._sensed)):
             gradient = [f"({self._slope_of(i, k, coefficients)}) * r{i}" for i in outputs]
             lines.append(f"const {self._kind} g{k} = {' + '.join(gradient)};")
-        normal = np.linalg.inv(self._slope.T @ self._slope)
+        normal = exact_normal_inverse(self._slope)
         for k, axis in enumerate(self._sensed):
             lines.append(f"{axis} += {self._sum([(v, f'g{j}') for j, v in enumerate(normal[k])])};")
         return lines

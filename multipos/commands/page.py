@@ -1,0 +1,70 @@
+"""``multipos page``."""
+
+import argparse
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from multipos.commands.answers import Answer, Output, print_out
+from multipos.files.trees import to_json
+from multipos.page.runtime import VERSION
+from multipos.page.serving import LOOPBACK, PORT, open_server
+from multipos.page.site import check_folder, make_site, write_site
+
+INPUTS = ()
+OUTPUT = Output("DIR", "write the site to DIR, for any host; without it, serve it here", "folder")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add = parser.add_argument
+    add(
+        "--pyodide",
+        metavar="DIR|URL",
+        help=f"where the runtime comes from, Pyodide {VERSION}: a folder becomes part of the site "
+        "(default its official address)",
+    )
+    add(
+        "--port",
+        type=int,
+        metavar="N",
+        help=f"of the page where it is served (default {PORT}, else any that is free)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> Answer:
+    """Return what was written, or serve until the process is told to end."""
+    if arguments.output is not None:
+        folder = Path(arguments.output)
+        check_folder(folder)
+        site = make_site(arguments.pyodide)
+        write_site(folder, site)
+        size = sum(map(len, site.files.values())) / 1e6
+        said = f"Written to {folder}: {len(site.files)} files, {size:.1f} MB.\n"
+        listed = {"folder": str(folder), "files": sorted(site.files)}
+        return Answer(text=lambda: said, json=lambda: to_json(listed))
+    with open_server(make_site(arguments.pyodide), arguments.port) as server:
+        address = f"http://{LOOPBACK}:{server.server_address[1]}/"
+        print_out([to_json({"address": address}) if arguments.json else f"{address}\n"])
+        with _until_told_to_end():
+            server.serve_forever()
+    return Answer(text=lambda: "", json=lambda: "")
+
+
+@contextmanager
+def _until_told_to_end() -> Iterator[None]:
+    """Run the block until a signal ends it: to be told to end is how a server ends well."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    names = ("SIGINT", "SIGTERM", "SIGHUP")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    before = {number: signal.signal(number, signal.default_int_handler) for number in numbers}
+    try:
+        with suppress(KeyboardInterrupt):
+            yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

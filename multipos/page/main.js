@@ -1,0 +1,297 @@
+// The page: takes files and rows, asks the worker, shows what it answers. Nothing is computed here.
+
+import "./site.js";
+import { $, cell, decimals, element, legend, makeSphere, shade } from "./drawing.js";
+
+const LARGEST = 100e6; // bytes of a file: a browser keeps several copies of it
+const EXAMPLE = `position,direction,ax,ay,az
+1,E-U-S,0.0071,1.0029,-0.0016
+2,E-N-U,-0.0094,-0.0058,1.0008
+3,D-E-S,-0.9965,0.0064,0.0015
+4,W-D-S,-0.0076,-1.0030,0.0032
+5,U-W-S,0.9965,0.0073,0.0027
+6,S-W-D,0.0067,-0.0060,-1.0008
+`;
+
+// Words -----------------------------------------------------------------------------------------
+
+const asked = new URLSearchParams(location.search).get("lang") || navigator.language || "en";
+let language = asked.startsWith("zh") ? "zh" : "en";
+
+/** Return a text of the page in the language that is shown; {name} is put in. */
+function T(text, put = {}) {
+  const said = language === "zh" ? SITE.words[text] || text : text;
+  return said.replace(/\{(\w+)\}/g, (whole, name) => put[name] ?? whole);
+}
+
+function translate() {
+  document.documentElement.lang = language === "zh" ? "zh-Hans" : "en";
+  for (const each of document.querySelectorAll("[data-t]")) {
+    each.dataset.t ||= each.textContent;
+    each.textContent = T(each.dataset.t);
+  }
+  $("language").textContent = language === "zh" ? "English" : "中文";
+  $("language").lang = language === "zh" ? "en" : "zh-Hans";
+  const host = $("host").dataset.host;
+  $("host").textContent = host
+    ? T("The first visit fetches the Python runtime from {host}, which sees that visit; later ones need no network.", { host })
+    : T("After the first visit this page needs no network.");
+  $("legend").replaceChildren(...legend([
+    ["good", T("residual within its U")], ["warn", T("beyond U")], ["bad", T("beyond 2 U")], ["next", T("best next")],
+  ]));
+  say();
+}
+
+// State -----------------------------------------------------------------------------------------
+
+const STATUS = {
+  loading: () => T("The program is being loaded…"), ready: () => "", working: () => T("Calculating…"),
+  done: () => "", error: () => "",
+};
+
+function say() {
+  $("status").textContent = STATUS[document.documentElement.dataset.state]();
+}
+
+function become(state) {
+  document.documentElement.dataset.state = state;
+  say();
+}
+
+function fail(text) {
+  $("error").textContent = text;
+  $("error").hidden = false;
+  become("error");
+}
+
+// The worker ------------------------------------------------------------------------------------
+
+let worker = null, count = 0;
+const waiting = new Map();
+
+/** Have the service worker between us and the network, for it brings every file and its policy. */
+async function guard() {
+  if (!navigator.serviceWorker) {
+    throw new Error(T("This browser gives the page no service worker here: open it by https or on localhost, and not in a private window."));
+  }
+  navigator.serviceWorker.addEventListener("message", ({ data }) => data.refused && fail(data.refused));
+  await navigator.serviceWorker.register("sw.js", { updateViaCache: "none" });
+  await navigator.serviceWorker.ready;
+  if (!navigator.serviceWorker.controller) {
+    await new Promise(resolve => {
+      navigator.serviceWorker.addEventListener("controllerchange", resolve, { once: true });
+    });
+  }
+}
+
+function startWorker() {
+  worker = new Worker("worker.js", { type: "module" });
+  worker.onmessage = ({ data }) => {
+    if (data.ready && document.documentElement.dataset.state === "loading") become("ready");
+    if (data.fatal) broken(data.fatal);
+    waiting.get(data.id)?.(data.answer);
+    waiting.delete(data.id);
+  };
+  worker.onerror = event => broken(event.message || T("the worker could not be loaded"));
+}
+
+/** The program itself has ended, as it does where memory ends: say so, and start it anew. */
+function broken(why) {
+  worker.terminate();
+  const open = [...waiting.values()];
+  waiting.clear();
+  for (const each of open) each({ error: T("The program has ended: {why}. Give fewer rows, or use the command line.", { why }) });
+  if (open.length) startWorker();
+  else if ($("error").hidden) fail(T("The program cannot be loaded: {why}", { why }));
+}
+
+const started = guard().then(startWorker, error => { fail(error.message); throw error; });
+started.catch(() => {});
+
+/** Return the program's answer to a request, with files {name, content}. */
+async function ask(request, files = []) {
+  await started;
+  const id = ++count;
+  const answer = new Promise(resolve => waiting.set(id, resolve));
+  worker.postMessage({ id, request: { ...request, language }, files }, files.map(each => each.content));
+  return answer;
+}
+
+/** Return files as the program takes them; what is too large is refused in words. */
+async function contents(files) {
+  const large = [...files].find(each => each.size > LARGEST);
+  if (large) {
+    throw new Error(T("{name} has {size} MB, and this page takes {most}: use multipos calibrate on your machine.", {
+      name: large.name, size: Math.round(large.size / 1e6), most: LARGEST / 1e6,
+    }));
+  }
+  return Promise.all([...files].map(async each => ({ name: each.name, content: await each.arrayBuffer() })));
+}
+
+// Calibrate -------------------------------------------------------------------------------------
+
+const sphere = makeSphere($("positions"));
+let chosen = []; // the files of now; none where the rows count
+
+async function run(request, files) {
+  $("error").hidden = true;
+  become("working");
+  try {
+    const given = await contents(files);
+    const answer = await ask({ ...request, files: given.map(each => each.name) }, given);
+    if (answer.error) { fail(answer.error); return null; }
+    become("done");
+    return answer;
+  } catch (error) {
+    fail(error.message);
+    return null;
+  }
+}
+
+async function calibrate() {
+  const rows = new Blob([$("rows").value]);
+  rows.name = "calibration.csv";
+  if (!chosen.length && !$("rows").value.trim()) {
+    fail(T("There are no rows: drop a file, paste rows, or press Example."));
+    return;
+  }
+  const request = { do: "calibrate", kind: $("kind").value, unit: $("unit").value };
+  const answer = await run(request, chosen.length ? chosen : [rows]);
+  $("result").hidden = !answer;
+  if (!answer) return;
+  show(answer);
+  $("answer").focus();
+  $("answer").scrollIntoView({ block: "nearest" });
+  showRefused();
+}
+
+function show(answer) {
+  $("answer").textContent = answer.sentence;
+  $("findings").replaceChildren(...answer.findings.map(finding => {
+    const made = element("li", [finding.text, " ", element("b", finding.action)], finding.level);
+    made.dataset.code = finding.code;
+    return made;
+  }));
+  $("parameters").tBodies[0].replaceChildren(...answer.parameters.map(each => {
+    const digits = decimals(each.U), name = element("th", each.name);
+    const row = element("tr", [
+      name, cell(each.value.toFixed(digits), true), cell(each.U.toFixed(digits), true), cell(each.unit),
+    ]);
+    name.scope = "row";
+    name.title = each.label;
+    Object.assign(row.dataset, { name: each.name, value: each.value, u: each.u });
+    return row;
+  }));
+  const marks = answer.positions.map(each => ({
+    direction: each.direction, label: each.position, kind: shade(each.residual, each.residual_u),
+    title: `${each.position}: ${(1e3 * each.residual).toFixed(2)} mg`,
+  }));
+  const next = answer.next.map((each, i) => ({ direction: each.direction, kind: "next", label: `${i + 1}`, title: each.words }));
+  sphere.show([...marks, ...next]);
+  $("positions").setAttribute("aria-label", T("{count} positions on a sphere; arrow keys turn it", { count: marks.length }));
+  $("next").replaceChildren(...answer.next.map(each => element("li",
+    T("{words}: u falls by {percent} %", { words: each.words, percent: (100 * each.fall).toFixed(1) }))));
+}
+
+/** Show the cost of every target that is refused, and a button that accepts it. */
+async function showRefused() {
+  $("refused").replaceChildren();
+  const answer = await ask({ do: "targets" });
+  $("refused").replaceChildren(...Object.entries(answer.refused || {}).map(([form, why]) => {
+    const accept = element("button", T("Accept and download {form}", { form }));
+    accept.type = "button";
+    accept.dataset.accept = form;
+    accept.onclick = () => download(form, true);
+    return element("li", [element("p", why), accept]);
+  }));
+}
+
+function save(name, content) {
+  const link = element("a");
+  link.href = URL.createObjectURL(new Blob([content]));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+const kept = {}; // files that were made already: the scheme, the compensated rows
+
+async function download(form, accept = false) {
+  $("error").hidden = true;
+  const answer = kept[form] || await ask({ do: "download", form, accept });
+  if (answer.error) fail(answer.error);
+  else save(answer.name, answer.content);
+}
+
+// Plan and apply --------------------------------------------------------------------------------
+
+const planned = makeSphere($("plan-positions"));
+
+async function plan() {
+  const answer = await run({
+    do: "plan", model: $("plan-model").value, positions: Number($("plan-count").value), hand_held: $("plan-free").checked,
+  }, []);
+  $("sheet").hidden = !answer;
+  if (!answer) return;
+  kept.scheme = answer;
+  $("plan-answer").textContent = answer.sentence;
+  planned.show(answer.positions.map(each => ({ direction: each.direction, kind: "now", label: each.position, title: each.words })));
+  $("plan-positions").setAttribute("aria-label", answer.sentence);
+  const box = () => element("td", "", "box");
+  $("plan-table").tBodies[0].replaceChildren(...answer.positions.map(each =>
+    element("tr", [cell(each.position), cell(each.words), box(), box(), box()])));
+}
+
+function print() {
+  document.body.classList.add("sheet");
+  window.print();
+  document.body.classList.remove("sheet");
+}
+
+async function apply() {
+  const [log, calibration] = [$("apply-log").files, $("apply-calibration").files];
+  if (!log.length) { fail(T("There is no log: choose a file.")); return; }
+  const request = { do: "apply", calibration: calibration[0]?.name || "", tilt: $("apply-tilt").checked };
+  const answer = await run(request, [log[0], ...calibration]);
+  $("apply-answer").textContent = answer ? answer.sentence : "";
+  document.querySelector("[data-download=applied]").hidden = !answer;
+  if (answer) kept.applied = answer;
+}
+
+// Wiring ----------------------------------------------------------------------------------------
+
+function take(files) {
+  if (!files.length) return;
+  chosen = [...files];
+  calibrate();
+}
+
+$("file").onchange = () => take($("file").files);
+$("rows").oninput = () => { chosen = []; $("file").value = ""; };
+$("example").onclick = () => { $("rows").value = EXAMPLE; $("rows").oninput(); calibrate(); };
+$("calibrate").onclick = calibrate;
+$("plan-make").onclick = plan;
+$("plan-print").onclick = print;
+$("apply-make").onclick = apply;
+for (const each of document.querySelectorAll("[data-download]")) each.onclick = () => download(each.dataset.download);
+$("language").onclick = async () => {
+  language = language === "zh" ? "en" : "zh";
+  translate();
+  if ($("result").hidden) return;
+  const answer = await ask({ do: "show" });
+  if (!answer.error) { show(answer); showRefused(); }
+};
+addEventListener("dragover", event => { event.preventDefault(); document.body.classList.add("dropping"); });
+addEventListener("dragleave", () => document.body.classList.remove("dropping"));
+addEventListener("drop", event => {
+  event.preventDefault();
+  document.body.classList.remove("dropping");
+  take(event.dataTransfer.files);
+});
+function openView() {
+  const view = location.hash && document.querySelector(`details${location.hash}`);
+  if (view) view.open = true;
+}
+addEventListener("hashchange", openView);
+openView();
+translate();

@@ -1,0 +1,321 @@
+"""What a visitor asks and is answered: the package behind the page, JSON in and JSON out.
+
+The worker calls `Visit.answer` with one request at a time. Files are in the current folder, where
+the worker has put what was dropped or pasted, and where it fetches what is downloaded. What is
+chosen for the visitor is chosen here: known orientations where the table states them, a raw log
+where it has more rows than anybody averages by hand, six faces where six rows lie along both
+directions of three axes, and otherwise unknown orientations.
+"""
+
+import json
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from multipos import __version__
+from multipos.capturing.words import pose_words
+from multipos.compensation.applying import apply
+from multipos.designs.designing import design
+from multipos.designs.prospects import worth
+from multipos.errors import MultiposError, UsageError
+from multipos.exports.targets import export
+from multipos.files.numbers import number
+from multipos.files.tables import write_table
+from multipos.fitting.logs import calibrate
+from multipos.fitting.readings import fit
+from multipos.logs.opening import open_log, read_log
+from multipos.numerics.arrays import Array
+from multipos.positions.reading_tables import read_readings
+from multipos.positions.readings import Readings
+from multipos.reports.documents import report
+from multipos.reports.translations import Language, Translator
+from multipos.results import plain
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.loading import load
+from multipos.units import STANDARD_GRAVITY
+
+TARGETS = ("px4", "ardupilot")
+_SUFFIX = {"c": ".c", "px4": "_px4.params", "ardupilot": "_ardupilot.parm", "md": ".md"}
+_MOST_READINGS = 200  # rows: more are a log
+_NEXT = 3  # best positions shown
+_ONE_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1000.0}
+_NEAR = 0.15  # how far one g may read from one
+_ALONG = 0.8  # of a reading, the share along its axis: up to 37 degrees from a face
+_OUT = Path("multipos-downloads")
+
+
+@dataclass
+class Visit:
+    """One visitor: the calibration of now, and what it was made from."""
+
+    calibration: Calibration | None = None
+    kind: str = ""
+    name: str = "calibration"
+
+    def answer(self, request: str) -> str:
+        """Return the answer to a request; what is at fault with it is its `error`."""
+        asked = json.loads(request)
+        tr = Translator(asked.get("language", "en"))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                found = getattr(self, f"_{asked['do']}")(asked, tr)
+        except (MultiposError, UsageError) as error:
+            found = {"error": tr.message(str(error))}
+        except MemoryError:
+            found = {"error": tr("The data do not fit into memory; give fewer rows.")}
+        except Exception as error:
+            said = f"{type(error).__name__}: {error}; a fault of multipos {__version__}."
+            found = {"error": said}
+        return json.dumps(plain(found), allow_nan=False)
+
+    def _calibrate(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+        self.calibration = None
+        paths = [str(name) for name in asked["files"]]
+        unit = asked["unit"] or None
+        self.kind, source = _chosen(paths, asked["kind"], unit)
+        if isinstance(source, Readings):
+            self.calibration = fit(source, unknown_orientation=self.kind == "free")
+        else:
+            self.calibration = calibrate(*source, unit=unit)
+        self.name = Path(paths[0]).name.partition(".")[0] or "calibration"
+        return self._show(asked, tr)
+
+    def _show(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+        """Return everything that the page shows of the calibration."""
+        calibration = self._made()
+        findings = [
+            {
+                **finding,
+                "text": tr.message(finding["text"]),
+                "action": tr.message(finding["action"]),
+            }
+            for finding in _findings(calibration)
+        ]
+        return {
+            "kind": self.kind,
+            "unit": calibration.model.unit,
+            "sentence": _sentence(calibration, self.kind, tr),
+            "findings": findings,
+            "parameters": [
+                {"name": p.name, "value": p.value, "u": p.u, "U": p.U, "unit": p.unit}
+                | {"label": tr.message(p.label)}
+                for p in calibration.entries
+            ],
+            "positions": _positions(calibration),
+            "next": _next(calibration, tr.language),
+        }
+
+    def _targets(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+        """Return why a target is refused, by its name."""
+        refused = {}
+        for name in TARGETS:
+            try:
+                export(self._made(), name)
+            except MultiposError as error:
+                refused[name] = tr.message(str(error))
+        return {"refused": refused}
+
+    def _download(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+        """Write one form of the calibration, and return where."""
+        calibration, form = self._made(), asked["form"]
+        _OUT.mkdir(exist_ok=True)
+        if form == "json":
+            path = _OUT / f"{self.name}.json"
+            calibration.save(path)
+        elif form == "readings":
+            path = _OUT / f"{self.name}_readings.csv"
+            write_table(path, calibration.readings.columns())
+        elif form == "md":
+            path = _OUT / f"{self.name}.md"
+            report(calibration, path, language=tr.language)
+        else:
+            path = _OUT / f"{self.name}{_SUFFIX[form]}"
+            accepted = bool(asked.get("accept"))
+            made = export(calibration, form, allow_lossy=accepted, accept_doubts=accepted)
+            made.save(path)
+        return {"path": str(path), "name": path.name}
+
+    def _plan(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+        """Return the best positions among faces, edges and corners, which a hand finds."""
+        found = design(
+            asked["model"],
+            int(asked["positions"]),
+            candidates="all-26",
+            unknown_orientation=bool(asked["hand_held"]),
+        )
+        path = _OUT / "scheme.csv"
+        _OUT.mkdir(exist_ok=True)
+        write_table(path, found.columns())
+        share = f"{100.0 * found.efficiency:.0f}"
+        said = tr(
+            "{positions} positions for the model {model}: {share} % of the precision of the best "
+            "scheme there could be.",
+            positions=str(len(found.positions)),
+            model=found.model,
+            share=share,
+        )
+        positions = [
+            {"position": str(i), "direction": up, "words": pose_words(up)[tr.language]}
+            for i, up in enumerate(found.positions, 1)
+        ]
+        return {"sentence": said, "positions": positions, "path": str(path), "name": path.name}
+
+    def _apply(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+        """Write a log with the compensated force beside its columns, and return where."""
+        if asked["calibration"]:
+            calibration = load(asked["calibration"])
+        else:
+            calibration = self._made()
+        source = Path(asked["files"][0])
+        found = apply(calibration, str(source), tilt=bool(asked["tilt"]))
+        path = _OUT / f"{source.name.partition('.')[0]}_compensated.csv"
+        _OUT.mkdir(exist_ok=True)
+        write_table(path, found)
+        rows = str(len(found["outside"]))
+        said = tr("{rows} rows compensated.", rows=rows)
+        noted = [tr.message(text) for text in found.warnings]
+        return {"sentence": " ".join([said, *noted]), "path": str(path), "name": path.name}
+
+    def _made(self) -> Calibration:
+        if self.calibration is None:
+            raise MultiposError("there is no calibration yet; give readings first.")
+        return self.calibration
+
+
+def _chosen(paths: list[str], kind: str, unit: str | None) -> tuple[str, Readings | list[str]]:
+    """Return the kind of data, and the readings of a table, or the logs.
+
+    Raises
+    ------
+    MultiposError
+        No readings or no such kind can be made of them.
+    """
+    if kind == "log" or (kind == "auto" and (len(paths) > 1 or not _is_short_table(paths[0]))):
+        return "log", paths
+    readings = _with_unit(_read(paths[0], unit))
+    known = readings.up is not None or readings.force is not None
+    faces = _faces(readings) if kind == "six" or (kind == "auto" and not known) else None
+    if kind == "auto":
+        kind = "known" if known else "free" if faces is None else "six"
+    if kind == "six":
+        if faces is None:
+            raise MultiposError(
+                "these rows are not six faces: each needs one axis near vertical, and all three "
+                "must be seen up and down; choose hand-held."
+            )
+        readings = replace(readings, up=faces, rotation=None)
+    return kind, readings
+
+
+def _is_short_table(path: str) -> bool:
+    """Tell whether a file is text of no more rows than a table of means has."""
+    with Path(path).open("rb") as stream:
+        head = stream.read(1 << 16)
+        rest = stream.read(1)
+    return b"\0" not in head and not rest and head.count(b"\n") <= _MOST_READINGS
+
+
+def _read(path: str, unit: str | None) -> Readings:
+    """Return readings; a table without a header, or with blanks between its cells, as of a log."""
+    lines = Path(path).read_text(encoding="utf-8", errors="replace").splitlines()
+    first = next((line for line in lines if line.strip() and line[0] not in "#%/"), "")
+    if any(letter.isalpha() for letter in first) and any(mark in first for mark in ",;\t"):
+        return read_readings(path, unit=unit)
+    columns = read_log(open_log(path))
+    if list(columns) == ["1", "2", "3"]:
+        columns = dict(zip(("ax", "ay", "az"), columns.values(), strict=True))
+    return read_readings(columns, unit=unit)
+
+
+def _with_unit(readings: Readings) -> Readings:
+    """Return readings in the unit that they show, where none is stated."""
+    if readings.unit != "reading" or readings.values.shape[1] != 3:
+        return readings
+    size = float(np.median(np.linalg.norm(readings.values, axis=1)))
+    whole = bool((readings.values == np.round(readings.values)).all())
+    for unit, one in _ONE_G.items():
+        if abs(size / one - 1.0) < _NEAR and not (whole and one != 1.0):
+            note = f"the unit is taken to be {unit}, since gravity reads {size:.3g}"
+            return replace(readings, unit=unit, notes=(*readings.notes, note))
+    return replace(readings, unit="count") if whole else readings
+
+
+def _faces(readings: Readings) -> Array | None:
+    """Return the up vectors (n, 3) of readings of the six faces, None where they are of others."""
+    values = readings.values
+    if values.shape[1] != 3 or len(values) < 6:
+        return None
+    low, high = values.min(axis=0), values.max(axis=0)
+    if not (high > low).all():
+        return None
+    force = (values - (low + high) / 2.0) / ((high - low) / 2.0)
+    size = np.linalg.norm(force, axis=1)
+    axis = np.argmax(np.abs(force), axis=1)
+    along = force[np.arange(len(force)), axis]
+    if (np.abs(along) < _ALONG * size).any():
+        return None
+    up = np.zeros_like(force)
+    up[np.arange(len(force)), axis] = np.sign(along)
+    seen = {tuple(row) for row in up.tolist()}
+    return up if len(seen) == 6 else None
+
+
+def _findings(calibration: Calibration) -> list[dict[str, Any]]:
+    levels = {"implausible": "error", "caution": "warning"}
+    return [
+        {"code": doubt.code, "level": levels[doubt.severity], "text": doubt.text, "action": ""}
+        for doubt in calibration.diagnostics.doubts
+    ]
+
+
+def _sentence(calibration: Calibration, kind: str, tr: Translator) -> str:
+    """Return the answer in one sentence: from what, how well it fits, and whether to use it."""
+    kinds = {
+        "known": tr("positions of known orientation"),
+        "six": tr("positions on six faces"),
+        "free": tr("hand-held positions"),
+        "log": tr("rests of the log"),
+    }
+    unfit = any(finding["level"] == "error" for finding in _findings(calibration))
+    said = tr(
+        "Calibrated from {count} {kind}: what is left after compensation is {rms} mg rms.",
+        count=str(len(calibration.readings)),
+        kind=kinds[kind],
+        rms=number(1e3 * calibration.rms, 3),
+    )
+    return f"{said} {tr('It is not fit for use.')}" if unfit else said
+
+
+def _positions(calibration: Calibration) -> list[dict[str, Any]]:
+    """Return where each position was, and its residual [g] with its standard uncertainty."""
+    readings, reference = calibration.readings, calibration.reference
+    force = calibration.compensate(readings.values, readings.environment)
+    if calibration.model.gauge is not None:
+        off = np.linalg.norm(force, axis=1) - np.linalg.norm(reference, axis=1)
+    else:
+        off = np.linalg.norm(force - reference[:, : force.shape[1]], axis=1)
+    J = calibration.model.force_jacobian(calibration.parameters, reference, readings.environment)
+    scale = np.linalg.norm(J, axis=2)
+    u = np.sqrt(np.mean((calibration.sd_of_readings / scale) ** 2, axis=1))
+    up = calibration.sign * reference / np.linalg.norm(reference, axis=1, keepdims=True)
+    return [
+        {"position": label, "direction": up[i], "residual": off[i], "residual_u": u[i]}
+        for i, label in enumerate(readings.labels)
+    ]
+
+
+def _next(calibration: Calibration, language: Language) -> list[dict[str, Any]]:
+    """Return the positions that would lower u most; none where nothing predicts it."""
+    try:
+        best = worth(calibration).candidates[:_NEXT]
+    except MultiposError:
+        return []
+    return [
+        {"direction": each.up, "fall": each.fall, "words": pose_words(each.up)[language]}
+        for each in best
+    ]
