@@ -37,3 +37,15 @@ myst_enable_extensions = ["amsmath", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 # Equations are numbered page by page, in the order of the page: code cites them by that number.
 math_eqref_format = "({number})"
+
+
+def write_page(app, error):
+    """Put the page that `docs/howto/page.md` embeds beside the built pages."""
+    if error is None and app.builder.name == "html":
+        from multipos.page.site import make_site, write_site
+
+        write_site(Path(app.outdir) / "page", make_site())
+
+
+def setup(app):
+    app.connect("build-finished", write_page)

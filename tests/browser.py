@@ -60,23 +60,39 @@ class Page:
 
     def open(self, path: Path, *, width: int = 1000, dark: bool = False, media: str = "") -> None:
         """Load a file, and wait until it stands."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=900,
-            deviceScaleFactor=1,
-            mobile=width < 600,
-        )
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        self.call("Emulation.setEmulatedMedia", media=media, features=[scheme])
+        self.size(width, dark=dark, media=media)
         self.events.clear()
         self.call("Page.navigate", url=path.as_uri())
         while not any(event.get("method") == "Page.loadEventFired" for event in self.events):
             self.events.append(self._read())
 
+    def size(self, width: int, height: int = 900, *, dark: bool = False, media: str = "") -> None:
+        """Make the window so large, and show it light or dark, on screen or as it is printed."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 600,
+        )
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", media=media, features=[scheme])
+
+    def wait(self, expression: str) -> Any:
+        """Return the value of an expression as soon as it has one."""
+        end = time.monotonic() + TIMEOUT
+        while time.monotonic() < end:
+            found = self.evaluate(expression)
+            if found:
+                return found
+            time.sleep(0.02)
+        raise AssertionError((expression, self.complaints()))
+
     def evaluate(self, expression: str) -> Any:
-        """Return the value of a JavaScript expression in the page."""
-        found = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        """Return the value of a JavaScript expression in the page; a promise is waited for."""
+        found = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
@@ -109,7 +125,7 @@ class Page:
 
 
 @contextlib.contextmanager
-def browse(folder: Path) -> Iterator[Page]:
+def browse(folder: Path, *options: str) -> Iterator[Page]:
     """Start a browser with its profile in a folder, and end it."""
     program = find()
     assert program
@@ -119,10 +135,11 @@ def browse(folder: Path) -> Iterator[Page]:
     command = (
         f'exec "$0" --headless --no-sandbox --disable-gpu --no-first-run --hide-scrollbars '
         f'--disable-dev-shm-usage --user-data-dir="$1" --remote-debugging-pipe '
-        f"3<&{to_browser} 4>&{from_browser}"
+        f"--disable-quic --disable-background-networking --disable-component-update --disable-sync "
+        f'"${{@:2}}" 3<&{to_browser} 4>&{from_browser}'
     )
     process = subprocess.Popen(
-        ["bash", "-c", command, program, str(folder / "profile")],
+        ["bash", "-c", command, program, str(folder / "profile"), *options],
         pass_fds=(to_browser, from_browser),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

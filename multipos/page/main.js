@@ -60,8 +60,8 @@ function become(state) {
 
 function fail(text) {
   $("error").textContent = text;
-  $("error").hidden = false;
-  become("error");
+  $("error").hidden = !text;
+  if (text) become("error");
 }
 
 // The worker ------------------------------------------------------------------------------------
@@ -121,7 +121,7 @@ async function ask(request, files = []) {
 async function contents(files) {
   const large = [...files].find(each => each.size > LARGEST);
   if (large) {
-    throw new Error(T("{name} has {size} MB, and this page takes {most}: use multipos calibrate on your machine.", {
+    throw new Error(T("{name} has {size} MB, and this page takes {most} MB: use multipos calibrate on your machine.", {
       name: large.name, size: Math.round(large.size / 1e6), most: LARGEST / 1e6,
     }));
   }
@@ -134,7 +134,7 @@ const sphere = makeSphere($("positions"));
 let chosen = []; // the files of now; none where the rows count
 
 async function run(request, files) {
-  $("error").hidden = true;
+  fail("");
   become("working");
   try {
     const given = await contents(files);
@@ -217,7 +217,7 @@ function save(name, content) {
 const kept = {}; // files that were made already: the scheme, the compensated rows
 
 async function download(form, accept = false) {
-  $("error").hidden = true;
+  fail("");
   const answer = kept[form] || await ask({ do: "download", form, accept });
   if (answer.error) fail(answer.error);
   else save(answer.name, answer.content);

@@ -55,7 +55,8 @@ def origin_of(address: str) -> str:
     plain = parts.netloc and not set(parts.netloc) & set(" ;,'\"*")
     if parts.scheme not in ("http", "https") or not plain or parts.query or parts.fragment:
         raise UsageError(
-            f"--pyodide {address}: give a folder, or an address such as {OFFICIAL}, without a query."
+            f"--pyodide {address}: give a folder, or an address without a query, such as "
+            f"{OFFICIAL}."
         )
     return f"{parts.scheme}://{parts.netloc}"
 

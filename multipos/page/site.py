@@ -1,4 +1,4 @@
-"""The files of the site: the page, its worker and service worker, the package, and who may be asked.
+"""The files of the site: page, worker, service worker, package, and who may be asked for what.
 
 The page draws, a worker runs the package under Pyodide, and a service worker stands between them
 and the network: it lets nothing in whose hash is not the one written here, keeps all of it for the
@@ -22,7 +22,7 @@ from multipos.errors import MultiposError
 from multipos.files.whole import make_folder, written
 from multipos.page import runtime
 from multipos.page.wheel import NAME, make_wheel
-from multipos.reports.translations import Translator
+from multipos.reports.page import Translator
 
 MARK = "// Written by multipos page: "
 _FOLDER = Path(__file__).parent

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from multipos import __version__
-from multipos.capturing.words import pose_words
 from multipos.compensation.applying import apply
 from multipos.designs.designing import design
 from multipos.designs.prospects import worth
@@ -25,17 +24,18 @@ from multipos.errors import MultiposError, UsageError
 from multipos.exports.targets import export
 from multipos.files.numbers import number
 from multipos.files.tables import write_table
-from multipos.fitting.logs import calibrate
-from multipos.fitting.readings import fit
+from multipos.fitting.calibrate_logs import calibrate
+from multipos.fitting.fit_readings import fit
 from multipos.logs.opening import open_log, read_log
 from multipos.numerics.arrays import Array
+from multipos.positions.attitudes import pose_words
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings
 from multipos.reports.documents import report
-from multipos.reports.translations import Language, Translator
+from multipos.reports.page import Language, Translator
 from multipos.results import plain
-from multipos.sensor.calibration import Calibration
-from multipos.sensor.loading import load
+from multipos.sensor.calibration import Calibration, force_residuals
+from multipos.sensor.calibration_file import load
 from multipos.units import STANDARD_GRAVITY
 
 TARGETS = ("px4", "ardupilot")
@@ -293,19 +293,12 @@ def _sentence(calibration: Calibration, kind: str, tr: Translator) -> str:
 
 def _positions(calibration: Calibration) -> list[dict[str, Any]]:
     """Return where each position was, and its residual [g] with its standard uncertainty."""
-    readings, reference = calibration.readings, calibration.reference
-    force = calibration.compensate(readings.values, readings.environment)
-    if calibration.model.gauge is not None:
-        off = np.linalg.norm(force, axis=1) - np.linalg.norm(reference, axis=1)
-    else:
-        off = np.linalg.norm(force - reference[:, : force.shape[1]], axis=1)
-    J = calibration.model.force_jacobian(calibration.parameters, reference, readings.environment)
-    scale = np.linalg.norm(J, axis=2)
-    u = np.sqrt(np.mean((calibration.sd_of_readings / scale) ** 2, axis=1))
+    reference = calibration.reference
+    off, u = force_residuals(calibration)
     up = calibration.sign * reference / np.linalg.norm(reference, axis=1, keepdims=True)
     return [
         {"position": label, "direction": up[i], "residual": off[i], "residual_u": u[i]}
-        for i, label in enumerate(readings.labels)
+        for i, label in enumerate(calibration.readings.labels)
     ]
 
 

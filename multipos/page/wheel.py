@@ -1,4 +1,4 @@
-"""The package as a wheel, made of the folder that is installed: a zip file with a list of itself."""
+"""The package as a wheel, made of the folder that is installed: a zip file that lists itself."""
 
 import base64
 import hashlib

@@ -15,6 +15,7 @@ vector pointing up, in case axes: ``u = C e_U``. Written as
 Exact angles give exact zeros: a stray cos 90° = 6e-17 would pass for a tilt.
 """
 
+import math
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -51,6 +52,8 @@ class Attitudes(NamedTuple):
     rotation: Array
 
 
+_LEVEL_DEG = 3.0  # nothing a hand can tell
+_SMALL_SHARE = 0.35  # of the lean, below which an axis is not named
 _EMPTY = ("", "nan")  # of a cell, in a file and in a data frame
 
 
@@ -281,3 +284,31 @@ _READERS = {
 
 def _quoted(names: list[str] | tuple[str, ...]) -> str:
     return ", ".join(f"'{name}'" for name in names)
+
+
+def pose_words(up: Array) -> dict[str, str]:
+    """Return an up vector (3,) in words, by language: "+z up, leaning 35° so that −x rises".
+
+    The largest component names the axis to point up; what is left is a lean by acos|u_largest|
+    towards the axes that rise with it.
+    """
+    main = max(range(3), key=lambda i: abs(round(float(up[i]), 9)))
+    lean = math.degrees(math.acos(min(1.0, abs(float(up[main])))))
+    axis = _axis(main, float(up[main]))
+    if lean < _LEVEL_DEG:
+        return {"en": f"{axis} straight up", "zh": f"{axis} 轴竖直向上"}
+    rest = [i for i in range(3) if i != main]
+    size = math.hypot(*(float(up[i]) for i in rest))
+    named = [i for i in rest if abs(float(up[i])) >= _SMALL_SHARE * size]
+    named.sort(key=lambda i: -abs(round(float(up[i]), 9)))
+    risen = [_axis(i, float(up[i])) for i in named]
+    return {
+        "en": f"{axis} up, leaning {lean:.0f}° so that {' and '.join(risen)} rises"
+        if len(risen) == 1
+        else f"{axis} up, leaning {lean:.0f}° so that {' and '.join(risen)} rise",
+        "zh": f"{axis} 轴向上，倾斜 {lean:.0f}°，使 {'、'.join(risen)} 抬高",
+    }
+
+
+def _axis(i: int, value: float) -> str:
+    return f"{'+' if value >= 0.0 else '−'}{'xyz'[i]}"

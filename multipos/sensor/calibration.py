@@ -450,3 +450,20 @@ def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]
             ]
         )
     return header, rows
+
+
+def force_residuals(calibration: Calibration) -> tuple[Array, Array]:
+    """Return how far each compensated reading is from its reference (n,), and one's u (n,) [g].
+
+    Of unknown orientations it is the difference of the sizes.
+    """
+    readings, reference = calibration.readings, calibration.reference
+    force = calibration.compensate(readings.values, readings.environment)
+    if calibration.model.gauge is not None:
+        off = np.linalg.norm(force, axis=1) - np.linalg.norm(reference, axis=1)
+    else:
+        off = np.linalg.norm(force - reference[:, : force.shape[1]], axis=1)
+    J = calibration.model.force_jacobian(calibration.parameters, reference, readings.environment)
+    scale = np.linalg.norm(J, axis=2)
+    u = np.sqrt(np.mean((calibration.sd_of_readings / scale) ** 2, axis=1))
+    return np.asarray(off), np.asarray(u)

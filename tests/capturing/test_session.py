@@ -20,12 +20,13 @@ from multipos.capturing.poses import find_frame, refuse_repeat
 from multipos.capturing.running import make_plan, make_reading, run_session
 from multipos.capturing.screen import obey, picture_of
 from multipos.capturing.session import Session
-from multipos.capturing.state import pose_words, state_of
+from multipos.capturing.state import state_of
 from multipos.capturing.streams import open_source
 from multipos.cli import main
 from multipos.logs.opening import open_log
 from multipos.logs.rests import Rest
 from multipos.logs.samples import Timing, rows_in_log
+from multipos.positions.attitudes import pose_words
 
 RATE = 100.0
 

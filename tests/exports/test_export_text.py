@@ -11,7 +11,7 @@ import pytest
 
 import multipos as mp
 from multipos.cli import main
-from multipos.exports.c_body import literal
+from multipos.exports.c_body import exact_inverse, exact_normal_inverse, literal
 from multipos.exports.targets import export
 
 # What ends a line for some reader of such files, or a comment in C.
@@ -156,3 +156,16 @@ def test_no_number_of_c_is_infinite(value, single):
 def test_parameters_beyond_the_consumers_precision_are_named(target, message):
     with pytest.raises(mp.MultiposError, match=message):
         export(scaled(1e-39), target, allow_lossy=True, accept_doubts=True)
+
+
+def test_the_inverse_in_c_is_rounded_once_and_the_same_everywhere():
+    """Whole numbers by hand, thirds as the processor divides; kernels of algebra miss them."""
+    assert exact_inverse(np.array([[0.0, 1.0], [1.0, 2.0]])).tolist() == [[-2.0, 1.0], [1.0, 0.0]]
+    assert exact_inverse(np.array([[3.0]])).tolist() == [[1.0 / 3.0]]
+    tall = np.array([[1.0], [1.0], [1.0]])
+    assert exact_inverse(tall).tolist() == [[1.0 / 3.0] * 3]
+    assert exact_normal_inverse(tall).tolist() == [[1.0 / 3.0]]
+    A = np.random.default_rng(1).normal(size=(4, 3))
+    np.testing.assert_allclose(exact_inverse(A), np.linalg.pinv(A), rtol=0, atol=1e-14)
+    with pytest.raises(np.linalg.LinAlgError):
+        exact_inverse(np.ones((2, 2)))

@@ -1,4 +1,4 @@
-"""The site on this machine: served from memory on loopback, with the policies a host should send."""
+"""The site on this machine: served from memory on loopback, with the policies it asks for."""
 
 import mimetypes
 from collections.abc import Iterator
