@@ -354,7 +354,7 @@ def test_offline_after_the_first_visit(folder, tmp_path):
         host.stop()
         visit(page, f"{host.address}?again")
         assert answered(page, "document.getElementById('example').click()") == "done"
-        assert list(parameters(page))[0] == "bias_ax"
+        assert next(iter(parameters(page))) == "bias_ax"
 
 
 def test_a_file_with_another_hash_is_refused_by_name(folder, tmp_path):
