@@ -149,17 +149,7 @@ def run_python(block: Block, namespace: dict[str, object]) -> list[str]:
 def run_console(block: Block, folder: Path) -> list[str]:
     problems = []
     for offset, command, expected in commands(block):
-        done = subprocess.run(
-            ["sh", "-c", command],
-            cwd=folder,
-            env=environment(),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            encoding="utf-8",
-            timeout=TIMEOUT,
-            check=False,
-        )
+        done = printed(command, folder)
         want, got = tidy(expected), tidy(done.stdout)
         where = f"{block.where(offset)}: $ {command}"
         if not doctest.OutputChecker().check_output(want, got, doctest.ELLIPSIS):
@@ -170,6 +160,21 @@ def run_console(block: Block, folder: Path) -> list[str]:
         elif done.returncode != 0 and not re.search("^multipos: error: ", want, re.MULTILINE):
             problems.append(f"{where}\nexit status {done.returncode}, and the page shows no error")
     return problems
+
+
+def printed(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Return what a command of a page prints, stdout and stderr in one."""
+    return subprocess.run(
+        ["sh", "-c", command],
+        cwd=folder,
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        timeout=TIMEOUT,
+        check=False,
+    )
 
 
 def commands(block: Block) -> list[tuple[int, str, str]]:
