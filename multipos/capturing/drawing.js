@@ -25,6 +25,15 @@ export function decimals(U) {
   return Math.min(12, Math.max(0, 1 - Math.floor(Math.log10(U))));
 }
 
+/** Return a row of the table of parameters, whose name and numbers programs may read. */
+export function parameterRow(parameter, cells) {
+  const name = element("th", parameter.name), row = element("tr", [name, ...cells]);
+  name.scope = "row";
+  name.title = parameter.label || "";
+  Object.assign(row.dataset, { name: parameter.name, value: parameter.value, expanded: parameter.U });
+  return row;
+}
+
 /** Return the class of a residual: within its U, beyond it, or beyond twice that. */
 export function shade(residual, u) {
   const ratio = u ? Math.abs(residual) / (2 * u) : 0;
@@ -36,11 +45,12 @@ export function legend(entries) {
   return entries.map(([kind, text]) => element("span", [element("i", "", `key ${kind}`), text], "legend"));
 }
 
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-const cross = (a, b) => [
+/** Return the product of two vectors: scalar, and across both. */
+export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+export const cross = (a, b) => [
   a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0],
 ];
-const unit = a => a.map(x => x / (Math.hypot(...a) || 1));
+export const unit = a => a.map(x => x / (Math.hypot(...a) || 1));
 
 function drawn(name, attributes, children = []) {
   const made = document.createElementNS(SVG, name);

@@ -91,8 +91,9 @@ class _Server(ThreadingHTTPServer):
     def __init__(self, session: Session, port: int) -> None:
         super().__init__((LOOPBACK, port), _Handler)
         self.session = session
-        self.page = Path(__file__).with_name("page.html").read_bytes()
-        self.policy = _policy(self.page.decode())
+        page = _whole_page()
+        self.page = page.encode()
+        self.policy = _policy(page)
         self.connections = threading.BoundedSemaphore(_CONNECTIONS)
         self.streams = threading.BoundedSemaphore(_STREAMS)
         self.streaming = 0
@@ -123,11 +124,20 @@ class _Server(ThreadingHTTPServer):
         """Say nothing: a browser that leaves is no error."""
 
 
+def _whole_page() -> str:
+    """Return the page with what it shares with that of `multipos page`."""
+    folder = Path(__file__).parent
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    style = (folder / "drawing.css").read_text(encoding="utf-8")
+    script = (folder / "drawing.js").read_text(encoding="utf-8")
+    return page.replace("/* drawing.css */", style).replace("// drawing.js", script)
+
+
 def _policy(page: str) -> str:
     """Return the content policy: this page's own script and style, and this server."""
 
     def hashed(tag: str) -> str:
-        (text,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+        (text,) = re.findall(rf"<{tag}(?: type=\"module\")?>(.*?)</{tag}>", page, re.DOTALL)
         return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
     return (

@@ -1,7 +1,7 @@
 // The page: takes files and rows, asks the worker, shows what it answers. Nothing is computed here.
 
 import "./site.js";
-import { $, cell, decimals, element, legend, makeSphere, shade } from "./drawing.js";
+import { $, cell, decimals, element, legend, makeSphere, parameterRow, shade } from "./drawing.js";
 
 const LARGEST = 100e6; // bytes of a file: a browser keeps several copies of it
 const EXAMPLE = `position,direction,ax,ay,az
@@ -173,14 +173,8 @@ function show(answer) {
     return made;
   }));
   $("parameters").tBodies[0].replaceChildren(...answer.parameters.map(each => {
-    const digits = decimals(each.U), name = element("th", each.name);
-    const row = element("tr", [
-      name, cell(each.value.toFixed(digits), true), cell(each.U.toFixed(digits), true), cell(each.unit),
-    ]);
-    name.scope = "row";
-    name.title = each.label;
-    Object.assign(row.dataset, { name: each.name, value: each.value, u: each.u });
-    return row;
+    const digits = decimals(each.U), numbers = [each.value, each.U];
+    return parameterRow(each, [...numbers.map(x => cell(x.toFixed(digits), true)), cell(each.unit)]);
   }));
   const marks = answer.positions.map(each => ({
     direction: each.direction, label: each.position, kind: shade(each.residual, each.residual_u),
