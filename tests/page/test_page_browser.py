@@ -118,7 +118,8 @@ def put(page, *paths):
 def parameters(page):
     rows = page.evaluate(
         "[...document.querySelectorAll('#parameters tr[data-name]')].map(r => "
-        "[r.dataset.name, r.dataset.value, r.dataset.expanded, ...[...r.cells].map(c => c.innerText)])"
+        "[r.dataset.name, r.dataset.value, r.dataset.expanded, "
+        "...[...r.cells].map(c => c.innerText)])"
     )
     return {row[0]: row[1:] for row in rows}
 
