@@ -422,19 +422,14 @@ def note_own(found: Tally, row: Row, made: Recording, c: mp.Calibration, i: int)
     """Note what the first command made of the i-th log."""
     zero, line = line_from(c)
     found.errors.setdefault("multipos", {})[i] = error_of((zero, line), made, row)
-    found.rests.append(len(c.readings.values) / len(made.up))
+    found.rests.append((len(c.readings) + len(c.excluded)) / len(made.up))
     truth = np.linalg.cholesky(K @ K.T)
     for k, (output, axis) in enumerate(zip(c.outputs, AXES, strict=True)):
         found.held.append(abs(zero[k] - ZERO[k]) <= c[output, "1"].U)
         if not row.of_zero:
             found.held.append(abs(line[k, k] - truth[k, k]) <= c[output, axis].U)
     if made.odd:
-        found.named.append(tuple(sorted(set_aside(c), key=int)) == made.odd)
-
-
-def set_aside(c: mp.Calibration) -> tuple[str, ...]:
-    """Return the labels of the rests that the first command left out."""
-    return tuple(each["label"] for each in c.to_dict().get("excluded", ()))
+        found.named.append(tuple(sorted((each.label for each in c.excluded), key=int)) == made.odd)
 
 
 def line_from(c: mp.Calibration) -> Line:

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_conditions, add_model, add_order, names, numbers
+from multipos.commands.options import add_conditions, add_model, names, numbers
 from multipos.files.trees import to_json
 from multipos.fitting.fit_readings import fit
 from multipos.reports.summary import text_report
@@ -18,11 +18,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("readings", metavar="READINGS", help="CSV file of averaged readings")
     add_fit_options(parser)
-    add_order(parser, "paper", "order of rows without labels along the scheme")
 
 
-def add_fit_options(parser: argparse.ArgumentParser) -> None:
-    """Add what is fitted, and how."""
+def add_fit_options(parser: argparse.ArgumentParser, exclude: str | None = "none") -> None:
+    """Add what is fitted, and how; `exclude` is set aside unless something is said, None never."""
     add = parser.add_argument
     add(
         "--scheme",
@@ -49,6 +48,13 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
     add("--level-sd", type=float, default=0.0, metavar="DEG", help="tilt that positions share")
     add("--pool", action="store_true", help="one residual variance for all outputs")
     add("--stepwise", action="store_true", help="keep the terms that the readings support")
+    if exclude is not None:
+        add(
+            "--exclude",
+            default=exclude,
+            metavar="LABELS|auto|none",
+            help="set positions aside, by label, or outliers (auto), or none; default %(default)s",
+        )
     add(
         "--reading-sd",
         type=numbers,

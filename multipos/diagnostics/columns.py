@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from multipos.diagnostics.linear_view import listed_reference
 from multipos.doubt import Doubt
 from multipos.files.spelling import quoted
-from multipos.numerics.arrays import Array, median, row_keys
+from multipos.numerics.arrays import Array, median, resolution, row_keys
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 
@@ -37,7 +37,6 @@ _SHORT = 0.01  # of the signal, by which a saturated reading falls short at leas
 _ENDS = 4  # equal ends of outputs that make a limit
 _BY_CHANCE = 1e-6
 _MEDIAN = 0.6745  # of the size of a normal error with standard deviation one
-_LEVELS = 100  # readings of which the resolution is found
 _BEYOND = 4.0  # standard deviations, and steps, that a saturated reading falls short
 
 
@@ -175,22 +174,6 @@ def _has_common_ends(c: Calibration) -> bool:
     if again < _ENDS - 2 or not scatter > 0.0:
         return False
     return (resolution(values) / (4.0 * scatter)) ** again < _BY_CHANCE
-
-
-def resolution(values: Array) -> float:
-    """Return the step that readings are multiples of, 0 where there is none to be seen."""
-    levels = np.unique(values)
-    if len(levels) > _LEVELS:
-        levels = np.sort(np.random.default_rng(0).choice(levels, _LEVELS, replace=False))
-    least = 1e-9 * float(np.abs(levels).max())
-    step = 0.0
-    for difference in np.diff(levels).tolist():
-        larger, smaller = max(step, difference), min(step, difference)
-        while smaller > least:  # Euclid's algorithm, up to rounding
-            rest = math.remainder(larger, smaller)
-            larger, smaller = smaller, abs(rest)
-        step = larger
-    return 0.0 if step <= 100.0 * least else step
 
 
 def repeated_rows(c: Calibration) -> Doubt | None:

@@ -43,13 +43,14 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from multipos.diagnostics.columns import repeated_rows, resolution
+from multipos.diagnostics.columns import repeated_rows
 from multipos.diagnostics.score_tests import significant
 from multipos.doubt import Doubt
 from multipos.estimation.gains import told_by_solution
 from multipos.estimation.known import DENIED
 from multipos.estimation.likelihood import weigh
-from multipos.numerics.arrays import Array, median
+from multipos.estimation.outliers import Outlying, find_outlying_rows
+from multipos.numerics.arrays import Array, median, resolution
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import diagonal
@@ -64,10 +65,16 @@ _FEWEST = 12  # positions that show a drift
 _APART = 60.0  # [deg] from one position to the next, so that order and direction are two things
 _ROUNDING = 1e-12  # of a response: residuals that are nothing
 _SHOWN = 4
+_GROSS = 100.0  # times that residuals are smaller without rows that nobody should use
+_ENOUGH = 3  # degrees of freedom without them
+_SIGN = 0.2  # of an error: how near twice the reading it is where a sign was lost
 
 
 def outlier(c: Calibration) -> Doubt | None:
-    """Find positions that stick out."""
+    """Find positions that stick out, and readings whose sign is lost."""
+    rows = _outlying_rows(c)
+    if rows is not None:
+        return _outlying(c, rows)
     found = c.diagnostics.outliers
     noise = c.residual_sd > _ROUNDING * np.linalg.norm(c.sensitivity, axis=1) if found else ()
     if not found or not np.any(noise):
@@ -82,6 +89,65 @@ def outlier(c: Calibration) -> Doubt | None:
         "huber",
         tuple(dict.fromkeys(rows)),
     )
+
+
+def _outlying_rows(c: Calibration) -> Outlying | None:
+    """Return the rows that are outliers, where all positions are listed, or none."""
+    readings, reference = c.readings, None
+    if c.estimator is not Estimator.UNKNOWN:
+        if readings.group is not None or readings.open_roll is not None or readings.up is None:
+            return None
+        size = np.linalg.norm(c.reference, axis=1, keepdims=True)
+        reference = c.reference if c.estimator.exact else c.sign * size * readings.up
+        if not np.isfinite(reference).all():
+            return None
+    sd = None if reference is None else readings.orientation_sd
+    return find_outlying_rows(c.model, readings, reference, sd)
+
+
+def _outlying(c: Calibration, found: Outlying) -> Doubt:
+    labels = [c.readings.labels[row] for row in found.rows.tolist()]
+    off = [f"{1e3 * size:.3g} mg" for size in found.off.tolist()]
+    gross = found.ratio > _GROSS and found.dof >= _ENOUGH
+    pairs = list(zip(labels, off, strict=True))
+    said = ", ".join(f"{label} by {size}" for label, size in pairs[:_SHOWN])
+    more = f" and {len(pairs) - _SHOWN} more" if len(pairs) > _SHOWN else ""
+    named = ",".join(dict.fromkeys(labels))
+    lost = _signs_lost(c, found)
+    if lost:
+        cells = ", ".join(f"{output} of position {label}" for label, output in lost)
+        return Doubt(
+            "flipped-row",
+            "implausible" if gross else "caution",
+            f"{cells} has the other sign: with it turned the residuals agree; correct the sign, or "
+            f"set the position aside with --exclude {named}",
+            tuple(dict.fromkeys(labels)),
+            tuple(dict.fromkeys(output for _, output in lost)),
+        )
+    lower = f"; without, residuals are {found.ratio:.2g} times smaller" if gross else ""
+    return Doubt(
+        "outlier",
+        "implausible" if gross else "caution",
+        f"positions off the fit of the others: {said}{more}{lower}; measure again, or set aside "
+        f"with --exclude {named}",
+        tuple(dict.fromkeys(labels)),
+    )
+
+
+def _signs_lost(c: Calibration, found: Outlying) -> list[tuple[str, str]]:
+    """Return the labels and outputs whose signs, turned, explain all outliers; none otherwise."""
+    if found.errors is None:
+        return []
+    values = c.readings.values[found.rows]
+    # Twice the reading is what a sign is off by, to a twentieth, biases of a few percent included.
+    turned = np.abs(found.errors - 2.0 * values) < _SIGN * np.abs(found.errors)
+    size = np.linalg.norm(found.errors, axis=1, keepdims=True)
+    if not (turned | (np.abs(found.errors) < _SIGN * size)).all():
+        return []
+    return [
+        (c.readings.labels[found.rows[row]], c.outputs[column])
+        for row, column in np.argwhere(turned & (np.abs(found.errors) >= _SIGN * size)).tolist()
+    ]
 
 
 def lack_of_fit(c: Calibration) -> Doubt | None:

@@ -25,7 +25,6 @@ from multipos.logs.table import Log
 from multipos.numerics.arrays import median
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
-from multipos.positions.order import Order
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
@@ -54,7 +53,6 @@ def calibrate(
     drop_bad: bool = False,
     accept_faults: bool = False,
     scheme: "Source | Scheme | None" = None,
-    order: Order = "paper",
     model: str | Expression = "linear",
     convention: Convention = "specific-force",
     axes: Names | None = None,
@@ -66,6 +64,7 @@ def calibrate(
     robust: Loss | None = None,
     pool: bool = False,
     stepwise: bool = False,
+    exclude: Names = "auto",
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
@@ -90,8 +89,8 @@ def calibrate(
         How the logs are read and where they stand still: as for `multipos.average`.
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The positions; otherwise the orientations are unknown.
-    order : str
-        In which rests that are matched by their order follow the scheme: as for `multipos.fit`.
+    exclude : sequence of str, or comma-separated str
+        Labels of the rests that are set aside; 'auto' sets outliers aside, 'none' nothing.
     model, convention, axes, inputs, closed_form, unknown_orientation, orientation_sd, gauge, robust
     pool, stepwise, reading_sd, gravity, gravity_u, latitude, height, level_sd, budget, unit, range
     nominal, confidence
@@ -131,7 +130,6 @@ def calibrate(
         drop_bad=drop_bad,
         accept_faults=accept_faults,
         scheme=scheme,
-        order=order,
         convention=convention,
         progress=progress,
     )
@@ -148,6 +146,7 @@ def calibrate(
         robust=robust,
         pool=pool,
         stepwise=stepwise,
+        exclude=exclude,
         reading_sd=reading_sd,
         gravity=gravity,
         gravity_u=gravity_u,
@@ -176,6 +175,7 @@ def fit_rests(
     robust: Loss | None = None,
     pool: bool = False,
     stepwise: bool = False,
+    exclude: Names = "none",
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
@@ -208,6 +208,7 @@ def fit_rests(
             robust=robust,
             pool=pool,
             stepwise=stepwise,
+            exclude=exclude,
             reading_sd=reading_sd,
             gravity=gravity,
             gravity_u=gravity_u,

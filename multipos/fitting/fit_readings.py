@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from multipos.diagnostics.examination import examine
 from multipos.diagnostics.repairs import explain_breakdown, explain_failure
@@ -35,23 +35,24 @@ from multipos.estimation.options import (
     choose_estimator,
     criterion_in_words,
 )
+from multipos.estimation.outliers import find_outlying_rows
 from multipos.estimation.solution import Solution
 from multipos.estimation.stated_uncertainty import add_reference_noise, carry_dof, steady_floors
 from multipos.estimation.uncertain import solve_uncertain
 from multipos.estimation.user_models import is_apart, solve_own_known
-from multipos.files.spelling import Names, split_names
+from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
+from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, Term, formula_columns, largest_value
 from multipos.positions.attitudes import CONVENTIONS, Convention
-from multipos.positions.order import Order
-from multipos.positions.orientations import Placement, as_used, resolve
+from multipos.positions.orientations import Placement, as_used, place, resolve
 from multipos.positions.reading_tables import read_readings
-from multipos.positions.readings import Readings, require_range, spread_reading_sd
+from multipos.positions.readings import Readings, require_range, select_rows, spread_reading_sd
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression, ExpressionModel
 from multipos.sensor.formulas import Sketch, read_model
-from multipos.sensor.found import Chosen, Estimator
+from multipos.sensor.found import Chosen, Estimator, Excluded
 from multipos.sensor.functions import build_expression
 from multipos.sensor.gravity import Gravity, resolve_gravity, signed_size
 from multipos.sensor.inverse import read_nominal
@@ -152,7 +153,6 @@ def fit(
     readings: "Source | Readings",
     *,
     scheme: "Source | Scheme | None" = None,
-    order: Order = "paper",
     model: str | Expression = "linear",
     convention: Convention = "specific-force",
     outputs: Names | None = None,
@@ -165,6 +165,7 @@ def fit(
     robust: Loss | None = None,
     pool: bool = False,
     stepwise: bool = False,
+    exclude: Names = "none",
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
@@ -184,9 +185,6 @@ def fit(
     readings : Readings, path, mapping of columns, or data frame
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The orientation of each position; otherwise the readings' own columns say it.
-    order : str
-        'paper', 'spread' or 'travel': in which the rows of readings without labels follow the
-        scheme (`multipos.positions.order`).
     model : str or function
         'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2', or a Python
         function of the components and the parameters (see `multipos.sensor.expressions`).
@@ -210,6 +208,8 @@ def fit(
         Use one residual variance for all outputs.
     stepwise : bool
         Keep of the model's terms only those that the readings support.
+    exclude : sequence of str, or comma-separated str
+        Labels of the positions that are set aside; 'auto' sets outliers aside, 'none' nothing.
     reading_sd : float or M floats, optional
         Standard uncertainty of an averaged reading, in reading units.
     gravity, gravity_u : float [m/s²], optional
@@ -293,13 +293,24 @@ def fit(
         data,
         scheme,
         signed_size(local, convention),
-        order=order,
         unknown=options.unknown_orientation,
         orientation_sd=options.orientation_sd,
         estimate=options.estimate_orientation_sd,
         level_sd=options.level_sd,
     )
     _require_one_unit(data, local)
+    # Six positions that are inverted are all needed.
+    apart = find_apart(built, data, placement, "none" if closed_form else exclude)
+    whole, everywhere = data, placement.reference
+    if apart.any():
+        data = select_rows(data, ~apart)
+        placement = place(
+            data,
+            signed_size(local, convention),
+            orientation_sd=options.orientation_sd,
+            estimate=options.estimate_orientation_sd,
+            level_sd=options.level_sd,
+        )
     try:
         calibration = calibrate_at(built, data, placement, options, local)
     except MultiposError as error:
@@ -308,6 +319,8 @@ def fit(
         raise explain_failure(error, data) from None
     except np.linalg.LinAlgError as error:
         raise explain_breakdown(error, data) from None
+    if apart.any():
+        calibration = with_excluded(calibration, whole, everywhere, apart)
     if before is not None:
         calibration = replace(calibration, nominal=before)
     calibration = face(calibration, stated_facing(axes))
@@ -316,6 +329,70 @@ def fit(
     calibration = examine(calibration)
     warn_of(calibration.diagnostics.warnings)
     return calibration
+
+
+def find_apart(
+    model: Model, readings: Readings, placement: Placement, exclude: Names
+) -> NDArray[np.bool_]:
+    """Return which rows (n,) are to be set aside.
+
+    Raises
+    ------
+    MultiposError
+        No position has a label that is to be set aside, or none would be left.
+    """
+    apart = np.zeros(len(readings), dtype=np.bool_)
+    if exclude == "none":
+        return apart
+    if exclude == "auto":
+        known = None if placement.unknown else placement.reference
+        if known is not None and (placement.groups or placement.rolls is not None):
+            return apart  # directions of some positions follow from the others
+        found = find_outlying_rows(model, steady_floors(readings), known, placement.orientation_sd)
+        if found is not None:
+            apart[found.rows] = True
+        return apart
+    labels = split_names(exclude, "--exclude")
+    where = readings.source or "the readings"
+    for label in labels:
+        if label not in readings.labels:
+            raise MultiposError(
+                f"{where}: no position is called '{label}', which --exclude is to set aside; there "
+                f"are {quoted(dict.fromkeys(readings.labels))}."
+            )
+    apart[[label in labels for label in readings.labels]] = True
+    if apart.all():
+        raise MultiposError(f"{where}: --exclude sets every position aside; keep some.")
+    return apart
+
+
+def with_excluded(
+    calibration: Calibration, readings: Readings, reference: Array, apart: NDArray[np.bool_]
+) -> Calibration:
+    """Return a calibration with how far off it the rows are that were set aside.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Without them.
+    readings, reference
+        With them, (n, 3) [g].
+    apart : (n,) array of bool
+    """
+    rows = select_rows(readings, apart)
+    if calibration.estimator is Estimator.UNKNOWN:
+        force = calibration.compensate(rows.values, rows.environment)
+        size = float(np.linalg.norm(calibration.reference, axis=1).mean())
+        off = np.abs(np.linalg.norm(force, axis=1) - size)
+    else:
+        left = rows.values - calibration.predict(reference[apart], rows.environment)
+        off = np.linalg.norm(left / np.linalg.norm(calibration.sensitivity, axis=1), axis=1)
+    pairs = zip(rows.labels, off.tolist(), strict=True)
+    excluded = tuple(Excluded(label, each, "g") for label, each in pairs)
+    calibration = replace(calibration, excluded=excluded)
+    found = calibration.diagnostics
+    said = (f"{calibration.set_aside}; --exclude none keeps them", *found.warnings)
+    return replace(calibration, diagnostics=replace(found, warnings=said))
 
 
 def calibrate_at(

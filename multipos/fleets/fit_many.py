@@ -387,6 +387,7 @@ class FitOptions(TypedDict, total=False):
     robust: Loss | None
     pool: bool
     stepwise: bool
+    exclude: Names
     reading_sd: ArrayLike | None
     gravity: float | None
     gravity_u: float | None
@@ -546,7 +547,7 @@ def _read_options(options: Mapping[str, Any]) -> dict[str, Any]:
     if given.pop("stepwise", False):
         raise UsageError("--stepwise gives every unit another model; choose one for all of them.")
     if given.get("scheme") is not None:
-        given["scheme"] = read_scheme(given["scheme"], order=given.pop("order", "paper"))
+        given["scheme"] = read_scheme(given["scheme"])
     if given.get("budget") is not None:
         given["budget"] = read_budget(given["budget"])
     return given

@@ -244,7 +244,8 @@ def find_pattern(
     )
     asked = c.robust_weight is None and are_asked(c.model, c.readings, c.reference, c.estimator)
     alike = c.estimator is Estimator.LINEAR and c.readings.noise is None
-    if not plain or options.get("range") is not None or (asked and not alike):
+    whole = options.get("range") is None and options.get("exclude", "none") == "none"
+    if not (plain and whole) or (asked and not alike):
         return None
     try:
         shared = _share(c, table, options)

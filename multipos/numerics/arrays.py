@@ -3,6 +3,7 @@
 The median, as NumPy's, which imports all of its masked arrays at the first call.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,6 +14,7 @@ Array = NDArray[np.float64]
 Places = NDArray[np.intp]  # of rows or units among others
 
 SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
+_LEVELS = 100  # readings of which the resolution is found
 LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
 
 
@@ -47,3 +49,19 @@ def median(values: ArrayLike, *, axis: int | None = None) -> Array:
     middle = [(count - 1) // 2, count // 2]
     low, high = np.partition(array, middle, axis=0)[middle]
     return np.where(np.isnan(array).any(axis=0), np.nan, (low + high) / 2.0)
+
+
+def resolution(values: Array) -> float:
+    """Return the step that readings are multiples of, 0 where there is none to be seen."""
+    levels = np.unique(values)
+    if len(levels) > _LEVELS:
+        levels = np.sort(np.random.default_rng(0).choice(levels, _LEVELS, replace=False))
+    least = 1e-9 * float(np.abs(levels).max())
+    step = 0.0
+    for difference in np.diff(levels).tolist():
+        larger, smaller = max(step, difference), min(step, difference)
+        while smaller > least:  # Euclid's algorithm, up to rounding
+            rest = math.remainder(larger, smaller)
+            larger, smaller = smaller, abs(rest)
+        step = larger
+    return 0.0 if step <= 100.0 * least else step

@@ -24,6 +24,10 @@ from multipos.positions import attitudes
 from multipos.positions.forces import along_forces, known_rows
 from multipos.results import Frozen, Result, Tabular
 
+# What has a value a row, beside the environment and the covariance.
+_BY_ROW = ("values", "u", "dof", "sd", "samples", "orientation_sd", "up", "rotation", "force")
+_BY_ROW += ("reference_u", "group", "open_roll")
+
 
 @dataclass(frozen=True, eq=False)
 class Readings(Result, Tabular):
@@ -332,6 +336,24 @@ def select_outputs(readings: Readings, names: tuple[str, ...]) -> Readings:
         covariance=covariance,
         environment={**readings.environment, **moved},
     )
+
+
+def select_rows(readings: Readings, kept: NDArray[np.bool_]) -> Readings:
+    """Return the rows (n,) of readings that are kept, with the labels that they had."""
+    rows = np.flatnonzero(kept)
+    m = readings.values.shape[1]
+
+    def own(value: Any) -> Any:
+        return value[rows] if isinstance(value, np.ndarray) else [value[row] for row in rows]
+
+    by_row = [name for name in _BY_ROW if getattr(readings, name) is not None]
+    chosen: dict[str, Any] = {name: own(getattr(readings, name)) for name in by_row}
+    if readings.covariance is not None:
+        cells = (rows[:, None] * m + np.arange(m)).ravel()
+        chosen["covariance"] = readings.covariance[np.ix_(cells, cells)]
+    environment = {name: column[rows] for name, column in readings.environment.items()}
+    labels = [readings.labels[row] for row in rows]
+    return replace(readings, **chosen | {"environment": environment, "positions": labels})
 
 
 def require_range(readings: Readings, limits: Sequence[float]) -> None:

@@ -61,6 +61,7 @@ def _summary(calibration: Calibration) -> str:
     counted = f"{len(readings)} of {', '.join(c.outputs)} [{c.model.unit}]"
     lines = [
         f"readings    {readings.source or 'from memory'}: {counted}",
+        *([f"set aside   {c.set_aside}"] if c.excluded else []),
         f"model       {c.model.text}, inputs {', '.join(c.model.inputs)}",
         f"convention  {c.convention}",
         f"gravity     {gravity}",

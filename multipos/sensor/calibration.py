@@ -32,6 +32,7 @@ from multipos.sensor.fit_diagnostics import Diagnostics, linearity
 from multipos.sensor.found import (
     Chosen,
     Estimator,
+    Excluded,
     FoundOrientations,
     Sessions,
     StatedBudget,
@@ -118,6 +119,8 @@ class Calibration(Result, Drawn):
         What was said of the axis and sense of each output, as x or -y; None where nothing was.
     sessions : Sessions or None
         What it was combined of, where it is of several sessions.
+    excluded : tuple of Excluded
+        Rows that were set aside, and are not among the readings.
 
     Examples
     --------
@@ -161,6 +164,7 @@ class Calibration(Result, Drawn):
     nominal: Nominal | None = None
     facing: tuple[str, ...] | None = None
     sessions: Sessions | None = None
+    excluded: tuple[Excluded, ...] = ()
 
     def __getitem__(self, key: str | tuple[str, str]) -> Parameter:
         """Return a parameter by (output, term) or by name: ``cal["ax", "x"]``, ``cal["scale_ax"]``.
@@ -227,6 +231,18 @@ class Calibration(Result, Drawn):
         if noise is None or not self.weighed:
             return np.broadcast_to(self.residual_sd, self.residuals.shape)
         return np.asarray(np.sqrt(diagonal(noise)).reshape(self.residuals.shape))
+
+    @property
+    def set_aside(self) -> str:
+        """Which rows were set aside and how far off they are, as a sentence; empty for none."""
+        if not self.excluded:
+            return ""
+        off = ", ".join(
+            f"{each.label} ({number(1e3 * each.off, 3)} m{each.unit})" for each in self.excluded
+        )
+        rows = "positions" if self.readings.samples is None else "rests"
+        count = len(self.excluded)
+        return f"{count} of {count + len(self.readings)} {rows} set aside: {off}"
 
     @property
     def budget_tables(self) -> Mapping[str, Mapping[str, Any]]:

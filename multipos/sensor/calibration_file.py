@@ -59,6 +59,7 @@ from multipos.sensor.found import (
     Chosen,
     Component,
     Estimator,
+    Excluded,
     FoundOrientations,
     Placed,
     RestToRest,
@@ -206,6 +207,7 @@ CALIBRATION = Fields(
             )
         ),
         "nominal": Fields({"bias": ANY_NUMBER, "scale": ANY_NUMBER}),
+        "excluded": Listed(Fields({"label": ANY_TEXT, "off": NOT_NEGATIVE, "unit": ANY_TEXT})),
         "sessions": Fields({"runs": Whole(2), "files": TEXTS, "sd": Named(NOT_NEGATIVE)}),
         "budget": Fields(
             {
@@ -267,6 +269,7 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         **_known_of(readings),
         "rms": c.rms,
         "linearity": c.linearity,
+        "excluded": [each._asdict() for each in c.excluded],
         "diagnostics": {
             **{key: getattr(c.diagnostics, key) for key in _DIAGNOSTICS},
             "model_tests": [test.to_dict() for test in c.diagnostics.model_tests],
@@ -494,6 +497,7 @@ def _found(content: Mapping[str, Any]) -> dict[str, Any]:
         found["selection"] = {output: _chosen(said) for output, said in chosen.items()}
     if "nominal" in content:
         found["nominal"] = read_nominal([content["nominal"][key] for key in ("bias", "scale")])
+    found["excluded"] = tuple(Excluded(**each) for each in content.get("excluded", ()))
     if "sessions" in content:
         said = content["sessions"]
         found["sessions"] = Sessions(said["runs"], tuple(said["files"]), said["sd"])

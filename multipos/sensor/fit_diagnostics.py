@@ -254,7 +254,7 @@ def _pair(dof: Sequence[float]) -> tuple[float, float]:
 
 UNEQUAL = 0.05  # level at which outputs are called unequally noisy
 OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named
-_ROWS_TOLD = 8.0  # degrees of freedom of an output, from which on rows tell that they are unlike
+ROWS_TOLD = 8.0  # degrees of freedom of an output, from which on rows tell that they are unlike
 
 
 class Claim(NamedTuple):
@@ -348,7 +348,7 @@ def find_outliers(
             if not _is_outlier(float(sizes[place]), float(nu[column]), residuals.size):
                 break  # and none that is smaller is beyond chance
             beyond.append((column, int(suspects[place])))
-    if beyond and error.shape[1] > 1 and judged.all() and nu.min() >= _ROWS_TOLD:
+    if beyond and error.shape[1] > 1 and judged.all() and nu.min() >= ROWS_TOLD:
         weighed = [design[:, own] for own in columns]
         if sd is not None:
             weighed = [each / sd[:, [m]] for m, each in enumerate(weighed)]

@@ -7,7 +7,7 @@ there is nothing to say. Their fields are the keys of the calibration file.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -125,6 +125,14 @@ class FoundOrientations(Keyed):
     inclination_deg: Mapping[str, float] | None = None
     level_sd_deg: float | None = None
     level_tilt_deg: Array | None = None
+
+
+class Excluded(NamedTuple):
+    """A row that was set aside before the fit: its label, and how far off it is from the fit."""
+
+    label: str
+    off: float
+    unit: str
 
 
 @dataclass(frozen=True, eq=False)

@@ -344,5 +344,6 @@ def test_every_keyword_of_average_and_fit_is_one_of_calibrate():
     ours = signature(mp.calibrate).parameters
     assert set(theirs) - {"readings"} == set(ours)
     for name, parameter in ours.items():
-        assert parameter.default == theirs[name].default
+        # a rest of a log is one of many, a row of a table is somebody's
+        assert parameter.default == ("auto" if name == "exclude" else theirs[name].default)
         assert parameter.annotation == theirs[name].annotation

@@ -1,0 +1,423 @@
+"""Rows that belong to no calibration, found however many of them there are beside each other.
+
+Several outliers hide each other from studentised residuals, and what they scatter passes for noise.
+So the readings are fitted by least trimmed squares [1]_, the h of n rows that lie best; at most a
+quarter of the rows, and half of the degrees of freedom, are left out. Then a set S of i rows is
+taken for outliers, the largest for which every part of it is beyond chance: for the j < i that are
+least far off,
+
+    x = RSS_i/RSS_j,    p = I_x((ν − i)/2, (i − j)/2) · M · C(n − j, i − j) ≤ α/m,          (1)
+
+RSS_j of an output without the other j, ν its n − p degrees of freedom, M outputs of which the
+least p counts, C(n − j, i − j) the ways to choose the rows, and m the most that S may be. So good
+readings, of equal noise or of the noise stated, have one named in fewer than α = 1 % of sets,
+whatever search chose S. Where readings state unlike uncertainties, S must pass both with these as
+weights and with none, since what rows scatter beside them is not known yet.
+
+At known orientations readings are linear in the parameters. At unknown ones the ellipsoid is,
+
+    r² = c'φ(y) + Σ c_t f_i t(f),    φ = (x² − z², y² − z², x, y, z, 1, xy, xz, yz),        (2)
+
+y = (x, y, z) the centred readings, r their size, t terms beyond the linear, to first order. Among
+rows that may be noisier than others (`multipos.sensor.fit_diagnostics`) a reading must stick out
+from these as well.
+
+References
+----------
+.. [1] P. J. Rousseeuw, K. Van Driessen, Computing LTS regression for large data sets, Data Mining
+   and Knowledge Discovery 12 (2006), 29–45: steps of concentration, starts drawn.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.numerics.arrays import Array, Places, resolution
+from multipos.numerics.terms import COMPONENTS
+from multipos.positions.readings import Readings, diagonal
+from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_TOLD, p_values
+from multipos.sensor.model import Model
+
+_LINEAR = frozenset(("1", *COMPONENTS))
+_ALIKE = 1.2  # ratio of standard deviations up to which rows are taken as equally noisy
+_STEP = 3.0  # times the resolution that a row is off at least
+_STARTS = 60  # at most, and fewer where so many have one without outliers but for .5 %
+_MISSED = 0.005
+_STEPS, _LAST = 2, 8  # of concentration, of every start and of the best ones
+_KEPT = 4  # starts that go on
+_BLOCK = 40  # rows, of more of which several are put back at once
+_ROUNDING = 1e-9  # of the readings: residuals that are nothing
+_RIDGE = 1e-12
+_SINGULAR = 1e-9
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Outlying:
+    """Rows that are outliers.
+
+    Attributes
+    ----------
+    rows : (k,) array of int
+    off : (k,) array
+        How far off the readings are from the fit without them, over the response to one g [g].
+    errors : (k, M) array or None
+        The same by output [reading unit]; None of unknown orientations.
+    ratio : float
+        rms of the residuals with them over that without.
+    dof : int
+        Degrees of freedom of an output without them.
+    """
+
+    rows: Places
+    off: Array
+    errors: Array | None
+    ratio: float
+    dof: int
+
+
+def find_outlying_rows(
+    model: Model, readings: Readings, reference: Array | None, orientation_sd: Array | None = None
+) -> Outlying | None:
+    """Return the rows that are outliers, None where there are none.
+
+    Parameters
+    ----------
+    model : Model
+        Of formulas; rows are not looked for in a model of one's own.
+    readings : Readings
+    reference : (n, 3) array [g] or None
+        As listed; None where nothing is known of the orientations.
+    orientation_sd : (n,) array [rad], optional
+        Of the directions listed.
+    """
+    if type(model) is not Model:
+        return None
+    noise = readings.noise
+    variance = None if noise is None else diagonal(noise).reshape(readings.values.shape)
+    if reference is None:
+        return _off_ellipsoid(model, readings, variance)
+    return _off_line(model, readings, variance, reference, orientation_sd)
+
+
+def _off_line(
+    model: Model,
+    readings: Readings,
+    variance: Array | None,
+    reference: Array,
+    orientation_sd: Array | None,
+) -> Outlying | None:
+    """Return the outliers among readings at known orientations."""
+    y, phi = readings.values, model.basis(reference, readings.environment)
+    designs = [phi[:, columns] for columns in model.columns]
+    means = {name: float(np.mean(readings.environment[name])) for name in model.environment}
+
+    def fitted(kept: Mask) -> tuple[Array, Array]:
+        """Return what is left of all readings, and the response of each output to one g."""
+        b = [np.linalg.lstsq(X[kept], y[kept, m], rcond=None)[0] for m, X in enumerate(designs)]
+        left = y - np.column_stack([X @ each for X, each in zip(designs, b, strict=True)])
+        slopes = (model.linear_map(means) @ np.concatenate(b))[:, 1:]
+        return left, np.maximum(np.linalg.norm(slopes, axis=1), np.finfo(float).tiny)
+
+    if orientation_sd is not None and orientation_sd.any():
+        across = np.outer(orientation_sd, fitted(np.ones(len(y), dtype=np.bool_))[1]) ** 2
+        variance = across if variance is None else variance + across
+        if not (np.isfinite(variance) & (variance > 0.0)).all():
+            return None  # some positions are exact, or unknown, and others are not
+    views = _views(designs, y, variance)
+    rows = find_outliers(views)
+    kept = _without(rows, len(y))
+    if len(rows) and len(model.outputs) > 1:
+        rows = _beyond_noisy_rows(designs, y, variance, kept)
+        kept = _without(rows, len(y))
+    if not len(rows):
+        return None
+    left, response = fitted(kept)
+    least = [_STEP * resolution(each) for each in y.T]
+    rows = rows[(np.abs(left[rows]) > least).any(axis=1)]
+    off = np.linalg.norm(left[rows] / response, axis=1)
+    return _outlying(views[-1], rows, off, left[rows], kept)
+
+
+def _off_ellipsoid(model: Model, readings: Readings, variance: Array | None) -> Outlying | None:
+    """Return the outliers among readings of unknown orientations, eq. (2)."""
+    centre = readings.values.mean(axis=0)
+    size = np.sqrt(np.mean((readings.values - centre) ** 2, axis=0))
+    if not (size > 0.0).all():
+        return None
+    x, y, z = scaled = ((readings.values - centre) / size).T
+    square = np.sum(scaled**2, axis=0)
+    columns = [x * x - z * z, y * y - z * z, x, y, z, np.ones_like(x)]
+    crossed = any("cross_" in name for name in model.names)
+    if crossed:
+        columns += [x * y, x * z, y * z]
+    force = np.empty_like(scaled.T)
+    for axis, each in zip(model.axes, scaled / np.sqrt(square), strict=True):
+        force[:, COMPONENTS.index(axis)] = each
+    variables = model.variables(force, readings.environment)
+    for output, term in model.keys:
+        if str(term) not in _LINEAR:
+            along = force[:, COMPONENTS.index(model.axes[model.outputs.index(output)])]
+            columns.append(along * term.evaluate(variables))
+    X = np.column_stack(columns)
+    if variance is not None:
+        along = np.sum(scaled**2 / square * variance.T / size[:, None] ** 2, axis=0)
+        variance = along[:, None]
+    views = _views([X], square[:, None], variance)
+    rows = find_outliers(views)
+    if not len(rows):
+        return None
+    kept = _without(rows, len(x))
+    c = np.linalg.lstsq(X[kept], square[kept], rcond=None)[0]
+    form = np.diag([1.0 - c[0], 1.0 - c[1], 1.0 + c[0] + c[1]])
+    if crossed:
+        form[np.triu_indices(3, 1)] = form[np.tril_indices(3, -1)] = -c[6:9] / 2.0
+    radius = c[5] + 0.25 * float(c[2:5] @ np.linalg.solve(form, c[2:5]))
+    off = np.abs(np.sqrt(np.maximum(1.0 + (square - X @ c)[rows] / radius, 0.0)) - 1.0)
+    step = max(resolution(each) / s for each, s in zip(readings.values.T, size, strict=True))
+    rows, off = rows[off > _STEP * step], off[off > _STEP * step]
+    return _outlying(views[-1], rows, off, None, kept)
+
+
+def _without(rows: Places, n: int) -> Mask:
+    kept = np.ones(n, dtype=np.bool_)
+    kept[rows] = False
+    return kept
+
+
+def _views(designs: Sequence[Array], values: Array, variance: Array | None) -> list["View"]:
+    """Return the regression weighted as stated, where that is unlike for rows, and unweighted."""
+    plain = [view_of(designs, values)]
+    if variance is None:
+        return plain
+    spread = np.sqrt(variance.max(axis=0) / variance.min(axis=0)).max()
+    return [view_of(designs, values, variance), *plain] if spread > _ALIKE else plain
+
+
+def _outlying(
+    view: "View", rows: Places, off: Array, errors: Array | None, kept: Mask
+) -> Outlying | None:
+    if not len(rows):
+        return None
+    dof = min(part.dof for part in view)
+    left = dof - int(np.sum(~kept))
+    before, after = _squares(view, np.vstack([np.ones_like(kept), kept]))
+    return Outlying(rows, off, errors, math.sqrt(float(np.max(before / after)) * left / dof), left)
+
+
+def _beyond_noisy_rows(
+    designs: Sequence[Array], values: Array, variance: Array | None, kept: Mask
+) -> Places:
+    """Return the rows, of those not kept, that are beyond chance even if rows are unlike.
+
+    They are so weighted as stated, or unweighted: what is stated of many may be wrong.
+    """
+    rows = np.flatnonzero(~kept)
+    n, m = values.shape
+    if n - max(X.shape[1] for X in designs) < ROWS_TOLD:
+        return rows
+    questioned = np.repeat(~kept[:, None], m, axis=1)
+    least = np.ones(len(rows))
+    for sd in (np.ones((n, m)), *(() if variance is None else (np.sqrt(variance),))):
+        weighed = [X / sd[:, [i]] for i, X in enumerate(designs)]
+        bases = [np.linalg.qr(X)[0] for X in weighed]
+        left = [y - Q @ (Q.T @ y) for Q, y in zip(bases, (values / sd).T, strict=True)]
+        leverage = np.column_stack([np.sum(Q**2, axis=1) for Q in bases])
+        p = p_values(np.column_stack(left), leverage, weighed, questioned)
+        if p is None:
+            return rows
+        least = np.minimum(least, p.reshape(len(rows), m).min(axis=1))
+    return rows[least < OUTLIER_LEVEL / values.size]
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Outputs that share a design and variances, as a linear regression of whitened readings.
+
+    Attributes
+    ----------
+    basis : (n, p) array
+        Orthonormal columns of the design.
+    values : (n, m) array
+        What they leave of the readings.
+    least : (m,) array
+        Squared residual of a reading that is rounding.
+    """
+
+    basis: Array
+    values: Array
+    least: Array
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of an output."""
+        return int(self.basis.shape[0] - self.basis.shape[1])
+
+
+View = tuple[Part, ...]
+
+
+def view_of(designs: Sequence[Array], values: Array, variance: Array | None = None) -> View:
+    """Return the regression of values (n, M) on M designs (n, p), with variances (n, M)."""
+    groups: dict[bytes, list[int]] = {}
+    for m, design in enumerate(designs):
+        own = b"" if variance is None else variance[:, m].tobytes()
+        groups.setdefault(design.tobytes() + own, []).append(m)
+    parts = []
+    for members in groups.values():
+        X, y = designs[members[0]], values[:, members]
+        if variance is not None:
+            root = np.sqrt(variance[:, members[:1]])
+            X, y = X / root, y / root
+        left, sizes, _ = np.linalg.svd(X / np.linalg.norm(X, axis=0), full_matrices=False)
+        Q = left[:, sizes > _SINGULAR * sizes[0]]
+        least = (_ROUNDING * np.abs(y).max(axis=0)) ** 2
+        parts.append(Part(Q, y - Q @ (Q.T @ y), least))
+    return tuple(parts)
+
+
+def find_outliers(views: Sequence[View]) -> Places:
+    """Return the rows that are outliers in every view of the same readings, by eq. (1)."""
+    n = len(views[0][0].values)
+    most = min(n // 4, min(part.dof for view in views for part in view) // 2)
+    if most < 1:
+        return np.zeros(0, dtype=np.intp)
+    counts = [most]
+    while (fewer := _fewer(counts[-1])) > 0:
+        counts.append(fewer)
+    for view in views:
+        far = _distances(view, _trimmed(view, most)[None])[0]
+        rank = np.argsort(np.argsort(-far, kind="stable"))
+        sets = rank >= np.array(counts)[:, None]
+        for kept, beyond in zip(sets, _whole_is_beyond(view, sets, most), strict=True):
+            if beyond and all(_parts_are_beyond(each, kept, most) for each in views):
+                return np.flatnonzero(~kept)
+    return np.zeros(0, dtype=np.intp)
+
+
+def _fewer(out: int) -> int:
+    """Return how many rows to leave out after so many."""
+    return out - max(1, out // _BLOCK)
+
+
+def _trimmed(view: View, most: int) -> Mask:
+    """Return the rows (n,) of the least trimmed squares, without the most that may be left out."""
+    n = len(view[0].values)
+    p = max(part.basis.shape[1] for part in view)
+    good = (1.0 - most / n) ** (p + 1)
+    starts = min(_STARTS, math.ceil(math.log(_MISSED) / math.log1p(-good)))
+    draws = np.random.default_rng(n).random((starts, n)).argsort(axis=1) <= p
+    kept = np.vstack([np.ones((1, n), dtype=np.bool_), draws])
+    kept = _concentrated(view, kept, most, _STEPS)
+    order = np.argsort(_objective(view, kept), kind="stable")[:_KEPT]
+    kept = _concentrated(view, kept[order], most, _LAST)
+    return np.asarray(kept[int(np.argmin(_objective(view, kept)))])
+
+
+def _left_of(view: View, kept: Mask) -> list[tuple[Array, Array]]:
+    """Return of every part residuals (B, n, m), and sums (B, m) of squares of the B sets kept."""
+    weight = kept.astype(np.float64)
+    found = []
+    for part in view:
+        Q, y = part.basis, part.values
+        p = Q.shape[1]
+        products = (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1)
+        information = (weight @ products).reshape(-1, p, p) + _RIDGE * np.eye(p)
+        right = (weight @ (Q[:, :, None] * y[:, None, :]).reshape(len(Q), -1)).reshape(
+            -1, p, y.shape[1]
+        )
+        e = y - Q @ np.linalg.solve(information, right)
+        found.append((e, np.einsum("bn,bnm->bm", weight, e * e) + part.least))
+    return found
+
+
+def _objective(view: View, kept: Mask) -> Array:
+    return np.sum([np.log(squares).sum(axis=1) for _, squares in _left_of(view, kept)], axis=0)
+
+
+def _distances(view: View, kept: Mask) -> Array:
+    """Return how far off rows are, (B, n), in units of what the sets kept show."""
+    found = _left_of(view, kept)
+    return np.sum([np.sum(e * e / squares[:, None], axis=2) for e, squares in found], axis=0)
+
+
+def _squares(view: View, kept: Mask) -> Array:
+    """Return the sums of squares of all outputs (B, M), of B sets."""
+    return np.concatenate([squares for _, squares in _left_of(view, kept)], axis=1)
+
+
+def _concentrated(view: View, kept: Mask, out: int, steps: int) -> Mask:
+    """Return sets (B, n) after steps of concentration that leave out so many rows."""
+    for _ in range(steps):
+        before = kept
+        order = np.argsort(_distances(view, before), axis=1, kind="stable")
+        kept = np.ones_like(before)
+        np.put_along_axis(kept, order[:, order.shape[1] - out :], np.False_, axis=1)
+        if (kept == before).all():
+            break
+    return kept
+
+
+def _whole_is_beyond(view: View, sets: Mask, most: int) -> list[bool]:
+    """Tell of which sets (B, n) the rows that are not kept are beyond chance, eq. (1) at j = 0."""
+    squares = _squares(view, np.vstack([np.ones_like(sets[:1]), sets]))
+    outs = np.sum(~sets, axis=1).tolist()
+    return [
+        _is_beyond(view, own / squares[0], out, 0, most)
+        for own, out in zip(squares[1:], outs, strict=True)
+    ]
+
+
+def _parts_are_beyond(view: View, kept: Mask, most: int) -> bool:
+    """Tell whether every part of the rows that are not kept is beyond chance, eq. (1)."""
+    out = int(np.sum(~kept))
+    smallest, inner, j = _squares(view, kept[None])[0], kept, out
+    while j > 0:
+        j = _fewer(j)
+        inner = _added(view, inner, j)
+        if not _is_beyond(view, smallest / _squares(view, inner[None])[0], out, j, most):
+            return False
+    return True
+
+
+def _is_beyond(view: View, x: Array, i: int, j: int, most: int) -> bool:
+    """Tell whether x (M,) of eq. (1) is beyond chance."""
+    dof = [part.dof for part in view for _ in range(part.values.shape[1])]
+    logs = [
+        _log_beta_tail(each, 0.5 * (nu - i), 0.5 * (i - j))
+        for each, nu in zip(x.tolist(), dof, strict=True)
+    ]
+    chances = math.log(len(dof)) + _log_choices(len(view[0].values) - j, i - j)
+    return min(logs) + chances <= math.log(OUTLIER_LEVEL / most)
+
+
+def _added(view: View, kept: Mask, out: int) -> Mask:
+    """Return the rows kept with the nearest of the others, so that so many are left out."""
+    far = np.where(kept, -1.0, _distances(view, kept[None])[0])
+    result = np.zeros_like(kept)
+    result[np.argsort(far, kind="stable")[: len(kept) - out]] = True
+    return result
+
+
+def _log_choices(n: int, k: int) -> float:
+    return math.lgamma(n + 1.0) - math.lgamma(k + 1.0) - math.lgamma(n - k + 1.0)
+
+
+def _log_beta_tail(x: float, a: float, b: float) -> float:
+    """Return a bound from above of ln I_x(a, b), near where I is small; 0 where it is not.
+
+    As t^a (1 − t)^(b − 1) rises by t^(a−1) (1 − t)^(b−1) (a − (b − 1) t/(1 − t)) at least.
+    """
+    if not x < 1.0:
+        return 0.0
+    if x <= 0.0:
+        return -math.inf
+    slope = a - max(b - 1.0, 0.0) * x / (1.0 - x)
+    if slope <= 0.0:
+        return 0.0
+    log_beta = math.lgamma(a) + math.lgamma(b) - math.lgamma(a + b)
+    return min(a * math.log(x) + (b - 1.0) * math.log1p(-x) - math.log(slope) - log_beta, 0.0)

@@ -1,0 +1,121 @@
+"""Rows that hide each other: readings of a generator of its own, with errors put in by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.special import betainc
+
+import multipos as mp
+from multipos.estimation.outliers import _log_beta_tail
+
+K = np.array([[1.012, 0.0, 0.0], [0.003, 0.991, 0.0], [0.004, -0.007, 1.008]])
+ZERO = np.array([0.012, -0.021, 0.034])
+SD = 1e-4  # [g]
+
+
+def directions(n):
+    height = 1.0 - 2.0 * (np.arange(n) + 0.5) / n
+    angle = np.pi * (1.0 + 5.0**0.5) * np.arange(n)
+    flat = np.sqrt(1.0 - height**2)
+    return np.column_stack([np.cos(angle) * flat, np.sin(angle) * flat, height])
+
+
+def readings(rng, n, off=(), size=0.0, weight=None, up=None):
+    """Return readings of which some rows are off along gravity."""
+    up = directions(n) if up is None else up
+    sd = SD if weight is None else SD * weight[:, None]
+    values = ZERO + up @ K.T + sd * rng.standard_normal((n, 3))
+    values[list(off)] += size * up[list(off)]
+    u = None if weight is None else np.tile(sd, 3)
+    return mp.Readings(values, outputs=("ax", "ay", "az"), up=up, u=u, unit="g")
+
+
+@pytest.mark.parametrize("unknown", [False, True])
+@pytest.mark.parametrize(
+    ("off", "size"), [((3, 17), 0.01), ((3, 17), 0.1), ((1, 2, 3, 8, 20), 0.04)]
+)
+def test_rows_that_hide_each_other_are_named_all_at_once(unknown, off, size):
+    given = readings(np.random.default_rng(1), 24, off, size)
+    labels = tuple(str(row + 1) for row in off)
+    with pytest.warns(mp.CalibrationWarning):
+        plain = mp.fit(given, unknown_orientation=unknown)
+    (doubt,) = (each for each in plain.diagnostics.doubts if each.code == "outlier")
+    assert doubt.rows == labels
+    assert f"--exclude {','.join(labels)}" in doubt.text
+    with pytest.warns(mp.CalibrationWarning, match=f"{len(off)} of 24 positions set aside"):
+        cal = mp.fit(given, unknown_orientation=unknown, exclude="auto")
+    assert tuple(each.label for each in cal.excluded) == labels
+    assert_allclose([each.off for each in cal.excluded], size, rtol=0.02, atol=4 * SD)
+    kept = [row for row in range(24) if row not in off]
+    same = mp.Readings(given.values[kept], outputs=given.outputs, up=given.up[kept], unit="g")
+    assert_allclose(
+        cal.parameters, mp.fit(same, unknown_orientation=unknown).parameters, rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("unknown", [False, True])
+@pytest.mark.parametrize("n", [12, 24, 48])
+@pytest.mark.parametrize("stated", [False, True])
+def test_good_sets_keep_their_rows(unknown, n, stated):
+    # 1 % is allowed; of 150 sets more than 6 have a chance of 0.3 %
+    named = 0
+    rng = np.random.default_rng([n, unknown, stated])
+    for _ in range(150):
+        weight = rng.choice([1.0, 2.0, 4.0], n) if stated else None
+        given = readings(rng, n, weight=weight)
+        cal = mp.fit(given, unknown_orientation=unknown, exclude="auto", confidence=0.95)
+        named += bool(cal.excluded)
+    assert named <= 6
+
+
+def test_u_holds_after_rows_were_set_aside():
+    rng, held = np.random.default_rng(5), []
+    truth = dict(zip(("bias_ax", "bias_ay", "bias_az"), ZERO, strict=True))
+    for _ in range(200):
+        off = rng.choice(24, 2, replace=False)
+        cal = mp.fit(readings(rng, 24, off, 0.04), unknown_orientation=True, exclude="auto")
+        held += [abs(cal[name].value - value) <= cal[name].U for name, value in truth.items()]
+    assert 0.93 <= np.mean(held) <= 0.97
+
+
+def test_a_lost_sign_is_named_and_is_unfit():
+    given = readings(np.random.default_rng(2), 30)
+    for row in (4, 14, 25):
+        values = given.values.copy()
+        values[row, 2] *= -1.0
+        with pytest.warns(mp.CalibrationWarning):
+            cal = mp.fit(mp.Readings(values, outputs=given.outputs, up=given.up, unit="g"))
+        (doubt, *_) = cal.diagnostics.doubts
+        assert (doubt.code, doubt.severity) == ("flipped-row", "implausible")
+        assert (doubt.rows, doubt.outputs) == ((str(row + 1),), ("az",))
+
+
+def test_rows_are_set_aside_by_label():
+    given = readings(np.random.default_rng(3), 24)
+    cal = mp.fit(given, exclude=["2", "5"])
+    assert [each.label for each in cal.excluded] == ["2", "5"]
+    assert cal.to_dict()["excluded"][0]["unit"] == "g"
+    assert cal.readings.labels[:3] == ("1", "3", "4")
+    with pytest.raises(mp.MultiposError, match="no position is called '99'"):
+        mp.fit(given, exclude="99")
+
+
+def test_a_fleet_sets_aside_as_fit_does():
+    rng = np.random.default_rng(4)
+    sets = [readings(rng, 24, off, 0.1) for off in ((), (2, 9))]
+    table = {"unit": np.repeat(["A", "B"], 24), "position": np.tile(np.arange(24), 2)}
+    for i, name in enumerate(("ax", "ay", "az")):
+        table[name] = np.concatenate([each.values[:, i] for each in sets])
+        table[f"up_{name[1]}"] = np.tile(sets[0].up[:, i], 2)
+    found = mp.fit_many(table, unit_column="unit", exclude="auto", unit="g")
+    for row, each in enumerate(sets):
+        alone = mp.fit(each, exclude="auto")
+        assert_allclose(found["bias_ax"][row], alone["bias_ax"].value, atol=1e-12)
+
+
+@pytest.mark.parametrize(("x", "a", "b"), [(0.02, 3.0, 0.5), (0.3, 7.0, 0.5), (0.2, 9.0, 2.5)])
+def test_the_bound_of_the_tail_is_one(x, a, b):
+    exact = math.log(betainc(a, b, x))
+    assert exact <= _log_beta_tail(x, a, b) <= exact + 0.3
