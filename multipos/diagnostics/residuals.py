@@ -110,8 +110,9 @@ def _outlying(c: Calibration, found: Outlying) -> Doubt:
     off = [f"{1e3 * size:.3g} mg" for size in found.off.tolist()]
     gross = found.ratio > _GROSS and found.dof >= _ENOUGH
     pairs = list(zip(labels, off, strict=True))
-    said = ", ".join(f"{label} by {size}" for label, size in pairs[:_SHOWN])
+    said = ", ".join(f"{label} ({size})" for label, size in pairs[:_SHOWN])
     more = f" and {len(pairs) - _SHOWN} more" if len(pairs) > _SHOWN else ""
+    said = f"position {said} is" if len(pairs) == 1 else f"positions {said}{more} are"
     named = ",".join(dict.fromkeys(labels))
     lost = _signs_lost(c, found)
     if lost:
@@ -128,8 +129,8 @@ def _outlying(c: Calibration, found: Outlying) -> Doubt:
     return Doubt(
         "outlier",
         "implausible" if gross else "caution",
-        f"positions off the fit of the others: {said}{more}{lower}; measure again, or set aside "
-        f"with --exclude {named}",
+        f"{said} off the fit of the others{lower}; measure again, or set aside with "
+        f"--exclude {named}",
         tuple(dict.fromkeys(labels)),
     )
 

@@ -181,9 +181,9 @@ def test_warnings_stand_on_top(calibration, pages):
     content = build_content(calibration)
     assert any("position 8" in text for text in content.warnings)
     page = pages["en"]
-    assert page.index("position 8: ay is off by") < page.index("Administrative data")
+    assert page.index("position 8 (") < page.index("Administrative data")
     chinese = build_content(calibration, language="zh")
-    assert any("为其标准差的" in text for text in chinese.warnings)
+    assert any("偏离其余位置的拟合" in text for text in chinese.warnings)
 
 
 def test_beyond_one_g_is_marked(calibration, six):
