@@ -600,7 +600,7 @@ def used():
     yield "check", checked(cal, data, limit_g=5e-4)
     yield "check tilt", checked(cal, data, tilt=True, limit_deg=0.05, within_deg=60.0)
     yield "check bent", checked(bent, data, nominal=(0.0, 1.02), reading_sd=1e-4)
-    yield "simulate", mp.simulate(bent, "fibonacci-12", reading_sd=1e-4, seed=5)
+    yield "simulate", mp.simulate(bent, "fibonacci-12", order="paper", reading_sd=1e-4, seed=5)
     yield "simulate turned", mp.simulate(cal, "faces-6", orientation_sd=0.1, seed=6)
     yield "sphere", mp.evaluate_sphere(bent)
     yield "sphere 2 g", mp.evaluate_sphere(bent, size=2.0)

@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from multipos.capturing.poses import Frame, NextPose, Pose, best_pose, expected, find_frame, gain_at
-from multipos.designs.travel import order_positions
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.spelling import near
 from multipos.fitting.calibrate_logs import fit_rests
@@ -35,6 +34,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, formula_columns
 from multipos.positions.attitudes import Convention
 from multipos.positions.headers import named_axes
+from multipos.positions.order import Order, travel_order
 from multipos.positions.scheme import Scheme
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
@@ -111,12 +111,15 @@ class SessionPlan:
         Poses after which the session is at its end.
     scheme : Scheme or None
         Known positions to lead through.
+    order : str, optional
+        How they follow each other.
     """
 
     fitting: dict[str, Any]
     targets: dict[str, float]
     positions: int | None
     scheme: Scheme | None
+    order: Order | None
 
     @property
     def convention(self) -> Convention:
@@ -357,7 +360,7 @@ def next_pose(
     """
     targets = _targets_in(plan, model)
     if plan.scheme is not None:
-        return _next_of_scheme(plan.scheme, model, found, poses, targets)
+        return _next_of_scheme(plan.scheme, model, found, poses, targets, plan.order)
     taken = under_way
     if found.frame is not None and found.averages is not None:
         up = found.frame.up(found.averages.readings.values)
@@ -378,17 +381,18 @@ def _next_of_scheme(
     found: PosesWorth,
     poses: list[Pose],
     targets: dict[str, float],
+    order: Order | None,
 ) -> NextPose | None:
-    """Return the next position of the scheme, in an order that is short to travel."""
+    """Return the next position of the scheme, as it is laid out or in short ways."""
     labels = scheme.names
     done = {pose.position for pose in poses}
     left = [i for i, label in enumerate(labels) if label not in done]
     if not left:
         return None
-    start = scheme.up[[labels.index(poses[-1].position)]] if poses else np.empty((0, 3))
-    ordered = order_positions(scheme.up[left], start)
-    distance = np.linalg.norm(scheme.up[left] - ordered[0], axis=1)
-    i = left[int(np.argmin(np.round(distance, 12)))]
+    i = left[0]
+    if order == "travel":
+        start = scheme.up[[labels.index(poses[-1].position)]] if poses else None
+        i = left[int(travel_order(scheme.up[left], start)[0])]
     taken = scheme.up[[labels.index(pose.position) for pose in poses]].reshape(-1, 3)
     gain = gain_at(
         model, found.calibration, taken, targets, scheme.up[i], unknown_orientation=False

@@ -33,7 +33,8 @@ from multipos.logs.samples import Timing
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention, check_convention
-from multipos.positions.scheme import Scheme, read_scheme
+from multipos.positions.order import Order
+from multipos.positions.scheme import Scheme, lay_scheme
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 
@@ -145,6 +146,7 @@ def capture(
     target: "Targets | Sequence[str]" = (),
     positions: int | None = None,
     scheme: "Source | Scheme | None" = None,
+    order: Order | None = None,
     outputs: Names | None = None,
     columns: Names | None = None,
     time_column: str | None = None,
@@ -170,6 +172,9 @@ def capture(
         Poses after which it is enough.
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         Known positions to lead through; otherwise the orientations are unknown.
+    order : str
+        'spread' against drift, 'travel' in short ways, or 'paper' (`multipos.positions.order`);
+        'spread' for a name where not given, and else as written.
     outputs, columns, time_column, time_unit, rate, min_duration, threshold, convention
         As for `multipos.average`.
     log : path, optional
@@ -201,7 +206,7 @@ def capture(
     (6, 'bias_ax')
     """
     opened = open_source(source)
-    plan = make_plan(target, positions, scheme, {**fitting, "convention": convention})
+    plan = make_plan(target, positions, scheme, {**fitting, "convention": convention}, order)
     reading = make_reading(outputs, time_column, time_unit, rate, min_duration, threshold)
     tell = None if told is None else lambda session: told(line_of(session))
     session = Session(plan, reading, tell)
@@ -214,13 +219,14 @@ def make_plan(
     positions: int | None,
     scheme: "Source | Scheme | None",
     fitting: dict[str, Any],
+    order: Order | None = None,
 ) -> SessionPlan:
     """Return what was asked for, checked."""
     check_convention(fitting.get("convention", "specific-force"))
     if positions is not None and positions < 1:
         raise UsageError(f"--positions must be 1 or more, got {positions}.")
-    known = None if scheme is None else read_scheme(scheme)
-    return SessionPlan(fitting, read_targets(target), positions, known)
+    known = None if scheme is None else lay_scheme(scheme, order)
+    return SessionPlan(fitting, read_targets(target), positions, known, order)
 
 
 def make_reading(

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_reading, file_progress, names
+from multipos.commands.options import add_order, add_reading, file_progress, names
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
 from multipos.logs.averages import averages_text
@@ -21,6 +21,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
     add("--scheme", metavar="S", help="match the rests to a scheme, by direction")
+    add_order(parser, "paper", "order of rests that have no direction along the scheme")
     add(
         "--convention",
         default="specific-force",

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Any
 from multipos.commands.answers import STDOUT, Answer, Output
 from multipos.commands.average import add_log_options, add_logs
 from multipos.commands.fit import add_fit_options
-from multipos.commands.options import add_targets, asks_export, export_options, file_progress
+from multipos.commands.options import (
+    add_order,
+    add_targets,
+    asks_export,
+    export_options,
+    file_progress,
+)
 from multipos.files.trees import to_json
 from multipos.fitting.calibrate_logs import fit_rests
 from multipos.logs.averages import averages_text
@@ -38,7 +44,16 @@ OUTPUT = Output(
 # Whose option is whose: what is left is of the fit.
 _AVERAGE = (
     *("outputs", "columns", "time_column", "time_unit", "rate", "min_duration", "threshold"),
-    *("sections", "label_column", "only", "drop_bad", "accept_faults", "scheme", "convention"),
+    *(
+        "sections",
+        "label_column",
+        "only",
+        "drop_bad",
+        "accept_faults",
+        "scheme",
+        "order",
+        "convention",
+    ),
 )
 _OWN = ("logs", "json", "output")
 
@@ -48,6 +63,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_logs(parser)
     add_log_options(parser)
     add_fit_options(parser, "auto")
+    add_order(parser, "paper", "order of rests that have no direction along the scheme")
     add_targets(parser, "CAL.json")
 
 

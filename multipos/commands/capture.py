@@ -16,7 +16,7 @@ from multipos.capturing.streams import RowSource, open_source
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, same_file
 from multipos.commands.export import check_targets, make_exports
 from multipos.commands.fit import add_fit_options
-from multipos.commands.options import add_reading, add_targets, export_options, warn
+from multipos.commands.options import add_order, add_reading, add_targets, export_options, warn
 from multipos.errors import UsageError
 from multipos.exports.target import Exported
 from multipos.files.tables import format_csv
@@ -37,7 +37,7 @@ OUTPUT = Output(
 PORT = 8035
 _READING = ("outputs", "time_column", "time_unit", "rate", "min_duration", "threshold")
 _OWN = ("source", "json", "output", "columns", "target", "positions", "resume", "port", "headless")
-_UNUSED = ("drop_bad", "scheme")
+_UNUSED = ("drop_bad", "scheme", "order")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +73,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="standard deviation above which it moves (default: learnt from the first rests)",
     )
     add_fit_options(parser, None)
+    add_order(parser, None, "order in which it leads through a scheme (default spread for names)")
     add_targets(parser, "READINGS.csv")
 
 
@@ -103,7 +104,9 @@ def _begin(arguments: argparse.Namespace, source: RowSource) -> tuple[Session, K
     options = vars(arguments)
     apart = {*_READING, "to", *export_options(arguments), *_OWN, *_UNUSED}
     fitting = {name: value for name, value in options.items() if name not in apart}
-    plan = make_plan(arguments.target, arguments.positions, arguments.scheme, fitting)
+    plan = make_plan(
+        arguments.target, arguments.positions, arguments.scheme, fitting, arguments.order
+    )
     reading = make_reading(**{name: options[name] for name in _READING})
     source.untimed = source.untimed and arguments.rate is None
     kept = keep(source, _readings_path(arguments), resume=arguments.resume)

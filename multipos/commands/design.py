@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_model, add_orientation, numbers, progress_bar
+from multipos.commands.options import add_model, add_order, add_orientation, numbers, progress_bar
 from multipos.designs.designing import Design, design, design_csv, design_text, smaller_designs
 from multipos.designs.information import nothing_to_weigh
 from multipos.errors import UsageError
@@ -46,6 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="S,S",
         help="seconds that a position takes, and that turning takes per degree",
     )
+    add_order(parser, "spread", "order of the positions")
     add("--seed", type=int, default=0, metavar="K", help="of the random starts (default 0)")
 
 
@@ -74,6 +75,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         region=arguments.region,
         move_time=move_time,
         seed=arguments.seed,
+        order=arguments.order,
         **setting,
     )
     with progress_bar("searching positions"):

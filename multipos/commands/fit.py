@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_conditions, add_model, names, numbers
+from multipos.commands.options import add_conditions, add_model, add_order, names, numbers
 from multipos.files.trees import to_json
 from multipos.fitting.fit_readings import fit
 from multipos.reports.summary import text_report
@@ -18,6 +18,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("readings", metavar="READINGS", help="CSV file of averaged readings")
     add_fit_options(parser)
+    add_order(parser, "paper", "order of rows without labels along the scheme")
 
 
 def add_fit_options(parser: argparse.ArgumentParser, exclude: str | None = "none") -> None:

@@ -124,6 +124,18 @@ def add_orientation(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_order(parser: argparse.ArgumentParser, default: str | None, what: str) -> None:
+    """Add ``--order``."""
+    said = "" if default is None else f" (default {default})"
+    parser.add_argument(
+        "--order",
+        default=default,
+        metavar="spread|travel|paper",
+        help=f"{what}{said}: spread absorbs least of a drift, "
+        "travel turns least, paper is as published",
+    )
+
+
 def warn(warnings: Sequence[str]) -> None:
     """Print warnings to stderr, a line each."""
     if sys.stderr is not None:

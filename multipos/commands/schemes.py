@@ -4,14 +4,21 @@ import argparse
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_model, add_orientation
+from multipos.commands.options import add_model, add_order, add_orientation
 from multipos.designs.assessment import Schemes, schemes, schemes_text
 from multipos.designs.information import nothing_to_weigh
+from multipos.errors import UsageError
+from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
-from multipos.positions.scheme import SCHEMES
+from multipos.positions.scheme import SCHEMES, lay_scheme
 
 INPUTS = ("schemes",)
-OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))
+OUTPUT = Output(
+    "FILE",
+    "write the result to FILE as well; one scheme as .csv",
+    "text",
+    ("json", "figure", "table"),
+)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -21,6 +28,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.epilog = f"names, which may be joined by +:\n{listing}"
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add_model(parser)
+    add_order(parser, None, "order of the positions (default spread for names)")
     add_orientation(parser)
     parser.add_argument(
         "--reading-sd",
@@ -41,13 +49,26 @@ def run(arguments: argparse.Namespace) -> Answer:
         "orientation_sd": arguments.orientation_sd,
         "reading_sd": arguments.reading_sd,
     }
-    found = schemes(*arguments.schemes, axes=axes, **setting)
+    found = schemes(*arguments.schemes, axes=axes, order=arguments.order, **setting)
     return Answer(
         text=lambda: schemes_text(found),
         json=lambda: to_json(found),
-        forms={"figure": lambda: _figure(found, sensed=axes, **setting)},
+        forms={
+            "figure": lambda: _figure(found, sensed=axes, **setting),
+            "table": lambda: _scheme_file(arguments),
+        },
         warnings=lambda: nothing_to_weigh(arguments.orientation_sd, arguments.reading_sd),
     )
+
+
+def _scheme_file(arguments: argparse.Namespace) -> str:
+    """Return the one scheme that was asked for as a scheme file, laid out in the order."""
+    if len(arguments.schemes) != 1:
+        raise UsageError(
+            f"-o SCHEME.csv writes one scheme, but {len(arguments.schemes) or 'no'} are named; "
+            "name one."
+        )
+    return format_csv(lay_scheme(arguments.schemes[0], arguments.order).columns())
 
 
 def _figure(found: Schemes, **setting: Any) -> Any:

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import numbers
+from multipos.commands.options import add_order, numbers
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
@@ -24,6 +24,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("calibration", metavar="CAL.json", help="the sensor")
     add("--scheme", required=True, metavar="S", help="scheme name, names joined by +, or CSV file")
+    add_order(parser, None, "order of the rows (default spread for names, of a log paper)")
     add("--reading-sd", type=numbers, metavar="SD[,SD,SD]", help="noise of an averaged reading")
     add(
         "--orientation-sd",
@@ -57,6 +58,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     made, mine = (simulate_log, _LOG) if arguments.log else (simulate, _READINGS)
     _refuse_others(arguments)
     options = {name: getattr(arguments, name) for name in _BOTH}
+    if arguments.order is not None:
+        options["order"] = arguments.order
     for name, default in mine.items():
         given = getattr(arguments, name)
         options[name] = default if given is None else given

@@ -47,7 +47,8 @@ from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.separability import name_combinations, separability
 from multipos.numerics.terms import COMPONENTS, Term
-from multipos.positions.scheme import Scheme, named_schemes, read_scheme
+from multipos.positions.order import Order
+from multipos.positions.scheme import Scheme, lay_scheme, named_schemes
 from multipos.results import Keyed, data_frame
 from multipos.sensor.formulas import Sketch, read_model
 from multipos.sensor.model import Model
@@ -137,6 +138,11 @@ class Assessment(Keyed):
         How many.
     up : mapping of label to (x, y, z)
         Unit vectors pointing up.
+    order : tuple of str
+        The labels as the positions are laid out.
+    drift_absorbed : float
+        Share of the variance of the row number that the model absorbs, the largest of the
+        outputs, where the positions are measured in this order.
     identifiable : bool
     unidentifiable : tuple of str
         What the positions cannot separate.
@@ -156,6 +162,8 @@ class Assessment(Keyed):
     name: str | None
     positions: int
     up: Mapping[str, tuple[float, ...]]
+    order: tuple[str, ...]
+    drift_absorbed: float
     identifiable: bool
     unidentifiable: tuple[str, ...]
     rank: int
@@ -207,6 +215,7 @@ _SINGLE = (
     "identifiable",
     "rank",
     "parameters",
+    "drift_absorbed",
     "log_det",
     "d_efficiency",
     "a_efficiency",
@@ -224,6 +233,7 @@ def schemes(
     unknown_orientation: bool = False,
     orientation_sd: float | None = None,
     reading_sd: float = 1.0,
+    order: Order | None = None,
 ) -> Schemes:
     """Return what schemes can tell about a model: all named ones, best first, or those given.
 
@@ -241,6 +251,9 @@ def schemes(
         Standard deviation of the orientation per axis, against `reading_sd` in g.
     reading_sd : float
         Standard uncertainty of a reading, for the predicted u.
+    order : str
+        'spread', 'travel' or 'paper': how positions are laid out (`multipos.positions.order`);
+        'spread' for names where not given, and else as written.
 
     Returns
     -------
@@ -261,7 +274,7 @@ def schemes(
     setting = setting.stated
     assessor = Assessor(setting, reading_sd)
     given: tuple[Source | Scheme, ...] = spread(sources)
-    found = [assessor.describe(read_scheme(source)) for source in given or named_schemes()]
+    found = [assessor.describe(lay_scheme(s, order)) for s in given or named_schemes()]
     if not given:
         # of equally good ones, to what rounding leaves, the shortest first
         found.sort(key=lambda e: (-round(e.d_efficiency or 0.0, 9), e.positions))
@@ -347,6 +360,8 @@ class Assessor:
             name=scheme.name,
             positions=n,
             up=dict(zip(scheme.names, map(tuple, scheme.reference.tolist()), strict=True)),
+            order=scheme.names,
+            drift_absorbed=self.setting.drift_absorbed(scheme.reference),
             identifiable=not unidentifiable,
             unidentifiable=tuple(unidentifiable),
             rank=len(model.keys) - len(unidentifiable),
@@ -383,7 +398,7 @@ def schemes_text(found: Schemes) -> str:
     """Return `schemes` as text: one table, and of a single scheme its u and what it hides."""
     note = (
         f"orientations {found.orientation}; D, A, G and I are efficiencies per position, "
-        "against the best on the sphere"
+        "against the best on the sphere; drift is what of a linear one the model absorbs"
     )
     parts = [f"model {found.model}", table(*scheme_rows(found.schemes)), note]
     if len(found.schemes) == 1:
@@ -405,6 +420,7 @@ def scheme_rows(entries: Sequence[Assessment]) -> tuple[list[str], list[list[str
         "I",
         "log det",
         "condition",
+        "drift",
         "largest u",
         "dof left",
     ]
@@ -424,6 +440,7 @@ def scheme_rows(entries: Sequence[Assessment]) -> tuple[list[str], list[list[str
                 *("-" if share is None else f"{share:.3f}" for share in shares),
                 number(entry.log_det, 6),
                 number(entry.condition, 3),
+                f"{100.0 * entry.drift_absorbed:.0f} %",
                 number(max(entry.u.values()) if entry.u else None, 3),
                 str(min(entry.dof.values())),
             ]

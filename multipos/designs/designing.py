@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.designs.assessment import (
     Assessment,
@@ -33,7 +34,6 @@ from multipos.designs.optimum import (
     optimise_candidates,
     optimise_sphere,
 )
-from multipos.designs.travel import order_positions, travel_deg
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.files.numbers import table
 from multipos.files.spelling import Names
@@ -41,6 +41,7 @@ from multipos.files.tables import Source, format_csv
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import bench_settings, read_bench
+from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Drawn, Keyed, Tabular
 
@@ -53,7 +54,7 @@ class Design(Keyed, Drawn, Tabular):
     ----------
     model, orientation, criterion : str
     positions : (n, 3) array
-        Unit vectors pointing up: included ones first, the others in an order short to travel.
+        Unit vectors pointing up: included ones first, the others as they are laid out.
     included : int
     log_det, optimum_log_det : float
         Of these positions, and of the D-optimum on the sphere.
@@ -168,6 +169,7 @@ def _summary(found: Design) -> str:
         ["log det", f"{found.log_det:.6f}", f"at most {found.optimum_log_det:.6f}"],
         ["certificate", f"{certificate['gap']:.1e}", proof],
         ["travel", f"{found.travel_deg:.0f}°", time],
+        ["drift", f"{100.0 * found.scheme.drift_absorbed:.0f} %", "of a linear one is absorbed"],
     ]
     if bench and found.bench_efficiency is not None:
         share = f"{found.bench_efficiency:.6f}"
@@ -202,6 +204,7 @@ def design(
     reading_sd: float = 1.0,
     move_time: tuple[float, float] | None = None,
     seed: int = 0,
+    order: Order = "spread",
 ) -> Design:
     """Return the best positions for a model, and how far they are from the best possible.
 
@@ -227,6 +230,9 @@ def design(
         Time that a position takes, and that turning towards it takes per degree.
     seed : int
         Of the random starts.
+    order : str
+        How the positions that are not included are laid out: 'spread' against drift, 'travel' in
+        short ways, or 'paper', as the search found them (`multipos.positions.order`).
     axes, inputs, unknown_orientation, orientation_sd, reading_sd
         As in `schemes`.
 
@@ -248,6 +254,7 @@ def design(
     >>> round(found.efficiency, 3), found.certificate["parameters"]
     (1.0, 15)
     """
+    check_order(order)
     setting = read_setting(model, axes, inputs, unknown_orientation, orientation_sd, reading_sd)
     wanted = make_criterion(criterion, setting, None if region is None else read_bench(region))
     if region is not None and criterion != "I":
@@ -266,7 +273,7 @@ def design(
             f"no {positions} positions were found that separate the parameters; "
             "give more --positions or more candidates."
         )
-    up = np.concatenate([given, order_positions(up, given[-1:])])
+    up = np.concatenate([given, up[_order(setting, up, given, order)]])
     described = assessor.describe(Scheme("design", up, np.full((len(up), 3, 3), np.nan), None))
     efficiency, on_bench = _efficiency(criterion, value, sphere, best)
     turned = travel_deg(up)
@@ -290,6 +297,15 @@ def design(
         scheme=described,
         settings=_settings(up, len(given), candidates, include),
     )
+
+
+def _order(setting: Setting, up: Array, given: Array, order: Order) -> NDArray[np.intp]:
+    """Return the rows of new positions as they are laid out behind those given."""
+    if order == "travel":
+        return travel_order(up, given[-1:])
+    stated = setting.stated
+    columns = None if stated.coupled else np.hstack([Z[:, 0, :] for Z in stated.rows(up)])
+    return lay_out(up, order, columns)
 
 
 def _settings(

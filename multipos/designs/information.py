@@ -28,6 +28,7 @@ from multipos.estimation.user_models import nominal_parameters
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
+from multipos.positions.order import share_absorbed
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
@@ -116,6 +117,26 @@ class Setting:
         if self.sd is None:
             return tuple(blocks)
         return tuple(Z / sd for Z, sd in zip(blocks, self.sd.tolist(), strict=True))
+
+    def drift_absorbed(self, up: Array) -> float:
+        """Return which share of the row number in one output the model absorbs, at the most.
+
+        Parameters
+        ----------
+        up : (n, 3) array
+            In the order of time.
+        """
+        M, row = len(self.model.outputs), np.arange(len(up)) - 0.5 * (len(up) - 1)
+        blocks = self.rows(up)
+        shares = []
+        for i in range(M):
+            Z, course = blocks[0 if self.coupled else i], row[:, np.newaxis]
+            if self.coupled:
+                drift = np.zeros((len(up), M, 1))
+                drift[:, i, 0] = row
+                course = self.whiten(up, drift)[:, :, 0]
+            shares.append(share_absorbed(Z.reshape(-1, Z.shape[2]), course.ravel()))
+        return max(shares)
 
     def design(self, force: Array) -> Array:
         """Return X (n, M, p), the derivative of the outputs by the parameters."""

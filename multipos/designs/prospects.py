@@ -71,6 +71,8 @@ class Worth(Keyed):
         Up vectors of these, in the order of their worth.
     floor : float or None
         The part of u of the parameter that no position lowers.
+    drift_absorbed : float
+        Share of the variance of the row number that the model absorbs, as the rows stand.
     """
 
     parameter: str | None
@@ -80,6 +82,7 @@ class Worth(Keyed):
     further_positions: int | None
     path: Array | None
     floor: float | None
+    drift_absorbed: float
 
     def to_pandas(self) -> Any:
         """Return the candidates as a data frame: up_x, up_y, up_z, fall, u of each parameter.
@@ -166,6 +169,7 @@ def worth(
         further_positions=None if path is None else len(path),
         path=None if path is None else up[path],
         floor=None if index is None else math.sqrt(fixed[index]),
+        drift_absorbed=setting.drift_absorbed(calibration.reference / calibration.sign),
     )
 
 
@@ -188,7 +192,8 @@ def worth_text(found: Worth) -> str:
     if parameter is not None:
         header.append("to")
     what = parameter or "all parameters"
-    parts = [f"worth of one more position, for {what}", table(header, rows, left=0)]
+    drift = f"the model absorbs {100.0 * found.drift_absorbed:.0f} % of a drift along the rows"
+    parts = [f"worth of one more position, for {what}", table(header, rows, left=0), drift]
     return "\n\n".join([*parts, *_way_to_target(found)]) + "\n"
 
 

@@ -25,6 +25,7 @@ from multipos.logs.table import Log
 from multipos.numerics.arrays import median
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
+from multipos.positions.order import Order
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
@@ -53,6 +54,7 @@ def calibrate(
     drop_bad: bool = False,
     accept_faults: bool = False,
     scheme: "Source | Scheme | None" = None,
+    order: Order = "paper",
     model: str | Expression = "linear",
     convention: Convention = "specific-force",
     axes: Names | None = None,
@@ -89,6 +91,8 @@ def calibrate(
         How the logs are read and where they stand still: as for `multipos.average`.
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The positions; otherwise the orientations are unknown.
+    order : str
+        In which rests that are matched by their order follow the scheme: as for `multipos.fit`.
     exclude : sequence of str, or comma-separated str
         Labels of the rests that are set aside; 'auto' sets outliers aside, 'none' nothing.
     model, convention, axes, inputs, closed_form, unknown_orientation, orientation_sd, gauge, robust
@@ -130,6 +134,7 @@ def calibrate(
         drop_bad=drop_bad,
         accept_faults=accept_faults,
         scheme=scheme,
+        order=order,
         convention=convention,
         progress=progress,
     )

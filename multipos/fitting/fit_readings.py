@@ -45,6 +45,7 @@ from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, Term, formula_columns, largest_value
 from multipos.positions.attitudes import CONVENTIONS, Convention
+from multipos.positions.order import Order
 from multipos.positions.orientations import Placement, as_used, place, resolve
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, select_rows, spread_reading_sd
@@ -153,6 +154,7 @@ def fit(
     readings: "Source | Readings",
     *,
     scheme: "Source | Scheme | None" = None,
+    order: Order = "paper",
     model: str | Expression = "linear",
     convention: Convention = "specific-force",
     outputs: Names | None = None,
@@ -185,6 +187,9 @@ def fit(
     readings : Readings, path, mapping of columns, or data frame
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The orientation of each position; otherwise the readings' own columns say it.
+    order : str
+        'paper', 'spread' or 'travel': in which the rows of readings without labels follow the
+        scheme (`multipos.positions.order`).
     model : str or function
         'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2', or a Python
         function of the components and the parameters (see `multipos.sensor.expressions`).
@@ -293,6 +298,7 @@ def fit(
         data,
         scheme,
         signed_size(local, convention),
+        order=order,
         unknown=options.unknown_orientation,
         orientation_sd=options.orientation_sd,
         estimate=options.estimate_orientation_sd,

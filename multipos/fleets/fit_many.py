@@ -547,7 +547,7 @@ def _read_options(options: Mapping[str, Any]) -> dict[str, Any]:
     if given.pop("stepwise", False):
         raise UsageError("--stepwise gives every unit another model; choose one for all of them.")
     if given.get("scheme") is not None:
-        given["scheme"] = read_scheme(given["scheme"])
+        given["scheme"] = read_scheme(given["scheme"], order=given.pop("order", "paper"))
     if given.get("budget") is not None:
         given["budget"] = read_budget(given["budget"])
     return given

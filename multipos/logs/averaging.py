@@ -22,6 +22,7 @@ from multipos.logs.samples import Progress, Timing
 from multipos.logs.still import StillLog, Wish, find_still
 from multipos.logs.table import Log
 from multipos.positions.attitudes import Convention, check_convention
+from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, read_scheme
 
 
@@ -40,6 +41,7 @@ def average(
     drop_bad: bool = False,
     accept_faults: bool = False,
     scheme: "Source | Scheme | None" = None,
+    order: Order = "paper",
     convention: Convention = "specific-force",
     progress: Progress | None = None,
 ) -> Averages:
@@ -79,6 +81,8 @@ def average(
         Go on where outputs look saturated, stuck, wrapped around or of two units, and warn.
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         Positions to match the rests to: by direction, with fewer than three outputs in order.
+    order : str
+        That order: 'paper' (as published or written), 'spread' or 'travel'.
     convention : str
         'specific-force' or 'gravity': which sign the axis that points up has, for matching.
     progress : callable, optional
@@ -108,7 +112,7 @@ def average(
     _check_options(sources, time_column, rate, threshold, sections, label_column)
     check_time_unit(time_unit)
     check_convention(convention)
-    wanted = None if scheme is None else read_scheme(scheme)
+    wanted = None if scheme is None else read_scheme(scheme, order=order)
     wish = Wish(
         outputs=_names(outputs, "--outputs"),
         timing=Timing(time_column, time_unit, rate),

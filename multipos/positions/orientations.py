@@ -30,6 +30,7 @@ from multipos.files.tables import Source, Table
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import rows_without_angle
+from multipos.positions.order import Order, check_order
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme, read_scheme
 
@@ -218,6 +219,7 @@ def resolve(
     scheme: "Source | Scheme | None",
     size: float,
     *,
+    order: Order = "paper",
     unknown: bool = False,
     orientation_sd: float | None = None,
     estimate: bool = False,
@@ -232,12 +234,16 @@ def resolve(
         Otherwise the readings' own columns say where the sensor stood.
     size : float [g]
         Magnitude of the reference, negative under the gravity convention.
+    order : str
+        In which the positions of a scheme were laid out, for readings without labels.
     unknown : bool
         Use no orientation at all.
     orientation_sd, estimate, level_sd
         As in `place`.
     """
-    oriented = _without_orientation(readings, scheme) if unknown else orient(readings, scheme)
+    oriented = (
+        _without_orientation(readings, scheme) if unknown else orient(readings, scheme, order)
+    )
     return oriented, place(
         oriented, size, orientation_sd=orientation_sd, estimate=estimate, level_sd=level_sd
     )
@@ -343,7 +349,9 @@ def _sd_of(readings: Readings, labels: Sequence[str], stated: float | None) -> A
     return np.where(sd < _EXACT, 0.0, sd)
 
 
-def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
+def orient(
+    readings: Readings, scheme: "Source | Scheme | None", order: Order = "paper"
+) -> Readings:
     """Return readings with the orientation of a scheme, matched by label or row by row.
 
     Raises
@@ -351,6 +359,7 @@ def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
     MultiposError
         Neither the readings nor a scheme say the orientation, or labels and counts do not match.
     """
+    check_order(order)
     oriented = readings.up is not None or readings.rotation is not None
     if scheme is None:
         if oriented:
@@ -360,7 +369,7 @@ def orient(readings: Readings, scheme: "Source | Scheme | None") -> Readings:
             "file) or orientation columns such as direction or up_x, up_y, up_z, or known forces "
             "f_x, f_y, f_z."
         )
-    given = read_scheme(scheme)
+    given = read_scheme(scheme, order=order)
     rows = _match(readings, given)
     notes = readings.notes
     if oriented:

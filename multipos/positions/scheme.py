@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import is_file
@@ -35,9 +36,11 @@ from multipos.positions.attitudes import (
     rows_with_orientation,
 )
 from multipos.positions.forces import FORCE, along_forces, known_rows, read_forces, states_forces
+from multipos.positions.order import Order, check_order, lay_out
 from multipos.results import Drawn, Result, Tabular
 
 LARGEST = 1_000_000  # positions; a typing slip in fibonacci-N should not fill the memory
+_AS_PRINTED = ("song-qin-6",)  # whose order is part of the paper
 _LONGEST = 40  # digits of an N that are read and shown
 
 
@@ -100,13 +103,21 @@ class Scheme(Result, Drawn, Tabular):
         return len(self.up)
 
 
-def read_scheme(source: "Source | Scheme") -> Scheme:
+def read_scheme(source: "Source | Scheme", *, order: Order = "paper") -> Scheme:
     """Return a scheme from a name, names joined by ``+``, a file, columns or a data frame.
+
+    Parameters
+    ----------
+    source : name, path, mapping of columns, data frame, or Scheme
+    order : str
+        'paper': as published or written; 'spread': so that a drift is absorbed as little as can
+        be; 'travel': short ways (`multipos.positions.order`). Labels stay with their directions,
+        and the scheme of a paper keeps its order.
 
     Raises
     ------
     UsageError
-        No such name.
+        No such name, or no such order.
     MultiposError
         A file that is missing or holds no orientation, or labels that appear twice.
 
@@ -119,12 +130,41 @@ def read_scheme(source: "Source | Scheme") -> Scheme:
     array([[ 0.,  0.,  1.],
            [ 0.,  0., -1.]])
     """
+    check_order(order)
     if isinstance(source, Scheme):
-        return source
-    if isinstance(source, str) and not is_file(source):
+        found = source
+    elif isinstance(source, str) and not is_file(source):
         parts = [_named_or_file(part) for part in source.split("+")]
-        return parts[0] if len(parts) == 1 else join(source, parts)
-    return _from_table(source)
+        found = parts[0] if len(parts) == 1 else join(source, parts)
+    else:
+        found = _from_table(source)
+    if order == "paper" or found.name in _AS_PRINTED:
+        return found
+    return _taken(found, lay_out(found.reference, order))
+
+
+def lay_scheme(source: "Source | Scheme", order: Order | None) -> Scheme:
+    """Return a scheme as it is to be measured: a named one spread, others as they were written.
+
+    Parameters
+    ----------
+    source : name, path, mapping of columns, data frame, or Scheme
+    order : str, optional
+        As for `read_scheme`; it decides where it is given.
+    """
+    named = isinstance(source, str) and not is_file(source)
+    return read_scheme(source, order=order or ("spread" if named else "paper"))
+
+
+def _taken(scheme: Scheme, rows: NDArray[np.intp]) -> Scheme:
+    """Return the positions of a scheme in another order, each with its label."""
+    return Scheme(
+        scheme.name,
+        scheme.up[rows],
+        scheme.rotation[rows],
+        tuple(scheme.names[row] for row in rows.tolist()),
+        None if scheme.force is None else scheme.force[rows],
+    )
 
 
 def join(name: str, parts: list[Scheme]) -> Scheme:

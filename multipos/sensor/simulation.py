@@ -26,7 +26,8 @@ from multipos.errors import UsageError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.series import recur, require_rate
-from multipos.positions.scheme import Scheme, read_scheme
+from multipos.positions.order import Order
+from multipos.positions.scheme import Scheme, lay_scheme, read_scheme
 from multipos.results import Columns, require
 from multipos.sensor.calibration import Calibration
 from multipos.units import gravity_ratio
@@ -51,6 +52,7 @@ def simulate(
     calibration: Calibration,
     scheme: "Source | Scheme",
     *,
+    order: Order | None = None,
     reading_sd: ArrayLike = 0.0,
     orientation_sd: float = 0.0,
     temperature: Sequence[float] | None = None,
@@ -63,6 +65,10 @@ def simulate(
     calibration : Calibration
         The sensor.
     scheme : Scheme, name, path, mapping of columns, or data frame
+    order : str
+        'spread', 'travel' or 'paper': in which the rows stand (`multipos.positions.order`);
+        'spread' for a name where not given, and else as written. A position has the same errors
+        in every order.
     reading_sd : float or M floats
         Standard deviation of an averaged reading, in its unit.
     orientation_sd : float [degrees]
@@ -85,13 +91,17 @@ def simulate(
     """
     require(calibration, Calibration)
     rng = np.random.default_rng(seed)
-    known = read_scheme(scheme)
-    force, environment = _session(calibration, known, orientation_sd, temperature, rng)
+    published = read_scheme(scheme)
+    laid = lay_scheme(scheme, order)
+    rows = [published.names.index(label) for label in laid.names]
+    tilt = rng.normal(size=laid.up.shape)[rows]
+    force, environment = _session(calibration, laid, orientation_sd, temperature, tilt)
     values = calibration.predict(force, environment)
-    values = values + _sd(calibration, reading_sd, "--reading-sd") * rng.normal(size=values.shape)
+    noise = rng.normal(size=values.shape)[rows]
+    values = values + _sd(calibration, reading_sd, "--reading-sd") * noise
     return Simulation(
         {
-            **known.columns(),
+            **laid.columns(),
             **dict(zip(calibration.outputs, values.T, strict=True)),
             **environment,
         }
@@ -102,6 +112,7 @@ def simulate_log(
     calibration: Calibration,
     scheme: "Source | Scheme",
     *,
+    order: Order = "paper",
     rate: float = 100.0,
     rest: float = 5.0,
     turn: float = 2.0,
@@ -117,6 +128,8 @@ def simulate_log(
     ----------
     calibration, scheme, orientation_sd, temperature, seed
         As for `simulate`; the temperature runs evenly with time.
+    order : str
+        As for `simulate`; a log names no positions, so that they stand as published.
     rate : float [Hz]
     rest, turn : float [s]
         Duration of each rest and of each turn.
@@ -144,12 +157,13 @@ def simulate_log(
         if not 0.0 <= value < math.inf:
             raise UsageError(f"{option} must be 0 or more, got {value:g}.")
     rng = np.random.default_rng(seed)
-    known = read_scheme(scheme)
+    known = read_scheme(scheme, order=order)
     most = 2.0 * _LARGEST  # so that what is infinite can be counted
     still, moving = max(round(min(rest * rate, most)), 1), round(min(turn * rate, most))
     if len(known) * (still + moving) > _LARGEST:
         raise UsageError(f"the log would have more than {_LARGEST} samples; lower --rate.")
-    standing, environment = _session(calibration, known, orientation_sd, temperature, rng)
+    tilt = rng.normal(size=known.up.shape)
+    standing, environment = _session(calibration, known, orientation_sd, temperature, tilt)
     force = _motion(standing, still, moving, rng)
     time = np.arange(len(force)) / rate
     run = np.linspace(0.0, len(known) - 1.0, len(force))
@@ -168,20 +182,24 @@ def _session(
     scheme: Scheme,
     orientation_sd: float,
     temperature: Sequence[float] | None,
-    rng: np.random.Generator,
+    tilt: Array,
 ) -> tuple[Array, dict[str, Array]]:
-    """Return the force (n, 3) [g] of eq. (1), and the columns of the model, at each position."""
+    """Return the force (n, 3) [g] of eq. (1), and the columns of the model, at each position.
+
+    `tilt` (n, 3) is in units of `orientation_sd`.
+    """
     if not 0.0 <= orientation_sd < 180.0:
         raise UsageError(
             f"--orientation-sd must be 0 or more and below 180 degrees, got {orientation_sd:g}."
         )
     sign = calibration.sign
     size = gravity_ratio(None if calibration.gravity is None else calibration.gravity.value)
-    tilt = np.radians(orientation_sd) * rng.normal(size=scheme.up.shape)
     force = size * scheme.up
     if scheme.force is not None:
         force = np.where(np.isfinite(scheme.force), scheme.force, force)
-    return sign * _turned(force, -tilt), _surroundings(calibration, len(scheme), temperature)
+    return sign * _turned(force, -np.radians(orientation_sd) * tilt), _surroundings(
+        calibration, len(scheme), temperature
+    )
 
 
 def _surroundings(

@@ -78,20 +78,12 @@ def sentences():
     yield from returned("capturing/session.py", {"undo", "redo", "_place"}, {})
     yield from returned("capturing/evaluation.py", {"_out_of_reach"}, {"way_out": OF_SCHEMES})
     faults = {"at_one_value", "_moved", "_gaps", "_output_faults", "_settled", "_twins"}
-    yield from returned("logs/rest_faults.py", faults, {"fault": "stuck"})
-    for name in (
-        "completion",
-        "ellipsoid",
-        "guesses",
-        "known",
-        "own_known",
-        "problem",
-        "uncertain",
-    ):
+    yield from returned("logs/faults.py", faults, {"fault": "stuck"})
+    for name in ("completion", "known", "problem", "uncertain", "user_models"):
         yield from raised(f"estimation/{name}.py", PARTS)
     for way_out in WAYS_OUT:
         yield from raised("estimation/starts.py", PARTS | {"way_out": way_out})
-    yield from raised("fitting/logs.py", PARTS)
+    yield from raised("fitting/calibrate_logs.py", PARTS)
 
 
 SENTENCES = sorted(set(sentences()) - {OF_SCHEMES, " more pairs", "7 and 7", " and 7 more pairs"})

@@ -88,7 +88,7 @@ COMMANDS = {
     ),
     "export": (["cal.json", "--to", "c"], ["cal.json"]),
     "verify-export": (["imu.c", "cal.json"], ["imu.c", "cal.json"]),
-    "schemes": (["faces-6", "six.csv"], ["six.csv"]),
+    "schemes": (["six.csv"], ["six.csv"]),
     "design": (
         [
             "--positions",
@@ -163,7 +163,7 @@ WRITTEN = {
     "report": {".html", ".pdf", ".md", ".txt", ".xml"},
     "export": {".json"},
     "verify-export": {".json", ".txt"},
-    "schemes": {".json", ".txt", ".svg", ".png", ".pdf"},
+    "schemes": {".json", ".txt", ".csv", ".svg", ".png", ".pdf"},
     "design": {".csv", ".json", ".txt", ".svg", ".png", ".pdf"},
     "worth": {".json", ".txt"},
     "demo": set(),

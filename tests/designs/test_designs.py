@@ -17,7 +17,6 @@ from multipos.designs.criteria import Criterion, kernels, make_criterion, object
 from multipos.designs.exchange import choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import optimise_candidates, optimise_sphere
-from multipos.designs.travel import order_positions, travel_deg
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.stating import build_model
@@ -522,29 +521,6 @@ def test_benches_reach_what_they_say():
     assert np.abs(near).max(axis=1).min() == pytest.approx(math.cos(math.radians(10)))
     assert read_bench("tilt-30")[:, 2].min() == pytest.approx(math.cos(math.radians(30)))
     assert read_bench("tilt-30-x")[:, 0].min() == pytest.approx(math.cos(math.radians(30)))
-
-
-def test_travel_of_many_positions_ends_and_is_short():
-    rng = np.random.default_rng(5)
-    up = read_scheme("fibonacci-200").up[rng.permutation(200)]
-    ordered = order_positions(up)
-    assert_allclose(np.sort(ordered, axis=0), np.sort(up, axis=0), rtol=0, atol=0)
-    assert_allclose(ordered[0], up[0], rtol=0, atol=0)
-    # 200 even points lie about 14.4 degrees apart, so 199 steps turn 2860 degrees at least
-    assert 2860.0 * 0.95 < travel_deg(ordered) < 2860.0 * 1.1
-
-
-def test_travel_is_the_shortest_of_all_orders():
-    rng = np.random.default_rng(7)
-    for _ in range(5):
-        up = rng.standard_normal((7, 3))
-        up /= np.linalg.norm(up, axis=1, keepdims=True)
-        ordered = order_positions(up)
-        shortest = min(travel_deg(up[[0, *order]]) for order in itertools.permutations(range(1, 7)))
-        assert travel_deg(ordered) <= 1.05 * shortest
-        assert sorted(map(tuple, ordered)) == sorted(map(tuple, up))
-    # five quarter turns visit the faces
-    assert travel_deg(order_positions(read_scheme("faces-6").up)) == pytest.approx(450.0)
 
 
 # --- worth of a position

@@ -17,7 +17,7 @@ def matrix(columns, cal):
 
 def test_without_noise_the_readings_are_the_models():
     cal = sensor("own-quadratic")
-    found = mp.simulate(cal, "faces-corners-14")
+    found = mp.simulate(cal, "faces-corners-14", order="paper")
     up = mp.read_scheme("faces-corners-14").up
     np.testing.assert_array_equal(matrix(found, cal), cal.predict(up))
     assert list(found)[:4] == ["position", "up_x", "up_y", "up_z"]
@@ -25,7 +25,7 @@ def test_without_noise_the_readings_are_the_models():
 
 def test_the_noise_is_as_asked():
     cal = sensor()
-    found = mp.simulate(cal, "fibonacci-3000", reading_sd=[1e-3, 2e-3, 3e-3], seed=1)
+    found = mp.simulate(cal, "fibonacci-3000", order="paper", reading_sd=[1e-3, 2e-3, 3e-3], seed=1)
     noise = matrix(found, cal) - cal.predict(mp.read_scheme("fibonacci-3000").up)
     # 3000 readings know a standard deviation to 1.3 %; 99.99 % lies within 5 %.
     np.testing.assert_allclose(noise.std(axis=0), [1e-3, 2e-3, 3e-3], rtol=0.05)
@@ -34,7 +34,7 @@ def test_the_noise_is_as_asked():
 def test_the_orientation_error_is_per_axis():
     cal = sensor(bias=0.0, cross=0.0)
     up = mp.read_scheme("fibonacci-3000").up
-    found = mp.simulate(cal, "fibonacci-3000", orientation_sd=0.5, seed=2)
+    found = mp.simulate(cal, "fibonacci-3000", order="paper", orientation_sd=0.5, seed=2)
     angle = np.arccos(np.clip((cal.compensate(matrix(found, cal)) * up).sum(axis=1), -1.0, 1.0))
     # Two of the three axes tilt a direction: the mean square is 2 s².
     assert np.sqrt(np.mean(angle**2) / 2.0) == pytest.approx(np.radians(0.5), rel=0.05)
