@@ -15,6 +15,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
+from multipos.page import runtime
 from multipos.page.site import make_site, write_site
 
 pytestmark = pytest.mark.skipif(browser.find() is None, reason="no browser")
@@ -35,7 +36,8 @@ class Host:
     """A plain web server on a folder, as `python -m http.server` is."""
 
     def __init__(self, folder):
-        handler = functools.partial(Quiet, directory=str(folder))
+        self.asked = []
+        handler = functools.partial(Quiet, self.asked, directory=str(folder))
         self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
         self.thread = threading.Thread(target=self.server.serve_forever)
         self.thread.start()
@@ -48,6 +50,15 @@ class Host:
 
 
 class Quiet(http.server.SimpleHTTPRequestHandler):
+    def __init__(self, asked, *rest, **more):
+        self.asked = asked
+        super().__init__(*rest, **more)
+
+    def end_headers(self):
+        self.asked.append(self.path)
+        self.send_header("Access-Control-Allow-Origin", "*")
+        super().end_headers()
+
     def log_message(self, format, *args):
         pass
 
@@ -65,9 +76,8 @@ def hosted(folder):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Return the site, whole, as `multipos page -o` writes it."""
-    runtime = page_runtime.folder()
     place = tmp_path_factory.mktemp("site")
-    write_site(place, make_site(str(runtime)))
+    write_site(place, make_site(str(page_runtime.folder())))
     return place
 
 
@@ -352,10 +362,27 @@ def test_the_policy_keeps_out_what_is_not_the_site_s(visitor):
 def test_offline_after_the_first_visit(folder, tmp_path):
     with hosted(folder) as host, browser.browse(tmp_path, ONLY_THIS_MACHINE) as page:
         visit(page, host.address)
-        host.stop()
+        host.asked.clear()
         visit(page, f"{host.address}?again")
+        assert set(host.asked) <= {"/sw.js", "/site.js"}  # whether there is a newer site
+        host.stop()
+        visit(page, f"{host.address}?offline")
         assert answered(page, "document.getElementById('example').click()") == "done"
         assert next(iter(parameters(page))) == "bias_ax"
+
+
+def test_a_runtime_from_another_host_and_a_site_in_a_folder(tmp_path):
+    with hosted(page_runtime.folder()) as other, hosted(tmp_path) as host:
+        write_site(tmp_path / "tools" / "page", make_site(other.address))
+        with browser.browse(tmp_path, ONLY_THIS_MACHINE) as page:
+            visit(page, f"{host.address}tools/page/")
+            assert other.address.rstrip("/") in text(page, "host")
+            assert answered(page, "document.getElementById('example').click()") == "done"
+            policy = page.evaluate(
+                "fetch('worker.js').then(found => found.headers.get('Content-Security-Policy'))"
+            )
+        assert sorted(other.asked) == sorted(f"/{name}" for name in runtime.FILES)
+    assert f"connect-src 'self' {other.address.rstrip('/')};" in policy
 
 
 def test_a_file_with_another_hash_is_refused_by_name(folder, tmp_path):
