@@ -11,6 +11,7 @@ import json
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,9 @@ class Visit:
         else:
             path = _OUT / f"{self.name}{_SUFFIX[form]}"
             accepted = bool(asked.get("accept"))
-            made = export(calibration, form, allow_lossy=accepted, accept_doubts=accepted)
+            force = "force" if "force" in signature(export).parameters else "accept_doubts"
+            exporting: Any = export
+            made = exporting(calibration, form, allow_lossy=accepted, **{force: accepted})
             made.save(path)
         return {"path": str(path), "name": path.name}
 
@@ -266,10 +269,13 @@ def _faces(readings: Readings) -> Array | None:
 
 
 def _findings(calibration: Calibration) -> list[dict[str, Any]]:
+    found: Any = calibration
+    if hasattr(found, "findings"):
+        return [plain(finding.to_dict()) for finding in found.findings]
     levels = {"implausible": "error", "caution": "warning"}
     return [
         {"code": doubt.code, "level": levels[doubt.severity], "text": doubt.text, "action": ""}
-        for doubt in calibration.diagnostics.doubts
+        for doubt in found.diagnostics.doubts
     ]
 
 
