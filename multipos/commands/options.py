@@ -161,6 +161,7 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--name", default="multipos", help="the C function is NAME_compensate (default multipos)")
     add("--float", action="store_true", help="single precision, in C")
+    add("--fixed", action="store_true", help="32-bit whole numbers, no floating point, in C")
     add(
         "--allow-lossy",
         action="store_true",
@@ -192,7 +193,7 @@ def _whole(text: str) -> int:
 
 def export_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the options that `add_export_options` added, as `export` takes them."""
-    asked = ("name", "float", "allow_lossy", "accept_doubts")
+    asked = ("name", "float", "fixed", "allow_lossy", "accept_doubts")
     own = ("output_unit", "instance", "device_id", "stability", "tilt")
     return {name: getattr(arguments, name) for name in (*asked, *own)}
 

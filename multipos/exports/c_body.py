@@ -20,7 +20,9 @@ and the calibrated environment, so that
     steps = log(tolerance / largest force) / log(rho)                                      (3)
 
 of them are enough wherever the force is up to a third beyond what was calibrated; where rho
-exceeds one half nothing is written.
+exceeds one half nothing is written. Where fewer digits are asked for, in single precision and in
+whole numbers, the steps are taken on a grid of forces up to a third beyond what was calibrated, and
+as many are written as bring all of it within the tolerance.
 """
 
 import itertools
@@ -39,8 +41,11 @@ from multipos.sensor.inverse import sensed_axes
 
 _HEADROOM = 2.0  # times the largest calibrated force, over which rho is taken
 _SLOWEST = 0.5
-_TOLERANCE = {False: 1e-13, True: 1e-9}  # [g], by single precision
+_REACH = 4.0 / 3.0  # times it, over which steps are counted one by one
+_TOLERANCE = 1e-13  # [g], in double precision
+_SINGLE = 3e-8  # of the largest calibrated force: half a digit of single precision
 _GRID = 9
+_MOST = 40  # steps
 
 
 def environment_range(calibration: Calibration, name: str) -> tuple[float, float]:
@@ -65,9 +70,33 @@ def needed_steps(calibration: Calibration, slope: Array, *, single: bool) -> tup
             f"{_HEADROOM * largest:.3g} g (contraction {rho:.2g}, at most {_SLOWEST} is safe); "
             "drop terms whose coefficient is not significant, or use apply."
         )
+    if single:
+        return counted_steps(calibration, slope, _SINGLE * largest), rho
     reach = np.sqrt(3.0) * _HEADROOM * largest
-    needed = np.log(_TOLERANCE[single] / reach) / np.log(max(rho, 1e-16))
+    needed = np.log(_TOLERANCE / reach) / np.log(max(rho, 1e-16))
     return 1 + int(np.ceil(needed)), rho
+
+
+def counted_steps(calibration: Calibration, slope: Array, tolerance: float) -> int:
+    """Return how many steps of eq. (1) bring every force of a grid within a tolerance [g]."""
+    model, parameters = calibration.model, calibration.parameters
+    sensed = list(sensed_axes(model))
+    force, columns = force_grid(calibration, _REACH)
+    size = np.linalg.norm(force, axis=1)
+    within = size <= np.abs(force).max() * (1.0 + 1e-9)
+    force, columns = force[within], {name: column[within] for name, column in columns.items()}
+    raw, found = model.predict(parameters, force, columns), np.zeros_like(force)
+    normal = np.linalg.inv(slope.T @ slope)
+    for step in range(1, _MOST):
+        turned = (raw - model.predict(parameters, found, columns)) @ slope
+        if len(slope) > len(sensed):
+            J = model.force_jacobian(parameters, found, columns)[:, :, sensed]
+            left = raw - model.predict(parameters, found, columns)
+            turned = np.einsum("nmk,nm->nk", J, left)
+        found[:, sensed] += turned @ normal
+        if np.abs(found - force).max() <= tolerance:
+            return step
+    return _MOST
 
 
 def force_grid(calibration: Calibration, headroom: float) -> tuple[Array, dict[str, Array]]:

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.exports.c_source import signature
 from multipos.files.spelling import visible
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
@@ -26,6 +25,7 @@ _MEMORY = 4 << 30  # [byte], of the compiler and of the program each
 
 # Readings and forces go through files, so that nothing the function prints comes between them.
 _MAIN = """\
+#include <stdint.h>
 #include <stdio.h>
 {declaration};
 int main(void)
@@ -46,11 +46,12 @@ int main(void)
 """
 
 
-def run_c(
-    path: str, text: bytes, calibration: Calibration, name: str, single: bool, rows: Array
-) -> Array:
-    """Return what the function of a C file makes of rows (n, M + E), in a folder of its own."""
-    kind, axes = "float" if single else "double", len(sensed_axes(calibration.model))
+def run_c(path: str, text: bytes, calibration: Calibration, declaration: str, rows: Array) -> Array:
+    """Return what the function of a C file makes of rows (n, M + E), in a folder of its own.
+
+    `declaration` is that of its function, as `multipos.exports.c_source` writes it.
+    """
+    kind, axes = declaration.split("const ")[1].split()[0], len(sensed_axes(calibration.model))
     raw, count = len(calibration.outputs), len(calibration.model.environment)
     environment = (
         f"{kind} env[{count}]; for (int j = 0; j < {count}; ++j) env[j] = ({kind})row[{raw} + j];"
@@ -58,14 +59,14 @@ def run_c(
         else ""
     )
     main = _MAIN.format(
-        declaration=signature(calibration, name, single),
+        declaration=declaration,
         columns=raw + count,
         axes=axes,
         kind=kind,
         raw=raw,
         environment=environment,
         between="env, " if count else "",
-        name=name,
+        name=declaration.split("_compensate")[0].removeprefix("void "),
     )
     return compile_and_run(path, text, main, rows, axes)
 

@@ -26,6 +26,13 @@ from multipos.doubt import accepted
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_body import environment_range, function_body, literal
 from multipos.exports.c_expression import expression_body, unseen_part
+from multipos.exports.c_fixed import (
+    FixedPoint,
+    fixed_body,
+    fixed_defines,
+    fixed_notes,
+    fixed_signature,
+)
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.spelling import visible
 from multipos.numerics.arrays import Array
@@ -225,6 +232,17 @@ def c_source(
     return text
 
 
+def fixed_source(fixed: FixedPoint, name: str) -> str:
+    """Return the C99 file of a calibration in whole numbers."""
+    require_identifier(name)
+    how = "one matrix product" if not fixed.products else f"{1 + fixed.steps} steps"
+    head = _header(fixed.calibration, name, how, "g", False, fixed_notes(fixed, name))
+    return (
+        f"{head}\n#include <stdint.h>\n\n{fixed_defines(fixed, name)}\n"
+        f"{fixed_signature(fixed.calibration, name)}\n{fixed_body(fixed)}"
+    )
+
+
 def _in_metres(body: str, calibration: Calibration, single: bool) -> str:
     """Return the body of the function with its answer turned from g to m/s² at the end."""
     axes = len(sensed_axes(calibration.model))
@@ -343,7 +361,14 @@ def _negligible(calibration: Calibration) -> Array:
     return np.append(sizes, sizes.min())[model.output_of]
 
 
-def _header(calibration: Calibration, name: str, how: str, unit: str, tilt: bool) -> str:
+def _header(
+    calibration: Calibration,
+    name: str,
+    how: str,
+    unit: str,
+    tilt: bool,
+    notes: tuple[str, ...] = (),
+) -> str:
     c = calibration
     model = c.model
     axes = sensed_axes(model)
@@ -363,6 +388,7 @@ def _header(calibration: Calibration, name: str, how: str, unit: str, tilt: bool
         *env,
         f"accel[{len(sensed)}] = {', '.join(sensed)} [{unit}], convention {c.convention}",
         "raw and accel may be the same array.",
+        *notes,
         *(tilt_header(c) if tilt else ()),
         "",
         f"model       {model.text}",

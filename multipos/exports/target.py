@@ -41,6 +41,8 @@ class Wish(NamedTuple):
         Of the sensor, for consumers that want its noise.
     tilt : bool
         A function of the angles above the horizon as well.
+    fixed : bool
+        Whole numbers instead of floating point.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Wish(NamedTuple):
     in_metres: bool = False
     stability: Stability | None = None
     tilt: bool = False
+    fixed: bool = False
 
 
 class GivenFile(NamedTuple):

@@ -11,8 +11,23 @@ import numpy as np
 
 from multipos import __version__
 from multipos.errors import MultiposError
+from multipos.exports.c_fixed import (
+    FIXED,
+    find_fixed_point,
+    fixed_forces,
+    fixed_signature,
+    fixed_test,
+)
 from multipos.exports.c_running import run_c
-from multipos.exports.c_source import METRES, SIGNATURE, WRITTEN_BY, c_source, c_test
+from multipos.exports.c_source import (
+    METRES,
+    SIGNATURE,
+    WRITTEN_BY,
+    c_source,
+    c_test,
+    fixed_source,
+    signature,
+)
 from multipos.exports.laws import rms_left
 from multipos.exports.target import (
     Exported,
@@ -23,6 +38,7 @@ from multipos.exports.target import (
     refuse_strange,
 )
 from multipos.files.spelling import visible
+from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
@@ -33,6 +49,9 @@ _SAME = {"double": 1e-9, "float": 5e-7}  # how far the forces may be from the ca
 
 
 def _write(calibration: Calibration, wish: Wish) -> Exported:
+    if wish.fixed:
+        fixed = find_fixed_point(calibration)
+        return Exported(C.name, fixed_source(fixed, wish.name), fixed_test(fixed, wish.name))
     form = {"single": wish.single, "in_metres": wish.in_metres, "tilt": wish.tilt}
     text = c_source(calibration, wish.name, **form)
     return Exported(C.name, text, c_test(calibration, wish.name, **form))
@@ -40,11 +59,12 @@ def _write(calibration: Calibration, wish: Wish) -> Exported:
 
 def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     path, raw = file.path, file.raw
+    if FIXED.search(file.text):
+        return _read_back_fixed(file, calibration)
     found = SIGNATURE.search(file.text)
     assert found is not None  # or another target would have been asked
     _check_sizes(path, found, calibration)
     names = calibration.model.environment
-    sensed = list(sensed_axes(calibration.model))
     name, single = found["name"], found["type"] == "float"
     in_metres = METRES.search(file.text) is not None
     tilt = f"void {name}_tilt(" in file.text
@@ -57,7 +77,8 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     rows = np.column_stack([readings.values, *columns.values()])
     if single:
         rows = rows.astype(np.float32).astype(np.float64)
-    force = run_c(path, raw if foreign else own, calibration, name, single, rows)
+    declared = signature(calibration, name, single)
+    force = run_c(path, raw if foreign else own, calibration, declared, rows)
     if in_metres:
         force = force / STANDARD_GRAVITY
     should = calibration.compensate(
@@ -66,14 +87,41 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     )
     difference = float(np.abs(force - should).max())
     refuse_strange(path, difference, _SAME[found["type"]])
-    residuals = force - calibration.reference[:, sensed]
+    target = f"{C.name}, single precision" if single else C.name
+    return _verified(target, calibration, force, difference, foreign)
+
+
+def _read_back_fixed(file: GivenFile, calibration: Calibration) -> Verification:
+    """Return what a function of whole numbers makes of the readings, to the bit as Python does."""
+    found = FIXED.search(file.text)
+    assert found is not None
+    _check_sizes(file.path, found, calibration)
+    fixed = find_fixed_point(calibration)
+    own = fixed_source(fixed, found["name"]).encode()
+    foreign = file.raw != own
+    if foreign and not file.run_foreign_code:
+        raise MultiposError(f"{file.path}: {difference_of(file.raw, own)}")
+    rows = fixed.whole(calibration.readings.values)
+    declared = fixed_signature(calibration, found["name"])
+    text = file.raw if foreign else own
+    whole = run_c(file.path, text, calibration, declared, rows.astype(np.float64))
+    refuse_strange(file.path, float(np.abs(whole - fixed_forces(fixed, rows)).max()), 0.0)
+    force = whole / fixed.accel_per_g
+    difference = float(np.abs(force - calibration.compensate(calibration.readings.values)).max())
+    return _verified(f"{C.name}, whole numbers", calibration, force, difference, foreign)
+
+
+def _verified(
+    target: str, calibration: Calibration, force: Array, difference: float, foreign: bool
+) -> Verification:
+    sensed = list(sensed_axes(calibration.model))
     all_axes = np.zeros_like(calibration.reference)
-    all_axes[:, sensed] = residuals
+    all_axes[:, sensed] = force - calibration.reference[:, sensed]
     return Verification(
-        target=f"{C.name}, single precision" if single else C.name,
+        target=target,
         axes=tuple(COMPONENTS[i] for i in sensed),
-        positions=readings.labels,
-        residuals=residuals,
+        positions=calibration.readings.labels,
+        residuals=all_axes[:, sensed],
         rms=rms_left(calibration, all_axes),
         calibration_rms=calibration.rms,
         difference=difference,
@@ -84,7 +132,8 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
 def _check_sizes(path: str, found: re.Match[str], calibration: Calibration) -> None:
     model = calibration.model
     sizes = (len(calibration.outputs), len(model.environment), len(sensed_axes(model)))
-    if (int(found["raw"]), int(found["env"] or 0), int(found["accel"])) != sizes:
+    env = found.groupdict().get("env")
+    if (int(found["raw"]), int(env or 0), int(found["accel"])) != sizes:
         raise MultiposError(
             f"{path}: {found['name']}_compensate is not made for the outputs of this calibration; "
             "export again."
@@ -125,9 +174,9 @@ def difference_of(raw: bytes, own: bytes) -> str:
 C = Target(
     name="c",
     write=_write,
-    recognises=lambda text: SIGNATURE.search(text) is not None,
+    recognises=lambda text: any(form.search(text) for form in (SIGNATURE, FIXED)),
     read_back=_read_back,
     suffix=".c",
     is_code=True,
-    takes=("output_unit", "tilt"),
+    takes=("output_unit", "tilt", "fixed"),
 )

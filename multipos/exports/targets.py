@@ -35,6 +35,7 @@ def export(
     *,
     name: str = "multipos",
     float: bool = False,
+    fixed: bool = False,
     allow_lossy: bool = False,
     accept_doubts: bool = False,
     output_unit: Unit | None = None,
@@ -56,6 +57,8 @@ def export(
         The function of a target that is code is called ``NAME_compensate``.
     float : bool
         Single instead of double precision, of a target that is code.
+    fixed : bool
+        32-bit whole numbers instead of floating point, in C, of linear and quadratic models.
     allow_lossy : bool
         Let go of terms that the target cannot express; the rest is fitted again.
     accept_doubts : bool
@@ -99,12 +102,15 @@ def export(
         "device_id": device_id,
         "stability": stability,
         "tilt": tilt or None,
+        "fixed": fixed or None,
     }
+    if fixed and (float or tilt or output_unit is not None):
+        raise UsageError("--fixed has whole numbers of its own: no --float, --tilt, --output-unit.")
     _check_options(target, {name: value for name, value in others.items() if value is not None})
     if first is not None and not accept_doubts:
         refuse_implausible(first.diagnostics.doubts, f"the export to {to}")
     if regressions:
-        _check_correction(target, tilt, output_unit)
+        _check_correction(target, tilt, output_unit, fixed)
         return write_correction(correction_of(first, regressions, correct), name, single=float)
     if correct is not None:
         raise UsageError("--correct goes with a regression; a calibration gives forces.")
@@ -112,7 +118,7 @@ def export(
     if stability is not None and not isinstance(stability, Stability):
         stability = load_stability(stability)
     in_metres = output_unit == "m/s^2"
-    wish = Wish(name, float, allow_lossy, instance, device_id, in_metres, stability, tilt)
+    wish = Wish(name, float, allow_lossy, instance, device_id, in_metres, stability, tilt, fixed)
     return target.write(first, wish)
 
 
@@ -128,8 +134,10 @@ def _target(to: str, *, single: bool) -> Target:
     return target
 
 
-def _check_correction(target: Target, tilt: bool, output_unit: Unit | None) -> None:
+def _check_correction(target: Target, tilt: bool, output_unit: Unit | None, fixed: bool) -> None:
     """Refuse what is of a calibration alone where regressions are exported."""
+    if fixed:
+        raise UsageError("--fixed is of a calibration; a correction takes --float.")
     if tilt:
         raise UsageError("--tilt is of a calibration alone; a correction tells no angles.")
     if output_unit is not None:

@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 import pytest
+from multipos.uncertainty.profiles import fit_residuals, search_interval
 from numpy.testing import assert_allclose
 
 from multipos.numerics.least_squares import solve
 from multipos.sensor.derived import propagate
-from multipos.uncertainty.profiles import fit_residuals, search_interval
 from multipos.uncertainty.propagation import welch_satterthwaite
 
 # H.3: corrections of a thermometer [degC] at temperatures [degC], table H.6

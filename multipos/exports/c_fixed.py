@@ -1,0 +1,352 @@
+"""The model's inverse in whole numbers, for processors without floating point.
+
+Readings and forces are 32-bit integers, raw = R y and accel = A f with a power of ten R (1 where
+readings are counts) and A of units, and products have 64 bits. With f₀ = P (y − b), the linear
+part, and D = P q for the second-order coefficients q of products φ of forces,
+
+    f₀ = (Σ_i L_ki raw_i + c_k) / 2^s,        f <- f₀ − Σ_q D_kq φ_q(f) / 2^r,             (1)
+
+with L, c, D whole numbers, rounded once. The shift s is the largest for which
+
+    Σ_i |L_ki| ≤ 2^30    and    |c_k| ≤ 2^61,                                               (2)
+
+so that no reading of 32 bits overflows; φ = (f_a f_b)/2^t of forces that are held within four times
+what was calibrated, with t so that φ stays below 2^30, and r by a bound like (2). What is beyond 32
+bits in the end is saturated. Python runs the same whole numbers (`fixed_forces`), and both are the
+same to the last bit.
+"""
+
+import itertools
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from textwrap import wrap
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError
+from multipos.exports.c_body import counted_steps, exact_inverse
+from multipos.numerics.arrays import Array
+from multipos.numerics.terms import COMPONENTS, Term
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.inverse import sensed_axes
+
+COUNTS = ("count", "counts", "LSB", "lsb")  # units of readings that are whole numbers
+PER_G = 1_000_000  # of force, so that one is a µg
+FIXED = re.compile(
+    r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const int32_t raw\[(?P<raw>\d{1,6})\], "
+    r"int32_t accel\[(?P<accel>\d{1,6})\]\)",
+    re.MULTILINE | re.ASCII,
+)
+_LARGEST = 2**31 - 1
+_SUM = 2**30  # bound of eq. (2)
+_CONSTANT = 2**61
+_HELD = 4.0  # times the largest calibrated force, within which products are taken
+_TOLERANCE = 0.5  # of the last bit, that steps leave
+_MOST_STEPS = 8
+
+Whole = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPoint:
+    """The numbers of eq. (1).
+
+    Attributes
+    ----------
+    calibration : Calibration
+    raw_per_unit, accel_per_g : int
+        R and A.
+    linear : (K, M) array
+    constant : (K,) array
+    shift : int
+        s.
+    products : tuple of pairs of int
+        The two axes of each φ, as places among the K that are sensed.
+    quadratic : (K, Q) array
+    product_shift, quadratic_shift : int
+        t and r.
+    held : int
+        Largest force in a product.
+    steps : int
+    """
+
+    calibration: Calibration
+    raw_per_unit: int
+    accel_per_g: int
+    linear: Whole
+    constant: Whole
+    shift: int
+    products: tuple[tuple[int, int], ...]
+    quadratic: Whole
+    product_shift: int
+    quadratic_shift: int
+    held: int
+    steps: int
+
+    @cached_property
+    def error(self) -> float:
+        """Largest error [g] against the calibration at the corners of its readings, and between."""
+        values = self.calibration.readings.values
+        low, high = values.min(axis=0), values.max(axis=0)
+        corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+        rows = self.whole(np.concatenate([corners, values, (values + np.roll(values, 1, 0)) / 2.0]))
+        exact = self.calibration.compensate(rows / self.raw_per_unit)
+        difference = fixed_forces(self, rows) / self.accel_per_g - exact
+        return float(np.abs(difference[np.isfinite(exact).all(axis=1)]).max())
+
+    def whole(self, values: Array) -> Whole:
+        """Return readings (n, M) as the function takes them."""
+        return np.rint(values * self.raw_per_unit).astype(np.int64)
+
+
+def find_fixed_point(calibration: Calibration) -> FixedPoint:
+    """Return the whole numbers that compensate as a calibration does.
+
+    Raises
+    ------
+    MultiposError
+        The model is not linear or quadratic in the forces alone, or its numbers do not fit.
+    """
+    c, model = calibration, calibration.model
+    sensed = list(sensed_axes(model))
+    _require_quadratic(c, sensed)
+    theta = model.coefficients(c.parameters)
+    columns = [
+        next(i for i, t in enumerate(model.basis_terms) if t.along == axis)
+        for axis in (COMPONENTS[i] for i in sensed)
+    ]
+    bias = np.zeros(len(c.outputs))
+    second: dict[tuple[int, int], Array] = {}
+    for column, term in enumerate(model.basis_terms):
+        if not term.factors:
+            bias = theta[:, column]
+        elif (pair := _pair(term, sensed)) is not None:
+            second[pair] = theta[:, column]
+    P = exact_inverse(theta[:, columns])
+    R, largest = _raw_per_unit(c), float(np.linalg.norm(c.reference, axis=1).max())
+    scaled, offset = P * (PER_G / R), -(P @ bias) * PER_G
+    shift = _shift(np.abs(scaled).sum(axis=1).max(), _SUM, np.abs(offset).max(), _CONSTANT)
+    held = int(np.ceil(_HELD * largest * PER_G))
+    if shift < 1 or held > _LARGEST:
+        raise MultiposError(
+            "--fixed: one reading moves the force by more than 32-bit numbers resolve; state the "
+            "unit of the readings with --unit, or leave out --fixed."
+        )
+    t = max(0, (held * held // _SUM).bit_length())
+    D = np.zeros((len(sensed), len(second)))
+    if second:
+        D = P @ np.column_stack(list(second.values())) * (2.0**t / PER_G)
+    r = _shift(np.abs(D).sum(axis=1).max(initial=0.0), _SUM, 0.0, _CONSTANT) if second else 0
+    quadratic = _whole(D, r)
+    used = quadratic.any(axis=0)
+    steps = counted_steps(c, theta[:, columns], _TOLERANCE / PER_G) if used.any() else 0
+    if steps > _MOST_STEPS:
+        raise MultiposError(
+            f"--fixed: the second order of this model takes more than {_MOST_STEPS} steps; drop "
+            "terms whose coefficient is not significant, or leave out --fixed."
+        )
+    return FixedPoint(
+        calibration=c,
+        raw_per_unit=R,
+        accel_per_g=PER_G,
+        linear=_whole(scaled, shift),
+        constant=_whole(offset, shift),
+        shift=shift,
+        products=tuple(pair for pair, kept in zip(second, used.tolist(), strict=True) if kept),
+        quadratic=quadratic[:, used],
+        product_shift=t,
+        quadratic_shift=r,
+        held=held,
+        steps=max(steps - 1, 0),  # the linear part is the first
+    )
+
+
+def _require_quadratic(c: Calibration, sensed: list[int]) -> None:
+    model, axes = c.model, {COMPONENTS[i] for i in sensed}
+    fits = not (model.environment or isinstance(model, ExpressionModel))
+    second = False
+    for term in model.basis_terms if fits else ():
+        degree = sum(f.power for f in term.factors)
+        fits &= degree <= 2 and all(not f.function and f.variable in axes for f in term.factors)
+        second |= degree == 2
+    if not fits or (second and len(c.outputs) != len(sensed)):
+        raise MultiposError(
+            f"--fixed writes linear and quadratic models of the force alone, and this one is "
+            f"'{model.text}' of {len(c.outputs)} outputs; fit another, or leave out --fixed."
+        )
+
+
+def _pair(term: Term, sensed: list[int]) -> tuple[int, int] | None:
+    """Return the two axes of a term of second order."""
+    axes = [f.variable for f in term.factors for _ in range(f.power)]
+    if len(axes) != 2:
+        return None
+    a, b = (sensed.index(COMPONENTS.index(axis)) for axis in axes)
+    return a, b
+
+
+def _raw_per_unit(c: Calibration) -> int:
+    """Return R: 1 of counts, else the largest power of ten with a bit to spare."""
+    if c.model.unit in COUNTS:
+        return 1
+    largest = float(np.abs(c.readings.values).max())
+    return int(10 ** max(0, int(np.floor(np.log10(_LARGEST / 2.0 / largest)))))
+
+
+def _shift(size: float, bound: int, other: float, other_bound: int) -> int:
+    """Return the largest s with size 2^s ≤ bound and other 2^s ≤ its bound."""
+    s = int(np.floor(np.log2(bound / size))) if size > 0.0 else 62
+    if other > 0.0:
+        s = min(s, int(np.floor(np.log2(other_bound / other))))
+    return min(s, 62)
+
+
+def _whole(values: Array, shift: int) -> Whole:
+    return np.rint(np.ldexp(values, shift)).astype(np.int64)
+
+
+def fixed_forces(fixed: FixedPoint, raw: Whole) -> Whole:
+    """Return the forces (n, K) of readings (n, M) in whole numbers, to the bit what C gives."""
+    first = _rounded(raw @ fixed.linear.T + fixed.constant, fixed.shift)
+    force = first
+    for _ in range(fixed.steps):
+        held = np.clip(force, -fixed.held, fixed.held)
+        products = np.column_stack(
+            [(held[:, a] * held[:, b]) >> fixed.product_shift for a, b in fixed.products]
+        )
+        force = first - _rounded(products @ fixed.quadratic.T, fixed.quadratic_shift)
+    return np.clip(force, -_LARGEST - 1, _LARGEST)
+
+
+def _rounded(total: Whole, shift: int) -> Whole:
+    return (total + (1 << shift >> 1)) >> shift
+
+
+def fixed_signature(c: Calibration, name: str) -> str:
+    """Return the declaration, without a semicolon."""
+    axes = len(sensed_axes(c.model))
+    return f"void {name}_compensate(const int32_t raw[{len(c.outputs)}], int32_t accel[{axes}])"
+
+
+def fixed_notes(fixed: FixedPoint, name: str) -> tuple[str, ...]:
+    """Return what the comment of the file says of the whole numbers, as lines."""
+    unit = fixed.calibration.model.unit
+    raw = "counts" if unit in COUNTS else f"readings [{unit}] times {name}_RAW_PER_UNIT, rounded"
+    return (
+        f"In 32-bit whole numbers: raw are {raw};",
+        f"accel is the force times {name}_ACCEL_PER_G, saturated.",
+        "Shifts of negative numbers are arithmetic, as compilers have them.",
+        f"Largest error at the corners of the calibrated range: {1e6 * fixed.error:.2g} µg.",
+    )
+
+
+def fixed_defines(fixed: FixedPoint, name: str) -> str:
+    """Return the scale factors as definitions of the preprocessor."""
+    lines = [f"#define {name}_ACCEL_PER_G {fixed.accel_per_g}"]
+    if fixed.calibration.model.unit not in COUNTS:
+        lines.append(f"#define {name}_RAW_PER_UNIT {fixed.raw_per_unit}")
+    return "\n".join(lines) + "\n"
+
+
+def fixed_test(fixed: FixedPoint, name: str) -> str:
+    """Return a C99 program that checks the function against Python, to the bit."""
+    values = fixed.calibration.readings.values
+    rows = fixed.whole(np.concatenate([values, 2.0 * values - np.roll(values, 1, axis=0)])[:24])
+    arrays = "\n".join(
+        f"static const int32_t {key}[COUNT][{numbers.shape[1]}] = {{\n"
+        + ",\n".join(f"    {{{', '.join(map(str, row))}}}" for row in numbers.tolist())
+        + "\n};"
+        for key, numbers in (("raw", rows), ("expected", fixed_forces(fixed, rows)))
+    )
+    return f"""\
+/* Self-test of {name}_compensate: compile with the file that holds it, and run.
+   Exits with 0 where every value is met. */
+#include <stdint.h>
+#include <stdio.h>
+
+{fixed_signature(fixed.calibration, name)};
+
+enum {{ COUNT = {len(rows)}, AXES = {len(fixed.linear)} }};
+
+{arrays}
+
+int main(void)
+{{
+    int failed = 0;
+    for (int i = 0; i < COUNT; ++i) {{
+        int32_t accel[AXES];
+        {name}_compensate(raw[i], accel);
+        for (int k = 0; k < AXES; ++k)
+            if (accel[k] != expected[i][k]) {{
+                printf("vector %d, axis %d: %ld\\n", i + 1, k + 1, (long)accel[k]);
+                failed = 1;
+            }}
+    }}
+    puts(failed ? "FAILED" : "{name}_compensate: all values met");
+    return failed;
+}}
+"""
+
+
+def fixed_body(fixed: FixedPoint) -> str:
+    """Return the body of the function."""
+    K, M = fixed.linear.shape
+    lines = ["{", f"    int64_t f[{K}];"]
+    if fixed.products:
+        lines.append(f"    int64_t first[{K}];")
+    to = "first" if fixed.products else "f"
+    for k in range(K):
+        parts = [_times(int(fixed.linear[k, i]), f"raw[{i}]") for i in range(M)]
+        lines += _shifted(f"{to}[{k}]", [*parts, _constant(fixed, k)], fixed.shift)
+    if fixed.products:
+        lines += _steps(fixed, K)
+    return "\n".join([*lines, *_saturated(K), "}"]) + "\n"
+
+
+def _times(factor: int, what: str) -> str:
+    return f"(int64_t){factor} * {what}"
+
+
+def _constant(fixed: FixedPoint, k: int) -> str:
+    """Return c and the half that rounds, of eq. (1)."""
+    return f"INT64_C({int(fixed.constant[k]) + (1 << fixed.shift >> 1)})"
+
+
+def _shifted(target: str, parts: list[str], shift: int) -> list[str]:
+    """Return a sum that is shifted to the right, wrapped between its parts."""
+    text = f"{target} = ({' + '.join(parts)}) >> {shift};"
+    return wrap(text, 90, initial_indent="    ", subsequent_indent=" " * 8, break_long_words=False)
+
+
+def _steps(fixed: FixedPoint, K: int) -> list[str]:
+    held = fixed.held
+    lines = [
+        f"    for (int k = 0; k < {K}; ++k)",
+        "        f[k] = first[k];",
+        f"    for (int step = 0; step < {fixed.steps}; ++step) {{",
+        f"        for (int k = 0; k < {K}; ++k)",
+        f"            f[k] = f[k] > {held} ? {held} : f[k] < -{held} ? -{held} : f[k];",
+    ]
+    for q, (a, b) in enumerate(fixed.products):
+        lines.append(f"        const int64_t p{q} = (f[{a}] * f[{b}]) >> {fixed.product_shift};")
+    half = 1 << fixed.quadratic_shift >> 1
+    for k in range(K):
+        row = fixed.quadratic[k].tolist()
+        parts = [f"{_times(v, f'p{q}')}" for q, v in enumerate(row) if v] + [f"INT64_C({half})"]
+        text = f"f[{k}] = first[{k}] - (({' + '.join(parts)}) >> {fixed.quadratic_shift});"
+        lines += wrap(
+            text, 90, initial_indent=" " * 8, subsequent_indent=" " * 12, break_long_words=False
+        )
+    return [*lines, "    }"]
+
+
+def _saturated(K: int) -> list[str]:
+    return [
+        f"    for (int k = 0; k < {K}; ++k)",
+        "        accel[k] = f[k] > INT32_MAX   ? INT32_MAX",
+        "                   : f[k] < INT32_MIN ? INT32_MIN",
+        "                                      : (int32_t)f[k];",
+    ]

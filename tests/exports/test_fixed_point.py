@@ -1,0 +1,115 @@
+"""C in whole numbers: to the bit as Python has it, and near the calibration at every corner."""
+
+import itertools
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos import cli
+from multipos.errors import MultiposError, UsageError
+from multipos.exports.c_fixed import find_fixed_point, fixed_forces
+
+UP = mp.read_scheme("fibonacci-24").up
+MATRIX = np.array([[1.02, 0.01, -0.02], [-0.015, 0.98, 0.01], [0.02, 0.005, 1.01]])
+compiler = shutil.which("gcc") or shutil.which("clang")
+needs_compiler = pytest.mark.skipif(compiler is None, reason="no C compiler")
+
+
+def calibration(model="linear", unit="count", scale=16384.0, second=5e-3):
+    values = scale * (UP @ MATRIX.T + [0.02, -0.03, 0.01] + second * UP**2)
+    values = np.rint(values) if unit == "count" else values
+    return mp.fit(mp.Readings(values, unit=unit, up=UP), model=model)
+
+
+CASES = [("linear", "count", 16384.0), ("linear", "V", 2.5), ("own-quadratic", "count", 4096.0)]
+CASES += [("cross-quadratic", "V", 0.33), ("own-quadratic", "m/s^2", 9.8)]
+
+
+@pytest.mark.parametrize(("model", "unit", "scale"), CASES)
+def test_every_corner_of_the_range_is_within_what_the_comment_says(model, unit, scale):
+    cal = calibration(model, unit, scale)
+    fixed = find_fixed_point(cal)
+    ends = zip(cal.readings.values.min(0), cal.readings.values.max(0), strict=True)
+    corners = np.array(list(itertools.product(*ends)))
+    raw = np.rint(corners * fixed.raw_per_unit).astype(np.int64)
+    off = fixed_forces(fixed, raw) / fixed.accel_per_g - cal.compensate(raw / fixed.raw_per_unit)
+    said = float(re.search(r"range: ([\d.e-]+) µg", mp.export(cal, to="c", fixed=True).text)[1])
+    assert 1e6 * np.abs(off).max() <= 1.01 * said  # printed to two digits
+    assert said < 2.0  # two of the last bit, 1 µg
+
+
+@needs_compiler
+@pytest.mark.parametrize(("model", "unit", "scale"), CASES)
+def test_c_and_python_are_the_same_to_the_bit(model, unit, scale, tmp_path):
+    cal = calibration(model, unit, scale)
+    path = tmp_path / "imu.c"
+    mp.export(cal, to="c", fixed=True, name="imu").save(path)
+    assert " double" not in path.read_text("utf-8").partition("*/")[2]
+    found = mp.verify_export(path, cal)
+    assert found.target == "c, whole numbers"
+    assert found.difference < 3e-6  # bits of the last place
+    command = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2"]
+    command += ["-fsanitize=undefined", "-fno-sanitize-recover", "imu.c", "imu_test.c", "-o", "t"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    done = subprocess.run([tmp_path / "t"], capture_output=True, text=True, check=True)
+    assert "all values met" in done.stdout
+
+
+def test_no_reading_overflows():
+    """The sums of eq. (1) in integers without a bound, for the largest readings there are."""
+    for model, unit, scale in CASES:
+        fixed = find_fixed_point(calibration(model, unit, scale))
+        for row, c in zip(fixed.linear.tolist(), fixed.constant.tolist(), strict=True):
+            assert sum(abs(v) for v in row) * 2**31 + abs(c) + 2**fixed.shift < 2**63
+        for row in fixed.quadratic.tolist():
+            largest = fixed.held**2 >> fixed.product_shift
+            assert sum(abs(v) for v in row) * largest + 2**fixed.quadratic_shift < 2**63
+
+
+def test_what_is_beyond_32_bits_is_saturated():
+    fixed = find_fixed_point(calibration(scale=16.0))
+    far = np.full((1, 3), 2**31 - 1)
+    assert fixed_forces(fixed, far).max() == 2**31 - 1
+    assert fixed_forces(fixed, -far).min() == -(2**31)
+
+
+def test_the_scale_factors_are_definitions():
+    counts = mp.export(calibration(), to="c", fixed=True, name="imu").text
+    volts = mp.export(calibration(unit="V", scale=2.5), to="c", fixed=True, name="imu").text
+    assert "#define imu_ACCEL_PER_G 1000000\n" in counts
+    assert "RAW_PER_UNIT" not in counts.partition("*/")[2]
+    assert "#define imu_RAW_PER_UNIT 100000000\n" in volts
+    assert "void imu_compensate(const int32_t raw[3], int32_t accel[3])" in volts
+
+
+def test_other_models_and_options_are_refused():
+    with pytest.raises(MultiposError, match="linear and quadratic models"):
+        mp.export(calibration("own-cubic"), to="c", fixed=True)
+    with pytest.raises(MultiposError, match="linear and quadratic models"):
+        mp.export(calibration("each = b + s*own"), to="c", fixed=True)
+    with pytest.raises(UsageError, match="--fixed"):
+        mp.export(calibration(), to="c", fixed=True, float=True)
+    with pytest.raises(UsageError, match="--fixed is for --to c"):
+        mp.export(calibration(), to="px4", fixed=True)
+
+
+def test_a_file_that_was_changed_is_found(tmp_path, capsys):
+    cal = calibration()
+    cal.save(tmp_path / "cal.json")
+    text = mp.export(cal, to="c", fixed=True).text
+    (tmp_path / "imu.c").write_text(text.replace(">> ", ">>  ", 1), encoding="utf-8")
+    assert cli.main(["verify-export", str(tmp_path / "imu.c"), str(tmp_path / "cal.json")]) != 0
+    assert "where export writes" in capsys.readouterr().err
+
+
+def test_single_precision_takes_no_step_that_it_cannot_hold():
+    cal = calibration("own-quadratic", "V", 2.5)
+    steps = {
+        float_: int(re.search(r"step < (\d+)", mp.export(cal, to="c", float=float_).text)[1])
+        for float_ in (False, True)
+    }
+    assert steps[True] <= 4 < steps[False]
