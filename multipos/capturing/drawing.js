@@ -128,7 +128,7 @@ export function makeSphere(svg) {
   }
 
   function mark({ direction, kind, label = "", title = "" }) {
-    const [x, y, z] = at(direction), radius = { next: 13, refused: 5, now: 7 }[kind] || 9;
+    const [x, y, z] = at(direction), radius = { next: 13, refused: 5, now: label ? 9 : 7 }[kind] || 9;
     const parts = [drawn("circle", { cx: x, cy: y, r: radius, class: kind })];
     if (label && z >= 0) {
       const beside = kind === "next" ? 18 : 0; // its ring may stand around another mark

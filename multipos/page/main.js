@@ -45,7 +45,7 @@ function translate() {
 // State -----------------------------------------------------------------------------------------
 
 const STATUS = {
-  loading: () => T("The program is being loaded…"), ready: () => "", working: () => T("Calculating…"),
+  loading: () => T("The program is being loaded, 10 MB the first time…"), ready: () => "", working: () => T("Calculating…"),
   done: () => "", error: () => "",
 };
 
@@ -61,7 +61,9 @@ function become(state) {
 function fail(text) {
   $("error").textContent = text;
   $("error").hidden = !text;
-  if (text) become("error");
+  if (!text) return;
+  become("error");
+  $("error").scrollIntoView({ block: "nearest" });
 }
 
 // The worker ------------------------------------------------------------------------------------
@@ -75,12 +77,17 @@ async function guard() {
     throw new Error(T("This browser gives the page no service worker here: open it by https or on localhost, and not in a private window."));
   }
   navigator.serviceWorker.addEventListener("message", ({ data }) => data.refused && fail(data.refused));
-  await navigator.serviceWorker.register("sw.js", { updateViaCache: "none" });
+  const changed = new Promise(resolve => {
+    navigator.serviceWorker.addEventListener("controllerchange", resolve, { once: true });
+  });
+  const found = await navigator.serviceWorker.register("sw.js", { updateViaCache: "none" });
   await navigator.serviceWorker.ready;
-  if (!navigator.serviceWorker.controller) {
-    await new Promise(resolve => {
-      navigator.serviceWorker.addEventListener("controllerchange", resolve, { once: true });
-    });
+  if (!navigator.serviceWorker.controller) await changed;
+  else if (found.waiting) { // a newer site, found by the last visit: this page begins anew as that
+    found.waiting.postMessage("take over");
+    await changed;
+    location.reload();
+    await new Promise(() => {});
   }
 }
 
@@ -130,6 +137,7 @@ async function contents(files) {
 
 // Calibrate -------------------------------------------------------------------------------------
 
+const KINDS = { known: "known orientations", six: "six faces", free: "hand-held", log: "raw log" };
 const sphere = makeSphere($("positions"));
 let chosen = []; // the files of now; none where the rows count
 
@@ -167,7 +175,11 @@ async function calibrate() {
 
 function show(answer) {
   $("answer").textContent = answer.sentence;
-  $("findings").replaceChildren(...answer.findings.map(finding => {
+  for (const name of ["kind", "unit"]) {
+    $(name).options[0].textContent = `${T("what they show")}: ${T(KINDS[answer[name]] || answer[name])}`;
+  }
+  const nothing = [element("li", T("There is nothing to warn of."), "note")];
+  $("findings").replaceChildren(...!answer.findings.length ? nothing : answer.findings.map(finding => {
     const made = element("li", [finding.text, " ", element("b", finding.action)], finding.level);
     made.dataset.code = finding.code;
     return made;

@@ -72,7 +72,6 @@ async function refused(url, why) {
 }
 
 self.addEventListener("install", event => {
-  self.skipWaiting();
   const own = ["site.js", ...Object.keys(SITE.files)].map(name => fetched(known(HOME + name)));
   event.waitUntil(Promise.all(own));
 });
@@ -83,6 +82,11 @@ self.addEventListener("activate", event => {
     await Promise.all(old.filter(name => /^(multipos|pyodide)-/.test(name)).map(name => caches.delete(name)));
     await clients.claim();
   })());
+});
+
+// A newer service worker waits until a page begins: none shall run with parts of two sites.
+self.addEventListener("message", event => {
+  if (event.data === "take over") self.skipWaiting();
 });
 
 self.addEventListener("fetch", event => {

@@ -18,7 +18,10 @@ import multipos as mp
 from multipos.page import runtime
 from multipos.page.site import make_site, write_site
 
-pytestmark = pytest.mark.skipif(browser.find() is None, reason="no browser")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(browser.find() is None, reason="no browser"),
+]
 README = """position,direction,ax,ay,az
 1,E-U-S,0.0071,1.0029,-0.0016
 2,E-N-U,-0.0094,-0.0058,1.0008
@@ -383,6 +386,23 @@ def test_a_runtime_from_another_host_and_a_site_in_a_folder(tmp_path):
             )
         assert sorted(other.asked) == sorted(f"/{name}" for name in runtime.FILES)
     assert f"connect-src 'self' {other.address.rstrip('/')};" in policy
+
+
+def test_a_newer_site_is_taken_as_a_whole_by_the_visit_after_the_next(folder, tmp_path):
+    place = tmp_path / "site"
+    base = "self.SITE.runtime.base"
+    with hosted(folder / "runtime") as other, hosted(tmp_path) as host:
+        write_site(place, make_site(other.address))
+        with browser.browse(tmp_path, ONLY_THIS_MACHINE) as page:
+            visit(page, f"{host.address}site/")
+            write_site(place, make_site(str(folder / "runtime")))
+            visit(page, f"{host.address}site/?while-it-is-fetched")
+            assert page.evaluate(base) == other.address
+            waiting = "navigator.serviceWorker.getRegistration().then(found => !!found.waiting)"
+            page.wait(waiting)
+            visit(page, f"{host.address}site/?newer")
+            page.wait(f"{base} === 'runtime/' && {STATE} === 'ready'")
+            assert answered(page, "document.getElementById('example').click()") == "done"
 
 
 def test_a_file_with_another_hash_is_refused_by_name(folder, tmp_path):
