@@ -10,7 +10,7 @@ import numpy as np
 
 import multipos as mp
 from benchmarks.timing import Ratio, paired_ratio
-from multipos.estimation.batches import fit_output, share_design
+from multipos.estimation.known import fit_output, share_design
 
 _LOOPED = 10
 _BLOCK = 8000  # units, as many as a task has

@@ -1,41 +1,66 @@
-"""Known orientations: linear least squares of every output.
+"""Known orientations: linear least squares of every output, of one unit or of many.
 
 With the reference known, eq. (1) of `multipos.sensor.model` is linear in the coefficients of each
-output, y = X p + e, and is solved by `multipos.numerics.least_squares`. The covariance is
+output. B units that were read at the same positions share its design X = Q R (n, p); with the
+readings of the output as rows, Y (B, n),
 
-    cov p = s² (X'X)⁻¹      where the residuals give the noise, s² = r'r/(n − p)           (1)
-    cov p = (X'V⁻¹X)⁻¹      where the readings state it, V their covariance                (2)
+    b = Y X⁺',    r = Y − b X',    cov b = s² C,    C = R⁻¹ R⁻ᵀ,    s² = r r'/(n − p).       (1)
 
-A stated noise is a floor: V is it and what readings scatter from rest to rest beside it
-(`multipos.estimation.excess_variance`). Where χ² = r'V⁻¹r under the stated part alone passes its
-99.9 % point it is denied, which `multipos.diagnostics.residuals` says with its cause; below its 0.1
-% point it is called overstated.
+b is the exact answer for the numbers given but for a relative κε of the *residuals*, κ the
+condition of X: with b₀ = Y X⁺' rounded to a grid of 20 bits and X = X₁ + X₂ split at 26, no sum of
+products b₀ X₁' rounds, and
+
+    r = ((Y − b₀ X₁') − b₀ X₂') − (b − b₀) X',   error below 2⁻⁷⁰ |Y|.                        (2)
+
+Stated uncertainties u (B, n) give every unit weights of its own. About (1) the weighted solution is
+
+    b + R⁻¹ d,    (Q'WQ) d = Q'W r,    W = diag 1/(u² + τ²),    cov = R⁻¹ (Q'WQ)⁻¹ R⁻ᵀ,      (3)
+
+whose rounding is relative to the residuals. It is worked out with τ = 0; the excess variance τ² of
+readings from position to position is integrated over by `multipos.estimation.excess_variance`, of
+all units at once; and (3) again with the τ² that was found. Where χ² = r'W r at τ = 0 passes its
+99.9 % point the stated uncertainty is rejected, which `multipos.diagnostics.residuals` reports with
+its cause; below the 0.1 % point it is called overstated.
+
+A condition beyond 1e6, or weights further apart than 1e6, leave too few digits to (2) and (3):
+these problems are solved one by one by `multipos.numerics.least_squares`. Correlated readings are
+one problem of all outputs of one unit.
 
 References
 ----------
-JCGM 100:2008, clauses 4.2 and 6.2.
+JCGM 100:2008, clauses 4.2 and 6.2. Å. Björck, *Numerical Methods for Least Squares Problems*, SIAM
+1996, section 2.9 (fixed design, iterative refinement). K. Ozaki, T. Ogita, S. Oishi, S. M. Rump,
+Numer. Algorithms 59, 2012 (products of split matrices without rounding).
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import RankError
-from multipos.estimation.excess_variance import find_scatter
+from multipos.estimation.batches import Estimates, join_estimates, rms_of
+from multipos.estimation.excess_variance import Scatter, find_scatter
 from multipos.estimation.identifiability import formal_only
 from multipos.estimation.solution import Solution
+from multipos.estimation.stated_uncertainty import Claims, carried_dof, take_claims
+from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array
+from multipos.numerics.factoring import singular_values
 from multipos.numerics.least_squares import (
     DependentColumnsError,
     LinearFit,
     block_design,
+    factor_alike,
     solve,
-    solve_alike,
 )
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS, linear_term
-from multipos.positions.readings import Readings, add_variances, diagonal, stated_sd
+from multipos.positions.readings import Readings, add_variances
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import (
     UNEQUAL,
@@ -48,6 +73,13 @@ from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
 
 FLOOR = 1e-9  # [g], absolute norm below which a column of the design is zero
+DENIED = 0.999  # χ² point beyond which the residuals reject a stated noise
+ROUNDING = 1e-9  # residuals below this part of the readings are those of a search or of rounding
+_COARSE = 20  # bits of the coefficients that multiply without rounding
+_SPLIT = 26  # bits of the design that they multiply
+_WORST = 1e6  # condition, or ratio of variances, beyond which (2) and (3) lack digits
+_REFINEMENTS = 2  # of eq. (3), the second for the rounding of the first
+_AT_ONCE = 12_000  # readings of an output, so that the weights of eq. (3) stay in cache
 _UNSUPPORTED = (
     "the outputs' residual variances differ (Bartlett's test at 5 %), so pooling them is not "
     "supported by the data"
@@ -56,7 +88,414 @@ _NOTHING_LEFT = (
     "as many terms as readings: nothing is left to estimate the uncertainty from; give "
     "--reading-sd or more positions"
 )
-DENIED = 0.999  # χ² point beyond which the residuals deny a stated noise
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """The design X = Q R of outputs that share it.
+
+    Attributes
+    ----------
+    outputs : list of m int
+    design, Q : (n, p) arrays
+    root, cofactor : (p, p) arrays
+        R⁻¹ and C.
+    inverse : (p, n) array
+        X⁺.
+    leverage : (n,) array
+    condition : float
+    """
+
+    outputs: list[int]
+    design: Array
+    Q: Array
+    root: Array
+    cofactor: Array
+    inverse: Array
+    leverage: Array
+    condition: float
+
+    @property
+    def products(self) -> Array:
+        """Products of the columns of Q (n, p²)."""
+        return np.asarray(self.Q[:, :, None] * self.Q[:, None, :]).reshape(len(self.Q), -1)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedDesign:
+    """The designs of a model at positions that units share.
+
+    Attributes
+    ----------
+    model : Model
+    reference : (n, 3) array [g]
+    environment : mapping of str to (n,) array
+        Other columns of the model.
+    basis : (n, T) array
+        Columns of all outputs.
+    groups : tuple of Design
+    """
+
+    model: Model
+    reference: Array
+    environment: Mapping[str, Array]
+    basis: Array
+    groups: tuple[Design, ...]
+
+    @cached_property
+    def by_output(self) -> list[Design]:
+        """The design of every output."""
+        found = {i: each for each in self.groups for i in each.outputs}
+        return [found[i] for i in range(len(found))]
+
+    @property
+    def designs(self) -> list[Array]:
+        """X of every output."""
+        return [each.design for each in self.by_output]
+
+    @property
+    def inverses(self) -> list[Array]:
+        """X⁺ of every output."""
+        return [each.inverse for each in self.by_output]
+
+    @property
+    def dof(self) -> Array:
+        """Degrees of freedom n − p of every output (M,)."""
+        return np.array([np.subtract(*each.design.shape) for each in self.by_output], np.float64)
+
+    @property
+    def well_posed(self) -> bool:
+        """Whether every output leaves a degree of freedom, and (2) has enough digits."""
+        return bool(self.dof.min() > 0.0) and all(g.condition <= _WORST for g in self.groups)
+
+
+def share_design(
+    model: Model,
+    reference: Array,
+    environment: Mapping[str, Array],
+    basis: Array | None = None,
+) -> SharedDesign:
+    """Return the factored designs of a model at positions.
+
+    Parameters
+    ----------
+    model : Model
+    reference : (n, 3) array [g]
+    environment : mapping of str to (n,) array
+        Other columns that the model uses.
+    basis : (n, T) array, optional
+        Columns of all outputs, where these are not the model's own terms.
+
+    Raises
+    ------
+    RankError
+        The positions cannot separate the parameters; the message names them and a way out.
+    """
+    phi = model.basis(reference, environment) if basis is None else basis
+    equal: dict[tuple[int, ...], list[int]] = {}
+    for output, columns in enumerate(model.columns):
+        equal.setdefault(tuple(columns.tolist()), []).append(output)
+    of_size: dict[int, list[list[int]]] = {}
+    for terms, outputs in equal.items():
+        of_size.setdefault(len(terms), []).append(outputs)
+    groups = [each for stack in of_size.values() for each in _factored(model, phi, stack)]
+    used = {name: environment[name] for name in model.environment if name in environment}
+    return SharedDesign(model, reference, used, phi, tuple(groups))
+
+
+def _factored(model: Model, phi: Array, stack: Sequence[list[int]]) -> list[Design]:
+    """Return the designs of groups of outputs, of as many terms each."""
+    firsts = [outputs[0] for outputs in stack]
+    designs = phi.T[np.array([model.columns[output] for output in firsts])].transpose(0, 2, 1)
+    names = [model.names[model.slices[output]] for output in firsts]
+    try:
+        found = factor_alike(designs, floor=FLOOR, names=names)
+    except DependentColumnsError as error:
+        raise _not_separable(error, model, phi, firsts[error.problem]) from None
+    inverses = found.inverse @ found.Q.transpose(0, 2, 1)
+    leverage = found.leverage
+    return [
+        Design(
+            outputs=outputs,
+            design=np.ascontiguousarray(designs[i]),
+            Q=found.Q[i],
+            root=found.inverse[i],
+            cofactor=found.cofactors[i],
+            inverse=inverses[i],
+            leverage=leverage[i],
+            condition=found.conditions[i],
+        )
+        for i, outputs in enumerate(stack)
+    ]
+
+
+class Fits(NamedTuple):
+    """Least squares of every output of B units.
+
+    Attributes
+    ----------
+    parameters, u : (B, p) arrays
+    dof : (B, M) array
+        Of the variance of a reading.
+    residuals, plain : (M, B, n) arrays
+        As fitted, and of the fit without weights.
+    variances : (M, B, n) array or None
+        Stated variances with the excess variance, where there are any.
+    excess : Scatter or None
+        The excess variance, where readings state a noise and leave degrees of freedom.
+    chi2 : (B,) array or None
+        Of the residuals under the stated noise alone, where there is one.
+    """
+
+    parameters: Array
+    u: Array
+    dof: Array
+    residuals: Array
+    plain: Array
+    variances: Array | None = None
+    excess: Scatter | None = None
+    chi2: Array | None = None
+
+
+def solve_units(
+    shared: SharedDesign, values: Array, stated: Array | None = None, *, pool: bool = False
+) -> Fits:
+    """Fit B units, eqs. (1)–(3).
+
+    Parameters
+    ----------
+    shared : SharedDesign
+    values : (M, B, n) array
+        Readings.
+    stated : (M, B, n) array, optional
+        Stated variances.
+    pool : bool
+        One variance, or excess variance, of all outputs of a unit.
+    """
+    plain = _fit_plain(shared, values)
+    if stated is None:
+        return _from_residuals(shared, *plain, pool)
+    floor = np.moveaxis(stated, 0, 2)
+    start, residuals = _weigh(shared, values, *plain, stated)
+    chi2 = np.sum(residuals**2 / stated, axis=(0, 2))
+    if shared.dof.sum() == 0.0:
+        u = np.sqrt(np.einsum("bpp->bp", cofactors(shared, stated)[0]))
+        dof = np.full(floor.shape[::2], np.inf)
+        return Fits(start, u, dof, residuals, plain[1], stated, None, chi2)
+    excess = find_scatter(shared.designs, np.moveaxis(residuals, 0, 2), floor, pool=pool)
+    variances = stated + excess.variance.T[:, :, None]
+    parameters, residuals = _weigh(shared, values, *plain, variances)
+    u = excess.standard_uncertainty(parameters - start, per_parameter(shared.model, excess.dof))
+    return Fits(parameters, u, excess.dof, residuals, plain[1], variances, excess, chi2)
+
+
+def _from_residuals(shared: SharedDesign, parameters: Array, residuals: Array, pool: bool) -> Fits:
+    """Take the noise of every output from its residuals, eq. (1)."""
+    squares = np.einsum("mbn,mbn->bm", residuals, residuals)
+    dof = np.broadcast_to(shared.dof, squares.shape)
+    if pool and shared.dof.min() > 0.0:
+        squares = np.broadcast_to(squares.sum(axis=1, keepdims=True), squares.shape)
+        dof = np.full(squares.shape, shared.dof.sum())
+    variance = np.where(dof > 0.0, squares / np.maximum(dof, 1.0), np.nan)
+    u = np.empty_like(parameters)
+    for i, each in enumerate(shared.by_output):
+        u[:, shared.model.slices[i]] = np.sqrt(variance[:, i, None] * np.diag(each.cofactor))
+    return Fits(parameters, u, dof, residuals, residuals)
+
+
+def _fit_plain(shared: SharedDesign, values: Array) -> tuple[Array, Array]:
+    """Return parameters (B, p) and residuals (M, B, n) without weights, eqs. (1) and (2)."""
+    m, count, n = values.shape
+    parameters, residuals = np.empty((count, len(shared.model.keys))), np.empty((m, count, n))
+    for each in shared.groups:
+        y = values[each.outputs].reshape(-1, n)
+        if each.condition <= _WORST:
+            b, r = fit_output(each.design, each.inverse, y)
+        else:
+            found = solve(each.design, y.T, floor=FLOOR)
+            b, r = found.coefficients.T, found.residuals.T
+        _put(shared, each, b, r, parameters, residuals)
+    return parameters, residuals
+
+
+def _put(
+    shared: SharedDesign, group: Design, b: Array, r: Array, parameters: Array, residuals: Array
+) -> None:
+    """Put the coefficients and residuals of the outputs of a group in their places."""
+    count = len(parameters)
+    for row, output in enumerate(group.outputs):
+        parameters[:, shared.model.slices[output]] = b[row * count : (row + 1) * count]
+    residuals[group.outputs] = r.reshape(len(group.outputs), count, -1)
+
+
+def fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
+    """Return coefficients (B, p) and exact residuals (B, n) of one output, eq. (2).
+
+    Parameters
+    ----------
+    design, inverse : (n, p), (p, n) arrays
+    y : (B, n) array
+    """
+    shift = np.frexp(np.abs(design).max(axis=0))[1]  # columns below 1 by powers of two: exact
+    scaled = np.ldexp(design, -shift)
+    high = np.ldexp(np.rint(np.ldexp(scaled, _SPLIT)), -_SPLIT)
+    b = np.ldexp(y @ inverse.T, shift)
+    grid = np.frexp(np.abs(b).max(axis=1, keepdims=True))[1] - _COARSE
+    coarse = np.ldexp(np.rint(np.ldexp(b, -grid)), grid)
+    r = y - coarse @ high.T
+    r -= np.hstack((coarse, b - coarse)) @ np.hstack((scaled - high, scaled)).T
+    step = r @ inverse.T
+    r -= step @ design.T
+    return np.ldexp(b, -shift) + step, r
+
+
+def _weigh(
+    shared: SharedDesign, values: Array, plain: Array, first: Array, variances: Array
+) -> tuple[Array, Array]:
+    """Return parameters (B, p) and residuals (M, B, n) under variances (M, B, n), eq. (3)."""
+    parameters, residuals = plain.copy(), first.copy()
+    for each in shared.groups:
+        variance = variances[each.outputs].reshape(-1, variances.shape[2])
+        if not np.ptp(variance, axis=1).any():  # equal weights change nothing
+            continue
+        b = np.concatenate([plain[:, shared.model.slices[i]] for i in each.outputs])
+        r = first[each.outputs].reshape(variance.shape)
+        b, r = _weigh_group(shared, each, values[each.outputs].reshape(r.shape), b, r, variance)
+        _put(shared, each, b, r, parameters, residuals)
+    return parameters, residuals
+
+
+def _weigh_group(
+    shared: SharedDesign, group: Design, y: Array, plain: Array, first: Array, variance: Array
+) -> tuple[Array, Array]:
+    """Return coefficients and residuals of problems of one design, (K, p) and (K, n)."""
+    regular = _are_regular(group, variance)
+    weight = np.where(regular[:, None], 1.0 / variance, 1.0)
+    information = _information(group, weight)
+    d, r = np.zeros(plain.shape), first
+    for _ in range(_REFINEMENTS):
+        d += np.linalg.solve(information, ((weight * r) @ group.Q)[:, :, None])[:, :, 0]
+        r = first - d @ group.Q.T
+    b = plain + d @ group.root.T
+    for row in np.flatnonzero(~regular).tolist():
+        output = group.outputs[row * len(group.outputs) // len(y)]
+        found = _solve_refined(shared, output, y[row], variance[row])
+        b[row], r[row] = found.coefficients, found.residuals
+    return b, r
+
+
+def _are_regular(group: Design, variance: Array) -> NDArray[np.bool_]:
+    """Return for which variances (K, n) eq. (3) has enough digits."""
+    near = variance.max(axis=1) <= _WORST * variance.min(axis=1)
+    return np.asarray(near & (group.condition <= _WORST))
+
+
+def _information(group: Design, weight: Array) -> Array:
+    """Return Q'WQ (K, p, p) of weights (K, n)."""
+    p = group.Q.shape[1]
+    if len(weight) == 1:
+        return np.asarray((group.Q.T * weight) @ group.Q)[None]
+    return np.asarray(weight @ group.products).reshape(-1, p, p)
+
+
+def _solve_refined(shared: SharedDesign, output: int, y: Array, variance: Array) -> LinearFit:
+    """Return the fit of an output of one unit, in twice the working precision."""
+    model, design = shared.model, shared.by_output[output].design
+    names = model.names[model.slices[output]]
+    try:
+        return solve(design, y, covariance=variance, floor=FLOOR, names=names)
+    except RankError as error:
+        raise _not_separable(error, model, shared.basis, output) from None
+
+
+def cofactors(shared: SharedDesign, variances: Array | None) -> tuple[Array, Array]:
+    """Return the cofactors (B, p, p) and leverages (M, B, n) of variances (M, B, n).
+
+    Without variances those of equal weights of one, of one unit.
+    """
+    model, n = shared.model, len(shared.reference)
+    p, m = len(model.keys), len(model.outputs)
+    count = 1 if variances is None else variances.shape[1]
+    whole, leverage = np.zeros((count, p, p)), np.empty((m, count, n))
+    for each in shared.groups:
+        if variances is None:
+            own, h = each.cofactor[None], each.leverage[None]
+            own, h = (np.tile(a, (len(each.outputs), *[1] * (a.ndim - 1))) for a in (own, h))
+        else:
+            own, h = _cofactors_of(shared, each, variances[each.outputs].reshape(-1, n))
+        leverage[each.outputs] = h.reshape(-1, count, n)
+        for row, output in enumerate(each.outputs):
+            mine = model.slices[output]
+            whole[:, mine, mine] = own[row * count : (row + 1) * count]
+    return whole, leverage
+
+
+def _cofactors_of(shared: SharedDesign, group: Design, variance: Array) -> tuple[Array, Array]:
+    """Return cofactors (K, p, p) and leverages (K, n) of problems of one design."""
+    if not np.ptp(variance, axis=1).any():
+        size = variance[:, 0, None, None]
+        return size * group.cofactor, np.broadcast_to(group.leverage, variance.shape)
+    regular = _are_regular(group, variance)
+    weight = np.where(regular[:, None], 1.0 / variance, 1.0)
+    inverse = np.linalg.inv(_information(group, weight))
+    h = weight * np.einsum("np,kpq,nq->kn", group.Q, inverse, group.Q, optimize=True)
+    own = group.root @ inverse @ group.root.T
+    for row in np.flatnonzero(~regular).tolist():
+        output = group.outputs[row * len(group.outputs) // len(variance)]
+        found = _solve_refined(shared, output, np.zeros(variance.shape[1]), variance[row])
+        own[row], h[row] = found.cofactor, found.leverage
+    return own, h
+
+
+def estimate_known(
+    shared: SharedDesign,
+    values: Sequence[Array],
+    stated: Sequence[Array] = (),
+    dof: Sequence[Array] = (),
+    *,
+    pool: bool = False,
+) -> Estimates:
+    """Fit B units, as `fit` each of them by itself.
+
+    Parameters
+    ----------
+    shared : SharedDesign
+    values, stated : sequences of M arrays (B, n), the second may be empty
+        Readings of each output, and their standard uncertainties u.
+    dof : sequence of M arrays (B, n), or of none
+        Degrees of freedom of u.
+    pool : bool
+        As in `solve_units`.
+    """
+    if not stated:
+        return _estimates(shared, np.stack(list(values)), None, pool)
+    count, n = values[0].shape
+    step = max(1, _AT_ONCE // n)
+    parts = []
+    for first in range(0, count, step):
+        y, u, u_dof = ([a[first : first + step] for a in each] for each in (values, stated, dof))
+        parts.append(_estimates(shared, np.stack(y), take_claims(u, u_dof), pool))
+    return join_estimates(parts)
+
+
+def _estimates(shared: SharedDesign, values: Array, claims: Claims | None, pool: bool) -> Estimates:
+    model = shared.model
+    variances = None if claims is None else np.moveaxis(claims.u, 2, 0) ** 2
+    found = solve_units(shared, values, variances, pool=pool)
+    square = np.einsum("mbn,mbn->mb", found.plain, found.plain)
+    sound = (square > ROUNDING**2 * np.einsum("mbn,mbn->mb", values, values)).all(axis=0)
+    dof = found.dof
+    if claims is not None:
+        sound &= claims.sound
+        if claims.dof is not None and found.excess is not None:
+            dof = carried_dof(dof, claims.u**2, claims.dof, found.excess.variance)
+    rms, inverse, inverted = rms_of(
+        model, shared.environment, shared.reference, found.parameters, values, found.residuals
+    )
+    sound &= inverted & (np.abs(found.parameters).max(axis=1) <= LARGEST)
+    own = per_parameter(model, dof)
+    plain = tuple(found.plain)
+    return Estimates(found.parameters, found.u, own, rms, plain, inverse, sound, found.chi2)
 
 
 def solve_known(
@@ -65,12 +504,12 @@ def solve_known(
     readings: Readings,
     *,
     pool: bool = False,
-    claimed: bool = True,
+    tested: bool = True,
     tangent: tuple[Array, Array] | None = None,
 ) -> Solution:
-    """Fit every output by linear least squares, eqs. (1) and (2).
+    """Fit every output of one unit by linear least squares.
 
-    The noise of the readings is held to their residuals where it is `claimed` by somebody;
+    The stated noise of the readings is `tested` by their residuals where a user stated it;
     `tangent` are the columns of all outputs (n, T) and what they shall give (n, M), where these
     are not the model's own terms and the readings.
 
@@ -79,228 +518,168 @@ def solve_known(
     RankError
         The positions cannot separate the parameters; the message names them and a way out.
     """
-    phi, values = tangent or (model.basis(reference, readings.environment), readings.values)
+    basis, values = tangent or (None, readings.values)
+    shared = share_design(model, reference, readings.environment, basis)
     noise = readings.noise
-    fits = _solve(model, phi, values, noise)
-    n = len(readings)
-    dof = np.array([n - len(terms) for terms in model.terms], dtype=np.float64)
-    if noise is None:
-        found = _from_residuals(model, fits, dof, pool)
+    if noise is not None and noise.ndim == 2:
+        found = _solve_jointly(shared, values, readings, pool)
     else:
-        found = _beside_stated(model, phi, values, readings, fits, pool)
-        found = found if claimed else replace(found, warnings=(), claim=None)
-    fits = found.fits
-    covariance = fits.cofactor * np.outer(found.inflation, found.inflation)
-    square = np.einsum("nm,nm->m", fits.residuals, fits.residuals)
+        found = _solve_apart(shared, values, readings, pool)
+    dof = shared.dof
+    covariance = found.cofactor * np.outer(found.inflation, found.inflation)
+    square = np.einsum("nm,nm->m", found.residuals, found.residuals)
+    chi2 = found.chi2 if tested else None
+    claim = None if chi2 is None else Claim(chi2, float(dof.sum()))
     return Solution(
         model=model,
         reference=reference,
-        parameters=fits.parameters,
+        parameters=found.parameters,
         covariance=covariance,
         parameter_dof=per_parameter(model, found.dof),
         inflation=found.inflation,
         dof=found.dof,
-        residuals=fits.residuals,
+        residuals=found.residuals,
         residual_sd=np.where(dof > 0, np.sqrt(square / np.maximum(dof, 1.0)), np.nan),
-        leverage=fits.leverage,
-        outliers=_outliers(model, phi, readings, found, dof),
-        condition=fits.condition,
-        warnings=found.warnings,
+        leverage=found.leverage,
+        outliers=_outliers(shared, readings, found),
+        condition=found.condition,
+        warnings=_warnings(shared, found, pool) if claim is None else overstated(claim),
         unidentifiable=formal_only(
             model,
-            fits.parameters,
+            found.parameters,
             np.sqrt(np.diag(covariance)),
             float(np.linalg.norm(reference, axis=1).mean()),
         ),
-        variance_components=found.components,
-        claim=found.claim,
+        variance_components=_components(model, found.excess),
+        claim=claim,
     )
 
 
-def _outliers(
-    model: Model, phi: Array, readings: Readings, found: "_Weighed", dof: Array
-) -> tuple[str, ...]:
-    """Return which readings are beyond chance, by what they were weighed with."""
-    fits, noise = found.fits, readings.noise
+@dataclass(frozen=True, eq=False)
+class _One:
+    """The fit of one unit; u is `inflation` times the root of the cofactor."""
+
+    parameters: Array  # (p,)
+    cofactor: Array  # (p, p)
+    inflation: Array  # (p,)
+    dof: Array  # (M,)
+    residuals: Array  # (n, M)
+    leverage: Array  # (n, M)
+    condition: float
+    sd: Array | None = None  # (n, M), of the readings as weighted
+    excess: Scatter | None = None
+    chi2: float | None = None  # where there is an excess variance
+
+
+def _solve_apart(shared: SharedDesign, values: Array, readings: Readings, pool: bool) -> _One:
+    """Fit outputs that are not correlated, as a batch of one."""
+    n, m = values.shape
+    stated = None if readings.noise is None else readings.noise.reshape(n, m).T[:, None]
+    found = solve_units(shared, np.asarray(values).T[:, None], stated, pool=pool)
+    (cofactor,), leverage = cofactors(shared, found.variances)
+    return _One(
+        parameters=found.parameters[0],
+        cofactor=cofactor,
+        inflation=found.u[0] / np.sqrt(np.diag(cofactor)),
+        dof=found.dof[0],
+        residuals=found.residuals[:, 0].T,
+        leverage=leverage[:, 0].T,
+        condition=_condition(shared, found.variances),
+        sd=None if found.variances is None else np.sqrt(found.variances[:, 0].T),
+        excess=found.excess,
+        chi2=None if found.excess is None or found.chi2 is None else float(found.chi2[0]),
+    )
+
+
+def _condition(shared: SharedDesign, variances: Array | None) -> float:
+    """Return the largest condition of the whitened designs with columns of unit length."""
+    worst = 1.0
+    for each in shared.groups:
+        for i in each.outputs:
+            own = each.condition
+            if variances is not None and np.ptp(variances[i, 0]):
+                white = each.design / np.sqrt(variances[i, 0])[:, None]
+                sizes = singular_values(np.asarray(np.linalg.qr(white, mode="r")))
+                own = float(sizes[0] / sizes[-1])
+            worst = max(worst, own)
+    return worst
+
+
+def _solve_jointly(shared: SharedDesign, values: Array, readings: Readings, pool: bool) -> _One:
+    """Fit outputs whose readings are correlated, as one problem."""
+    model, noise, (n, m) = shared.model, readings.noise, values.shape
+    assert noise is not None
+    design = block_design(shared.designs).reshape(n * m, -1)
+    first = solve(design, values.ravel(), covariance=noise, names=model.names)
+    chi2, excess, found = None, None, first
+    inflation, dof = np.ones(len(model.keys)), np.full(m, np.inf)
+    total = noise
+    if shared.dof.sum() > 0.0:
+        excess = find_scatter(shared.designs, first.residuals.reshape(1, n, m), noise, pool=pool)
+        total = add_variances(noise, np.tile(excess.variance[0], n))
+        found = solve(design, values.ravel(), covariance=total, names=model.names)
+        moves, (dof,) = (found.coefficients - first.coefficients)[None], excess.dof
+        u = excess.standard_uncertainty(moves, per_parameter(model, excess.dof))[0]
+        inflation = u / np.sqrt(np.diag(found.cofactor))
+        chi2 = float(chi_squares(first.residuals.reshape(n, m), noise).sum())
+    return _One(
+        parameters=found.coefficients,
+        cofactor=found.cofactor,
+        inflation=inflation,
+        dof=dof,
+        residuals=found.residuals.reshape(n, m),
+        leverage=found.leverage.reshape(n, m),
+        condition=found.condition,
+        sd=np.sqrt(np.diag(total)).reshape(n, m),
+        excess=excess,
+        chi2=chi2,
+    )
+
+
+def _warnings(shared: SharedDesign, found: _One, pool: bool) -> tuple[str, ...]:
+    """Return the warnings about a noise that the residuals alone give."""
+    if found.sd is not None:
+        return ()
+    dof = shared.dof
+    if dof.min() == 0:
+        return (_NOTHING_LEFT,)
+    squares = np.einsum("nm,nm->m", found.residuals, found.residuals)
+    unequal = pool and len(dof) > 1 and bartlett(squares, dof) < UNEQUAL
+    return (_UNSUPPORTED,) if unequal else ()
+
+
+def _components(model: Model, excess: Scatter | None) -> VarianceComponents | None:
+    """Return the excess standard deviation of every output."""
+    if excess is None:
+        return None
+    columns = (each[0].tolist() for each in (np.sqrt(excess.variance), excess.u, excess.dof))
+    parts = [RestToRest(*each) for each in zip(*columns, strict=True)]
+    return VarianceComponents(rest_to_rest=dict(zip(model.outputs, parts, strict=True)))
+
+
+def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[str, ...]:
+    """Return which readings are beyond chance, by the variances that weighted them."""
+    noise, model = readings.noise, shared.model
     if noise is None or noise.ndim == 1:
         return find_outliers(
-            fits.residuals,
-            fits.leverage,
-            dof.tolist(),
+            found.residuals,
+            found.leverage,
+            shared.dof.tolist(),
             model.outputs,
             readings.labels,
             found.sd,
-            design=phi,
+            design=shared.basis,
             columns=model.columns,
         )
-    assert found.sd is not None  # what is stated, with the scatter beside it
+    assert found.sd is not None  # of the stated noise and the excess variance
     more = found.sd.ravel() ** 2 - np.diag(noise)
-    design = block_design([phi[:, columns] for columns in model.columns])
+    design = block_design(shared.designs)
     return find_correlated_outliers(
         design.reshape(noise.shape[0], -1),
-        fits.residuals,
+        found.residuals,
         add_variances(noise, np.maximum(more, 0.0)),
         model.outputs,
         readings.labels,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Fits:
-    """Least squares of all outputs together; `chi2` is of whitened residuals, per output."""
-
-    parameters: Array
-    cofactor: Array
-    residuals: Array
-    chi2: Array
-    leverage: Array
-    condition: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Weighed:
-    """Fits with the noise that was found; u is `inflation` times the cofactor's root."""
-
-    fits: _Fits
-    inflation: Array  # (p,)
-    dof: Array  # (M,)
-    sd: Array | None  # (n, M), that the readings were weighed by
-    warnings: tuple[str, ...] = ()
-    components: VarianceComponents | None = None
-    claim: Claim | None = None
-
-
-def _from_residuals(model: Model, fits: _Fits, dof: Array, pool: bool) -> _Weighed:
-    """Take all noise from the residuals, eq. (1)."""
-    variance = np.where(dof > 0, fits.chi2 / np.maximum(dof, 1.0), np.nan)
-    said: tuple[str, ...] = ()
-    if pool and dof.min() > 0:
-        if len(dof) > 1 and bartlett(fits.chi2, dof) < UNEQUAL:
-            said = (_UNSUPPORTED,)
-        variance = np.full(len(dof), fits.chi2.sum() / dof.sum())
-        dof = np.full(len(dof), dof.sum())
-    if dof.min() == 0:
-        said = (_NOTHING_LEFT,)
-    return _Weighed(fits, np.sqrt(per_parameter(model, variance)), dof, None, said)
-
-
-def _beside_stated(
-    model: Model, phi: Array, values: Array, readings: Readings, fits: _Fits, pool: bool
-) -> _Weighed:
-    """Add to the stated noise what readings scatter from rest to rest (`scatter`)."""
-    n, m = values.shape
-    noise = readings.noise
-    assert noise is not None
-    left = n * m - len(model.keys)
-    if left == 0:
-        return _Weighed(fits, np.ones(len(model.keys)), np.full(m, np.inf), stated_sd(readings))
-    designs = [phi[:, columns] for columns in model.columns]
-    stated = noise if noise.ndim == 2 else noise.reshape(1, n, m)
-    found = find_scatter(designs, fits.residuals[None], stated, pool=pool)  # of one unit
-    (variance,), (u_tau,), (known,) = found.variance, found.u, found.dof
-    weighed = _weigh_again(model, phi, values, noise, fits, variance)
-    moves = weighed.parameters - fits.parameters
-    (u,) = found.standard_uncertainty(moves[None], per_parameter(model, known)[None])
-    components = VarianceComponents(
-        rest_to_rest={
-            output: RestToRest(float(np.sqrt(variance[i])), float(u_tau[i]), float(known[i]))
-            for i, output in enumerate(model.outputs)
-        }
-    )
-    sd = np.sqrt(diagonal(noise).reshape(n, m) + variance)
-    claim = Claim(float(fits.chi2.sum()), float(left))
-    inflation = u / np.sqrt(np.diag(weighed.cofactor))
-    said = overstated(claim)
-    return _Weighed(weighed, inflation, known, sd, said, components, claim)
-
-
-def _weigh_again(
-    model: Model, phi: Array, values: Array, noise: Array, fits: _Fits, scatter: Array
-) -> _Fits:
-    """Return the fits with a scatter (M,) added to the stated noise."""
-    n, m = values.shape
-    if noise.ndim == 1 and not np.ptp(noise.reshape(n, m), axis=0).any():
-        # where readings of an output are alike, no weight changes
-        ratio = per_parameter(model, (noise[:m] + scatter) / noise[:m])
-        return replace(fits, cofactor=fits.cofactor * np.sqrt(np.outer(ratio, ratio)))
-    return _solve(model, phi, values, add_variances(noise, np.tile(scatter, n)))
-
-
-def _solve(model: Model, phi: Array, values: Array, noise: Array | None) -> _Fits:
-    if noise is not None and noise.ndim == 2:
-        return _solve_jointly(model, phi, values, noise)
-    return _solve_each(model, phi, values, noise)
-
-
-def _solve_each(model: Model, phi: Array, values: Array, variances: Array | None) -> _Fits:
-    """One problem per output; outputs that share design and weights share the factorisation."""
-    n, m = values.shape
-    p = len(model.keys)
-    parameters, cofactor = np.empty(p), np.zeros((p, p))
-    residuals, leverage, chi2 = np.empty((n, m)), np.empty((n, m)), np.empty(m)
-    condition = 1.0
-    stated = None if variances is None else variances.reshape(n, m)
-    alike: dict[tuple[tuple[int, ...], bytes], list[int]] = {}
-    for output, columns in enumerate(model.columns):
-        weights = b"" if stated is None else stated[:, output].tobytes()
-        alike.setdefault((tuple(columns.tolist()), weights), []).append(output)
-    of_size: dict[tuple[int, int], list[list[int]]] = {}
-    for group in alike.values():
-        of_size.setdefault((len(model.columns[group[0]]), len(group)), []).append(group)
-    for groups in of_size.values():
-        solved = _solve_groups(model, phi, values, stated, groups)
-        for group, found in zip(groups, solved, strict=True):
-            for column, output in enumerate(group):
-                mine = model.slices[output]
-                parameters[mine] = found.coefficients[:, column]
-                cofactor[mine, mine] = found.cofactor
-                residuals[:, output] = found.residuals[:, column]
-                leverage[:, output] = found.leverage
-                chi2[output] = np.asarray(found.rss)[column]
-            condition = max(condition, found.condition)
-    return _Fits(parameters, cofactor, residuals, chi2, leverage, condition)
-
-
-def _solve_groups(
-    model: Model,
-    phi: Array,
-    values: Array,
-    variances: Array | None,
-    groups: list[list[int]],
-) -> list[LinearFit]:
-    """Solve the problems of groups of outputs, of as many terms and outputs each."""
-    firsts = [group[0] for group in groups]
-    designs = phi.T[np.array([model.columns[output] for output in firsts])]
-    try:
-        return solve_alike(
-            designs.transpose(0, 2, 1),
-            values.T[np.array(groups)].transpose(0, 2, 1),
-            variances=None if variances is None else variances.T[firsts],
-            floor=FLOOR,
-            names=[model.names[model.slices[output]] for output in firsts],
-        )
-    except DependentColumnsError as error:
-        raise _not_separable(error, model, phi, firsts[error.problem]) from None
-
-
-def _solve_jointly(model: Model, phi: Array, values: Array, covariance: Array) -> _Fits:
-    """One problem for all outputs, whose readings are correlated."""
-    n, m = values.shape
-    p = len(model.keys)
-    # each output's own design must be sound before they are taken together
-    _solve_each(model, phi, values, None)
-    design = block_design([phi[:, columns] for columns in model.columns])
-    found = solve(
-        design.reshape(n * m, p), values.ravel(), covariance=covariance, names=model.names
-    )
-    residuals = found.residuals.reshape(n, m)
-    return _Fits(
-        found.coefficients,
-        found.cofactor,
-        residuals,
-        chi_squares(residuals, covariance),
-        found.leverage.reshape(n, m),
-        found.condition,
     )
 
 
@@ -323,7 +702,7 @@ def chi_squares(residuals: Array, noise: Array | None) -> Array:
 
 
 def overstated(claim: Claim) -> tuple[str, ...]:
-    """Say where the residuals of all outputs are far below the stated noise."""
+    """Return a warning where the residuals of all outputs are far below the stated noise."""
     if claim.chi2 >= chi2_quantile(1.0 - DENIED, claim.dof):
         return ()
     seen = f"(chi-square {claim.chi2:.4g} on {claim.dof:g} degrees of freedom)"

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.batches import fit_output
+from multipos.estimation.known import fit_output
 from multipos.estimation.losses import Loss, loss, loss_weight
 from multipos.estimation.problem import Optimum, Point, Problem, State
 from multipos.numerics.arrays import Array, Places

@@ -38,16 +38,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.batches import (
-    ROUNDING,
-    Estimates,
-    SharedDesign,
-    fit_output,
-    join_estimates,
-    rms_of,
-)
+from multipos.estimation.batches import Estimates, join_estimates, rms_of
 from multipos.estimation.descent import resume
-from multipos.estimation.known import DENIED
+from multipos.estimation.known import DENIED, ROUNDING, Design, SharedDesign, fit_output
 from multipos.estimation.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.estimation.noise import Appraisal
 from multipos.estimation.problem import RELATIVE_NOISE, Optimum, Problem
@@ -210,23 +203,25 @@ class _Worth(NamedTuple):
 
 
 def _estimate(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Estimates:
-    given = zip(shared.designs, shared.inverses, shared.cofactors, values, strict=True)
-    found = [_fit(*each, name) for each in given]
+    found = [_fit(*each, name) for each in zip(shared.by_output, values, strict=True)]
     parameters = np.concatenate([each.parameters for each in found], axis=1)
     u = np.concatenate([each.u for each in found], axis=1)
     dof = np.concatenate([np.broadcast_to(each.dof[:, None], each.u.shape) for each in found], 1)
-    rms, inverse, inverted = rms_of(shared, parameters, values, [each.residuals for each in found])
+    residuals = np.stack([each.residuals for each in found])
+    rms, inverse, inverted = rms_of(
+        shared.model, shared.environment, shared.reference, parameters, np.stack(values), residuals
+    )
     sound = inverted & (np.abs(parameters).max(axis=1) <= LARGEST)
     sound &= np.all([each.sound for each in found], axis=0)
     plain = tuple(each.plain for each in found)
     return Estimates(parameters, u, dof, rms, plain, inverse, sound)
 
 
-def _fit(design: Array, inverse: Array, cofactor: Array, y: Array, name: Loss) -> _Worth:
+def _fit(shared: Design, y: Array, name: Loss) -> _Worth:
     """Fit one output of B units."""
-    n, p = design.shape
-    b, r = fit_output(design, inverse, y)
-    linear = Linear(design, b, r)
+    n, p = shared.design.shape
+    b, r = fit_output(shared.design, shared.inverse, y)
+    linear = Linear(shared.design, b, r)
     sound = np.einsum("bn,bn->b", r, r) > ROUNDING**2 * np.einsum("bn,bn->b", y, y)
     spread = np.mean((y - y.mean(axis=1, keepdims=True)) ** 2, axis=1)
     variance = np.tile(RELATIVE_NOISE**2 * spread[:, None], n)
@@ -243,7 +238,7 @@ def _fit(design: Array, inverse: Array, cofactor: Array, y: Array, name: Loss) -
     weight = loss_weight(name, q, linear.degrees)
     counted = np.maximum(weight.sum(axis=1) - p, 1.0)
     factor = huber_factors(q, linear.degrees, weight, loss_slope(name, q, linear.degrees), counted)
-    u = np.sqrt(cofactor * (variance[:, 0] * factor)[:, None])
+    u = np.sqrt(np.diag(shared.cofactor) * (variance[:, 0] * factor)[:, None])
     return _Worth(b + ended.moves, u, counted, ended.residuals, r, sound)
 
 

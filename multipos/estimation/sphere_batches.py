@@ -37,7 +37,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.batches import (
-    ROUNDING,
     Estimates,
     compensated,
     force_slopes,
@@ -45,7 +44,7 @@ from multipos.estimation.batches import (
     model_coefficients,
 )
 from multipos.estimation.identifiability import plausible_range
-from multipos.estimation.known import DENIED
+from multipos.estimation.known import DENIED, ROUNDING
 from multipos.estimation.orientation_variance import (
     SETTLED,
     Judged,

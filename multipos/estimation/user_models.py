@@ -215,7 +215,7 @@ def solve_own_known(
     readings: Readings,
     *,
     pool: bool = False,
-    claimed: bool = True,
+    tested: bool = True,
 ) -> Solution:
     """Fit a model of one's own at known orientations, by (1); options as in `solve_known`.
 
@@ -226,7 +226,7 @@ def solve_own_known(
     ConvergenceError
         No start led to a minimum.
     """
-    how = {"pool": pool, "claimed": claimed}
+    how = {"pool": pool, "tested": tested}
     if model.all_linear:
         start = np.zeros(len(model.keys))
         outputs, blocks = model.respond(start, reference, readings.environment)

@@ -426,9 +426,9 @@ def calibrate_at(
         model, chosen = _stepwise(model, readings, placement, solve)
     solution = solve(model)
     if readings.reference_u is not None:
-        claimed = readings.noise is not None
+        tested = readings.noise is not None
         readings = add_reference_noise(readings, solution)
-        solution = _solver(estimator, readings, placement, options, claimed=claimed)(model)
+        solution = _solver(estimator, readings, placement, options, tested=tested)(model)
     solution = carry_dof(solution, readings, joint=not estimator.exact)
     if ordered:
         solution = spread_correlation(solution, readings, placement, estimator)
@@ -465,9 +465,9 @@ def _solver(
     placement: Placement,
     options: Options,
     *,
-    claimed: bool = True,
+    tested: bool = True,
 ) -> Callable[[Model], Solution]:
-    """Return what solves a model by the estimator; `claimed`: the noise is the user's word."""
+    """Return what solves a model by the estimator; `tested`: residuals test the stated noise."""
     reference, pool = placement.reference, options.pool
 
     def solve(model: Model) -> Solution:
@@ -476,9 +476,9 @@ def _solver(
         exact = estimator is Estimator.LINEAR and options.robust is None
         own = isinstance(model, ExpressionModel)
         if isinstance(model, ExpressionModel) and exact and is_apart(model, readings):
-            return solve_own_known(model, reference, readings, pool=pool, claimed=claimed)
+            return solve_own_known(model, reference, readings, pool=pool, tested=tested)
         if exact and not own:
-            return solve_known(model, reference, readings, pool=pool, claimed=claimed)
+            return solve_known(model, reference, readings, pool=pool, tested=tested)
         return solve_uncertain(
             model, readings, placement, gauge=options.gauge, robust=options.robust, pool=pool
         )

@@ -21,7 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.batches import Estimates, SharedDesign
+from multipos.estimation.batches import Estimates
+from multipos.estimation.known import SharedDesign
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.rotations import cross_matrix
 from multipos.numerics.terms import COMPONENTS

@@ -1,7 +1,7 @@
 """One task of a fleet: some units to their numbers, in one batch or one by one.
 
 A task is all that a worker needs and can be sent to another process. Units that were read under the
-same conditions are solved together where `multipos.estimation.batches` can do what `fit` does with
+same conditions are solved together where a batch can do what `fit` does with
 them; all others, and whatever unit a batch does not answer for, by `fit` itself, so that nothing
 depends on which way was taken.
 
@@ -41,15 +41,9 @@ from multipos.diagnostics.redundancy import are_poorly_known
 from multipos.diagnostics.scales import are_of_unit
 from multipos.doubt import implausible
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
-from multipos.estimation.batches import (
-    Estimates,
-    SharedDesign,
-    estimate_batch,
-    estimate_stated,
-    share_design,
-)
+from multipos.estimation.batches import Estimates
 from multipos.estimation.correlated_rows import are_asked, find_correlated
-from multipos.estimation.known import DENIED
+from multipos.estimation.known import DENIED, SharedDesign, estimate_known, share_design
 from multipos.estimation.robustness import estimate_robust
 from multipos.estimation.sphere_batches import SharedSphere, estimate_spheres, share_sphere
 from multipos.estimation.uncertain_batches import (
@@ -270,7 +264,8 @@ def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared |
     if c.estimator is Estimator.LINEAR:
         if _POOR in _codes(c):  # of bad positions all are doubted, of a bad unit this one
             return None
-        return share_design(c.model, c.reference, columns)
+        shared = share_design(c.model, c.reference, columns)
+        return shared if shared.well_posed else None
     if c.estimator is Estimator.UNCERTAIN:
         return _share_uncertain(c, table, options)
     sd = c.readings.orientation_sd
@@ -378,10 +373,8 @@ def _estimate(shared: Shared, task: Task) -> Estimates:
     loss = task.options.get("robust")
     if loss is not None:
         return estimate_robust(shared, task.values, loss)
-    if task.stated:
-        pool = bool(task.options.get("pool"))
-        return estimate_stated(shared, task.values, task.stated, task.claimed, pool=pool)
-    return estimate_batch(shared, task.values, pool=bool(task.options.get("pool")))
+    pool = bool(task.options.get("pool"))
+    return estimate_known(shared, task.values, task.stated, task.claimed, pool=pool)
 
 
 LEFT = "\0left"  # the reason of a unit that a batch leaves to the fit of one

@@ -144,7 +144,8 @@ def solve(
     """
     X, y = _checked(design, response)
     V = Covariance(covariance, len(X))
-    (found,) = _solve(X[np.newaxis], y.reshape(1, len(X), -1), V, floor, [names], rows)
+    factored = _factored(X[np.newaxis], V, floor, [names], rows)
+    (found,) = factored.fits(y.reshape(1, len(X), -1))
     if y.ndim == 2:
         return found
     assert isinstance(found.rss, np.ndarray)
@@ -183,21 +184,83 @@ def solve_alike(
     RankError, MultiposError
         As in `solve`; of columns that depend on each other it is a `DependentColumnsError`.
     """
-    design_matrix(designs[0])  # refuses one without columns
-    _require_finite(designs, responses)
-    V = Covariance(variances, designs.shape[1], stacked=True)
-    return _solve(designs, responses, V, floor, names, rows)
+    _require_finite(responses, "response")
+    return factor_alike(designs, variances=variances, floor=floor, names=names, rows=rows).fits(
+        responses
+    )
 
 
-def _solve(
-    X: Array,
-    y: Array,
-    V: Covariance,
-    floor: float,
+@dataclass(frozen=True, eq=False, slots=True)
+class Factored:
+    """A stack of designs (G, n, p), whitened and factored, L⁻¹ X = Q R.
+
+    Attributes
+    ----------
+    design, Q : (G, n, p) arrays
+    covariance : Covariance
+        V.
+    R, inverse : (G, p, p) arrays
+        R and R⁻¹.
+    cofactors : (G, p, p) array
+        C of eq. (2).
+    conditions : G floats
+        2-norm conditions of the whitened designs with columns scaled to unit length.
+    """
+
+    design: Array
+    covariance: Covariance
+    Q: Array
+    R: Array
+    inverse: Array
+    cofactors: Array
+    conditions: list[float]
+
+    @property
+    def leverage(self) -> Array:
+        """The diagonals of Q Q' (G, n)."""
+        return np.asarray(np.einsum("gij,gij->gi", self.Q, self.Q))
+
+    def fits(self, responses: Array) -> list[LinearFit]:
+        """Return the fits of responses (G, n, k)."""
+        n, p = self.design.shape[1:]
+        b, s = _refined(
+            self.design, responses, self.covariance, self.Q, self.inverse, column_norms(self.R)
+        )
+        residuals, rss = self.covariance.coloured(s), np.einsum("gnk,gnk->gk", s, s)
+        leverage = self.leverage
+        return [
+            LinearFit(
+                coefficients=b[i],
+                cofactor=self.cofactors[i],
+                residuals=residuals[i],
+                rss=rss[i],
+                dof=n - p,
+                leverage=leverage[i],
+                condition=condition,
+            )
+            for i, condition in enumerate(self.conditions)
+        ]
+
+
+def factor_alike(
+    designs: Array,
+    *,
+    variances: Array | None = None,
+    floor: float = 0.0,
     names: Sequence[Sequence[str] | None],
-    rows: str,
-) -> list[LinearFit]:
-    """Solve a stack of problems, designs (G, n, p) and responses (G, n, k)."""
+    rows: str = "positions",
+) -> Factored:
+    """Factor several designs of one size; parameters and errors as in `solve_alike`."""
+    design_matrix(designs[0])  # refuses one without columns
+    _require_finite(designs, "design")
+    V = Covariance(variances, designs.shape[1], stacked=True)
+    return _factored(designs, V, floor, names, rows)
+
+
+def _factored(
+    X: Array, V: Covariance, floor: float, names: Sequence[Sequence[str] | None], rows: str
+) -> Factored:
+    """Factor a stack of designs (G, n, p), and refuse dependent columns."""
     n, p = X.shape[1:]
     if n < p:
         raise DependentColumnsError(
@@ -216,25 +279,12 @@ def _solve(
         first = int(np.argmax(dependent))
         _refuse(X[first], V.of(first), floor, names[first], rows, first)
     conditions = (singular[:, 0] / singular[:, -1]).tolist()
-
     T: Array = np.asarray(np.linalg.inv(R), dtype=np.float64)  # triangular: back substitution
-    b, s = _refined(X, y, V, Q, T, column_norms(R))
-    residuals, rss = V.coloured(s), np.einsum("gnk,gnk->gk", s, s)
-    cofactors, leverage = T @ T.transpose(0, 2, 1), np.einsum("gij,gij->gi", Q, Q)
-    return [
-        LinearFit(
-            coefficients=b[i],
-            cofactor=cofactors[i]
-            if condition <= _REFINE_COFACTOR
-            else _precise_cofactor(X[i], V.of(i), T[i]),
-            residuals=residuals[i],
-            rss=rss[i],
-            dof=n - p,
-            leverage=leverage[i],
-            condition=condition,
-        )
-        for i, condition in enumerate(conditions)
-    ]
+    cofactors = T @ T.transpose(0, 2, 1)
+    for i, condition in enumerate(conditions):
+        if condition > _REFINE_COFACTOR:
+            cofactors[i] = _precise_cofactor(X[i], V.of(i), T[i])
+    return Factored(X, V, Q, R, T, cofactors, conditions)
 
 
 def _refined(
@@ -302,14 +352,14 @@ def _checked(design: ArrayLike, response: ArrayLike) -> tuple[Array, Array]:
         raise MultiposError(
             f"`response` must have one row per row of `design`: {len(X)}, got {y.shape}."
         )
-    _require_finite(X, y)
+    _require_finite(X, "design")
+    _require_finite(y, "response")
     return X, y
 
 
-def _require_finite(X: Array, y: Array) -> None:
-    for name, numbers in (("design", X), ("response", y)):
-        if not np.isfinite(numbers).all():
-            raise MultiposError(f"`{name}` has a number that is not finite.")
+def _require_finite(numbers: Array, name: str) -> None:
+    if not np.isfinite(numbers).all():
+        raise MultiposError(f"`{name}` has a number that is not finite.")
 
 
 def _refuse(
