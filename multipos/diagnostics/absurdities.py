@@ -238,7 +238,7 @@ def _placement_sd(c: Calibration) -> float:
 def _repair(c: Calibration, view: View) -> Doubt | None:
     """Return what one repair explains, the one after which the outputs face their own axes."""
     expected = expected_directions(c)
-    found, tried = candidates(view, expected)
+    found, tried = candidates(view, expected, slight=_is_slight(c))
     absurd = is_absurd(view, _placement_sd(c))
     sound = [
         repair
@@ -252,6 +252,20 @@ def _repair(c: Calibration, view: View) -> Doubt | None:
         return None
     best = max(as_good_as_best(sound, view), key=lambda each: _faces(each.view, expected))
     return _in_words(c, best)
+
+
+def _is_slight(c: Calibration) -> bool:
+    """Return whether residuals are small, and no row alone is off by half of what `_BY_ROWS` asks.
+
+    A row that is left out is off by its residual over one less its leverage.
+    """
+    if not c.estimator.exact or c.robust_weight is not None:
+        return False
+    size = np.linalg.norm(c.sensitivity, axis=1)
+    left = 1.0 - c.diagnostics.leverage
+    if not (c.residual_sd < _SUSPICIOUS * size).all() or not left.min() > _ROUNDING:
+        return False
+    return bool((np.abs(c.residuals) / left < 0.5 * min(_BY_ROWS.values()) * size).all())
 
 
 def _faces(view: View, expected: Array) -> float:

@@ -83,7 +83,7 @@ class Repair:
     shrunk: float = 0.0
 
 
-def candidates(view: View, guess: Array) -> tuple[list[Repair], int]:
+def candidates(view: View, guess: Array, *, slight: bool = False) -> tuple[list[Repair], int]:
     """Return the best repair of each kind, and how many were tried.
 
     Parameters
@@ -91,11 +91,15 @@ def candidates(view: View, guess: Array) -> tuple[list[Repair], int]:
     view : View
     guess : (M, 3) array
         Which way each output should respond, for a first sight of rows that are upside down.
+    slight : bool
+        No row is off by as much as another unit, side or end of the range makes it: rows can only
+        be interchanged with neighbours, or all angles be radians.
     """
     rows = _worst_rows(view)
-    found: list[Repair] = []
-    tried = 0
-    for kind in (_interchanges, _single_factors, _single_flips):
+    found, tried = _interchanges(view, rows)
+    if slight:
+        return [*found, *_radians(view)], tried + (len(FACTORS) + 1) * len(rows)
+    for kind in (_single_factors, _single_flips):
         repairs, count = kind(view, rows)
         found += repairs
         tried += count

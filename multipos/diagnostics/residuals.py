@@ -6,44 +6,36 @@
   tr(S(I − H))/(n − r),
   S the lag by one and H the hat matrix, and its variance nearly 1/(M (n − r)).
 
-Doubts about what was claimed of readings and positions, and the cause that the data favour.
-
-Beside a stated noise Σ the residuals of known positions may have one of three more parts,
-
-    V_k = Σ_k + τ² I,    V_k = Σ_k + diag(τ_i²),    V_k = Σ_k + τ² I + s² J_k J_k',         (1)
-
-scatter from rest to rest alike in all outputs, unlike ones, and placement, J_k J_k' = H (|f|² −
-f f') H' with H = dh/df. The restricted likelihood
-
-    −2 ln L = Σ ln det V_k + ln det X'V⁻¹X + e'V⁻¹e − e'V⁻¹X (X'V⁻¹X)⁻¹X'V⁻¹e               (2)
-
-at its maximum tells which of them the data favour: the second and third against the first by χ² on
-M − 1 and on one degree of freedom, at 1 %. A missing term comes before all of them: it is found by
-its own test, and looks like any of them.
-
-Placement moves readings across the force and not along it. So without a stated noise it shows in
-
-    R = (|P e|²/ν_across) / (|(1 − P) e|²/ν_along),                                         (3)
-
-P the projection on J_k, which is asked first; (2) is worked out where R is more than chance.
+Cautions about what was stated of readings and positions, with the cause that the data prefer
+(`multipos.diagnostics.noise_causes`). A missing term comes before all of them: it has its own test,
+and looks like any of them.
 
 Uncertain and unknown orientations take the noise of outputs as equal, or as stated. With the
 projection P = W − WA S⁻¹A'W of `multipos.estimation.likelihood` and v_i the variances taken, the
 score of ln v_i and its information are
 
-    U_i = ½ Σ_k (v_i (Σ_k⁻¹ r_k)_i² / φ − v_i P_ki,ki),    I_ij = ½ Σ_kl v_i v_j P_ki,lj²,      (4)
+    U_i = ½ Σ_k (v_i (Σ_k⁻¹ r_k)_i² / φ − v_i P_ki,ki),    I_ij = ½ Σ_kl v_i v_j P_ki,lj²,      (1)
 
 φ the common factor that makes Σ U_i zero; U'I⁻¹U follows χ² on M − 1 where they are right.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cached_property, partial
+from collections.abc import Mapping
 
 import numpy as np
 
 from multipos.diagnostics.columns import repeated_rows
+from multipos.diagnostics.noise_causes import (
+    TELLING,
+    Explained,
+    Residuals,
+    across_the_force,
+    explain_equal,
+    explain_orientations,
+    explain_unequal,
+    prefers_orientations,
+    prefers_unequal,
+)
 from multipos.diagnostics.score_tests import significant
 from multipos.doubt import Doubt
 from multipos.estimation.gains import told_by_solution
@@ -51,13 +43,12 @@ from multipos.estimation.known import DENIED
 from multipos.estimation.likelihood import weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
 from multipos.numerics.arrays import Array, median, resolution
-from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile
+from multipos.numerics.quantiles import chi2_quantile, chi2_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import diagonal
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
-from multipos.sensor.inverse import parameter_jacobian
 
 _LEVEL = 0.01  # at which repeats deny the model, all outputs together
 _DRIFTS = 3.7  # standard deviations, one in ten thousand
@@ -230,123 +221,8 @@ def _angles_between(reference: Array) -> Array:
     return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))
 
 
-_SUSPECT = 0.05  # of R in eq. (3), from which the likelihood is asked
-_TELLING = 6  # contrasts along the force from which --orientation-sd auto serves
-_GRID = 9  # nodes of a logarithm, in rounds that narrow it
-_ROUNDS = 7
-_DECADES = 6.0
-_FEW = 6.0  # degrees of freedom below which the law of eq. (4) is not reached
-_MOST = 600  # readings beyond which eq. (4) is not worked out
-_TURNS = 6  # of scatter and placement in turn
-_SETTLED = 0.01  # of the deviance
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """A fit at known positions as a linear model of its residuals."""
-
-    error: Array  # (n, M)
-    design: Array  # (n, M, p)
-    across: Array  # (n, M, M), J J' per rad²
-    floor: Array  # (n, M), stated variances
-
-    @classmethod
-    def of(cls, c: Calibration) -> "_Known":
-        """Return the linear model of a calibration at known positions."""
-        f, columns = c.reference, c.readings.environment
-        H = c.model.force_jacobian(c.parameters, f, columns)
-        turns = np.einsum("ni,ni->n", f, f)[:, None, None] * np.eye(3)
-        turns = turns - f[:, :, None] * f[:, None, :]
-        stated = c.readings.noise
-        floor = np.zeros_like(c.residuals)
-        if stated is not None:
-            floor = diagonal(stated).reshape(c.residuals.shape)
-        design = parameter_jacobian(c.model, c.parameters, f, columns)
-        return cls(c.residuals, design, H @ turns @ H.transpose(0, 2, 1), floor)
-
-    @cached_property
-    def scattered(self) -> tuple[float, float]:
-        """τ² alike in all outputs, and the deviance there."""
-        return smallest(partial(self.alike, 0.0), self.scale)
-
-    @cached_property
-    def apart(self) -> tuple[Array, float]:
-        """τ_i², and the deviance there; outputs do not touch each other."""
-        tau2 = np.zeros(self.error.shape[1])
-        for i in range(len(tau2)):
-            tau2[i] = smallest(partial(self.alone, i), self.scale)[0]
-        return tau2, self.deviance(tau2, 0.0)
-
-    @cached_property
-    def moved(self) -> tuple[float, float]:
-        """s² beside τ², and the deviance there."""
-        size = self.scale / float(np.mean(np.einsum("nmm->nm", self.across)))
-        (tau2, least), s2 = self.scattered, 0.0
-        for _ in range(_TURNS):
-            s2, _ = smallest(partial(self.turned, tau2), size)
-            tau2, now = smallest(partial(self.alike, s2), self.scale)
-            if least - now < _SETTLED:
-                break
-            least = now
-        return s2, min(least, now)
-
-    @property
-    def placed(self) -> float | None:
-        """How far positions were off [degrees], where the likelihood favours that at 1 %."""
-        s2, least = self.moved
-        # on the edge of what s² may be chi² has half its weight at zero
-        if self.scattered[1] - least < chi2_quantile(1.0 - 2.0 * _LEVEL, 1.0):
-            return None
-        return math.degrees(math.sqrt(s2))
-
-    @property
-    def unequal(self) -> bool:
-        """Whether the likelihood favours outputs of unlike scatter at 1 %."""
-        free = self.error.shape[1] - 1.0
-        return free > 0.0 and self.scattered[1] - self.apart[1] > chi2_quantile(1.0 - _LEVEL, free)
-
-    @cached_property
-    def scale(self) -> float:
-        """Variance (all readings') that residuals and floors are of the size of."""
-        return float(np.mean(self.error**2) + np.mean(self.floor))
-
-    def deviance(self, tau2: Array, s2: float) -> float:
-        """Return −2 ln L of eq. (2) at τ_i² (M,) and s²."""
-        n, m, p = self.design.shape
-        V: Array = s2 * self.across
-        V = V + (self.floor + tau2 + 1e-12 * self.scale)[:, :, None] * np.eye(m)
-        L = np.linalg.cholesky(V)
-        both = np.concatenate([self.design, self.error[:, :, None]], axis=2)
-        R = np.asarray(np.linalg.qr(np.linalg.solve(L, both).reshape(n * m, p + 1), mode="r"))
-        logs = np.log(np.abs(np.diag(R)[:p])).sum()
-        determinants = np.log(np.einsum("nmm->nm", L)).sum()
-        return float(2.0 * (determinants + logs) + R[p, p] ** 2)
-
-    def alike(self, s2: float, tau2: float) -> float:
-        """Return the deviance at one τ² of all outputs."""
-        return self.deviance(np.full(self.error.shape[1], tau2), s2)
-
-    def alone(self, output: int, tau2: float) -> float:
-        """Return the deviance at τ² of one output."""
-        return self.deviance(tau2 * (np.arange(self.error.shape[1]) == output), 0.0)
-
-    def turned(self, tau2: float, s2: float) -> float:
-        """Return the deviance at s²."""
-        return self.alike(s2, tau2)
-
-
-def smallest(function: Callable[[float], float], centre: float) -> tuple[float, float]:
-    """Return where a function of a variance is smallest, and its value; zero is tried as well."""
-    best = (0.0, function(0.0))
-    middle, width = math.log(centre), _DECADES * math.log(10.0)
-    for _ in range(_ROUNDS):
-        nodes = np.linspace(middle - width, middle + width, _GRID)
-        values = [function(math.exp(node)) for node in nodes.tolist()]
-        least = int(np.argmin(values))
-        middle, width = float(nodes[least]), 2.0 * width / (_GRID - 1)
-        if values[least] < best[1]:
-            best = (math.exp(middle), values[least])
-    return best
+_FEW = 6.0  # degrees of freedom below which the law of eq. (1) is not reached
+_MOST = 600  # readings beyond which eq. (1) is not worked out
 
 
 def denied_noise(c: Calibration) -> Doubt | None:
@@ -372,16 +248,17 @@ def placement(c: Calibration) -> Doubt | None:
     """Find readings that scatter across the force, as placement makes them."""
     if c.noise is not None or not _separable(c) or significant(c.diagnostics.model_tests):
         return None
-    if not _is_suspect(c):
+    of = _residuals_of(c)
+    if not across_the_force(of)[0]:
         return None
-    told = _Known.of(c).placed
-    if told is None:
+    degrees = _orientation_error(explain_equal(of), explain_orientations(of))
+    if degrees is None:
         return None
     return Doubt(
         "placement",
         "caution",
         "the residuals lie across the force, as those of positions that were off by some "
-        f"{told:.2g} degrees do: known orientations weigh them wrongly; --orientation-sd auto "
+        f"{degrees:.2g} degrees do: known orientations weigh them wrongly; --orientation-sd auto "
         "estimates that with the parameters",
     )
 
@@ -423,25 +300,51 @@ def _cause_at_known(c: Calibration) -> str:
     plain = c.readings.noise is not None and c.readings.noise.ndim == 1 and c.robust_weight is None
     if not plain or isinstance(c.model, ExpressionModel):
         return scatter
-    known = _Known.of(c)
-    degrees = known.placed if _separable(c) else None
-    if degrees is not None and known.moved[1] <= known.apart[1]:
-        size = f"the data favour placement, some {degrees:.2g} degrees"
-        if _contrasts(c, _normals(c)) >= _TELLING:
-            return f"{size}: see --orientation-sd auto"
-        return f"{size}, if not scatter: so few positions tell little; see --orientation-sd"
-    told = _contrasts(c, _normals(c)) if degrees is None and _separable(c) else 1
-    if known.unequal:
-        pairs = zip(c.outputs, np.sqrt(known.apart[0]).tolist(), strict=True)
+    of = _residuals_of(c)
+    equal, unequal = explain_equal(of), explain_unequal(of)
+    degrees, contrasts = None, 1
+    if _separable(c):
+        moved, contrasts = explain_orientations(of), of.contrasts
+        degrees = _orientation_error(equal, moved)
+        if degrees is not None and moved.deviance[0] <= unequal.deviance[0]:
+            size = f"the data favour placement, some {degrees:.2g} degrees"
+            if contrasts >= TELLING:
+                return f"{size}: see --orientation-sd auto"
+            return f"{size}, if not scatter: so few positions tell little; see --orientation-sd"
+    if prefers_unequal(equal, unequal)[0]:
+        pairs = zip(c.outputs, np.sqrt(unequal.variances[0]).tolist(), strict=True)
         sizes = ", ".join(f"{output} {size:.2g}" for output, size in pairs)
         return f"{scatter}, unlike in the outputs ({sizes} {c.model.unit}): state the noise of each"
-    if told < 1:
+    if degrees is None and contrasts < 1:
         return "these positions cannot tell placement from scatter from rest to rest"
     return scatter
 
 
+def _residuals_of(c: Calibration) -> Residuals:
+    """Return the residuals of a calibration at known positions, as a batch of one."""
+    stated = np.zeros_like(c.residuals)
+    if c.readings.noise is not None:
+        stated = diagonal(c.readings.noise).reshape(c.residuals.shape)
+    columns = c.readings.environment
+    return Residuals(
+        error=c.residuals[None],
+        basis=c.model.basis(c.reference, columns),
+        columns=c.model.columns,
+        slopes=c.model.force_jacobian(c.parameters, c.reference, columns)[None],
+        force=c.reference,
+        stated=stated[None],
+    )
+
+
+def _orientation_error(equal: Explained, moved: Explained) -> float | None:
+    """Return how far positions were off [degrees], where the likelihood prefers that at 1 %."""
+    if not prefers_orientations(equal, moved)[0]:
+        return None
+    return math.degrees(math.sqrt(moved.variances[0, 1]))
+
+
 def judge_equality(c: Calibration) -> tuple[float, Array]:
-    """Test by eq. (4) whether outputs have the noise that an uncertain or unknown fit takes.
+    """Test by eq. (1) whether outputs have the noise that an uncertain or unknown fit takes.
 
     Returns
     -------
@@ -491,41 +394,3 @@ def _separable(c: Calibration) -> bool:
 def _linear_part(c: Calibration) -> Array:
     """Return the scale factors and cross terms (M, 3)."""
     return np.asarray((c.model.linear_map(c.mean_environment) @ c.parameters)[:, 1:])
-
-
-def _normals(c: Calibration) -> Array:
-    """Return vectors (n, M) of readings that no turn of the position moves."""
-    H = c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)
-    return np.asarray(np.linalg.solve(H.transpose(0, 2, 1), c.reference[:, :, None])[:, :, 0])
-
-
-def _units(vectors: Array) -> Array:
-    """Return vectors (n, M) of length one."""
-    return np.asarray(vectors / np.sqrt(np.einsum("nm,nm->n", vectors, vectors))[:, None])
-
-
-def _contrasts(c: Calibration, normals: Array) -> int:
-    """Return how many combinations of readings along the force the parameters leave."""
-    along = _units(normals)
-    phi = c.model.basis(c.reference, c.readings.environment).T
-    left = np.concatenate([phi[columns] * along[:, i] for i, columns in enumerate(c.model.columns)])
-    size = np.sqrt(np.einsum("pn,pn->p", left, left).max())
-    return int(len(along) - np.linalg.matrix_rank(left / size))
-
-
-def _is_suspect(c: Calibration) -> bool:
-    """Tell whether R of eq. (3) is more than chance."""
-    if not (c.residual_sd > 0.0).all():
-        return False
-    e = c.residuals / c.residual_sd
-    normals = _normals(c)
-    along = float(np.sum(np.einsum("nm,nm->n", _units(normals * c.residual_sd), e) ** 2))
-    total = float(np.sum(e**2))
-    nu = float(e.size - len(c.model.keys))
-    if along * e.shape[1] > total:  # most of it lies along the force
-        return False
-    left = _contrasts(c, normals)
-    if left < _TELLING:
-        return False
-    ratio = (total - along) / (nu - left) / (along / left)
-    return ratio > f_quantile(1.0 - _SUSPECT, nu - left, float(left))

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 import multipos as mp
-from multipos.diagnostics.residuals import judge_equality, smallest
+from multipos.diagnostics import noise_causes
+from multipos.diagnostics.residuals import judge_equality
 from multipos.positions.scheme import read_scheme
 from tests.diagnostics.test_model_error import BIAS, MATRIX
 
@@ -23,12 +25,42 @@ def told(c, code):
     return [doubt.text for doubt in c.diagnostics.doubts if doubt.code == code]
 
 
-def test_the_smallest_of_a_variance():
-    # a ln v + b/v is smallest at b/a
-    assert smallest(lambda v: 3.0 * np.log(v + 1e-300) + 2.0 / (v + 1e-300), 1.0)[
-        0
-    ] == pytest.approx(2.0 / 3.0, rel=1e-3)
-    assert smallest(lambda v: v, 1.0) == (0.0, 0.0)
+@pytest.mark.parametrize("stated", [0.0, 3e-5])
+@pytest.mark.parametrize("off_deg", [0.0, 0.02, 0.5])
+def test_causes_stand_at_the_minimum_of_the_restricted_likelihood(off_deg, stated):
+    """Against eq. (2) in one dense matrix, by a search without slopes."""
+    c = mp.fit(readings("fibonacci-24", 3, off_deg=off_deg), model="own-quadratic")
+    e = c.residuals.ravel()
+    f, H = c.reference, c.model.force_jacobian(c.parameters, c.reference, {})
+    X = np.zeros((e.size, len(c.parameters)))
+    for i, (own, part) in enumerate(zip(c.model.columns, c.model.slices, strict=True)):
+        X[i::3, part] = c.model.basis(f, {})[:, own]
+    turned = np.zeros((e.size, e.size))
+    for k in range(len(f)):
+        J = H[k] @ np.cross(np.eye(3), f[k])
+        turned[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = J @ J.T
+
+    def deviance(log):
+        V = (stated**2 + np.exp(log[0])) * np.eye(e.size) + np.exp(log[1]) * turned
+        W = np.linalg.inv(V)
+        S = X.T @ W @ X
+        r = e - X @ np.linalg.solve(S, X.T @ W @ e)
+        return np.linalg.slogdet(V)[1] + np.linalg.slogdet(S)[1] + r @ W @ r
+
+    found = noise_causes.Residuals(
+        c.residuals[None],
+        c.model.basis(f, {}),
+        c.model.columns,
+        H[None],
+        f,
+        np.full((1, 24, 3), stated**2),
+    )
+    moved, equal = noise_causes.explain_orientations(found), noise_causes.explain_equal(found)
+    starts = [(-18.0, -12.0), (-18.0, -18.0), (-18.0, -30.0)]
+    least = min(minimize(deviance, s, method="Nelder-Mead").fun for s in starts)
+    assert moved.deviance[0] == pytest.approx(least, abs=0.05)
+    alone = minimize(lambda x: deviance([x[0], -60.0]), [-18.0], method="Nelder-Mead").fun
+    assert equal.deviance[0] == pytest.approx(alone, abs=0.05)
 
 
 @pytest.mark.parametrize(
