@@ -307,12 +307,12 @@ def _evaluate(of: Residuals, components: Sequence[Array], theta: Array) -> _Slop
 def _inverse(V: Array) -> tuple[Array, Array]:
     """Return V⁻¹ (B, n, M, M) and Σ ln det V (B,)."""
     if V.shape[2] != 3:
-        return np.linalg.inv(V), np.linalg.slogdet(V)[1].sum(axis=1)
+        return np.asarray(np.linalg.inv(V)), np.asarray(np.linalg.slogdet(V)[1].sum(axis=1))
     moved = np.moveaxis(V, (2, 3), (0, 1))
     cofactors = cofactors_of(moved)
     det = np.einsum("kbn,kbn->bn", moved[0], cofactors[0])
-    W: Array = np.ascontiguousarray(np.moveaxis(cofactors / det, (0, 1), (2, 3)), dtype=np.float64)
-    return W, np.asarray(np.log(det).sum(axis=1), dtype=np.float64)
+    W = np.ascontiguousarray(np.moveaxis(cofactors / det, (0, 1), (2, 3)))
+    return W, np.asarray(np.log(det).sum(axis=1))
 
 
 def _information(of: Residuals, W: Array) -> Array:

@@ -72,13 +72,13 @@ def outlier(c: Calibration) -> Doubt | None:
         return None
     more = f"; and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
     heads = [(f"position {label}:", f"position {label} ", label) for label in c.readings.labels]
-    rows = [label for *starts, label in heads if any(s.startswith(tuple(starts)) for s in found)]
+    named = [label for *starts, label in heads if any(s.startswith(tuple(starts)) for s in found)]
     return Doubt(
         "outlier",
         "caution",
         f"{'; '.join(found[:_SHOWN])}{more}: measure again, leave it out, or fit with --robust "
         "huber",
-        tuple(dict.fromkeys(rows)),
+        tuple(dict.fromkeys(named)),
     )
 
 
