@@ -63,6 +63,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_logs(parser)
     add_log_options(parser)
     add_fit_options(parser, "auto")
+    parser.set_defaults(model=None)
     add_order(parser, "paper", "order of rests that have no direction along the scheme")
     add_targets(parser, "CAL.json")
 

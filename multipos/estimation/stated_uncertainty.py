@@ -10,6 +10,14 @@ them have in common, a scaled inverse χ² of d_0 degrees of freedom about s_0²
 with e_k = ln u_k² − ψ(d_k/2) + ln(d_k/2). Where the u_k differ by no more than chance allows, d_0
 is infinite and all become one, Σ d_k u_k²/Σ d_k; where they truly differ, each stays what it is.
 
+Rests of a log that few effective samples tell (`dof` below 30 in most of them) are not what (1)
+takes them for: the memory of their noise is estimated too, from the same few, and their u scatter
+by factors where rests are alike. They are weighed by their numbers of samples N_k,
+
+    ũ_k² = q/N_k,    q the lower quartile of N_k u_k²,                                      (1a)
+
+a floor, above which the residuals of the fit say how much they scatter.
+
 The floors of a fit then have by Welch and Satterthwaite
 
     ν_c = (Σ ũ_k²)²/Σ (ũ_k⁴/d_k),     1/ν' = 1/ν + w²/ν_c,                                  (3)
@@ -61,11 +69,35 @@ def steady_floors(readings: Readings) -> Readings:
     least = float(readings.dof.min())
     if least >= _FEW:
         return replace(readings, u=u)
+    few = poorly_known(readings.dof[None])[0]
     said = (
         f"the readings' uncertainties have as few as {least:.2g} degrees of freedom: they are "
         "drawn towards what they have in common, and U is larger for it"
     )
+    if readings.samples is not None and few.any():
+        u = np.where(few, _by_samples(readings.u, readings.dof, readings.samples), u)
+        said = (
+            f"the readings' uncertainties have as few as {least:.2g} degrees of freedom: rests "
+            "count by their numbers of samples, and U follows from the residuals"
+        )
     return replace(readings, u=u, notes=(*readings.notes, said))
+
+
+def poorly_known(dof: Array) -> NDArray[np.bool_]:
+    """Tell of which outputs (B, M) most u have few degrees of freedom (B, n, M)."""
+    return np.asarray(np.mean(dof < _FEW, axis=1) > 0.5)
+
+
+def _by_samples(u: Array, dof: Array, samples: Array) -> Array:
+    """Return ũ of eq. (1a), of the readings with few degrees of freedom; the others stay."""
+    found = u.copy()
+    for output in range(u.shape[1]):
+        few = dof[:, output] < _FEW
+        if not few.any():
+            continue
+        each = np.sort(samples[few] * u[few, output] ** 2)
+        found[few, output] = np.sqrt(each[(len(each) - 1) // 4] / samples[few])
+    return found
 
 
 class Claims(NamedTuple):
@@ -103,6 +135,7 @@ def take_claims(stated: Sequence[Array], claimed: Sequence[Array]) -> Claims:
         return Claims(np.where(sound[:, None, None], u, 1.0), None, sound)
     dof = np.stack(list(claimed), axis=2)
     sound &= ((dof >= 1.0) & np.isfinite(dof)).all(axis=(1, 2))
+    sound &= ~poorly_known(dof).any(axis=1)  # which eq. (1a) may be of
     u, dof = (np.where(sound[:, None, None], each, 1.0) for each in (u, dof))
     return Claims(drawn_together(u, dof), dof, sound)
 

@@ -22,7 +22,7 @@ from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
-from multipos.numerics.arrays import median
+from multipos.numerics.arrays import Array, median
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.order import Order
@@ -31,12 +31,14 @@ from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression
 from multipos.sensor.model import Gauge
-from multipos.uncertainty.budgets import Budget, BudgetSource
+from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.units import STANDARD_GRAVITY
 
 # What one g reads in the units that logs are in, and how far a sensor with a bias may be from it.
 _ONE_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1000.0}
 _NEAR = 0.15
+_REACH = 0.8  # of the largest range of an output, where each sees both sides of its axis
+_CROSS = 0.01  # of a scale factor: cross terms that a model without them allows for
 
 
 def calibrate(
@@ -55,7 +57,7 @@ def calibrate(
     accept_faults: bool = False,
     scheme: "Source | Scheme | None" = None,
     order: Order = "paper",
-    model: str | Expression = "linear",
+    model: str | Expression | None = None,
     convention: Convention = "specific-force",
     axes: Names | None = None,
     inputs: Names = COMPONENTS,
@@ -93,9 +95,12 @@ def calibrate(
         The positions; otherwise the orientations are unknown.
     order : str
         In which rests that are matched by their order follow the scheme: as for `multipos.fit`.
+    model : str or function, optional
+        As for `multipos.fit`. Where none is given it is 'linear', or '1 + own' where the rests are
+        too few for that and see both sides of every axis.
     exclude : sequence of str, or comma-separated str
         Labels of the rests that are set aside; 'auto' sets outliers aside, 'none' nothing.
-    model, convention, axes, inputs, closed_form, unknown_orientation, orientation_sd, gauge, robust
+    convention, axes, inputs, closed_form, unknown_orientation, orientation_sd, gauge, robust
     pool, stepwise, reading_sd, gravity, gravity_u, latitude, height, level_sd, budget, unit, range
     nominal, confidence
         What is fitted, and how: as for `multipos.fit`.
@@ -169,7 +174,7 @@ def calibrate(
 def fit_rests(
     found: Averages,
     *,
-    model: str | Expression = "linear",
+    model: str | Expression | None = None,
     convention: Convention = "specific-force",
     axes: Names | None = None,
     inputs: Names = COMPONENTS,
@@ -199,9 +204,12 @@ def fit_rests(
     """
     told = closed_form or orientation_sd is not None or level_sd != 0.0
     assumed = found.scheme_up is None and not told
-    try:
+
+    def fitted(
+        readings: Readings, model: str | Expression, budget: "BudgetSource | Budget | None"
+    ) -> Calibration:
         return fit(
-            readings_of(found, unit),
+            readings,
             model=model,
             convention=convention,
             axes=axes,
@@ -225,7 +233,20 @@ def fit_rests(
             nominal=nominal,
             confidence=confidence,
         )
+
+    readings = readings_of(found, unit)
+    try:
+        return fitted(readings, "linear" if model is None else model, budget)
     except RankError as error:
+        if model is None and assumed and _both_sides(readings.values):
+            stated = {} if budget is None else read_budget(budget).tables
+            said = (
+                f"{len(readings)} rests cannot carry cross terms: bias and scale factor of each "
+                "output are fitted, and U allows for cross terms of 1 %; nine rests, edges and "
+                "corners among them, would show them"
+            )
+            noted = replace(readings, notes=(*readings.notes, said))
+            return fitted(noted, "1 + own", {"cross": {"u": _CROSS}, **stated})
         if unknown_orientation or not assumed:
             raise
         raise RankError(
@@ -234,6 +255,14 @@ def fit_rests(
             parameters=error.parameters,
             combinations=error.combinations,
         ) from None
+
+
+def _both_sides(values: Array) -> bool:
+    """Tell whether rests (n, 3) see both sides of every axis, within some 35 degrees."""
+    if values.shape[1] != len(COMPONENTS):
+        return False
+    reach = np.ptp(values, axis=0)
+    return bool(len(values) >= 2 * len(COMPONENTS) and reach.min() > _REACH * reach.max())
 
 
 def readings_of(found: Averages, unit: str | None) -> Readings:

@@ -17,6 +17,7 @@ A budget is a small TOML file, one table for each input quantity, all optional:
                  ``scale_per_degC`` [relative/degC] where the model has no temperature terms
 ``third_order``  own-axis third-order coefficient that the positions did not show, relative to
                  the scale factor [1/g²]: as ``"own^3"`` of ``unseen``, instead of it
+``cross``        cross terms that the model leaves out, each relative to the scale factor
 ``stability``    zero from switch-on to switch-on: ``file``, a result of `multipos stability` of
                  several records, or its standard deviations ``u_<output>``, and ``dof``
 ``unseen``       terms that the positions did not show: standard uncertainty [g] of each kind,
@@ -201,6 +202,7 @@ KINDS = {
     "temperature": QuantityKind(
         "temperature of the sensor", "degC", True, ("bias_per_degC", "scale_per_degC")
     ),
+    "cross": QuantityKind("cross terms that the model leaves out", "1", True),
     "third_order": QuantityKind("third-order term beyond the positions", "1/g^2", True),
     "unseen": QuantityKind("terms that the positions did not show", "g", True, UNSEEN),
     "stability": QuantityKind(

@@ -64,7 +64,7 @@ from multipos.estimation.excess_variance import Scatter, find_scatter
 from multipos.estimation.gains import gravity_effect
 from multipos.estimation.stated_uncertainty import carried_dof
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.terms import COMPONENTS, kind_terms
 from multipos.positions.readings import diagonal
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
@@ -121,6 +121,8 @@ def reading_moves(calibration: Calibration, quantity: Quantity) -> Array:
     n, m = c.readings.values.shape
     if quantity.name in ("level", "index"):
         return _turned(c, turn_axes(c, quantity))
+    if quantity.name == "cross":
+        return _cross_moves(c)
     if quantity.name == "stability":
         return zero_moves(c, quantity.settings)
     if quantity.name == "temperature":
@@ -129,6 +131,19 @@ def reading_moves(calibration: Calibration, quantity: Quantity) -> Array:
     if quantity.settings.get("each_output", False):
         return np.asarray(moved[:, :, None] * np.eye(m))
     return moved[:, :, None]
+
+
+def _cross_moves(c: Calibration) -> Array:
+    """Return dy/dκ (n, M, q) of each cross term, relative to the scale factor, left out."""
+    components = {axis: c.reference[:, i] for i, axis in enumerate(COMPONENTS)}
+    moves = [np.zeros(c.readings.values.shape)]
+    for output, axis in enumerate(c.model.axes):
+        for term in kind_terms("other", axis, c.model.inputs):
+            if term not in c.model.terms[output]:
+                moves.append(np.zeros(c.readings.values.shape))
+                scale = c.sensitivity[output, COMPONENTS.index(axis)]
+                moves[-1][:, output] = scale * term.evaluate(components)
+    return np.stack(moves, axis=2)
 
 
 def turn_axes(calibration: Calibration, quantity: Quantity) -> Array:

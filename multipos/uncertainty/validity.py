@@ -44,20 +44,21 @@ from multipos.results import Keyed, Tabular, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import parameter_jacobian, sensed_axes
 from multipos.sensor.inverse import sensitivities as inverse_sensitivities
-from multipos.uncertainty.budgets import read_budget
+from multipos.uncertainty.budgets import OF_FORCE_ALONE, read_budget
 from multipos.uncertainty.propagation import evaluate_budget
 
 
 def unseen_sizes(calibration: Calibration) -> dict[str, float]:
     """Return the standard uncertainty [g] of each kind of term that the budget states."""
     tables = calibration.budget_tables
-    stated = {name: tables[name] for name in ("unseen", "third_order") if name in tables}
+    stated = {name: tables[name] for name in (*OF_FORCE_ALONE, "cross") if name in tables}
     if not stated:
         return {}
     quantities = read_budget(stated).quantities
+    sizes = {"other": quantities["cross"].u} if "cross" in quantities else {}
     if "third_order" in quantities:
-        return {"own^3": quantities["third_order"].u}
-    return dict(quantities["unseen"].settings)
+        return sizes | {"own^3": quantities["third_order"].u}
+    return sizes | dict(quantities["unseen"].settings if "unseen" in quantities else {})
 
 
 def unseen_covariance(

@@ -1,0 +1,43 @@
+"""The first command in ordinary situations, against the truth and the peers of `benchmarks`."""
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from benchmarks.ordinary import ROWS, measured
+
+SEEN = ("one-off-102mg", "two-off-10mg", "two-off-102mg", "five-off-41mg")
+
+
+@pytest.mark.parametrize("name", SEEN)
+def test_rests_that_are_off_are_named_and_cost_nothing(name):
+    found = measured(name, 10, 1)
+    assert found.named == [True] * 10
+    assert found.error("multipos") <= ROWS[name].wanted
+
+
+@pytest.mark.parametrize("name", ["faces-1deg", "faces-3deg"])
+def test_six_faces_put_down_by_hand_are_answered(name):
+    found = measured(name, 10, 1)
+    assert not found.failures
+    assert found.error("multipos") <= ROWS[name].wanted
+    assert np.mean(found.held) >= 0.93
+
+
+@pytest.mark.parametrize("name", ["tremor", "tremor-unequal", "unequal"])
+def test_weights_that_few_samples_tell_are_no_worse_than_none(name):
+    found = measured(name, 15, 1)
+    assert found.ratio("LM") <= 1.05
+    assert np.mean(found.held) >= 0.9
+
+
+def test_a_model_that_is_named_is_not_changed():
+    made = ROWS["faces-1deg"].make(np.random.default_rng(1))
+    cal = mp.calibrate(made.log)
+    assert cal.model.text == "1 + own"
+    assert cal.budget.tables == {"cross": {"u": 0.01}}
+    # cross terms of 1 % stand in U of force between the faces, where two axes see .71 g each
+    edge = mp.apply(cal, {"ax": [7.1], "ay": [6.7], "az": [0.3]}, uncertainty=True)["u_f_x"]
+    assert edge == pytest.approx(0.01 * np.sqrt(0.5), rel=0.05)
+    with pytest.raises(mp.RankError):
+        mp.calibrate(made.log, model="linear")
