@@ -155,7 +155,7 @@ def test_positions_that_cannot_tell_everything_ask_for_a_scheme():
     assert raised.value.parameters == 9
     assert mp.calibrate(faces, scheme="faces-6").estimator == "linear"
     with pytest.raises(mp.RankError) as raised:
-        mp.calibrate(faces, unknown_orientation=True)
+        mp.calibrate(faces, unknown_orientation=True, model="linear")
     assert "say so with --scheme" not in str(raised.value)
 
 
