@@ -14,8 +14,9 @@ Where runs are told apart (``regress --run``) the next one has a zero of its own
 of those that were seen: u and U are those of eq. (3) of `multipos.regression.robust`.        (2)
 
 A row is outside where a variable that its segment's model uses, or the segment variable itself,
-leaves what the rows of the fit covered. A polynomial says nothing there: the row is flagged, its
-variables are clamped to the range, or the table is refused.
+leaves what the rows of the fit covered, or where all together leave the region that these filled
+(`multipos.regression.region`). A polynomial says nothing there: the row is flagged, its variables
+are clamped to the range, or the table is refused.
 """
 
 from collections.abc import Mapping, Sequence
@@ -331,12 +332,14 @@ def _outside(
     clamped = {name: column.copy() for name, column in columns.items()}
     for number, segment in enumerate(regression.segments):
         rows = np.flatnonzero(place == number)
-        used = {f.variable for term in segment.terms for f in term.factors}
-        limits = {name: segment.limits[name] for name in used if name in segment.limits}
+        limits = {name: segment.limits[name] for name in segment.used if name in segment.limits}
         if regression.segment_variable is not None:  # the whole segment, also where no row fell
             limits[regression.segment_variable] = segment.range
         for name, (low, high) in limits.items():
             values = columns[name][rows]
             beyond[rows] |= (values < low) | (values > high)
             clamped[name][rows] = np.clip(values, low, high)
+        if segment.region is not None:
+            held = {name: clamped[name][rows] for name in segment.used}
+            beyond[rows] |= segment.region.leverage(held, len(rows)) > segment.region.limit
     return beyond, clamped

@@ -64,6 +64,7 @@ from multipos.regression.regression import Regression, Regressions, format_span
 from multipos.regression.robust import ROBUST, RowDependence, within_runs
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import check_edges, find_edges, segment_of
+from multipos.regression.variation import term_variances
 
 
 def order_said(read: Observations, result: Regression) -> tuple[str, ...]:
@@ -301,7 +302,8 @@ def fit_cut(plan: Plan, data: Data, cut: Cut) -> list[Segment]:
     place = np.empty(len(data), dtype=np.intp)
     for b, branch in enumerate(branches):
         place[branch.rows] = branch.place + b * (len(cut.edges) + 1)
-    data = replace(data, noise=_noise(design, within, place))
+    variances = term_variances(plan.terms, data.columns)
+    data = replace(data, noise=_noise(design, within, place), variances=variances)
     return [segment for branch in branches for segment in fit(plan, data, cut, branch)]
 
 
@@ -327,7 +329,8 @@ def _fit_apart(plan: Plan, data: Data, cut: Cut, branch: _Branch) -> list[Segmen
             where = _segment_name(number, variable, span, branch)
         mine = branch.rows[branch.place == number]
         some = data if len(mine) == len(data) else data.take(mine)
-        segments.append(fit_segment(plan, some, variable, span, branch.name, where))
+        alone = where == "the table"
+        segments.append(fit_segment(plan, some, variable, span, branch.name, where, alone=alone))
     return segments
 
 

@@ -22,7 +22,9 @@ F_in ≥ F_out. A cycle crosses every ν as often up as down and would end with 
 than it began with: there is none.
 
 **Guard.** A column whose z_j is less than 1e-5 of the column itself (beyond the terms that are
-always in) has half its digits in common with the model: it is not entered, and named.
+always in) has half its digits in common with the model: it is not entered, and named. Who
+selects may ask for more of a column (`Guard`): a length of its own on the rows as they are, and
+coefficients that do not cancel each other.
 
 All subsets of a list of columns: the residual sum of every one, from one factor.
 
@@ -52,7 +54,7 @@ References
    Mathematical Methods for Digital Computers, Wiley 1960.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf, log
 from typing import Literal, NamedTuple, get_args
@@ -124,7 +126,9 @@ class Selection:
     F_to_enter : float
         What the runner-up would have needed.
     collinear : tuple of str
-        Terms that the guard kept out.
+        Terms that share their digits with the model.
+    short, cancelling : tuple of int
+        Columns that a `Guard` kept out: too little of their own, or coefficients that cancel.
     """
 
     columns: tuple[int, ...]
@@ -132,6 +136,26 @@ class Selection:
     runner_up: Tested | None = None
     F_to_enter: float = float("nan")
     collinear: tuple[str, ...] = ()
+    short: tuple[int, ...] = ()
+    cancelling: tuple[int, ...] = ()
+
+
+class Guard(NamedTuple):
+    """What a column must have to be entered, beside its F.
+
+    Attributes
+    ----------
+    triangle : Triangle
+        Of the rows as they are, where those of the selection are whitened.
+    least : (p,) array
+        Length of a column outside the model below which it stays out.
+    cancel : function
+        From columns and their coefficients to whether these cancel each other.
+    """
+
+    triangle: Triangle
+    least: Array
+    cancel: Callable[[Sequence[int], Array], bool]
 
 
 @dataclass(frozen=True)
@@ -217,6 +241,12 @@ def _triangular(a: Array) -> Array:
     return np.asarray(np.linalg.qr(a, mode="r"))
 
 
+def coefficients(triangle: Triangle, columns: Sequence[int]) -> Array:
+    """Return those of some columns, which are independent, by least squares."""
+    Q, R = np.linalg.qr(triangle.R[:, list(columns)])
+    return np.asarray(np.linalg.solve(R, Q.T @ triangle.R[:, -1]))
+
+
 def select_stepwise(
     triangle: Triangle,
     names: Sequence[str],
@@ -224,6 +254,7 @@ def select_stepwise(
     *,
     forced: Sequence[int] = (),
     requires: Sequence[frozenset[int]] | None = None,
+    guard: Guard | None = None,
 ) -> Selection:
     """Select columns forward with removal, starting from those that are forced.
 
@@ -236,12 +267,13 @@ def select_stepwise(
         Columns that are always in.
     requires : sequence of p sets of int, optional
         Columns that must be in before a column may enter, and stay while it is in.
+    guard : Guard, optional
 
     Returns
     -------
     Selection
     """
-    search = _TermSearch(triangle, names, forced, requires)
+    search = _TermSearch(triangle, names, forced, requires, guard=guard)
     path: list[Step] = []
     while True:
         removable, addable = search.removable(), search.addable()
@@ -252,6 +284,8 @@ def select_stepwise(
             rest = [t for t in removable if t is not out]
             runner_up = min(rest, key=lambda t: t.F, default=None)
             path.append(search.take(len(path) + 1, out, runner_up, tested))
+        elif best is not None and limits.enters(best) and search.cancels(best):
+            search.refuse(best)
         elif best is not None and limits.enters(best):
             rest = [t for t in addable if t is not best]
             runner_up = max(rest, key=lambda t: t.F, default=None)
@@ -267,6 +301,7 @@ def select_backward(
     *,
     forced: Sequence[int] = (),
     requires: Sequence[frozenset[int]] | None = None,
+    guard: Guard | None = None,
 ) -> Selection:
     """Select columns by removing the weakest from all of them, as long as it is weak enough.
 
@@ -274,6 +309,8 @@ def select_backward(
     ----------
     triangle, names, limits, forced, requires
         As in `select_stepwise`.
+    guard : Guard, optional
+        Terms whose coefficients cancel go, the weakest first, whatever their F.
 
     Raises
     ------
@@ -293,12 +330,14 @@ def select_backward(
             f"backward selection starts from the full model, but {said}; drop a term, or use "
             "--stepwise."
         )
-    search = _TermSearch(triangle, names, forced, requires, start=range(p))
+    search = _TermSearch(triangle, names, forced, requires, start=range(p), guard=guard)
     path: list[Step] = []
     while True:
         removable = search.removable()
         out = min(removable, key=lambda t: t.F, default=None)
-        if out is None or not limits.leaves(out):
+        if out is not None and not limits.leaves(out) and search.cancels():
+            search.refuse(out)
+        elif out is None or not limits.leaves(out):
             best = max(search.addable(), key=lambda t: t.F, default=None)
             return search.result(path, best, limits)
         rest = [t for t in removable if t is not out]
@@ -319,12 +358,15 @@ class _TermSearch:
         forced: Sequence[int],
         requires: Sequence[frozenset[int]] | None,
         start: Sequence[int] = (),
+        guard: Guard | None = None,
     ) -> None:
+        self.triangle = triangle
         self.X, self.y, self.rows = triangle.R[:, :-1], triangle.R[:, -1], triangle.rows
         self.names, self.forced = names, frozenset(forced)
         self.requires = requires or [frozenset()] * len(names)
         self.inside = set(forced) | set(start)
         self.collinear: set[int] = set()
+        self.guard, self.short, self.cancelling = guard, set[int](), set[int]()
         base = _residual(self.X, self._basis(sorted(self.forced)))
         self.scale = np.linalg.norm(base, axis=0)
         self.dead = self.scale <= NOTHING * np.linalg.norm(self.X, axis=0)
@@ -364,10 +406,12 @@ class _TermSearch:
         Z = _residual(self.X[:, outside], Q)
         length = np.linalg.norm(Z, axis=0)
         found = []
-        self.collinear = set()
+        self.collinear, self.short = set(), self._too_short(outside)
         for place, j in enumerate(outside):
             if self.dead[j] or length[place] <= COLLINEAR * self.scale[j]:
                 self.collinear.add(j)
+                continue
+            if j in self.short or j in self.cancelling:
                 continue
             if not self.requires[j] <= self.inside:
                 continue
@@ -379,6 +423,30 @@ class _TermSearch:
             found.append(Tested("add", self.names[j], F, f_tail(F, 1, dof)))
         return found
 
+    def _too_short(self, outside: Sequence[int]) -> set[int]:
+        """Return the columns that have less of their own than the guard asks for."""
+        if self.guard is None:
+            return set()
+        X = self.guard.triangle.R[:, :-1]
+        Q = np.linalg.qr(X[:, sorted(self.inside)])[0]
+        length = np.linalg.norm(_residual(X[:, list(outside)], Q), axis=0)
+        short = length < self.guard.least[list(outside)]
+        return {j for j, less in zip(outside, short.tolist(), strict=True) if less}
+
+    def cancels(self, found: Tested | None = None) -> bool:
+        """Tell whether the guard refuses the coefficients, with a term that could be added."""
+        if self.guard is None:
+            return False
+        added = set() if found is None else {list(self.names).index(found.term)}
+        columns = sorted(self.inside | added)
+        return self.guard.cancel(columns, coefficients(self.triangle, columns))
+
+    def refuse(self, found: Tested) -> None:
+        """Keep a term out for good, for what it makes of the coefficients."""
+        column = list(self.names).index(found.term)
+        self.inside.discard(column)
+        self.cancelling.add(column)
+
     def take(
         self, step: int, found: Tested, runner_up: Tested | None, tested: tuple[Tested, ...]
     ) -> Step:
@@ -388,6 +456,7 @@ class _TermSearch:
         dof = self.rows - len(self.inside) - int(adds)
         if adds:
             self.inside.add(column)
+            self.cancelling.clear()  # which they may not do beside the new one
         else:
             self.inside.remove(column)
         return Step(step, found.action, found.term, found.F, found.p, dof, runner_up, tested)
@@ -397,18 +466,21 @@ class _TermSearch:
         dof = self.rows - len(self.inside) - 1
         collinear = tuple(self.names[j] for j in sorted(self.collinear - self.inside))
         needed = limits.needed(dof) if best is not None else float("nan")
-        return Selection(tuple(sorted(self.inside)), tuple(path), best, needed, collinear)
+        return Selection(
+            columns=tuple(sorted(self.inside)),
+            path=tuple(path),
+            runner_up=best,
+            F_to_enter=needed,
+            collinear=collinear,
+            short=tuple(sorted(self.short - self.inside)),
+            cancelling=tuple(sorted(self.cancelling)),
+        )
 
 
 def _residual(columns: Array, basis: Array) -> Array:
     """What columns have outside a basis; twice, so that rounding of the first pass goes too."""
     once = columns - basis @ (basis.T @ columns)
     return np.asarray(once - basis @ (basis.T @ once))
-
-
-def all_columns(names: Sequence[str]) -> Selection:
-    """Return the selection that takes every column."""
-    return Selection(tuple(range(len(names))))
 
 
 SubsetCriterion = Literal["aicc", "bic", "adjusted_r2"]

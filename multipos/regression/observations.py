@@ -230,7 +230,10 @@ _SAME = 1e-10  # relative difference below which two columns are one
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Columns of the rows that are fitted, with order in time, clusters, runs and their noise."""
+    """Columns of the rows that are fitted, with order in time, clusters, runs and their noise.
+
+    `variances` are those of the terms over the whole table (`multipos.regression.variation`).
+    """
 
     columns: Mapping[str, Array]
     response: Array
@@ -238,6 +241,7 @@ class Data:
     cluster: Rows | None = None
     run: Rows | None = None
     noise: Noise | None = None
+    variances: Array | None = None
 
     def take(self, rows: Rows) -> "Data":
         """Return some of the rows."""
@@ -248,6 +252,7 @@ class Data:
             None if self.cluster is None else self.cluster[rows],
             None if self.run is None else self.run[rows],
             self.noise,
+            self.variances,
         )
 
     def __len__(self) -> int:

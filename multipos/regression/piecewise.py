@@ -19,9 +19,10 @@ them: the five variables of the full-temperature model make 21 in second degree.
 them one by one instead.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,12 +33,14 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import LinearFit, solve
 from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.numerics.selection import (
+    Guard,
     Selection,
     Subset,
     SubsetCriterion,
     Thresholds,
-    all_columns,
+    Triangle,
     all_subsets,
+    coefficients,
     compress,
     criteria,
     select_backward,
@@ -46,6 +49,7 @@ from multipos.numerics.selection import (
 from multipos.numerics.terms import CONSTANT, Factor, Term, evaluate_terms, parse_terms
 from multipos.regression.correlation import wald, whitening_of
 from multipos.regression.observations import Data, Rows
+from multipos.regression.region import Region, largest_leverage, region_factor
 from multipos.regression.robust import (
     RobustFit,
     RowDependence,
@@ -56,8 +60,9 @@ from multipos.regression.robust import (
     runs_lost,
     within_runs,
 )
-from multipos.regression.segment import Robust, Segment
+from multipos.regression.segment import LeftOut, Robust, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
+from multipos.regression.variation import LEAST, Contributions, by_degree, varying
 
 HIGHEST_DEGREE = 30  # of a power; NIST's Filip has 10
 
@@ -189,6 +194,69 @@ class _Fit:
     dof: int
 
 
+class _Demand(NamedTuple):
+    """What columns are held to, eqs. (1) and (2) of `multipos.regression.variation`.
+
+    `order` is that in which each must vary beyond those before it; None where all may stay.
+    """
+
+    variances: Array
+    cancel: Callable[[Sequence[int], Array], bool]
+    order: Sequence[int] | None
+
+
+def _span(plan: Plan, data: Data) -> float:
+    """Return the range of the response, from zero where there is no constant."""
+    y = data.response
+    return float(np.ptp(y) if plan.constant else np.abs(y).max())
+
+
+def _left_out(plan: Plan, selection: Selection) -> tuple[LeftOut, ...]:
+    """Return the candidates that a fit does not support, each with the reason."""
+    found = [
+        LeftOut(
+            str(plan.terms[j]),
+            f"varies here, beyond the terms kept, by less than {LEAST:g} of its variance in the "
+            "table; its effect is part of the constant and of these terms",
+        )
+        for j in selection.short
+        if j < len(plan.terms)
+    ]
+    return (
+        *found,
+        *(
+            LeftOut(
+                str(plan.terms[j]),
+                "its coefficient and others would cancel, each larger than the response's range",
+            )
+            for j in selection.cancelling
+            if j < len(plan.terms)
+        ),
+    )
+
+
+def _regions(
+    plan: Plan,
+    data: Data,
+    kept: Array,
+    short: Sequence[int],
+    parts: Sequence[tuple[tuple[Term, ...], Array | None, Rows]],
+) -> tuple[Region | None, ...]:
+    """Return the region of each segment of a fit: its terms, how they share columns, its rows."""
+    if not kept.shape[1]:
+        return (None,) * len(parts)
+    assert data.variances is not None  # which `fit_cut` has seen to
+    left_out = [plan.terms[j] for j in short if data.variances[j] > 0.0]
+    shortest = np.sqrt(LEAST * len(data) * data.variances[[plan.terms.index(t) for t in left_out]])
+    beyond = evaluate_terms(left_out, data.columns, len(data))
+    found = []
+    for terms, L, rows in parts:
+        region = Region((*terms, *left_out), region_factor(kept, beyond, shortest, L), np.inf)
+        found.append((region, data.take(rows).columns, len(rows)))
+    limit = largest_leverage(found)
+    return tuple(replace(region, limit=limit) for region, _, _ in found)
+
+
 def fit_segment(
     plan: Plan,
     data: Data,
@@ -196,6 +264,8 @@ def fit_segment(
     span: tuple[float, float],
     branch: str | None,
     where: str,
+    *,
+    alone: bool,
 ) -> Segment:
     """Fit one segment on its own.
 
@@ -210,6 +280,8 @@ def fit_segment(
     branch : str or None
     where : str
         The segment in words, for messages.
+    alone : bool
+        Whether it is all there is, so that terms are held to nothing but what the rows tell.
 
     Raises
     ------
@@ -219,7 +291,14 @@ def fit_segment(
     original, read = evaluate_terms(plan.terms, data.columns, len(data)), data
     design, data = within_runs(original, data, where)
     names = [str(term) for term in plan.terms]
-    fit = _fit(plan, design, data, names, stands_on(plan.terms), where)
+    sizes = Contributions(read.columns, _span(plan, data))
+
+    def cancel(columns: Sequence[int], b: Array) -> bool:
+        return sizes.cancel([plan.terms[j] for j in columns], b)
+
+    assert data.variances is not None  # which `fit_cut` has seen to
+    demand = _Demand(data.variances, cancel, None if alone else by_degree(plan.terms))
+    fit = _fit(plan, design, data, names, stands_on(plan.terms), where, demand)
     terms = tuple(plan.terms[j] for j in fit.selection.columns)
     y, e = data.response, fit.residuals
     mean = float(y.mean()) if CONSTANT in terms else 0.0
@@ -245,11 +324,14 @@ def fit_segment(
         branch,
         robust_test(robust, terms, values, (F, k, fit.dof), plan.confidence),
     )
+    short = fit.selection.short
+    kept = original[:, list(fit.selection.columns)]
+    (region,) = _regions(plan, read, kept, short, [(terms, None, np.arange(len(data)))])
+    segment = replace(segment, left_out=_left_out(plan, fit.selection), region=region)
     if read.run is None:
         return segment
-    chosen = original[:, list(fit.selection.columns)]
     size = len(data) if robust is None else robust.n_effective
-    return add_between(segment, find_between(chosen, read, terms, values, variable, size))
+    return add_between(segment, find_between(kept, read, terms, values, variable, size))
 
 
 def fit_continuous(
@@ -272,53 +354,70 @@ def fit_continuous(
     edges : sequence of float
     spans : sequence of (low, high)
     """
-    extra = hinges(plan.terms, variable, edges)
-    original = np.column_stack(
-        (
-            evaluate_terms(plan.terms, data.columns, len(data)),
-            *(h.evaluate(data.columns) for h in extra),
-        )
-    )
+    place = segment_of(data.columns[variable], edges)
+    parts = [np.flatnonzero(place == s) for s in range(len(spans))]
+    base = evaluate_terms(plan.terms, data.columns, len(data))
+    assert data.variances is not None  # which `fit_cut` has seen to
+    supported = [set(varying(base[rows], data.variances, by_degree(plan.terms))) for rows in parts]
+    position = {term: j for j, term in enumerate(plan.terms)}
+    extra = [
+        h
+        for h in hinges(plan.terms, variable, edges)
+        if {position[h.term]} <= supported[(s := edges.index(h.edge))] & supported[s + 1]
+    ]
+    original = np.column_stack((base, *(h.evaluate(data.columns) for h in extra)))
     read = data
     design, data = within_runs(original, data, where)
     names = [*map(str, plan.terms), *map(str, extra)]
-    position = {term: j for j, term in enumerate(plan.terms)}
     requires = [*stands_on(plan.terms), *(frozenset({position[h.term]}) for h in extra)]
-    fit = _fit(plan, design, data, names, requires, where)
     every: tuple[Term | Hinge, ...] = (*plan.terms, *extra)
+    sizes = [
+        Contributions(read.take(rows).columns, _span(plan, data)) for rows in parts if len(rows)
+    ]
+
+    def cancel(columns: Sequence[int], b: Array) -> bool:
+        locally = [_local([every[j] for j in columns], edges[:s]) for s in range(len(parts))]
+        return any(size.cancel(t, L @ b) for size, (t, L) in zip(sizes, locally, strict=True))
+
+    variances = np.concatenate([data.variances, original[:, len(plan.terms) :].var(axis=0)])
+    order = [*by_degree(plan.terms), *range(len(plan.terms), len(every))]
+    fit = _fit(plan, design, data, names, requires, where, _Demand(variances, cancel, order))
     chosen = [every[j] for j in fit.selection.columns]
     b = np.zeros(0) if fit.found is None else fit.found.coefficients
     robust = _robust(plan, fit, data)
-    place = segment_of(data.columns[variable], edges)
+    short = [j for j in fit.selection.short if j < len(plan.terms)]
+    locally = [_local(chosen, edges[:s]) for s in range(len(spans))]
+    left = original[:, list(fit.selection.columns)]
+    regions = _regions(
+        plan, read, left, short, [(*each, rows) for each, rows in zip(locally, parts, strict=True)]
+    )
     segments = []
     for s, span in enumerate(spans):
-        terms, L = _local(chosen, edges[:s])
+        terms, L = locally[s]
         values, covariance = L @ b, L @ fit.covariance @ L.T
         slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
         F, k = wald(values[slopes], covariance[np.ix_(slopes, slopes)])
         turned = None if robust is None else robust.turned(L)
-        rows = np.flatnonzero(place == s)
-        segments.append(
-            _segment(
-                plan,
-                fit,
-                data,
-                rows,
-                terms,
-                values,
-                covariance,
-                (k, fit.dof),
-                F,
-                span,
-                branch,
-                robust_test(turned, terms, values, (F, k, fit.dof), plan.confidence),
-            )
+        segment = _segment(
+            plan,
+            fit,
+            data,
+            parts[s],
+            terms,
+            values,
+            covariance,
+            (k, fit.dof),
+            F,
+            span,
+            branch,
+            robust_test(turned, terms, values, (F, k, fit.dof), plan.confidence),
         )
+        left_out = _left_out(plan, fit.selection)
+        segments.append(replace(segment, left_out=left_out, region=regions[s]))
     if read.run is None:
         return segments
     size = len(data) if robust is None else robust.n_effective
     linear = [column if isinstance(column, Term) else None for column in chosen]
-    left = original[:, list(fit.selection.columns)]
     between = find_between(left, read, linear, b, variable, size)
     return [add_between(segment, between) for segment in segments]
 
@@ -346,11 +445,12 @@ def _fit(
     names: list[str],
     requires: list[frozenset[int]],
     where: str,
+    demand: _Demand,
 ) -> _Fit:
     (n, p), response, lost = design.shape, data.response, runs_lost(data)
     _require_rows(plan, n, p + lost, where)
     try:
-        selection, subsets = _select(plan, design, data, names, requires, lost)
+        selection, subsets = _select(plan, design, data, names, requires, lost, demand)
         columns = list(selection.columns)
         if not columns:
             zero = np.zeros((0, 0))
@@ -415,24 +515,65 @@ def _select(
     names: list[str],
     requires: list[frozenset[int]],
     lost: int,
+    demand: _Demand,
 ) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
+    """Return the columns that are taken, of those that vary, and the subsets that were compared."""
+    every = range(len(names))
+    tried = list(every)
+    if demand.order is not None and plan.method != "stepwise":
+        tried = sorted(varying(design, demand.variances, demand.order))
+    short = tuple(j for j in every if j not in tried)
     if plan.method == "full":
-        return all_columns(names), ()
+        return Selection(tuple(tried), short=short), ()
+    place = {j: i for i, j in enumerate(tried)}
     whitening = whitening_of(data.order, data.noise)
-    if whitening is None:
-        triangle = compress(design, data.response)
-    else:
-        triangle = compress(whitening(design), whitening(data.response))
-    triangle = replace(triangle, rows=triangle.rows - lost)
-    forced = [plan.terms.index(CONSTANT)] if plan.constant else []
+    plain = triangle = compress(design[:, tried], data.response)
+    if whitening is not None:
+        triangle = compress(whitening(design[:, tried]), whitening(data.response))
+    least = np.sqrt(LEAST * len(design) * demand.variances[tried])
+    guard = Guard(plain, least, lambda c, b: demand.cancel([tried[j] for j in c], b))
+    found, subsets = _search(
+        plan,
+        replace(triangle, rows=triangle.rows - lost),
+        [names[j] for j in tried],
+        [place[j] for j in every if names[j] == str(CONSTANT)],
+        [frozenset(place[k] for k in requires[j] if k in place) for j in tried],
+        guard,
+    )
+    found = replace(
+        found,
+        columns=tuple(tried[j] for j in found.columns),
+        cancelling=tuple(tried[j] for j in found.cancelling),
+        short=short or found.short,
+    )
+    return found, subsets
+
+
+def _search(
+    plan: Plan,
+    triangle: Triangle,
+    names: list[str],
+    forced: list[int],
+    requires: list[frozenset[int]],
+    guard: Guard,
+) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
     needed = requires if plan.hierarchy else None
     if plan.method == "stepwise":
-        return select_stepwise(triangle, names, plan.limits, forced=forced, requires=needed), ()
+        found = select_stepwise(
+            triangle, names, plan.limits, forced=forced, requires=needed, guard=guard
+        )
+        return found, ()
     if plan.method == "backward":
-        return select_backward(triangle, names, plan.limits, forced=forced, requires=needed), ()
-    found = all_subsets(triangle, forced=forced, requires=needed, criterion=plan.criterion)
-    named = tuple((tuple(names[j] for j in subset.columns), subset) for subset in found)
-    return Selection(found[0].columns), named
+        found = select_backward(
+            triangle, names, plan.limits, forced=forced, requires=needed, guard=guard
+        )
+        return found, ()
+    subsets = all_subsets(triangle, forced=forced, requires=needed, criterion=plan.criterion)
+    named = tuple((tuple(names[j] for j in subset.columns), subset) for subset in subsets)
+    sound = (
+        s.columns for s in subsets if not guard.cancel(s.columns, coefficients(triangle, s.columns))
+    )
+    return Selection(next(sound, tuple(forced))), named
 
 
 def _segment(

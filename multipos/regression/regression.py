@@ -124,7 +124,7 @@ class Regression(Result, Tabular):
     @property
     def needed(self) -> tuple[str, ...]:
         """Columns that a prediction needs."""
-        names = [f.variable for s in self.segments for t in s.terms for f in t.factors]
+        names = [name for s in self.segments for name in s.used]
         return tuple(
             dict.fromkeys(
                 name for name in (*names, self.segment_variable, self.branch_column) if name

@@ -24,6 +24,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import t_tail
 from multipos.numerics.selection import Step, Subset, Tested
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms, linear_term
+from multipos.regression.region import Region
 from multipos.results import Result
 
 
@@ -119,6 +120,13 @@ class Between(Result):
         return np.asarray(L @ self.covariance @ L.T / self.runs)
 
 
+class LeftOut(NamedTuple):
+    """A candidate that a segment does not support, and why."""
+
+    term: str
+    reason: str
+
+
 @dataclass(frozen=True, eq=False)
 class Segment(Result):
     """The model of one segment.
@@ -174,11 +182,19 @@ class Segment(Result):
     subsets: tuple[tuple[tuple[str, ...], Subset], ...] = ()
     robust: Robust | None = None
     between: Between | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    region: Region | None = None
 
     @property
     def significant(self) -> bool:
         """Whether F passes its critical value."""
         return bool(self.F_critical < self.F)
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """The variables of its terms, and of those that its region is about."""
+        terms = self.terms if self.region is None else self.region.terms
+        return tuple(dict.fromkeys(f.variable for term in terms for f in term.factors))
 
     @cached_property
     def coefficients(self) -> tuple[Coefficient, ...]:
