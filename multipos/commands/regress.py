@@ -75,7 +75,8 @@ def _add_segments(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     add("--segment", metavar="VARIABLE:EDGE,…|auto", help="a model for each range of a variable")
     add("--min-rows", type=int, metavar="N", help="fewest rows of a segment that auto finds")
-    add("--continuous", action="store_true", help="no jump at the edges")
+    add("--free", action="store_true", help="each segment by itself, with jumps at the edges")
+    add("--continuous", action="store_true", help="no jump at the edges (default)")
     add("--branches", metavar="RATE", help="heating and cooling apart, where they differ")
 
 

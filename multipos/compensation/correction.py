@@ -2,21 +2,12 @@
 
 The response of a regression is usually an error, and what wants correcting another column:
 
-    corrected = column − predicted,        u² = x' C x + s²,        U = k u,                 (1)
+    corrected = column − predicted,                                                         (1)
 
-with x the terms of a row, C the covariance of the segment's coefficients (the robust one where rows
-were correlated) and s the noise of one row: `u_<column>` of the table, else what `reading_sd`
-states, else the rms that the model left in that segment, which is of the same residuals as C, so
-that k is Student's t at their degrees of freedom. Beside a stated noise these grow by Welch and
-Satterthwaite, (u/u_C)⁴ times.
-
-Where runs are told apart (``regress --run``) the next one has a zero of its own, with the scatter
-of those that were seen: u and U are those of eq. (3) of `multipos.regression.robust`.        (2)
-
-A row is outside where a variable that its segment's model uses, or the segment variable itself,
-leaves what the rows of the fit covered, or where all together leave the region that these filled
-(`multipos.regression.region`). A polynomial says nothing there: the row is flagged, its variables
-are clamped to the range, or the table is refused.
+with the u and U of `multipos.regression.prediction`, which also tells which rows are outside what
+was fitted: these are flagged, their variables are clamped to the range, or the table is refused.
+The noise of one row is `u_<column>` of the table, else what `reading_sd` states, else what the
+model left.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,14 +22,18 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, Table, read_table
 from multipos.numerics.arrays import LARGEST, Array
-from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import largest_value
 from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
 from multipos.regression.observations import Rows, form_rate, number_labels
+from multipos.regression.prediction import (
+    hold_inside,
+    place_rows,
+    predict_rows,
+    predict_uncertainty,
+)
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
-from multipos.sensor.tilt import coverage_by_tenths
 
 
 class Corrected(AppliedColumns):
@@ -69,7 +64,7 @@ def correct(
     outside : str
         'flag' rows beyond what was fitted, 'clamp' their variables as well, or 'refuse' the table.
     uncertainty : bool
-        Add `u_predicted`, `U_predicted`, `u_corrected`, `U_corrected`, eq. (1).
+        Add `u_predicted`, `U_predicted`, `u_corrected`, `U_corrected`.
     reading_sd : float, optional
         Noise of one row of the column.
     parameters_only : bool
@@ -109,11 +104,11 @@ def correct(
     run = read_runs(regression, table)
     columns = read_predictors(regression, table, run)
     place = place_rows(regression, columns, table.rows, run)
-    beyond, clamped = _outside(regression, columns, place)
+    beyond, clamped = hold_inside(regression, columns, place)
     if outside == "refuse":
         _refuse_outside(table, target or next(iter(columns), ""), beyond)
     used = clamped if outside == "clamp" else columns
-    predicted = _predict(regression, used, place)
+    predicted = predict_rows(regression, used, place)
     values: dict[str, Array] = {"predicted": predicted}
     if target is not None:
         values["corrected"] = table.number(target, largest=LARGEST) - predicted
@@ -122,7 +117,7 @@ def correct(
     told: tuple[str, ...] = ()
     if uncertainty:
         noise, sd = _noise(regression, table, target, reading_sd, parameters_only)
-        u, U = _uncertainty(regression, used, place, sd)
+        u, U = predict_uncertainty(regression, used, place, sd)
         added |= {f"{size}_{name}": each for name in values for size, each in (("u", u), ("U", U))}
         told = (f"u_… and U_… hold the noise of one row: {noise}",)
     if target is None:
@@ -212,22 +207,6 @@ def _noise(
     return "what the regression left of its own rows", None
 
 
-def place_rows(
-    regression: Regression, columns: Mapping[str, Array], rows: int, run: Rows | None
-) -> Rows:
-    """Return the number of the segment of every row; without a predictor there is one segment."""
-    return regression.segment_of(columns, run) if columns else np.zeros(rows, dtype=np.intp)
-
-
-def predict_clamped(
-    regression: Regression, columns: Mapping[str, Array], rows: int, run: Rows | None
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return what is predicted of rows with their variables held in range, and which had to be."""
-    place = place_rows(regression, columns, rows, run)
-    beyond, clamped = _outside(regression, columns, place)
-    return _predict(regression, clamped, place), beyond
-
-
 def _refuse_outside(table: Table, target: str, beyond: NDArray[np.bool_]) -> None:
     if beyond.any():
         row = int(np.argmax(beyond))
@@ -235,48 +214,6 @@ def _refuse_outside(table: Table, target: str, beyond: NDArray[np.bool_]) -> Non
             f"{table.where(row, target)}: the row is outside what the regression was fitted to "
             f"({int(beyond.sum())} of {table.rows} rows are); use --outside flag to see them."
         )
-
-
-def _predict(
-    regression: Regression, columns: Mapping[str, Array], place: NDArray[np.intp]
-) -> Array:
-    """Return what the regression predicts of every row."""
-    predicted = np.empty(len(place))
-    for number, segment in enumerate(regression.segments):
-        rows = np.flatnonzero(place == number)
-        predicted[rows] = segment.design(columns, rows) @ segment.values
-    return predicted
-
-
-def _uncertainty(
-    regression: Regression,
-    columns: Mapping[str, Array],
-    place: NDArray[np.intp],
-    sd: Array | None,
-) -> tuple[Array, Array]:
-    """Return u and U (n,) of eqs. (1) and (2); `sd` None: the noise that each segment left."""
-    u, U = np.empty(len(place)), np.empty(len(place))
-    for number, segment in enumerate(regression.segments):
-        rows = np.flatnonzero(place == number)
-        X = segment.design(columns, rows)
-        robust = segment.robust
-        C = segment.covariance if robust is None else robust.covariance
-        own = np.einsum("ij,jk,ik->i", X, C, X)
-        variance = own + (segment.rms**2 if sd is None else sd[rows] ** 2)
-        nu = float(segment.dof[1]) if robust is None else robust.t_dof
-        k: Array | float = coverage_factor(regression.confidence, nu)
-        if sd is not None:
-            with np.errstate(divide="ignore"):
-                dof = nu * np.where(own > 0.0, variance / own, np.inf) ** 2
-            k = coverage_by_tenths(regression.confidence, dof)
-        u[rows], U[rows] = np.sqrt(variance), k * np.sqrt(variance)
-        if segment.between is not None:
-            m, scatter = segment.between.runs, segment.between.variance(columns, rows)
-            u[rows] = np.sqrt(variance + scatter)
-            k_runs = coverage_factor(regression.confidence, m - 1.0)
-            rest = np.maximum(variance - scatter / m, 0.0)
-            U[rows] = np.sqrt(k_runs**2 * (1.0 + 1.0 / m) * scatter + k**2 * rest)
-    return u, U
 
 
 def read_runs(regression: Regression, table: Table) -> Rows | None:
@@ -322,24 +259,3 @@ def range_column(
         if name in table:
             return name, table.number(name)
     return "row", np.arange(1.0, table.rows + 1.0)
-
-
-def _outside(
-    regression: Regression, columns: Mapping[str, Array], place: NDArray[np.intp]
-) -> tuple[NDArray[np.bool_], dict[str, Array]]:
-    """Return which rows leave what their segment was fitted to, and the columns clamped to it."""
-    beyond = np.zeros(len(place), dtype=bool)
-    clamped = {name: column.copy() for name, column in columns.items()}
-    for number, segment in enumerate(regression.segments):
-        rows = np.flatnonzero(place == number)
-        limits = {name: segment.limits[name] for name in segment.used if name in segment.limits}
-        if regression.segment_variable is not None:  # the whole segment, also where no row fell
-            limits[regression.segment_variable] = segment.range
-        for name, (low, high) in limits.items():
-            values = columns[name][rows]
-            beyond[rows] |= (values < low) | (values > high)
-            clamped[name][rows] = np.clip(values, low, high)
-        if segment.region is not None:
-            held = {name: clamped[name][rows] for name in segment.used}
-            beyond[rows] |= segment.region.leverage(held, len(rows)) > segment.region.limit
-    return beyond, clamped

@@ -29,11 +29,12 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import quoted
 from multipos.files.tables import Table
 from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import coverage_by_tenths
 from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes, sensitivities
-from multipos.sensor.tilt import coverage_by_tenths, reading_noise
+from multipos.sensor.tilt import reading_noise
 from multipos.uncertainty.propagation import (
     Evaluation,
     evaluate_budget,

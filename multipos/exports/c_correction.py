@@ -7,7 +7,9 @@ What one row does is what `multipos.compensation.correction` does of a whole tab
 of `multipos.regression.observations`, whose memory is the state; the segment by the edges and the
 branch; every variable held where the segment's rows were; then the sum of the segment's terms,
 
-    p = Σ_t b_t φ_t,     out = p, or column − p where a column is corrected.                (1)
+    p = Σ_t b_t φ_t,     out = p, or column − p where a column is corrected,                (1)
+
+and the leverage of the row by eq. (1) of `multipos.regression.region`, summed in the same order.
 
 Rounding leaves of (1) at most
 
@@ -29,8 +31,9 @@ from multipos.exports.c_source import c_source, comment
 from multipos.exports.parts import Correction
 from multipos.files.numbers import number
 from multipos.numerics.arrays import LARGEST
-from multipos.numerics.terms import FUNCTIONS, Term
+from multipos.numerics.terms import CONSTANT, FUNCTIONS, Term
 from multipos.regression.observations import filter_time
+from multipos.regression.region import Region
 from multipos.regression.regression import Regression
 from multipos.regression.segment import Segment
 from multipos.sensor.calibration import Calibration
@@ -48,7 +51,7 @@ def rounding(r: Regression, *, single: bool, steps: float = STEPS) -> float:
 
 
 def _segment_rounding(r: Regression, s: Segment, single: bool, steps: float) -> float:
-    largest = {name: np.array(max(map(abs, _limits(r, s)[name]))) for name in _used(s)}
+    largest = {name: np.array(max(map(abs, _limits(r, s)[name]))) for name in s.used}
     total = 0.0
     for b, term in zip(s.values.tolist(), s.terms, strict=True):
         formed = sum(f.degree for f in term.factors if f.variable in r.rates)
@@ -58,14 +61,9 @@ def _segment_rounding(r: Regression, s: Segment, single: bool, steps: float) -> 
     return _ROUNDING[single] * total
 
 
-def _used(s: Segment) -> list[str]:
-    """Return the variables of a segment's terms, in their order."""
-    return list(dict.fromkeys(f.variable for term in s.terms for f in term.factors))
-
-
 def _limits(r: Regression, s: Segment) -> dict[str, tuple[float, float]]:
     """Return where the variables of a segment are held, as `correct` holds them."""
-    limits = {name: s.limits[name] for name in _used(s)}
+    limits = {name: s.limits[name] for name in s.used}
     if r.segment_variable is not None:
         limits[r.segment_variable] = s.range
     return limits
@@ -323,15 +321,40 @@ class _Writer:
             variables[name] = f"v{len(variables)}"
             lines.append(f"{indent}{self._kind} {variables[name]} = {self._expression(r, name)};")
             lines += self._held(variables[name], limits, indent)
-        return [*lines, f"{indent}p{k} = {self._sum(s, variables)};"]
+        every = s.terms if s.region is None else s.region.terms
+        names: dict[Term, str] = {CONSTANT: ""}
+        for term in every:
+            factors = self._factors(term, variables)
+            if len(factors) > 1:
+                names[term] = f"t{len(names)}"
+                lines.append(f"{indent}const {self._kind} {names[term]} = {' * '.join(factors)};")
+            elif factors:
+                names[term] = factors[0]
+        lines.append(f"{indent}p{k} = {self._sum(s.values.tolist(), [names[t] for t in s.terms])};")
+        return lines + self._leverage(s.region, [names[t] for t in every], indent)
 
-    def _sum(self, s: Segment, variables: dict[str, str]) -> str:
+    def _sum(self, weights: Sequence[float], values: Sequence[str]) -> str:
+        """Return a sum in the order it is given, values of 1 by their weight alone."""
         text = ""
-        for b, term in zip(s.values.tolist(), s.terms, strict=True):
-            piece = " * ".join([self._number(abs(b)), *self._factors(term, variables)])
+        for b, value in zip(weights, values, strict=True):
+            piece = " * ".join([self._number(abs(b)), *([value] if value else [])])
             sign = "-" if b < 0.0 else "+"
             text = f"{text} {sign} {piece}" if text else (f"-{piece}" if b < 0.0 else piece)
         return text or self._number(0.0)
+
+    def _leverage(self, region: Region | None, values: Sequence[str], indent: str) -> list[str]:
+        """Write what tells rows beyond the region, summed as `Region.leverage` does."""
+        if region is None:
+            return []
+        kind, lines = self._kind, []
+        for i, row in enumerate(region.factor.tolist()):
+            used = [j for j, g in enumerate(row) if g]
+            total = self._sum([row[j] for j in used], [values[j] for j in used])
+            lines += [
+                f"{indent}{'' if i else f'{kind} '}z = {total};",
+                f"{indent}{'h += z * z' if i else f'{kind} h = z * z'};",
+            ]
+        return [*lines, f"{indent}if (h > {self._number(region.limit)}) beyond = 1;"]
 
     def _factors(self, term: Term, variables: dict[str, str]) -> list[str]:
         factors = []

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.compensation.applying import add_columns
-from multipos.compensation.correction import predict_clamped, read_predictors
+from multipos.compensation.correction import read_predictors
 from multipos.errors import MultiposError
 from multipos.exports.c_body import environment_range
 from multipos.exports.parts import Correction
 from multipos.files.tables import Table
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.regression.observations import number_labels
+from multipos.regression.prediction import clear_of_limits, predict_clamped
 from multipos.regression.regression import Regression
 from multipos.sensor.calibration import Calibration
 
@@ -89,6 +90,7 @@ def expected_rows(c: Correction, drive: Drive, *, single: bool) -> Expected:
         predicted, outside = predict_clamped(r, predictors, n, drive.run)
         beyond |= outside
         certain &= _certain(c, r, predictors, _CLOSE[single])
+        certain &= clear_of_limits(r, predictors, n, drive.run, _CLOSE[single])
         out[:, k] = columns[c.corrected[k]] - predicted if c.corrected else predicted
     return Expected(out, beyond, certain)
 

@@ -60,11 +60,14 @@ from multipos.regression.piecewise import (
     fit_segment,
     read_candidates,
 )
-from multipos.regression.regression import Regression, Regressions, format_span
+from multipos.regression.prediction import thermal_balance
+from multipos.regression.regression import Balance, Regression, Regressions, format_span
 from multipos.regression.robust import ROBUST, RowDependence, within_runs
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import check_edges, find_edges, segment_of
 from multipos.regression.variation import term_variances
+
+_ENDS = 0.1  # share of the points in balance that may be outside, at the ends of the range
 
 
 def order_said(read: Observations, result: Regression) -> tuple[str, ...]:
@@ -124,17 +127,40 @@ def _named(segments: Sequence[Segment]) -> Iterator[tuple[str, Segment]]:
         yield f"segment {number}" if len(segments) > 1 else "the model", segment
 
 
-def jumps_said(variable: str | None, junctions: Sequence[Junction]) -> tuple[str, ...]:
+def doubt_jumps(variable: str | None, junctions: Sequence[Junction]) -> tuple[Doubt, ...]:
     """Name the largest jump that is none by chance, and the way without."""
     clear = [j for j in junctions if j.clear]
     if not clear:
         return ()
     most = max(clear, key=lambda j: abs(j.jump))
-    said = (
+    text = (
         f"the model jumps at {variable} = {most.edge:.6g} by up to {abs(most.jump):.2g} "
-        f"(U {most.U:.2g}); --continuous fits without a jump"
+        f"(U {most.U:.2g}); leave out --free to fit without a jump"
     )
-    return (said,)
+    return (Doubt("jump", "caution", text),)
+
+
+def doubt_balance(balance: Balance | None) -> tuple[Doubt, ...]:
+    """Say where nothing was measured in thermal balance, which is how most sensors are used."""
+    if balance is None or balance.outside.mean() <= _ENDS:
+        return ()
+    outside, points = int(balance.outside.sum()), len(balance.at)
+    text = (
+        f"in thermal balance (rate 0) {outside} of {points} points over {balance.variable} are "
+        "outside what was measured; add soaks there to the programme"
+    )
+    return (Doubt("balance", "caution", text),)
+
+
+def doubt_switch_on(data: Data) -> tuple[Doubt, ...]:
+    """Say that one switch-on cannot tell what the next one has."""
+    if data.run is not None:
+        return ()
+    text = (
+        "the change of bias from one switch-on to the next is not in U; measure several switch-ons "
+        "and name their column with --run"
+    )
+    return (Doubt("turn-on", "caution", text),)
 
 
 def _segment_warnings(plan: Plan, segment: Segment, where: str) -> list[str]:
@@ -144,6 +170,9 @@ def _segment_warnings(plan: Plan, segment: Segment, where: str) -> list[str]:
         said.append(f"{where}: no term is supported by the data, the model is the mean alone")
     elif nu > 0 and not segment.significant:
         said.append(f"{where} means nothing: F = {segment.F:.3g} is below {segment.F_critical:.4g}")
+    if segment.left_out:
+        names = ", ".join(one.term for one in segment.left_out)
+        said.append(f"{where}: left out {names}: {segment.left_out[0].reason}")
     if segment.collinear:
         said.append(
             f"{where}: {', '.join(segment.collinear)} cannot be told from the terms in the model"
@@ -363,6 +392,7 @@ def regress(
     hierarchy: bool = False,
     segment: str | None = None,
     min_rows: int | None = None,
+    free: bool = False,
     continuous: bool = False,
     branches: str | None = None,
     time: str | None = None,
@@ -402,8 +432,10 @@ def regress(
         'VARIABLE:EDGE,EDGE' or 'VARIABLE:auto'.
     min_rows : int, optional
         Fewest rows of a segment that is found; twice the terms by default.
+    free : bool
+        Each segment by itself, so that the model may jump at the edges.
     continuous : bool
-        No jump at the edges.
+        No jump at the edges, which is so unless they are free.
     branches : str, optional
         A rate; heating and cooling are modelled apart where they differ.
     time : str, optional
@@ -463,7 +495,7 @@ def regress(
     plan = Plan(candidates, names, method, limits, criterion, hierarchy, confidence, robust)
     if run is not None and not plan.constant:
         raise UsageError("--run is about the constant; add 1 to --terms, or leave out --run.")
-    wanted, given = _parse_segment(segment, continuous)
+    wanted, given = _parse_segment(segment, free, continuous)
     table = read_table(data, what="data")
     read = read_observations(
         table,
@@ -481,7 +513,8 @@ def regress(
     del table  # whose text may be most of what is in memory
     check_columns(source, read.data, response, names, constant=plan.constant)
     edges, said = settle_edges(plan, read.data, wanted, given, min_rows)
-    cut = Cut(wanted, edges, continuous, branches)
+    cut = Cut(wanted, edges, bool(edges) and not free, branches)
+    _require_bending(plan, cut)
     result = _describe(plan, response, read, cut, cross_validate)
     return replace(
         result,
@@ -536,20 +569,25 @@ def _describe(
         junctions = find_junctions(
             segments, read.data, cut.variable, cut.edges, cut.branch_column, plan.confidence
         )
+    model = _assemble(plan, response, segments, cut)
+    balance = thermal_balance(model, read.data.columns)
     return replace(
-        _assemble(plan, response, segments, cut),
+        model,
         junctions=junctions,
+        balance=balance,
         time=read.time,
         rates=read.rates,
         n=len(read.data),
         dropped=read.dropped,
         hysteresis=hysteresis,
         cross_validation=validation,
-        doubts=doubt_segments(segments),
-        warnings=(
-            *state_cautions(plan, segments, hysteresis, validation),
-            *jumps_said(cut.variable, junctions),
+        doubts=(
+            *doubt_segments(segments),
+            *doubt_jumps(cut.variable, junctions),
+            *doubt_balance(balance),
+            *doubt_switch_on(read.data),
         ),
+        warnings=tuple(state_cautions(plan, segments, hysteresis, validation)),
     )
 
 
@@ -629,13 +667,26 @@ def _check_columns_named(
             raise UsageError(f"{option} names the response '{response}'; give another column.")
 
 
+def _require_bending(plan: Plan, cut: Cut) -> None:
+    """Refuse segments that join, of a variable that no term has."""
+    variables = {f.variable for term in plan.terms for f in term.factors}
+    if cut.edges and cut.continuous and cut.variable not in variables:
+        raise UsageError(
+            f"no term has '{cut.variable}', so segments that join at its edges are all one; add it "
+            "to --variables, or fit each by itself with --free."
+        )
+
+
 def _parse_segment(
-    text: str | None, continuous: bool
+    text: str | None, free: bool, continuous: bool
 ) -> tuple[str | None, tuple[float, ...] | None]:
     """Return the segment variable and its edges; None where they are to be found."""
+    if free and continuous:
+        raise UsageError("--free and --continuous exclude each other; give one.")
     if text is None:
-        if continuous:
-            raise UsageError("--continuous joins segments; give --segment VARIABLE:EDGE,….")
+        if free or continuous:
+            option = "--free parts" if free else "--continuous joins"
+            raise UsageError(f"{option} segments; give --segment VARIABLE:EDGE,….")
         return None, None
     variable, colon, rest = text.rpartition(":")
     if not (colon and variable and rest):

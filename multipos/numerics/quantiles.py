@@ -370,3 +370,11 @@ def _shifted(x: Array) -> tuple[Array, list[tuple[Array, NDArray[np.bool_]]]]:
         low.append((y.copy(), there))
         y = np.where(there, y + 1.0, y)
     return y, low
+
+
+def coverage_by_tenths(confidence: float, dof: Array) -> Array:
+    """Return the coverage factor of each dof, rounded down to a tenth to look up each but once."""
+    lowered = np.where(np.isfinite(dof), np.floor(dof * 10.0) / 10.0, dof)
+    different, place = np.unique(lowered, return_inverse=True)
+    factors = np.array([coverage_factor(confidence, nu) for nu in different.tolist()])
+    return np.asarray(factors[place.reshape(dof.shape)])

@@ -25,6 +25,7 @@ from multipos.plots.stability import draw_allan, draw_zero, stability_figure
 from multipos.plots.style import new_figure, render, to_svg
 from multipos.plots.temperature import (
     calibration_figure,
+    draw_balance,
     draw_correction,
     draw_curve,
     draw_path,
@@ -44,6 +45,7 @@ __all__ = [
     "compensated_error",
     "design_figure",
     "draw_allan",
+    "draw_balance",
     "draw_budget",
     "draw_check",
     "draw_correction",

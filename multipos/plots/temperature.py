@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
+from multipos.errors import UsageError
 from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Step
@@ -146,6 +147,26 @@ def draw_curve(curve: Curve, axes: "Axes") -> None:
     name_series(axes, 3)
 
 
+def draw_balance(regression: Regression, axes: "Axes") -> None:
+    """Draw what is predicted in thermal balance, with U, and where nothing was measured.
+
+    Raises
+    ------
+    UsageError
+        The regression has no rates.
+    """
+    if regression.balance is None:
+        raise UsageError("the regression has no rates, so it is in balance everywhere.")
+    b = regression.balance
+    axes.fill_between(b.at, b.predicted - b.U, b.predicted + b.U, color=COLOURS[5], alpha=0.35)
+    axes.plot(b.at, b.predicted, color=COLOURS[0], linewidth=1.2, label="in balance, with U")
+    if b.outside.any():
+        style = {"color": COLOURS[6], "marker": "x", "linestyle": "none", "label": "outside"}
+        axes.plot(b.at[b.outside], b.predicted[b.outside], **style)
+    axes.set(xlabel=b.variable, ylabel=regression.response)
+    name_series(axes, 2)
+
+
 def draw_path(segment: Segment, axes: "Axes") -> None:
     """Draw the F of every step of a selection; a removal hangs open, the runner-up is a bar's mark.
 
@@ -180,7 +201,7 @@ def _draw_step(step: Step, row: int, axes: "Axes") -> None:
 
 
 def regression_figure(regression: Regression | Regressions, data: Source) -> "Figure":
-    """Return the response before and after, and the path of every selection.
+    """Return the response before and after, in thermal balance, and how terms were chosen.
 
     Before and after stand apart where one would hide the other. Of several responses each before
     and after. Rows with an empty cell, which the regression may have dropped, are not drawn.
@@ -191,7 +212,8 @@ def regression_figure(regression: Regression | Regressions, data: Source) -> "Fi
         return figure_of(drawn)
     chosen = [s for s in regression.segments if s.path][: 1 if regression.continuous else None]
     paths = [partial(_titled_path, regression, segment) for segment in chosen]
-    return figure_of([*_before_and_after(regression, table), *paths])
+    still = [] if regression.balance is None else [partial(draw_balance, regression)]
+    return figure_of([*_before_and_after(regression, table), *still, *paths])
 
 
 def _before_and_after(regression: Regression, table: Table) -> "list[Callable[[Axes], None]]":

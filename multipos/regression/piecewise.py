@@ -211,28 +211,18 @@ def _span(plan: Plan, data: Data) -> float:
     return float(np.ptp(y) if plan.constant else np.abs(y).max())
 
 
-def _left_out(plan: Plan, selection: Selection) -> tuple[LeftOut, ...]:
+def _left_out(plan: Plan, selection: Selection, kept: Sequence[Term]) -> tuple[LeftOut, ...]:
     """Return the candidates that a fit does not support, each with the reason."""
-    found = [
-        LeftOut(
-            str(plan.terms[j]),
-            f"varies here, beyond the terms kept, by less than {LEAST:g} of its variance in the "
-            "table; its effect is part of the constant and of these terms",
-        )
-        for j in selection.short
-        if j < len(plan.terms)
-    ]
-    return (
-        *found,
-        *(
-            LeftOut(
-                str(plan.terms[j]),
-                "its coefficient and others would cancel, each larger than the response's range",
-            )
-            for j in selection.cancelling
-            if j < len(plan.terms)
-        ),
+    names = [str(term) for term in plan.terms]
+    absent = [j for j, term in enumerate(plan.terms) if term not in kept]
+    short = (
+        f"varies here, beyond the terms kept, by less than {LEAST:g} of its variance in the table; "
+        "its effect is part of the constant and of these terms"
     )
+    cancel = "its coefficient and others would cancel, each larger than the response's range"
+    found = [LeftOut(names[j], short) for j in absent if j in selection.short]
+    found += [LeftOut(names[j], cancel) for j in absent if j in selection.cancelling]
+    return tuple(found)
 
 
 def _regions(
@@ -327,7 +317,7 @@ def fit_segment(
     short = fit.selection.short
     kept = original[:, list(fit.selection.columns)]
     (region,) = _regions(plan, read, kept, short, [(terms, None, np.arange(len(data)))])
-    segment = replace(segment, left_out=_left_out(plan, fit.selection), region=region)
+    segment = replace(segment, left_out=_left_out(plan, fit.selection, terms), region=region)
     if read.run is None:
         return segment
     size = len(data) if robust is None else robust.n_effective
@@ -362,7 +352,7 @@ def fit_continuous(
     position = {term: j for j, term in enumerate(plan.terms)}
     extra = [
         h
-        for h in hinges(plan.terms, variable, edges)
+        for h in hinges(plan.terms, variable, edges, both=plan.method == "stepwise")
         if {position[h.term]} <= supported[(s := edges.index(h.edge))] & supported[s + 1]
     ]
     original = np.column_stack((base, *(h.evaluate(data.columns) for h in extra)))
@@ -412,7 +402,7 @@ def fit_continuous(
             branch,
             robust_test(turned, terms, values, (F, k, fit.dof), plan.confidence),
         )
-        left_out = _left_out(plan, fit.selection)
+        left_out = _left_out(plan, fit.selection, terms)
         segments.append(replace(segment, left_out=left_out, region=regions[s]))
     if read.run is None:
         return segments
@@ -431,7 +421,7 @@ def _local(
     for j, column in enumerate(chosen):
         if isinstance(column, Term):
             rows[column] = rows.get(column, 0.0) + unit[j]
-        elif column.edge in below:
+        elif column.acts(below):
             lift = column.edge**column.power
             rows[column.term] = rows.get(column.term, 0.0) + unit[j]
             rows[column.rest] = rows.get(column.rest, 0.0) - lift * unit[j]
@@ -601,7 +591,7 @@ def _segment(
     ratio = variance / (tss / (len(rows) - constant)) if tss > 0.0 else np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
         press = float(np.sqrt(np.mean((e / (1.0 - h)) ** 2)))
-    selection = fit.selection
+    selection, names = fit.selection, [str(term) for term in plan.terms]
     return Segment(
         range=span,
         branch=branch,
@@ -625,7 +615,9 @@ def _segment(
         path=selection.path,
         runner_up=selection.runner_up,
         F_to_enter=selection.F_to_enter,
-        collinear=selection.collinear,
+        collinear=tuple(
+            name for name in selection.collinear if name in names and name not in map(str, terms)
+        ),
         subsets=fit.subsets,
         robust=robust,
     )

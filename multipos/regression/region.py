@@ -30,6 +30,7 @@ from multipos.numerics.selection import compress
 from multipos.numerics.terms import Term
 from multipos.results import Result
 
+_SAME = 1e-9  # what a processor that rounds otherwise may add
 _ROWS = 4096  # that are taken at a time: their columns stay in the cache
 
 
@@ -59,6 +60,12 @@ class Region(Result):
             some = {name: column[rows] for name, column in columns.items()}
             h[rows] = self._leverage(some, rows.stop - start)
         return h
+
+    def rounding(self, columns: Mapping[str, Array], n: int, unit: float) -> Array:
+        """Return by how much h (n,) is uncertain where every term is by a share `unit`."""
+        values = np.stack([np.broadcast_to(t.evaluate(columns), n) for t in self.terms])
+        sums, sizes = np.abs(self.factor @ values), np.abs(self.factor) @ np.abs(values)
+        return np.asarray(2.0 * unit * (sums * sizes).sum(axis=0))
 
     def _leverage(self, columns: Mapping[str, Array], n: int) -> Array:
         values = [np.broadcast_to(term.evaluate(columns), n) for term in self.terms]
@@ -101,7 +108,7 @@ def region_factor(kept: Array, left_out: Array, shortest: Array, L: Array | None
     length = np.maximum(rest, shortest)
     beyond = -(R[:q, q:].T @ inverse) / length[:, np.newaxis]
     if L is not None:  # a triangle again: a row of G costs as many products as it has entries
-        inverse = np.linalg.qr(inverse, mode="r")
+        inverse = np.linalg.qr(inverse[:, ::-1], mode="r")[::-1, ::-1]
     rows = [np.hstack([inverse, np.zeros((len(inverse), m))])]
     rows.append(np.hstack([beyond, np.diag(1.0 / length)]))
     return np.tril(np.vstack(rows)) if L is None else np.vstack(rows)
@@ -109,4 +116,5 @@ def region_factor(kept: Array, left_out: Array, shortest: Array, L: Array | None
 
 def largest_leverage(regions: Sequence[tuple[Region, Mapping[str, Array], int]]) -> float:
     """Return the largest leverage of rows, each group of them by its own segment's region."""
-    return max(float(r.leverage(columns, n).max()) for r, columns, n in regions if n)
+    largest = max(float(r.leverage(columns, n).max()) for r, columns, n in regions if n)
+    return largest * (1.0 + _SAME)

@@ -29,6 +29,33 @@ from multipos.results import Result, Tabular, stacked
 
 
 @dataclass(frozen=True, eq=False)
+class Balance(Result):
+    """What a regression predicts in thermal balance.
+
+    Attributes
+    ----------
+    variable : str
+        The temperature.
+    at, predicted, U : (n,) arrays
+    outside : (n,) array of bool
+        Whether that is beyond what was measured.
+    """
+
+    variable: str
+    at: Array
+    predicted: Array
+    U: Array
+    outside: NDArray[np.bool_]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the points, one by one."""
+        columns = (self.at, self.predicted, self.U, self.outside)
+        names = (self.variable, "predicted", "U", "outside")
+        points = zip(*(column.tolist() for column in columns), strict=True)
+        return [dict(zip(names, point, strict=True)) for point in points]
+
+
+@dataclass(frozen=True, eq=False)
 class Regression(Result, Tabular):
     """Piecewise regression of one column on others, with its tests.
 
@@ -56,6 +83,8 @@ class Regression(Result, Tabular):
         The column that tells one switch-on from another.
     junctions : tuple of Junction
         The jump at every edge of segments that were fitted apart.
+    balance : Balance or None
+        Predictions in thermal balance, where rates are among the variables.
     confidence : float
     n, dropped : int
     hysteresis, cross_validation : mapping or None
@@ -103,6 +132,7 @@ class Regression(Result, Tabular):
     run: str | None = None
     junctions: tuple[Junction, ...] = ()
     doubts: tuple[Doubt, ...] = ()
+    balance: Balance | None = None
 
     def segment_of(
         self, columns: Mapping[str, Array], run: NDArray[np.intp] | None = None
@@ -176,10 +206,12 @@ def format_span(variable: str, span: tuple[float, float], branch: str | None) ->
 
 
 def _text(r: Regression) -> list[str]:
-    lines = [*_outline(r), *_judged(r), *_jumps(r), "", _overview(r)]
+    lines = [*_outline(r), *_judged(r), *_jumps(r), *_balanced(r), "", _overview(r)]
     for i, segment in enumerate(r.segments, start=1):
         span = format_span(r.range_variable, segment.range, segment.branch)
         lines += ["", f"Segment {i}: {span}", *_segment_text(segment), *_runs_text(segment)]
+        if segment.left_out:
+            lines.append(f"left out: {', '.join(one.term for one in segment.left_out)}")
         last = i == len(r.segments) or r.segments[i].branch != segment.branch
         if last or not r.continuous:  # segments fitted together share their path
             lines += _path_text(segment)
@@ -229,6 +261,21 @@ def _jumps(r: Regression) -> list[str]:
         where = f"{r.segment_variable} = {j.edge:.6g}" + (f", {j.branch}" if j.branch else "")
         lines.append(f"jump       at {where}: up to {uncertain(j.jump, j.u)}, U {number(j.U, 2)}")
     return lines
+
+
+def _balanced(r: Regression) -> list[str]:
+    """Say what is predicted where nothing heats or cools."""
+    if r.balance is None:
+        return []
+    b, inside = r.balance, ~r.balance.outside
+    if not inside.any():
+        return ["balance    at rate 0 nothing was measured: every prediction there is outside"]
+    low, high = (
+        number(float(v), 4) for v in (b.predicted[inside].min(), b.predicted[inside].max())
+    )
+    said = f"balance    at rate 0: {low} to {high}, U up to {number(float(b.U[inside].max()), 2)}"
+    beyond = int(b.outside.sum())
+    return [said + (f"; {beyond} of {len(b.at)} temperatures are outside" if beyond else "")]
 
 
 def _overview(r: Regression) -> str:

@@ -47,8 +47,9 @@ from multipos.numerics.selection import Step, Subset, Tested
 from multipos.numerics.terms import CONSTANT, Term, factor_from_list, factor_to_list, linear_term
 from multipos.regression.hysteresis import BRANCHES
 from multipos.regression.junctions import Junction
-from multipos.regression.regression import Regression, Regressions
-from multipos.regression.segment import Between, Coefficient, Robust, Segment
+from multipos.regression.region import Region
+from multipos.regression.regression import Balance, Regression, Regressions
+from multipos.regression.segment import Between, Coefficient, LeftOut, Robust, Segment
 from multipos.results import plain
 
 # What stands beside 'robust' in a file.
@@ -72,6 +73,7 @@ _STEP: dict[str, Kind] = {
     "p": P_VALUE,
 }
 
+_FACTORS = Listed(Entries((ANY_TEXT, _POWER, _FUNCTION)))
 SEGMENT = Fields(
     {
         "range": _PAIR,
@@ -82,7 +84,7 @@ SEGMENT = Fields(
                 {
                     "value": ANY_NUMBER,
                     "u": Maybe(NOT_NEGATIVE),
-                    "factors": Listed(Entries((ANY_TEXT, _POWER, _FUNCTION))),
+                    "factors": _FACTORS,
                 }
             )
         ),
@@ -126,6 +128,14 @@ SEGMENT = Fields(
                     "bic": FIGURE,
                 }
             )
+        ),
+        "left_out": Listed(Fields({"term": ANY_TEXT, "reason": ANY_TEXT})),
+        "region": Fields(
+            {
+                "terms": Listed(_FACTORS, 1),
+                "factor": Listed(Listed(ANY_NUMBER), 1),
+                "limit": NOT_NEGATIVE,
+            }
         ),
         "robust": Text(("hac", "cluster", "effective")),
         "covariance_robust": VARIANCES,
@@ -171,7 +181,10 @@ def segment_to_dict(s: Segment) -> dict[str, Any]:
         "runner_up": None if s.runner_up is None else _runner_up_dict(s.runner_up, s.F_to_enter),
         "collinear": s.collinear,
         "limits": dict(s.limits),
+        "left_out": [one._asdict() for one in s.left_out],
     }
+    if s.region is not None:
+        content["region"] = _region_dict(s.region)
     if s.subsets:
         content["subsets"] = [_subset_dict(names, found) for names, found in s.subsets]
     if s.robust is not None:
@@ -179,6 +192,11 @@ def segment_to_dict(s: Segment) -> dict[str, Any]:
     if s.between is not None:
         content["between_runs"] = _between_dict(s.between)
     return content
+
+
+def _region_dict(region: Region) -> dict[str, Any]:
+    terms = [[factor_to_list(f) for f in term.factors] for term in region.terms]
+    return {"terms": terms, "factor": region.factor, "limit": region.limit}
 
 
 def _term_dict(coefficient: Coefficient, term: Term) -> dict[str, Any]:
@@ -249,10 +267,11 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
     ValueError
         Coefficients, covariances and limits that do not fit each other.
     """
-    terms = _terms(c)
+    terms = tuple(_term(entry["factors"]) for entry in c["terms"])
+    region = _region(c["region"]) if "region" in c else None
     covariance = _square(c, "covariance")
     require_covariance(covariance, _numbers([entry["u"] for entry in c["terms"]]))
-    _check_limits(c, terms)
+    _check_limits(c, terms if region is None else (*terms, *region.terms))
     found = c["runner_up"]
     return Segment(
         range=tuple(c["range"]),
@@ -278,11 +297,20 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
         subsets=tuple(_subset(s, c["terms"]) for s in c.get("subsets", [])),
         robust=_robust(c) if "robust" in c else None,
         between=_between(c["between_runs"], terms) if c.get("between_runs") else None,
+        left_out=tuple(LeftOut(one["term"], one["reason"]) for one in c.get("left_out", ())),
+        region=region,
     )
 
 
-def _terms(c: Mapping[str, Any]) -> tuple[Term, ...]:
-    return tuple(Term(tuple(map(factor_from_list, entry["factors"]))) for entry in c["terms"])
+def _term(factors: Sequence[list[Any]]) -> Term:
+    return Term(tuple(map(factor_from_list, factors)))
+
+
+def _region(c: Mapping[str, Any]) -> Region:
+    """Return what rows of a fit fill, its rows as long as it has terms."""
+    if {len(row) for row in c["factor"]} != {len(c["terms"])} or not all(map(any, c["factor"])):
+        raise ValueError("the factor of a segment's region does not fit its terms")
+    return Region(tuple(map(_term, c["terms"])), _numbers(c["factor"]), c["limit"])
 
 
 def _check_limits(c: Mapping[str, Any], terms: tuple[Term, ...]) -> None:
@@ -400,6 +428,7 @@ REGRESSION = Fields(
     {
         "causal": Flag(),
         "doubts": DOUBTS,
+        "balance": Listed(Named(AnyOf((FIGURE, Flag()))), 1),
         "run": Maybe(NAME),
         "jumps": Listed(
             Fields(
@@ -449,6 +478,8 @@ def regression_dict(r: Regression) -> dict[str, Any]:
         "doubts": [doubt.to_dict() for doubt in r.doubts],
         "warnings": r.warnings,
     }
+    if r.balance is not None:
+        content["balance"] = r.balance.rows()
     result: dict[str, Any] = plain(content)
     return result
 
@@ -524,6 +555,7 @@ def _from_dict(c: Mapping[str, Any]) -> Regression:
         run=c.get("run"),
         doubts=tuple(map(read_doubt, c.get("doubts", ()))),
         junctions=tuple(_junction(entry) for entry in c.get("jumps", ())),
+        balance=_balance(c["balance"]) if "balance" in c else None,
     )
     _check_cuts(regression)
     _check_variables(regression)
@@ -533,6 +565,19 @@ def _from_dict(c: Mapping[str, Any]) -> Regression:
 def _junction(c: Mapping[str, Any]) -> Junction:
     u, U = (float("nan") if c[key] is None else c[key] for key in ("u", "U"))
     return Junction(c["edge"], c["branch"], c["jump"], u, U)
+
+
+def _balance(points: Sequence[Mapping[str, Any]]) -> Balance:
+    """Return predictions in thermal balance, held to being of one variable."""
+    names = {name for point in points for name in point} - {"predicted", "U", "outside"}
+    if len(names) != 1 or any(len(point) != 4 for point in points):
+        raise ValueError("'balance' is not of one variable")
+    (variable,) = names
+    at, predicted, U = (
+        np.array([_number(point[name]) for point in points])
+        for name in (variable, "predicted", "U")
+    )
+    return Balance(variable, at, predicted, U, np.array([bool(p["outside"]) for p in points]))
 
 
 def _check_cuts(r: Regression) -> None:

@@ -22,7 +22,9 @@ v, a term r v^k that carries v gets a second column beside it,
     h(row) = r (v^k − e^k) above e,    0 below,                                            (3)
 
 which is zero at the edge whatever r is; the fit over all segments at once is then continuous, and
-the coefficients of each segment are sums of those of (3): d of v^k r, and −d e^k of r.
+the coefficients of each segment are sums of those of (3): d of v^k r, and −d e^k of r. Where terms
+are chosen one by one, its mirror image below the edge is a candidate too, or a term of the lowest
+segment alone would need two columns at once.
 
 Sources: R. Bellman, Commun. ACM 4, 1961; J. Bai, P. Perron, J. Appl. Econometrics 18, 2003;
 Y.-C. Yao, Statist. Probab. Lett. 6, 1988 (the penalty).
@@ -51,14 +53,16 @@ _BINS = 48  # candidate edges and one: every pair of them is fitted
 
 @dataclass(frozen=True)
 class Hinge:
-    """A column of eq. (3): the term, and the edge above which it acts."""
+    """A column of eq. (3): the term, and the edge above or below which it acts."""
 
     term: Term
     variable: str
     edge: float
+    above: bool = True
 
     def __str__(self) -> str:
-        return f"{self.term} above {self.variable} = {self.edge:.10g}"
+        side = "above" if self.above else "below"
+        return f"{self.term} {side} {self.variable} = {self.edge:.10g}"
 
     @property
     def power(self) -> int:
@@ -75,17 +79,27 @@ class Hinge:
         v = columns[self.variable]
         power = Term((Factor("v", self.power),))
         lift = power.evaluate({"v": v}) - power.evaluate({"v": self.edge})
-        return np.asarray(np.where(v >= self.edge, lift * self.rest.evaluate(columns), 0.0))
+        here = (v >= self.edge) == self.above
+        return np.asarray(np.where(here, lift * self.rest.evaluate(columns), 0.0))
+
+    def acts(self, edges_below: Sequence[float]) -> bool:
+        """Tell whether it acts in the segment that has these edges below it."""
+        return (self.edge in edges_below) == self.above
 
 
-def hinges(terms: Sequence[Term], variable: str, edges: Sequence[float]) -> tuple[Hinge, ...]:
-    """Return the columns that let terms change at edges without a jump, eq. (3)."""
+def hinges(
+    terms: Sequence[Term], variable: str, edges: Sequence[float], *, both: bool
+) -> tuple[Hinge, ...]:
+    """Return the columns that let terms change at edges without a jump, eq. (3); both sides'."""
     carrying = [  # |v| bends at zero and nowhere else, so it stays as it is
         term
         for term in terms
         if any(f.variable == variable and f.power and not f.function for f in term.factors)
     ]
-    return tuple(Hinge(term, variable, edge) for edge in edges for term in carrying)
+    sides = (True, False) if both else (True,)
+    return tuple(
+        Hinge(t, variable, edge, side) for side in sides for edge in edges for t in carrying
+    )
 
 
 def segment_of(values: Array, edges: Sequence[float]) -> NDArray[np.intp]:

@@ -135,14 +135,7 @@ def _knowledge(r: Regression, of: Titled, tr: Translator) -> Section:
     )
     told = [first]
     between = next((s.between for s in r.segments if s.between is not None), None)
-    if between is None:
-        told.append(
-            tr(
-                "One switch-on, or runs that were not told apart: the zero of the next switch-on "
-                "is not in U. Fit several with --run."
-            )
-        )
-    else:
+    if between is not None:
         told.append(
             tr(
                 "{runs} switch-ons were told apart by '{column}': U holds the zero of the next.",
@@ -158,16 +151,6 @@ def _knowledge(r: Regression, of: Titled, tr: Translator) -> Section:
     if worth:
         said = "Rows are correlated in time and worth fewer: {worth}, by segment."
         told.append(tr(said, worth=tr.listed(worth)))
-    clear = [j for j in r.junctions if j.clear]
-    if clear:
-        most = max(abs(j.jump) for j in clear)
-        told.append(
-            tr(
-                "The segments were fitted apart, and the correction jumps at an edge by up to "
-                "{most}; --continuous fits without.",
-                most=f"{most:.2g}",
-            )
-        )
     if r.rates and not r.causal:
         told.append(tr("Rates need rows that come later: for a device fit it with --causal."))
     if r.cross_validation is not None:

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.quantiles import coverage_by_tenths
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import (
     invert_at_rest,
@@ -214,14 +214,6 @@ def _with_unseen(
     result: Array = gain @ covariance @ gain.transpose(0, 2, 1)
     result += np.einsum("ni,nj->nij", apart, apart)
     return result
-
-
-def coverage_by_tenths(confidence: float, dof: Array) -> Array:
-    """Return the coverage factor of each dof, rounded down to a tenth to look up each but once."""
-    lowered = np.where(np.isfinite(dof), np.floor(dof * 10.0) / 10.0, dof)
-    different, place = np.unique(lowered, return_inverse=True)
-    factors = np.array([coverage_factor(confidence, nu) for nu in different.tolist()])
-    return np.asarray(factors[place.reshape(dof.shape)])
 
 
 def _unseen_circle(calibration: Calibration, rest: Array) -> Array:

@@ -40,6 +40,7 @@ from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.tables import Source
 from multipos.fitting.fit_readings import fit
 from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import coverage_by_tenths
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import require_units, unit_of
 from multipos.positions.orientations import orient, refuse_open_rolls
@@ -52,7 +53,6 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import Nominal, invert, nominal_force, read_nominal, sensed_axes
 from multipos.sensor.tilt import (
     at_rest,
-    coverage_by_tenths,
     force_uncertainty,
     magnitude_of,
     reading_noise,

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from multipos.compensation.correction import (
     correct,
-    place_rows,
     range_column,
     read_predictors,
     read_runs,
@@ -26,6 +25,7 @@ from multipos.compensation.correction import (
 from multipos.errors import MultiposError
 from multipos.files.tables import Source, read_table
 from multipos.numerics.quantiles import coverage_factor
+from multipos.regression.prediction import place_rows
 from multipos.regression.regression import Regression, Regressions, format_span
 from multipos.verification.agreement import no_agreement
 from multipos.verification.verdicts import (

@@ -14,18 +14,18 @@ def table(jump, noise=0.0):
 
 
 def test_a_jump_is_found():
-    r = mp.regress(table(0.5), response="y", variables="x", segment="x:0")
+    r = mp.regress(table(0.5), response="y", variables="x", segment="x:0", free=True)
     (junction,) = r.junctions
     assert (junction.edge, junction.branch) == (0.0, None)
     assert junction.jump == pytest.approx(0.5)
     assert junction.clear
-    assert any("--continuous fits without a jump" in said for said in r.warnings)
+    assert "jump" in [doubt.code for doubt in r.doubts]
     assert "jump       at x = 0: up to 0.5" in str(r)
 
 
 def test_u_of_a_jump_is_that_of_both_lines():
     """At x = 0 a line of forty points, steps h, middle 20 h away: s² (1/40 + 400 h²/Sxx)."""
-    r = mp.regress(table(0.0, 0.1), response="y", variables="x", segment="x:0")
+    r = mp.regress(table(0.0, 0.1), response="y", variables="x", segment="x:0", free=True)
     (junction,) = r.junctions
     h, n = 0.025, 40
     spread = h**2 * n * (n**2 - 1) / 12
@@ -33,13 +33,17 @@ def test_u_of_a_jump_is_that_of_both_lines():
     assert junction.u == pytest.approx(np.sqrt(variance))
     assert pytest.approx(coverage_factor(0.95, 38) * junction.u) == junction.U
     assert not junction.clear
-    assert not any("--continuous" in said for said in r.warnings)
+    assert "jump" not in [doubt.code for doubt in r.doubts]
 
 
 def test_pieces_that_meet_have_none_and_files_keep_them(tmp_path):
-    joined = mp.regress(table(0.5), response="y", variables="x", segment="x:0", continuous=True)
+    joined = mp.regress(table(0.5), response="y", variables="x", segment="x:0")
     assert joined.junctions == ()
-    apart = mp.regress(table(0.5, 0.01), response="y", variables="x", segment="x:-0.5,0")
+    assert joined == mp.regress(
+        table(0.5), response="y", variables="x", segment="x:0", continuous=True
+    )
+    edges = "x:-0.5,0"
+    apart = mp.regress(table(0.5, 0.01), response="y", variables="x", segment=edges, free=True)
     apart.save(tmp_path / "reg.json")
     assert mp.load_regression(tmp_path / "reg.json") == apart
     assert [entry["edge"] for entry in apart.to_dict()["jumps"]] == [-0.5, 0.0]

@@ -206,7 +206,7 @@ def test_cross_validation_by_hand():
 
 def test_segments_are_fits_of_their_own_rows():
     columns = broken()
-    found = mp.regress(columns, response="y", variables="t,v", segment="t:0")
+    found = mp.regress(columns, response="y", variables="t,v", segment="t:0", free=True)
     assert [s.range for s in found.segments] == [
         (columns["t"].min(), 0.0),
         (0.0, columns["t"].max()),
@@ -531,7 +531,7 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
         ),
         ({"v": GOOD["t"]}, REGRESS, 1, "columns 't' and 'v' say the same"),
         ({"v": 1.8 * GOOD["t"] + 32}, REGRESS, 1, "columns 't' and 'v' say the same"),
-        ({}, [*REGRESS, "--segment", "t:-37"], 1, "rows for 3 terms"),
+        ({}, [*REGRESS, "--segment", "t:-37", "--free"], 1, "rows for 3 terms"),
         ({}, [*REGRESS, "--segment", "t:500"], 1, "the edge t = 500 is outside the data"),
         ({}, [*REGRESS, "--segment", "t:5,-5"], 2, "edges must be finite and increase"),
         (
@@ -544,6 +544,8 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
         ({}, [*REGRESS, "--segment", "t:warm"], 2, "not a list of numbers"),
         ({}, [*REGRESS, "--segment", "q:1"], 1, "no column 'q'"),
         ({}, [*REGRESS, "--continuous"], 2, "--continuous joins segments"),
+        ({}, [*REGRESS, "--free"], 2, "--free parts segments"),
+        ({"n": GOOD["t"] ** 2}, [*REGRESS, "--segment", "n:5"], 2, "no term has 'n'"),
         ({}, ["--response", "y", "--variables", "t,y"], 2, "'y' is among the variables"),
         ({}, ["--response", "y", "--variables", "t,t"], 2, "names a column twice"),
         ({}, ["--response", "y"], 2, "needs --variables A,B,C or --terms"),
@@ -657,20 +659,22 @@ def test_rows_that_are_not_apart_are_a_doubt_first_of_what_is_said(tmp_path):
         noise[i] = 0.9 * noise[i - 1] + rng.standard_normal()
     table = {"T": np.linspace(0.0, 50.0, 200), "y": noise, "z": noise + 1.0}
     found = mp.regress(table, response="y", variables="T")
-    (doubt,) = found.doubts
+    doubt, switch_on = found.doubts
+    assert switch_on.code == "turn-on"
     assert (doubt.code, doubt.severity) == ("time-correlated", "caution")
     assert found.warnings[0] == doubt.text
     assert found.warnings.count(doubt.text) == 1
     found.save(tmp_path / "reg.json")
-    assert mp.load_regression(tmp_path / "reg.json").doubts == (doubt,)
+    assert mp.load_regression(tmp_path / "reg.json").doubts == found.doubts
     both = mp.regress(table, response="y,z", variables="T")
     assert both.doubts[0].text == f"y: {doubt.text}"
     white = {"T": table["T"], "y": rng.standard_normal(200)}
-    assert mp.regress(white, response="y", variables="T").doubts == ()
+    assert mp.regress(white, response="y", variables="T").doubts == (switch_on,)
 
 
 def test_as_many_terms_as_rows_is_a_doubt():
     table = {"T": [0.0, 1.0], "y": [1.0, 3.0]}
     assert [d.code for d in mp.regress(table, response="y", variables="T").doubts] == [
-        "no-redundancy"
+        "no-redundancy",
+        "turn-on",
     ]

@@ -102,4 +102,4 @@ def test_refusals():
     with pytest.raises(MultiposError, match="holds one run only"):
         mp.regress(TWO | {"run": ["a"] * 6}, response="y", variables="x", run="run")
     with pytest.raises(MultiposError, match="rows of one run only"):
-        mp.regress(TWO, response="y", variables="x", run="run", segment="x:1.5")
+        mp.regress(TWO, response="y", variables="x", run="run", segment="x:1.5", free=True)

@@ -134,7 +134,8 @@ def test_what_few_rows_leave_open_is_said():
     # ten times the slope is no such doubt, and nothing is said
     clear = mp.regress(table | {"y": table["y"] + 5.0 * ramp}, response="y", variables="T")
     assert clear.segments[0].robust is None
-    assert not clear.warnings
+    assert [doubt.code for doubt in clear.doubts] == ["turn-on"]
+    assert len(clear.warnings) == 1
 
 
 def test_long_records_take_the_likeliest_law_alone():

@@ -19,7 +19,7 @@ def folder(tmp_path, monkeypatch):
     error = 2e-3 * t + 5e-3 * (t > 0) + rng.normal(0.0, 1e-4, 200)
     mp.write_table(tmp_path / "data.csv", {"time": time, "temperature": t, "error": error})
     monkeypatch.chdir(tmp_path)
-    options = ["--variables", "temperature", "--stepwise", "--segment", "temperature:0"]
+    options = ["--variables", "temperature", "--stepwise", "--segment", "temperature:0", "--free"]
     assert main(["regress", "data.csv", "--response", "error", *options, "-o", "reg.json"]) == 0
     return tmp_path
 
@@ -35,8 +35,8 @@ def test_report_of_a_regression(folder, capsys):
     assert html.count("<svg") == 4
     for said in (
         "What to know",
-        "One switch-on",
-        "jumps at an edge",
+        "the next is not in U",
+        "the model jumps at",
         "F_0.95",
         "n − k − 1",
         "Path of",
@@ -79,7 +79,12 @@ def test_chinese_has_every_sentence(folder):
     columns = {name: mp.read_table("data.csv").number(name) for name in ("time", "error")}
     columns["temperature"] = mp.read_table("data.csv").number("temperature")
     cut = mp.regress(
-        columns, response="error", variables="temperature", segment="temperature:10", time="time"
+        columns,
+        response="error",
+        variables="temperature",
+        segment="temperature:10",
+        free=True,
+        time="time",
     )
     for found in (mp.load_regression("reg.json"), cut):
         english, chinese = (

@@ -25,7 +25,7 @@ def chamber(seed, n=80, noise=1e-3):
 
 
 def fitted(seed=1, **options):
-    options = {"variables": "temperature", "segment": "temperature:20"} | options
+    options = {"variables": "temperature", "segment": "temperature:20", "free": True} | options
     return mp.regress(chamber(seed), response="error", **options)
 
 
@@ -269,7 +269,7 @@ def test_regress_draws_correction_and_paths(tmp_path, capsys):
     data = write(tmp_path / "data.csv", chamber(1))
     options = ["regress", data, "--response", "error", "--variables", "temperature", "--stepwise"]
     figure = tmp_path / "model.svg"
-    options += ["--segment", "temperature:20"]
+    options += ["--segment", "temperature:20", "--free"]
     status, out, _ = run(capsys, *options, "-o", figure)
     assert status == 0
     assert out.startswith("response   error, 80 rows")
@@ -280,7 +280,7 @@ def test_regress_draws_correction_and_paths(tmp_path, capsys):
     first = figure.read_bytes()
     assert run(capsys, *options, "-o", figure)[0] == 0
     assert figure.read_bytes() == first
-    assert run(capsys, *options, "--continuous", "--hierarchy", "-o", figure)[0] == 0
+    assert run(capsys, *options[:-1], "--hierarchy", "-o", figure)[0] == 0
     assert "all segments" in words(figure)
 
 
