@@ -1,10 +1,6 @@
 """The page in a browser: what a visitor does, what arrives, and whom the browser asks."""
 
-import contextlib
-import functools
-import http.server
 import json
-import threading
 import time
 from pathlib import Path
 
@@ -13,6 +9,7 @@ import numpy as np
 import page_runtime
 import pytest
 from numpy.testing import assert_allclose
+from page_visitor import ONLY_THIS_MACHINE, README, STATE, answered, hosted, visit
 
 import multipos as mp
 from multipos.page import runtime
@@ -22,58 +19,6 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(browser.find() is None, reason="no browser"),
 ]
-README = """position,direction,ax,ay,az
-1,E-U-S,0.0071,1.0029,-0.0016
-2,E-N-U,-0.0094,-0.0058,1.0008
-3,D-E-S,-0.9965,0.0064,0.0015
-4,W-D-S,-0.0076,-1.0030,0.0032
-5,U-W-S,0.9965,0.0073,0.0027
-6,S-W-D,0.0067,-0.0060,-1.0008
-"""
-STATE = "document.documentElement.dataset.state"
-FORMS = ("json", "c", "px4", "ardupilot", "md", "readings")
-ONLY_THIS_MACHINE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
-
-
-class Host:
-    """A plain web server on a folder, as `python -m http.server` is."""
-
-    def __init__(self, folder):
-        self.asked = []
-        handler = functools.partial(Quiet, self.asked, directory=str(folder))
-        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-        self.thread = threading.Thread(target=self.server.serve_forever)
-        self.thread.start()
-        self.address = f"http://127.0.0.1:{self.server.server_address[1]}/"
-
-    def stop(self):
-        self.server.shutdown()
-        self.thread.join()
-        self.server.server_close()
-
-
-class Quiet(http.server.SimpleHTTPRequestHandler):
-    def __init__(self, asked, *rest, **more):
-        self.asked = asked
-        super().__init__(*rest, **more)
-
-    def end_headers(self):
-        self.asked.append(self.path)
-        self.send_header("Access-Control-Allow-Origin", "*")
-        super().end_headers()
-
-    def log_message(self, format, *args):
-        pass
-
-
-@contextlib.contextmanager
-def hosted(folder):
-    host = Host(folder)
-    try:
-        yield host
-    finally:
-        with contextlib.suppress(OSError):
-            host.stop()
 
 
 @pytest.fixture(scope="module")
@@ -101,21 +46,6 @@ def visitor(folder, tmp_path_factory):
         )
         visit(page, host.address)
         yield page
-
-
-def visit(page, address):
-    page.size(1200)
-    page.events.clear()
-    page.call("Page.navigate", url=address)
-    # It is the old document that answers until the new one is there.
-    ready = "document.documentElement?.dataset.state === 'ready'"
-    page.wait(f"location.href === {address!r} && {ready}")
-
-
-def answered(page, action):
-    """Do something, and return how it ended."""
-    page.evaluate(f"{STATE} = 'asked'; {action}")
-    return page.wait(f"['done', 'error'].includes({STATE}) && {STATE}")
 
 
 def put(page, *paths):
@@ -251,6 +181,18 @@ def test_wrong_files_are_answered_in_the_words_of_the_program(visitor, tmp_path)
     # and after all of that it still works
     assert answered(visitor, "document.getElementById('example').click()") == "done"
     assert text(visitor, "error") == ""
+
+
+def test_a_million_rows(visitor, tmp_path):
+    log = mp.simulate_log(
+        mp.demo().calibration, "all-26", rate=100, rest=384, sample_sd=1e-3, seed=1
+    )
+    columns = np.column_stack([log[name] for name in ("time", "ax", "ay", "az")])
+    assert len(columns) > 1_000_000
+    path = tmp_path / "long.csv"
+    np.savetxt(path, columns, fmt="%.5f", delimiter=",", header="time,ax,ay,az", comments="")
+    assert put(visitor, path) == "done"
+    assert "26 rests of the log" in text(visitor, "answer")
 
 
 def test_plan_and_apply(visitor, tmp_path):
