@@ -6,8 +6,8 @@ as there, A_k the slopes of the readings by all unknowns, and Z_k by anything el
 
     A'WA = S,   Z'WZ,   A'WZ,   A'Σ⁻¹r,   Z'Σ⁻¹r,   diag(W A C A'),   W − W A S⁻¹ A'W       (1)
 
-are all that is asked. Where nothing is known of any position of a triad (`SphereSearch.fits`), W_k
-is m_k m_k' of `multipos.estimation.sphere`, and Σ_k⁻¹r_k is W_k r_k at the solution: each position
+are all that is asked. Where nothing is known of any position of a triad (`UnknownSearch.fits`), W_k
+is m_k m_k' of `multipos.estimation.unknown_orientations`, and Σ_k⁻¹r_k is W_k r_k at the solution: each position
 is one row A_k'm_k then, and the sums are products of these rows. A test holds the two ways
 together.
 """
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from multipos.estimation.likelihood import assemble, evaluate, linearise, respond, weigh
 from multipos.estimation.losses import loss_weight
 from multipos.estimation.problem import Point, Problem, State
-from multipos.estimation.sphere import SphereSearch, is_along_force
 from multipos.estimation.unequal_axes import allow_for_axes
+from multipos.estimation.unknown_orientations import UnknownSearch, is_along_force
 from multipos.numerics.arrays import Array
 
 
@@ -58,7 +58,7 @@ class Told(Protocol):
 
 def told_at(problem: Problem, state: State, point: Point | None = None) -> Told:
     """Return what is told at a state; the model is evaluated there unless its point is given."""
-    told = _AlongForce if SphereSearch.fits(problem) else _Everywhere
+    told = _AlongForce if UnknownSearch.fits(problem) else _Everywhere
     return told(problem, state, point)
 
 
@@ -66,16 +66,20 @@ class _AlongForce:
     """Of a triad of unknown orientation, each position by its part along the normal m."""
 
     def __init__(self, problem: Problem, state: State, point: Point | None) -> None:
-        sphere = SphereSearch(problem)
+        sphere = UnknownSearch.of_problem(problem)
         place = sphere.begin(state) if point is None else sphere.place(state, point)
         self.point = sphere.point(place) if point is None else point
         with np.errstate(all="ignore"):  # as the search: dh/df may have no inverse somewhere
             surface = sphere.linearise(place)
-        self.information, self.gradient = surface.information, surface.gradient
-        self.normal, self.rows, self.height = surface.normal, surface.rows, surface.height
+        self.information, self.gradient = surface.information[0], surface.gradient[0]
+        self.normal, self.rows, self.height = (
+            surface.normal[:, 0],
+            surface.rows[0],
+            surface.height[0],
+        )
         self.precision = problem.precision
         if problem.robust is not None:
-            root = np.sqrt(loss_weight(problem.robust, place.q, problem.degrees))
+            root = np.sqrt(loss_weight(problem.robust, place.q[0], problem.degrees))
             self.normal, self.rows, self.height = (
                 root * each for each in (self.normal, self.rows, self.height)
             )

@@ -1,58 +1,65 @@
-"""How noisy the readings are, and what a solution of the likelihood is therefore worth.
+"""The noise of the readings of one unit, and the uncertainty of its parameters that follows.
 
-- **Stated** noise is a floor, beside which readings scatter from rest to rest.
-- **Unstated** noise, equal in all readings, is F/nu where every position is exact or unknown, F of
-  `multipos.estimation.likelihood`.
-- Where orientation errors share the blame for the residuals, noise is integrated over
-  (`multipos.estimation.orientation_variance`), alone or together with the orientation sd.
+- **Stated** noise is a lower bound; the excess variance is integrated over.
+- **Unstated** noise, equal in all readings, is F/ν where every position is exact or unknown, F of
+  `multipos.estimation.likelihood`, and ν = Σ m_k − (parameters and shared unknowns) the degrees of
+  freedom: m_k = M outputs at a position, less two where nothing is known of its orientation.
+- Where orientation errors explain part of the residuals, noise is integrated over, alone or
+  together with the orientation sd (`multipos.estimation.orientation_variance`).
 
-Where every position is unknown, a noise that is not stated, or that is denied, may be unequal from
-axis to axis (`multipos.estimation.unequal_axes`). The degrees of freedom are nu = sum m_k −
-(parameters and shared unknowns), with m_k = M outputs at a position, less two where nothing is
-known of its orientation.
+Where every position is unknown, a noise that is not stated, or whose statement the χ² test rejects,
+may be unequal from axis to axis (`multipos.estimation.unequal_axes`).
 
-Reading noise where priors or shared parameters tie the outputs, and nothing states it.
-
-A prior weighs in its own unit, so that the noise decides how much it counts, and outputs that share
-a parameter weigh each other. The noise of each output is then what its residuals say, searched for
-together with the parameters,
+Where priors or shared parameters tie the outputs and no noise is stated, a prior weighs in its own
+unit, so that the noise decides how much it counts, and outputs that share a parameter weigh each
+other. The noise of each output is then that of its residuals, searched for together with the
+parameters,
 
     s_i² = Σ_k r_ki² / ν_i,    ν_i = n − Σ_k h_ki,    h = diag(A S⁻¹ A' W),                  (1)
 
-S the information with the priors in it; one s for all outputs where orientations are unknown,
-with ν = Σ m_k − p + Σ_j (S⁻¹)_jj/sd_j². A parameter that several outputs tell has Welch and
+S the information with the priors in it; one s for all outputs where orientations are unknown, with
+ν = Σ m_k − p + Σ_j (S⁻¹)_jj/sd_j². A parameter that several outputs determine has Welch and
 Satterthwaite's degrees of freedom over what each of them adds to its variance.
 
 Source: JCGM 100:2008, G.4.1.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from multipos.estimation.descent import resume
+from multipos.estimation.descent import maximise, resume
 from multipos.estimation.known import DENIED, overstated
 from multipos.estimation.likelihood import linearise
 from multipos.estimation.orientation_variance import (
-    as_scatter,
-    integrate_both,
-    integrate_placed,
-    least_floor,
-    tells_apart,
+    SEPARATING,
+    Block,
+    Components,
+    Linear,
+    contrasts,
+    find_both,
+    find_excess,
+    harmonic_mean,
+    least_variance,
 )
-from multipos.estimation.posteriors import Posterior, standard_uncertainty
-from multipos.estimation.problem import Optimum, Problem
+from multipos.estimation.posteriors import standard_uncertainty
+from multipos.estimation.problem import Optimum, Problem, start_state
 from multipos.estimation.solution import Solution
 from multipos.estimation.starts import reduced_information
-from multipos.numerics.arrays import Array
+from multipos.estimation.uncertain_orientations import STILL, UncertainSearch
+from multipos.estimation.unknown_orientations import UnknownSearch
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import chi2_quantile
+from multipos.numerics.rotations import step_on_sphere
 from multipos.sensor.fit_diagnostics import Claim
 from multipos.sensor.found import Component, Placed, RestToRest, VarianceComponents
 from multipos.sensor.inverse import parameter_jacobian
 
-STILL = 0.99  # χ² point beyond which a scatter does not explain what readings differ by
 _DETERMINED = 2.0  # factor to either side within which a placement is called determined
 _ROUNDING = 1e-9  # relative, below which no sd is known
+_RANK = 1e-7  # of the largest singular value, scaled, below which nothing is determined
 _NOTHING_LEFT = "as many unknowns as equations: nothing is left to estimate the "
 _INSEPARABLE = (
     "these positions cannot tell placement from scatter: all that readings differ by is taken as "
@@ -105,62 +112,64 @@ def judge_noise(
     if estimate_sd:
         return _both(problem, optimum, nu, stated)
     if stated:
-        return _beside_stated(problem, optimum, nu)
+        return _with_excess(problem, optimum, nu)
     if problem.has_prior:
-        return _beside_placement(problem, optimum, nu)
+        return _with_orientation_errors(problem, optimum, nu)
     loose = np.ones(problem.values.shape)
     return problem, optimum, Appraisal(optimum.point.objective / nu, nu, loose=loose)
 
 
-def _beside_stated(first: Problem, start: Optimum, nu: float) -> Found:
-    """Add to the stated noise what readings scatter from rest to rest."""
+def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
+    """Add the excess variance to the stated noise."""
     if nu <= 0:
         return first, start, Appraisal(1.0, np.inf)
-    problem, optimum, posterior = integrate_placed(first, start, nu)
+    unit, found = _find(first, start, nu, both=False)
     claim = Claim(start.point.objective, nu)
-    unexplained = optimum.point.objective > chi2_quantile(STILL, nu)
-    if unexplained and problem.prior.any() and tells_apart(first, start):
-        # the placement is then a floor as well, and no longer what was stated
-        problem, optimum, both = integrate_both(first, start, nu, floor=True)
+    unexplained = unit.optimum.point.objective > chi2_quantile(STILL, nu)
+    if unexplained and first.prior.any() and separates(first, start):
+        # the stated orientation sds are then a lower bound as well
+        unit, found = _find(first, start, nu, both=True, least=True)
         said = (
             "no scatter alone explains the residuals: positions were off by more than was stated, "
-            f"some {_widest(problem):.2g} degrees, see --orientation-sd auto"
+            f"some {_widest(unit.problem):.2g} degrees, see --orientation-sd auto"
         )
-        worth = _worth(problem, both.posterior, stated=True)
-        orientation_sd = problem.orientation_sd
+        worth = _appraise(unit.problem, found, stated=True)
+        orientation_sd = unit.problem.orientation_sd
         worth = replace(worth, warnings=(said,), orientation_sd=orientation_sd, claim=claim)
-        return problem, optimum, worth
-    worth = _worth(problem, posterior, stated=True)
+        return unit.problem, unit.optimum, worth
+    worth = _appraise(unit.problem, found, stated=True)
     loose = None
     if first.precision.ndim == 2 and claim.chi2 > chi2_quantile(DENIED, nu):
-        loose = np.maximum(1.0 - problem.precision / first.precision, 0.0)
-    return problem, optimum, replace(worth, warnings=overstated(claim), claim=claim, loose=loose)
+        loose = np.maximum(1.0 - unit.problem.precision / first.precision, 0.0)
+    worth = replace(worth, warnings=overstated(claim), claim=claim, loose=loose)
+    return unit.problem, unit.optimum, worth
 
 
-def _beside_placement(problem: Problem, optimum: Optimum, nu: float) -> Found:
-    """Find a noise of which nothing is stated, beside a placement of which something is."""
-    first = least_floor(problem, optimum)
-    problem, optimum, posterior = integrate_placed(
-        first, resume(first, optimum), nu, believed=False
-    )
-    worth = _worth(problem, posterior, stated=False)
-    return problem, optimum, replace(worth, warnings=(f"estimated: {_noise_in_words(worth)}",))
+def _with_orientation_errors(problem: Problem, optimum: Optimum, nu: float) -> Found:
+    """Find a noise of which nothing is stated, where orientation sds are."""
+    first = _least_noise(problem, optimum)
+    unit, found = _find(first, resume(first, optimum), nu, both=False, stated=False)
+    worth = _appraise(unit.problem, found, stated=False)
+    worth = replace(worth, warnings=(f"estimated: {_noise_in_words(worth)}",))
+    return unit.problem, unit.optimum, worth
 
 
 def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
-    """Find noise and placement together, where readings tell one from the other."""
-    if not tells_apart(first, optimum):
-        exact, found, worth = judge_noise(
-            *as_scatter(first, optimum), nu, stated=stated, estimate_sd=False
+    """Find noise and orientation errors together, where readings separate them."""
+    if not separates(first, optimum):
+        exact, exactly, worth = judge_noise(
+            *_at_listed(first, optimum), nu, stated=stated, estimate_sd=False
         )
         warnings = (*worth.warnings, _INSEPARABLE)
-        return exact, found, replace(worth, orientation_sd=exact.orientation_sd, warnings=warnings)
+        worth = replace(worth, orientation_sd=exact.orientation_sd, warnings=warnings)
+        return exact, exactly, worth
     if not stated:
-        first = least_floor(first, optimum)
-    problem, optimum, both = integrate_both(first, optimum, nu, believed=stated)
-    worth = _worth(problem, both.posterior, stated=stated)
-    sd = _widest(problem)
-    low, high = (sd * float(np.sqrt(end[0] / both.factor[0])) for end in both.span)
+        first = _least_noise(first, optimum)
+    unit, found = _find(first, optimum, nu, both=True, stated=stated)
+    worth = _appraise(unit.problem, found, stated=stated)
+    sd = _widest(unit.problem)
+    ends = (found.low[0], found.high[0])
+    low, high = (sd * float(np.sqrt(end / found.factor[0])) for end in ends)
     determined = high <= _DETERMINED**2 * low
     words = (
         f"orientation error {sd:.2g} degrees (68 %: {low:.2g} to {high:.2g})"
@@ -170,26 +179,205 @@ def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
     assert worth.components is not None
     worth = replace(
         worth,
-        orientation_sd=problem.orientation_sd,
+        orientation_sd=unit.problem.orientation_sd,
         warnings=(f"estimated together: {_noise_in_words(worth)}, {words}",),
         components=replace(
             worth.components, orientation_sd_deg=Placed(sd, (high - low) / 2.0, determined)
         ),
     )
-    return problem, optimum, worth
+    return unit.problem, unit.optimum, worth
 
 
-def _worth(problem: Problem, posterior: Posterior, *, stated: bool) -> Appraisal:
-    """Return what a posterior makes of the covariance, with the noise that it found."""
-    tau2, u_tau, _ = (float(each[0]) for each in posterior.summary)
-    p, dof = len(problem.model.keys), float(posterior.shape[0])
+def _find(
+    first: Problem,
+    optimum: Optimum,
+    nu: float,
+    *,
+    both: bool,
+    stated: bool = True,
+    least: bool = False,
+) -> "tuple[_Unit, Components]":
+    """Return the unit under the noise that is found, and its components."""
+    unit, parameters = _Unit(first, first, optimum), len(first.model.keys)
+    valid = np.ones(1, dtype=np.bool_)
+    if both:
+        return unit, find_both(unit, valid, parameters, nu, stated=stated, least=least)
+    return unit, find_excess(unit, valid, parameters, nu, stated=stated)
+
+
+class _Unit:
+    """A problem of any kind at its optimum, whose noise is estimated: a batch of one."""
+
+    def __init__(self, first: Problem, problem: Problem, optimum: Optimum) -> None:
+        self.first, self.problem, self.optimum = first, problem, optimum
+
+    @property
+    def size(self) -> Array:
+        variance = np.diagonal(_covariances(self.first), axis1=1, axis2=2)
+        return harmonic_mean(variance[None])
+
+    def of(self, units: NDArray[Any]) -> Self:
+        return self
+
+    def put(self, units: Places, other: Self) -> None:
+        self.problem, self.optimum = other.problem, other.optimum
+
+    def linear(self) -> Linear:
+        return linear_model(self.first, self.optimum)
+
+    def squares(self) -> tuple[Array, Array]:
+        point = self.optimum.point
+        return np.array([point.objective]), np.array([np.sum(point.residuals**2)])
+
+    def searched(self, excess: Array, factor: Array | None) -> "tuple[_Unit, NDArray[np.bool_]]":
+        problem = replace(self.first, precision=_precision(self.first, float(excess[0])))
+        if factor is not None:
+            sd = self.first.orientation_sd * np.sqrt(factor[0])
+            problem = replace(problem, orientation_sd=sd)
+        optimum = resume(problem, self.optimum)
+        return _Unit(self.first, problem, optimum), np.ones(1, dtype=np.bool_)
+
+
+def linear_model(problem: Problem, optimum: Optimum) -> Linear:
+    """Return the linear model about an optimum, with the variances that `problem` states.
+
+    Positions are taken by how many combinations of their readings no free angle moves.
+    """
+    state, point = optimum.state, optimum.point
+    if UnknownSearch.fits(problem):
+        sphere = UnknownSearch.of_problem(problem)
+        return sphere.linear(sphere.place(state, point), sphere.variance)
+    if UncertainSearch.fits(problem):
+        listed = UncertainSearch.of_problem(problem)
+        return listed.linear(listed.begin(state))
+    normal = linearise(problem, state, point)
+    slopes = parameter_jacobian(problem.model, state.theta, point.force, problem.environment)
+    error = point.residuals + np.einsum("nmi,ni->nm", normal.jacobian, state.step)
+    design = np.concatenate([slopes, normal.shared], axis=2)
+    tied = np.isfinite(problem.orientation_sd) & (problem.orientation_sd > 0.0)
+    sd = np.where(tied, problem.orientation_sd, 0.0)[:, None, None]
+    spread = sd * normal.jacobian * np.where(problem.rolled[:, None, None], [0.0, 1.0], 1.0)
+    blocks = []
+    free = np.where(problem.unknown, 2, np.where(problem.rolled, 1, 0))
+    for count in (0, 1, 2):
+        rows = free == count
+        if rows.any():
+            variance = _variances(problem, rows)
+            block = (error[rows], design[rows], spread[rows], variance)
+            blocks.append(_without_free(*block, normal.jacobian[rows, :, :count]))
+    return _identifiable(problem, state.theta, tuple(blocks))
+
+
+def _variances(problem: Problem, rows: NDArray[np.bool_]) -> Array:
+    if problem.precision.ndim == 2:
+        return np.asarray(1.0 / problem.precision[rows])
+    return _covariances(problem)[rows]
+
+
+def _without_free(
+    error: Array, design: Array, spread: Array, variance: Array, free: Array
+) -> Block:
+    """Return a block of combinations of its readings that free angles (k, M, c) do not move."""
+    if not free.shape[2]:
+        return Block(error[None], design[None], spread[None], variance[None])
+    axes = np.linalg.svd(free)[0].transpose(0, 2, 1)[:, free.shape[2] :]
+    r = axes.shape[1]
+    if variance.ndim == 2 and not np.ptp(variance, axis=1).any():
+        left = variance[:, :r]
+    else:
+        full = variance if variance.ndim == 3 else variance[:, :, None] * np.eye(len(axes[0, 0]))
+        left = axes @ full @ axes.transpose(0, 2, 1)
+        left = left[:, :, 0] if r == 1 else left
+    error = np.einsum("krm,km->kr", axes, error)
+    return Block(error[None], (axes @ design)[None], (axes @ spread)[None], left[None])
+
+
+def _identifiable(problem: Problem, theta: Array, blocks: tuple[Block, ...]) -> Linear:
+    """Return the linear model with priors, without combinations that nothing determines.
+
+    Such as a rotation about the only direction of a group.
+    """
+    p, P = len(theta), blocks[0].design.shape[3]
+    prior, gradient = np.zeros(P), np.zeros(P)
+    if problem.believed:
+        excess, slope = problem.model.belief(theta)
+        prior[:p], gradient[:p] = slope**2, -slope * excess
+    if problem.level_sd > 0.0:
+        prior[-2:] = 1.0 / problem.level_sd**2
+    if p == P:
+        return Linear(blocks, np.diag(prior), gradient)
+    sd = 1.0 / np.sqrt(
+        np.median(
+            problem.precision
+            if problem.precision.ndim == 2
+            else np.einsum("nmm->nm", problem.precision)
+        )
+    )
+    rows = [block.design.reshape(-1, P) / sd for block in blocks]
+    whole = np.concatenate([*rows, np.diag(np.sqrt(prior))])
+    scale = np.linalg.norm(whole, axis=0)
+    scale = 1.0 / np.where(scale > 0.0, scale, 1.0)
+    _, sizes, vectors = np.linalg.svd(whole * scale, full_matrices=False)
+    outer = scale[:, None] * vectors[sizes > _RANK * sizes[0]].T
+    reduced = tuple(block._replace(design=block.design @ outer) for block in blocks)
+    information = outer.T @ (prior[:, None] * outer)
+    return Linear(reduced, information, outer.T @ gradient, outer[:p])
+
+
+def _covariances(problem: Problem) -> Array:
+    """Return the stated covariance of each position (n, M, M)."""
+    if problem.precision.ndim == 3:
+        return np.asarray(np.linalg.inv(problem.precision))
+    return np.asarray((1.0 / problem.precision)[:, :, None] * np.eye(problem.values.shape[1]))
+
+
+def _precision(problem: Problem, excess: float) -> Array:
+    """Return the precision of readings that vary by τ² in excess of their noise."""
+    if problem.precision.ndim == 2:
+        return np.asarray(1.0 / (1.0 / problem.precision + excess))
+    covariances = _covariances(problem)
+    return np.asarray(np.linalg.inv(covariances + excess * np.eye(covariances.shape[1])))
+
+
+def _least_noise(problem: Problem, optimum: Optimum) -> Problem:
+    """Return the problem with a noise so small that it changes nothing.
+
+    Where no orientation has an sd it is a small part of the residuals.
+    """
+    linear = linear_model(problem, optimum)
+    separated = np.array([separates(problem, optimum)])
+    spreads, values = linear.spreads, problem.values
+    if not spreads.any():
+        spreads, separated = np.array([np.sum(optimum.point.residuals**2)]), np.array([True])
+    least = least_variance(spreads, values[None], separated)
+    return replace(problem, precision=np.full(values.shape, 1.0 / least[0]))
+
+
+def separates(problem: Problem, optimum: Optimum) -> bool:
+    """Tell whether readings separate noise from orientation errors; where few do, U fails."""
+    return bool(contrasts(linear_model(problem, optimum))[0] >= SEPARATING)
+
+
+def _at_listed(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
+    """Return the problem of positions that are where they are listed, and its optimum."""
+    tied = np.isfinite(problem.orientation_sd)
+    exact = replace(problem, orientation_sd=np.where(tied, 0.0, problem.orientation_sd))
+    direction = step_on_sphere(optimum.state.centre, optimum.state.basis, optimum.state.step)
+    state = start_state(exact, optimum.state.theta, direction, optimum.state.turns)
+    return exact, maximise(exact, state)
+
+
+def _appraise(problem: Problem, found: Components, *, stated: bool) -> Appraisal:
+    """Return what variance components make of the covariance."""
+    p, dof = len(problem.model.keys), float(found.dof[0])
     if stated:
-        scatter = RestToRest(float(np.sqrt(tau2)), u_tau, dof)
-        components = VarianceComponents(dict.fromkeys(problem.model.outputs, scatter))
+        excess = RestToRest(float(np.sqrt(found.excess[0])), float(found.u[0]), dof)
+        components = VarianceComponents(dict.fromkeys(problem.model.outputs, excess))
     else:
         sd = float(problem.precision.mean() ** -0.5)
-        components = VarianceComponents(reading_sd=Component(sd, max(u_tau, _ROUNDING * sd)))
-    u = standard_uncertainty(posterior.centred[0], np.full(p, dof))
+        u_sd = max(float(found.u[0]), _ROUNDING * sd)
+        components = VarianceComponents(reading_sd=Component(sd, u_sd))
+    u = standard_uncertainty(found.U[0], np.full(p, dof))
     return Appraisal(1.0, dof, components=components, u=u)
 
 

@@ -1,569 +1,531 @@
-"""Scatter beside a stated noise where orientations are uncertain or unknown.
+"""The excess variance τ² of readings, and the common factor F on the variances of orientations.
 
-About a solution the readings of a position have the marginal covariance
+Near a solution the readings of a unit are linear in its unknowns θ. With e_k the residuals of
+position k at its listed orientation, A_k their slopes by θ, and J_k those by the two angles by
+which the orientation may be wrong, each of standard deviation s_k [rad],
 
-    V_k = Σ_k + τ² I + s_k² J_k J_k',                                                       (1)
+    e_k = A_k dθ + error,      V_k = cov error = Σ_k + τ² I + F s_k² J_k J_k'.              (1)
 
-Σ, J and s of `multipos.estimation.likelihood`; unknown orientations have s infinite, and of their
-readings only what lies along the normal of the sphere counts. The posterior of τ² and of the
-parameters is that of `multipos.estimation.posteriors`, with Jeffreys' prior of (1),
-dτ² (Σ tr V_k⁻²)^½.
+Σ_k is the stated covariance; τ² ≥ 0 is what readings vary by in excess of it, and F scales the
+stated variances of the angles. An angle of which nothing is known is eliminated beforehand: only
+combinations of the readings count that it does not move, one a position where both are unknown.
+V_k is diagonal in axes U_k that do not depend on τ²,
 
-Scatter and placement of many units at uncertain orientations: their posteriors, all at once.
+    V_k = U_k diag(a_k + F c_k + τ²) U_k',                                                  (2)
 
-About its solution the readings of a unit at position k have, as in
-`multipos.estimation.orientation_variance`, the marginal covariance
+nor on F where all readings of a position have one variance a_k; c_k are then the eigenvalues of
+s_k² J_k J_k'. Elsewhere a_k are the squared singular values of (Σ_k^½, F^½ s_k J_k), with c_k = 0.
+In these axes e and A become single numbers d and rows D of weight w = 1/(a + F c + τ²), and with P
+the prior information of θ and g the prior gradient, at all nodes (τ², F),
 
-    V_k = Σ_k + τ² I + F s_k² J_k J_k' = U_k diag(a_k + F c_k + τ²) U_k',                   (2)
+    S = D'wD + P,   b = D'wd + g,   q = d'wd,   ln det V = −Σ ln w,                         (3)
+    −2 ln L = ln det V + ln det S + q − b'S⁻¹b,                                             (4)
 
-a matrix in axes U_k that do not move with τ². Where all readings of a position have one variance,
-a is that, c_k are s_k² times the eigenvalues of J_k J_k', one of which is zero, and U_k does not
-move with F either; elsewhere a_k are the squares of the singular values of (Σ_k^½, s_k J_k), and
-F = 1. In these axes the residuals e_k at the listed positions and the design A_k are single numbers
-d and rows D of the weights w = 1/(a + F c + τ²), so that at all nodes (τ², F) of a unit
+is the restricted likelihood, S⁻¹b the shift of θ and diag S⁻¹ its variances: products of w with
+those of D and d, and one Cholesky factor of ((S, b), (b', q)) a node. Jeffreys' prior multiplies
+it: the root of tr V⁻² for τ², and for both the root of tr V⁻² tr (V⁻¹C)² − (tr V⁻²C)², C = s²JJ'.
+`multipos.estimation.posteriors` integrates. Estimates and noise alternate until the noise has
+converged, each unit for itself; a single fit is a batch of one unit.
 
-    S = D'wD,   b = D'wd,   q = d'wd,   ln det V = −Σ ln w                                  (3)
-
-are one product of w with the products of D and d, and with the Cholesky factor of
-((S, b), (b', q)) the restricted likelihood and the parameters follow as they do there,
-
-    −2 ln L = ln det V + ln det S + q − b'S⁻¹b,    moves S⁻¹b,    variances diag S⁻¹,       (4)
-
-times Jeffreys' prior, (Σ w²)^½ of τ² and (Σ w² Σ w²c² − (Σ w²c)²)^½ F of both.
-
-Where nothing is known of an orientation, only what lies along the normal n of the sphere is left of
-a reading: one number a position, with a = n'Σn.
-
-A solution of the likelihood as a linear model of its readings.
-
-About an optimum the readings at the listed positions have residuals e_k (n, M) with
-
-    e = A theta + error,      cov error_k = Sigma_k + s_k² J_k J_k',                        (5)
-
-Sigma_k, s_k, J_k, A as in `multipos.estimation.likelihood`.
-
-Noise and solutions of many units in turn, each unit until its noise settles.
-
-What residuals say of the noise moves the solution, and that the residuals. A unit that has settled
-is left out of the turns that follow, so that a few which take long do not hold up the others.
+Source: D. A. Harville, J. Amer. Statist. Assoc. 72, 1977 (restricted likelihood).
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.descent import maximise, resume
-from multipos.estimation.likelihood import eliminate, linearise
 from multipos.estimation.posteriors import Both, Found, Posterior, integrate, integrate_grid
-from multipos.estimation.problem import Optimum, Problem, start_state
 from multipos.numerics.arrays import Array, Places
-from multipos.numerics.rotations import step_on_sphere
-from multipos.sensor.inverse import parameter_jacobian
 
-
-@dataclass(frozen=True, eq=False)
-class Linearised:
-    """A solution as a linear model of its readings, eq. (5)."""
-
-    error: Array  # (n, M), residuals at the listed positions
-    design: Array  # (n, M, p + q), A: parameters and shared unknowns
-    jacobian: Array  # (n, M, 2)
-    precision: Array  # (n, M, M), Sigma^-1
-    orientation_sd: Array  # (n,) [rad]
-    prior: Array  # (p + q,) information of the unknowns themselves
-    p: int
-    rolled: NDArray[np.bool_]  # (n,), rolls whose first angle is free
-    pull: Array | float = 0.0  # (p + q,) of the priors of parameters towards their centres
-
-    @property
-    def tied(self) -> NDArray[np.bool_]:
-        """Positions (n,) that are off by their sd."""
-        return np.isfinite(self.orientation_sd) & (self.orientation_sd > 0.0)
-
-    @property
-    def spread(self) -> Array:
-        """What a turn by its sd does to each position, s_k J_k (n, M, 2); 0 for a free turn."""
-        size = np.where(self.tied, self.orientation_sd, 0.0)[:, None, None]
-        return np.asarray(self.jacobian * size * np.where(self.rolled[:, None, None], [0, 1], 1))
-
-
-def linearised(problem: Problem, optimum: Optimum) -> Linearised:
-    """Return the linear model about an optimum, with the variances that `problem` states."""
-    state = optimum.state
-    normal = linearise(problem, state, optimum.point)
-    p, m = len(state.theta), problem.values.shape[1]
-    slopes = parameter_jacobian(
-        problem.model, state.theta, optimum.point.force, problem.environment
-    )
-    prior = np.zeros(p + problem.shared)
-    pull = np.zeros(p + problem.shared)
-    if problem.believed:
-        excess, slope = problem.model.belief(state.theta)
-        prior[:p], pull[:p] = slope**2, -slope * excess
-    if problem.level_sd > 0.0:
-        prior[-2:] = 1.0 / problem.level_sd**2
-    precision = problem.precision
-    return Linearised(
-        error=optimum.point.residuals + np.einsum("nmi,ni->nm", normal.jacobian, state.step),
-        design=np.concatenate([slopes, normal.shared], axis=2),
-        jacobian=normal.jacobian,
-        precision=precision if precision.ndim == 3 else precision[:, :, None] * np.eye(m),
-        orientation_sd=problem.orientation_sd,
-        prior=prior,
-        pull=pull,
-        p=p,
-        rolled=problem.rolled,
-    )
-
-
-ROUNDS = 8  # of scatter and solution in turn
-SETTLED = 1e-4  # relative change of the noise far below what is known of it
+ROUNDS = 8  # of noise and estimates
+SETTLED = 1e-4  # relative change of the noise far below its uncertainty
 SETTLED_BOTH = 0.02  # change of a logarithm, where both are known to a tenth of one at best
-_ROWS = 50_000  # positions worked on at once
-_NOTHING = 1e-4  # of the noise that is stated, as a variance
-LEAST = 0.03  # of what placement does to a reading: noise of that size changes nothing
-LEAST_TOLD = 1e-3  # the same where readings tell the noise
-TELLING = 6  # contrasts from which on they do
-_RANK = 1e-14  # of the largest eigenvalue, scaled, below which nothing is told
-_TOUCHED = 1e-6  # of the largest slope, below which a turn moves nothing
-
-
-def integrate_placed(
-    first: Problem, optimum: Optimum, nu: float, *, believed: bool = True
-) -> tuple[Problem, Optimum, Posterior]:
-    """Return problem and optimum with the scatter that was found, and its posterior.
-
-    Parameters
-    ----------
-    first, optimum
-        With the stated noise.
-    nu : float
-        Degrees of freedom, above 0.
-    believed : bool
-        The stated noise may be all there is.
-    """
-    floor = _covariances(first)
-    size = _harmonic_mean(floor)
-    problem, before = first, 0.0
-    for _ in range(ROUNDS):
-        linear = linearised(first, optimum)
-        residuals = optimum.point.residuals
-        squares = optimum.point.objective * size, float(np.sum(residuals**2))
-        if before > 0.0:  # the objective is under the noise that was found
-            squares = squares[0] * (size + before) / size, squares[1]
-        brackets = np.array(squares[:1]), np.array(squares[1:])
-        alone = partial(_of_one, linear, floor, size)
-        posterior = integrate(alone, nu, np.array([size]), brackets, believed=believed)
-        tau2 = float(posterior.summary[0][0])
-        problem = replace(first, precision=_precision(first, floor, tau2))
-        optimum = resume(problem, optimum)
-        if abs(tau2 - before) <= SETTLED * (size + before):
-            break
-        before = tau2
-    return problem, optimum, posterior
-
-
-def least_floor(problem: Problem, optimum: Optimum) -> Problem:
-    """Return the problem with a noise so small that it changes nothing.
-
-    Where no contrast tells the noise, the least noise that could matter is what placement does to
-    a reading, by a small share; elsewhere what is left over is.
-    """
-    linear = linearised(problem, optimum)
-    share = LEAST_TOLD if tells_apart(problem, optimum) else LEAST
-    size = share**2 * float(np.sum(linear.spread**2)) / problem.values.size
-    if not linear.tied.any():
-        size = LEAST_TOLD**2 * float(np.mean(optimum.point.residuals**2))
-    rounding = np.finfo(float).eps * float(np.abs(problem.values).max())
-    floor = max(size, rounding**2)
-    return replace(problem, precision=np.full(problem.values.shape, 1.0 / floor))
-
-
-def integrate_both(
-    first: Problem, optimum: Optimum, nu: float, *, floor: bool = False, believed: bool = True
-) -> tuple[Problem, Optimum, Both]:
-    """Return problem and optimum with the scatter and the placement that were found.
-
-    Parameters
-    ----------
-    first, optimum
-        With the stated noise, and orientation sds that are right but for a common factor.
-    nu : float
-        Degrees of freedom, above 0.
-    floor : bool
-        The orientation sds are a floor, as the noise is.
-    believed : bool
-        The stated noise may be all there is.
-    """
-    least = _covariances(first)
-    size = _harmonic_mean(least)
-    grid = partial(_over_both, floor=least, size=size, nu=nu, placed=floor, believed=believed)
-    problem, before = first, np.zeros(2)
-    for _ in range(ROUNDS):
-        both = grid(linearised(first, optimum))
-        tau2, factor = float(both.posterior.summary[0][0]), float(both.factor[0])
-        problem = replace(
-            first,
-            precision=_precision(first, least, tau2),
-            orientation_sd=first.orientation_sd * np.sqrt(factor),
-        )
-        optimum = resume(problem, optimum)
-        now = np.log([size + tau2, factor])
-        if np.abs(now - before).max() <= SETTLED_BOTH:
-            break
-        before = now
-    return problem, optimum, both
-
-
-def tells_apart(problem: Problem, optimum: Optimum) -> bool:
-    """Tell whether readings tell scatter from placement; where few do, U would not cover."""
-    return _contrasts(problem, optimum) >= TELLING
-
-
-def _contrasts(problem: Problem, optimum: Optimum) -> int:
-    """Return how many contrasts of the readings no placement touches: they alone tell the scatter.
-
-    Only what lies along the normals of the sphere, less what the parameters take of it.
-    """
-    linear = linearised(problem, optimum)
-    n, m, _ = linear.design.shape
-    axes, sizes, _ = np.linalg.svd(linear.jacobian, full_matrices=True)
-    seen = np.zeros((n, m), bool)  # outputs' combinations that a turn does not move
-    seen[:, : sizes.shape[1]] = sizes <= _TOUCHED * sizes.max()
-    seen[:, sizes.shape[1] :] = True
-    seen[problem.exact] = True
-    across = axes.transpose(0, 2, 1) @ linear.design
-    left = across[seen]
-    size = np.linalg.norm(linear.design, axis=(0, 1))
-    return int(len(left) - np.linalg.matrix_rank(left / np.where(size > 0.0, size, 1.0)))
-
-
-def as_scatter(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
-    """Return the problem of positions that are where they are listed, and its optimum."""
-    tied = np.isfinite(problem.orientation_sd)
-    exact = replace(problem, orientation_sd=np.where(tied, 0.0, problem.orientation_sd))
-    direction = step_on_sphere(optimum.state.centre, optimum.state.basis, optimum.state.step)
-    state = start_state(exact, optimum.state.theta, direction, optimum.state.turns)
-    return exact, maximise(exact, state)
-
-
-def _over_both(
-    linear: Linearised, *, floor: Array, size: float, nu: float, placed: bool, believed: bool
-) -> Both:
-    """Return the posterior over a grid of ln(τ² + size) and the logarithm of the factor on s²."""
-    slopes = float(np.sum(linear.spread**2))
-
-    def evaluate(factors: Array, nodes: Array, *, whole: bool) -> Found:
-        found = _evaluate(linear, floor, size, factors[0], nodes[0])
-        return Found(*(each[None] for each in found))
-
-    return integrate_grid(
-        evaluate,
-        nu,
-        np.array([size]),
-        np.array([np.sum(linear.error**2)]),
-        np.array([slopes]),
-        least=None if placed else np.array([least_factor(size, linear.error.size, slopes)]),
-        believed=believed,
-    )
-
-
-def least_factor(size: Any, readings: int, slopes: Any) -> Any:
-    """Return the factor on s² below which what placement does is nothing beside the noise."""
-    return _NOTHING * size * readings / slopes
-
-
-def _harmonic_mean(covariances: Array) -> float:
-    """Return the harmonic mean of the variances of readings, (n, M, M) their covariances."""
-    return 1.0 / float(np.mean(1.0 / np.diagonal(covariances, axis1=1, axis2=2)))
-
-
-def _covariances(problem: Problem) -> Array:
-    """Return the stated covariance of each position (n, M, M)."""
-    if problem.precision.ndim == 3:
-        return np.asarray(np.linalg.inv(problem.precision))
-    return np.asarray((1.0 / problem.precision)[:, :, None] * np.eye(problem.values.shape[1]))
-
-
-def _precision(problem: Problem, floor: Array, tau2: float) -> Array:
-    m = floor.shape[1]
-    if problem.precision.ndim == 2:
-        return np.asarray(1.0 / (np.diagonal(floor, axis1=1, axis2=2) + tau2))
-    return np.asarray(np.linalg.inv(floor + tau2 * np.eye(m)))
-
-
-def _of_one(linear: Linearised, floor: Array, size: float, nodes: Array) -> Found:
-    """Return what `_evaluate` finds at nodes (1, G), as of a batch of one."""
-    found = _evaluate(linear, floor, size, None, nodes[0])
-    return Found(*(each[None] for each in found))
-
-
-def _evaluate(
-    linear: Linearised, floor: Array, size: float, factors: Array | None, nodes: Array
-) -> Found:
-    """Return the posterior density of ln(τ² + size), moves and variances at nodes (G,).
-
-    With `factors` (G,), by which s² is multiplied, it is that of ln s² as well.
-    """
-    step = max(1, _ROWS // len(floor))
-    parts = [
-        _evaluate_few(linear, floor, size, None if factors is None else factors[rows], nodes[rows])
-        for rows in (slice(first, first + step) for first in range(0, len(nodes), step))
-    ]
-    return Found(*(np.concatenate(each) for each in zip(*parts, strict=True)))
-
-
-def _evaluate_few(
-    linear: Linearised, floor: Array, size: float, factors: Array | None, nodes: Array
-) -> Found:
-    n, m = linear.error.shape
-    G = len(nodes)
-    covariance = floor + nodes[:, None, None, None] * np.eye(m)
-    P, log_det = _inverses(covariance.reshape(G * n, m, m))
-    J = np.tile(linear.jacobian, (G, 1, 1))
-    sd = np.tile(linear.orientation_sd, G)
-    tied, rolled = np.tile(linear.tied, G), np.tile(linear.rolled, G)
-    times = np.ones(G) if factors is None else factors
-    variance = np.where(tied, np.where(tied, sd, 1.0) ** 2 * np.repeat(times, n), 1.0)
-    exact = (sd == 0.0) & ~rolled
-    own = eliminate(P, J, P @ J, np.where(tied, 1.0 / variance, 0.0), exact, rolled)
-    W = own.marginal.reshape(G, n, m, m)
-    H = own.determinant
-    # ln det V = ln det (Σ + τ²) + ln det H + 2 ln s² (of a roll ln s²), less what is constant
-    angles = np.where(rolled, 1.0, 2.0)  # that have a prior
-    log_det += np.log(np.where(H > 0.0, H, 1.0)) + angles * np.log(variance)
-    A = linear.design.reshape(n * m, -1)
-    X = (W @ linear.design).reshape(G, n * m, -1)  # V⁻¹A
-    plain = np.einsum("gnij,nj->gni", W, linear.error).reshape(G, -1)
-    C, log_information = _invert(A.T @ X + np.diag(linear.prior))
-    right = plain @ A + linear.pull
-    moves = np.einsum("gpq,gq->gp", C, right)
-    log = -0.5 * (
-        log_det.reshape(G, n).sum(axis=1)
-        + log_information
-        + plain @ linear.error.ravel()
-        - np.einsum("gp,gp->g", right, moves)
-    )
-    log += _log_prior(linear, W, factors) + np.log(nodes + size)
-    return Found(log, moves[:, : linear.p], np.einsum("gpp->gp", C)[:, : linear.p])
-
-
-def _inverses(covariances: Array) -> tuple[Array, Array]:
-    """Return inverses and ln det of covariances (k, M, M), at once where all are diagonal."""
-    variances = np.einsum("kii->ki", covariances)
-    if np.count_nonzero(covariances) > np.count_nonzero(variances):
-        return np.asarray(np.linalg.inv(covariances)), np.linalg.slogdet(covariances)[1]
-    inverses = np.zeros_like(covariances)
-    np.einsum("kii->ki", inverses)[:] = 1.0 / variances
-    return inverses, np.log(variances).sum(axis=1)
-
-
-def _invert(information: Array) -> tuple[Array, Array]:
-    """Return inverses (G, p, p) and ln det (G,), without what nothing tells, such as a rotation."""
-    size = np.sqrt(np.einsum("gpp->gp", information))
-    scale = 1.0 / np.where(size > 0.0, size, 1.0)
-    values, vectors = np.linalg.eigh(information * scale[:, :, None] * scale[:, None, :])
-    told = values > _RANK * values[:, -1:]
-    kept = np.where(told, values, 1.0)
-    inverse = (vectors * (told / kept)[:, None, :]) @ vectors.transpose(0, 2, 1)
-    inverse = inverse * scale[:, :, None] * scale[:, None, :]
-    return inverse, np.log(kept).sum(axis=1) - 2.0 * np.log(scale).sum(axis=1)
-
-
-def _log_prior(linear: Linearised, W: Array, factors: Array | None) -> Array:
-    """Return ln of Jeffreys' prior of τ², or of τ² and ln s² together, at nodes (G,)."""
-    by_scatter = np.einsum("gnij,gnji->g", W, W)
-    if factors is None:
-        return np.asarray(0.5 * np.log(by_scatter))
-    S = linear.spread  # s J
-    WS = W @ S
-    inner = S.transpose(0, 2, 1) @ WS
-    by_both = np.einsum("gnia,gnia->g", WS, WS)
-    by_placement = np.einsum("gnab,gnba->g", inner, inner)
-    determinant = np.maximum(by_scatter * by_placement - by_both**2, 0.0)
-    with np.errstate(divide="ignore"):
-        return np.asarray(0.5 * np.log(determinant) + np.log(factors))
-
-
+_NOTHING = 1e-4  # of the stated noise, as a variance
 _AT_ONCE = 2000  # nodes of all units, so that what they need stays in the cache
-_OUTPUTS = 3
+_TOUCHED = 1e-6  # of the largest slope, below which an angle moves nothing
+_LEAST = 0.03  # of what orientation errors do to a reading: noise of that size changes nothing
+_LEAST_SEPARATED = 1e-3  # the same where readings determine the noise
+SEPARATING = 6  # contrasts from which on they do
 
 
-class About(NamedTuple):
-    """Solutions of B units as linear models of their readings at the listed positions."""
+class Block(NamedTuple):
+    """Positions of B units with r numbers each, eq. (1)."""
 
-    error: Array  # e, (B, n, 3)
-    design: Array  # A, (B, n, 3, p)
-    spread: Array  # s J, (B, n, 3, 2)
+    error: Array  # e, (B, k, r)
+    design: Array  # A, (B, k, r, P)
+    spread: Array  # s J, (B, k, r, 2)
+    variance: Array  # of Σ, (B, k, r), or Σ itself (B, k, r, r)
+
+    def of(self, units: Any) -> "Block":
+        """Return some of the units."""
+        return Block(*(each[units] for each in self))
+
+    @property
+    def keeps_axes(self) -> bool:
+        """Whether the axes of eq. (2) do not depend on F."""
+        if self.variance.ndim == 4:
+            return False
+        return not self.spread.any() or not np.ptp(self.variance, axis=2).any()
 
 
-class Normals(NamedTuple):
-    """Solutions of B units of unknown orientation as linear models of what is left of readings."""
+class Linear(NamedTuple):
+    """Solutions of B units as linear models of their readings."""
 
-    error: Array  # along the normals, (B, n)
-    design: Array  # (B, n, p)
-    normal: Array  # of length one, (B, n, 3)
+    blocks: tuple[Block, ...]
+    information: Array | float = 0.0  # P, (P, P)
+    gradient: Array | float = 0.0  # g, (P,)
+    outer: Array | None = None  # (p, P) parameters as combinations of θ; None: they are θ
+
+    def of(self, units: Any) -> "Linear":
+        """Return some of the units."""
+        return self._replace(blocks=tuple(block.of(units) for block in self.blocks))
+
+    @property
+    def spreads(self) -> Array:
+        """Sum (B,) of what orientation errors of one sd do to readings, squared."""
+        return sum_of_squares(*(block.spread for block in self.blocks))
 
 
-class Rotated(NamedTuple):
-    """The linear models in the axes of eq. (2), N single numbers a unit, 3 or one a position."""
+class _Rotated(NamedTuple):
+    """The linear models in the axes of eq. (2), N single numbers a unit."""
 
-    products: Array  # of D and d with each other, (B, N, (p + 1)(p + 2)/2)
+    products: Array  # of D and d with each other, (B, N, (P + 1)(P + 2)/2)
     fixed: Array  # a, (B, N)
     moving: Array  # c, (B, N)
-    parameters: int
+    axes: tuple[Array, ...]  # of each block, (B, k, r, r)
+
+    def of(self, units: slice) -> "_Rotated":
+        """Return some of the units, for which the axes are no longer asked."""
+        return _Rotated(self.products[units], self.fixed[units], self.moving[units], ())
 
 
-def integrate_scatter(
-    about: About,
-    floor: Array,
+def sum_of_squares(*arrays: Array) -> Array:
+    """Return the sums of squares (B,) of arrays (B, …) together."""
+    flat = (each.reshape(len(each), -1) for each in arrays)
+    return np.asarray(sum(np.einsum("bi,bi->b", each, each) for each in flat))
+
+
+def harmonic_mean(variance: Array) -> Array:
+    """Return the harmonic mean (B,) of variances (B, n, M)."""
+    return np.asarray(1.0 / np.mean(1.0 / variance, axis=(1, 2)))
+
+
+class Units(Protocol):
+    """B units whose searches have ended, and whose noise is estimated."""
+
+    @property
+    def size(self) -> Array:
+        """Harmonic mean (B,) of the stated variances."""
+
+    def of(self, units: Places, /) -> Self:
+        """Return some of the units."""
+
+    def put(self, units: Places, other: Self, /) -> None:
+        """Put other units in places of these."""
+
+    def linear(self) -> Linear:
+        """Return the linear models about the solutions, with the stated noise."""
+
+    def squares(self) -> tuple[Array, Array]:
+        """Return F under the present noise, and the sum of squared residuals, (B,) each."""
+
+    def searched(self, excess: Array, factor: Array | None) -> tuple[Self, NDArray[np.bool_]]:
+        """Return the units under τ² and F (B,), searched on from here, and which have ended."""
+
+
+class Judged(NamedTuple):
+    """What is found of the noise of some units."""
+
+    posterior: Posterior
+    excess: Array  # τ², (B,)
+    both: Both | None
+    converged: NDArray[np.bool_]
+
+
+UnitsT = TypeVar("UnitsT", bound=Units)
+
+
+class Components:
+    """Variance components of B units, NaN where none were found.
+
+    Attributes
+    ----------
+    U : (B, p) array
+        Of the parameters at 95 %.
+    dof : (B,) array
+    excess, u : (B,) arrays
+        τ², and the standard uncertainty of τ.
+    factor, low, high : (B,) arrays
+        F, and the ends of its central 68 %; 1 where it was not estimated.
+    valid : (B,) array of bool
+        Whose searches have ended.
+    """
+
+    def __init__(self, valid: NDArray[np.bool_], parameters: int) -> None:
+        self.valid = valid.copy()
+        self.U = np.full((len(valid), parameters), np.nan)
+        self.dof, self.excess, self.u = np.full((3, len(valid)), np.nan)
+        self.factor, self.low, self.high = np.ones((3, len(valid)))
+
+    def put(self, units: Places, judged: Judged, which: NDArray[np.bool_]) -> None:
+        """Put what is found of `which` of some units in places of `units`."""
+        posterior = judged.posterior.of(which)
+        self.U[units], self.dof[units] = posterior.centred, posterior.shape
+        self.excess[units], self.u[units] = judged.excess[which], posterior.summary[1]
+        if judged.both is not None:
+            self.factor[units] = judged.both.factor[which]
+            self.low[units], self.high[units] = (each[which] for each in judged.both.span)
+
+
+def find_excess(
+    units: UnitsT,
+    valid: NDArray[np.bool_],
+    parameters: int,
     dof: float,
-    squares: tuple[Array, Array],
     *,
-    believed: bool,
-) -> Posterior:
-    """Return the posterior of τ² and of parameters, of units whose placement is known.
+    stated: bool = True,
+) -> Components:
+    """Return the excess variance of units, which follow to the solutions under it.
 
     Parameters
     ----------
-    about : About
-    floor : (B, n, 3) array
-        Stated variances.
+    units : Units
+    valid : (B,) array of bool
+        The units that are asked.
+    parameters : int
+        p
     dof : float
-    squares : tuple of two (B,) arrays
-        As in `multipos.estimation.posteriors.integrate`.
-    believed : bool
+        Degrees of freedom, above 0.
+    stated : bool
+        Σ is stated by the user and may be all there is: τ² = 0 has a probability of its own.
     """
-    size = typical(floor)
-    evaluator = _Evaluator(_rotated(about, floor), size)
-    return integrate(evaluator.at_scatter, dof, size, squares, believed=believed)
+    before = np.zeros(len(valid))
+
+    def judge(here: Units, places: Places) -> Judged:
+        size, last = here.size, before[places]
+        objective, squares = here.squares()
+        evaluator = _Evaluator(here.linear(), size)
+        posterior = integrate(
+            evaluator.at_excess, dof, size, (objective * (size + last), squares), believed=stated
+        )
+        excess = posterior.summary[0]
+        before[places] = excess
+        converged = np.abs(excess - last) <= SETTLED * (size + last)
+        return Judged(posterior, excess, None, converged)
+
+    return _alternate(units, Components(valid, parameters), judge)
 
 
-def integrate_along(
-    normals: Normals, floor: Array, dof: float, squares: tuple[Array, Array]
-) -> Posterior:
-    """Return the posterior of τ² and of parameters, of units of unknown orientation.
+def find_both(
+    units: UnitsT,
+    valid: NDArray[np.bool_],
+    parameters: int,
+    dof: float,
+    *,
+    stated: bool = True,
+    least: bool = False,
+) -> Components:
+    """Return excess variance and factor F of units, which follow to the solutions under them.
 
     Parameters
     ----------
-    normals : Normals
-    floor : (B, n, 3) array
-        Stated variances.
-    dof : float
-    squares : tuple of two (B,) arrays
-        As in `multipos.estimation.posteriors.integrate`.
+    units, valid, parameters, dof, stated
+        As in `find_excess`.
+    least : bool
+        The stated sds of orientations are the least that they can be: F ≥ 1, and F = 1 has a
+        probability of its own.
     """
-    size = typical(floor)
-    rows = np.concatenate([normals.design, normals.error[..., None]], axis=2)
-    fixed = np.einsum("bni,bni->bn", normals.normal**2, floor)
-    rotated = Rotated(_products(rows), fixed, np.zeros_like(fixed), normals.design.shape[2])
-    return integrate(_Evaluator(rotated, size).at_scatter, dof, size, squares)
+    before = np.zeros((2, len(valid)))
+
+    def judge(here: Units, places: Places) -> Judged:
+        size, linear = here.size, here.linear()
+        spreads = linear.spreads
+        errors = [block.error for block in linear.blocks]
+        count = sum(each[0].size for each in errors)
+        both = integrate_grid(
+            _Evaluator(linear, size).at_both,
+            dof,
+            size,
+            sum_of_squares(*errors),
+            spreads,
+            least=None if least else _NOTHING * size * count / spreads,
+            believed=stated,
+        )
+        excess = both.posterior.summary[0]
+        now = np.log([size + excess, both.factor])
+        converged = np.abs(now - before[:, places]).max(axis=0) <= SETTLED_BOTH
+        before[:, places] = now
+        return Judged(both.posterior, excess, both, converged)
+
+    return _alternate(units, Components(valid, parameters), judge)
 
 
-def integrate_scatter_and_placement(
-    about: About, floor: Array, dof: float, *, believed: bool
-) -> Both:
-    """Return the posterior of τ², F and parameters.
+def _alternate(
+    units: UnitsT, found: Components, judge: Callable[[UnitsT, Places], Judged]
+) -> Components:
+    """Alternate noise and estimates; a unit that has converged is left out of what follows."""
+    going = np.flatnonzero(found.valid)
+    for turn in range(ROUNDS):
+        if not len(going):
+            break
+        here = units.of(going)
+        judged = judge(here, going)
+        following, ended = here.searched(
+            judged.excess, None if judged.both is None else judged.both.factor
+        )
+        units.put(going, following)
+        found.valid[going] &= ended
+        on = ~judged.converged & ended & (turn < ROUNDS - 1)
+        if not on.all():
+            found.put(going[~on], judged, ~on)
+        going = going[on]
+    return found
+
+
+def least_variance(spreads: Array, values: Array, separated: NDArray[np.bool_]) -> Array:
+    """Return variances (B,) of readings so small that they change nothing.
 
     Parameters
     ----------
-    about : About
-    floor : (B, n, 3) array
-        Stated variances, all of a unit alike.
-    dof : float
-    believed : bool
+    spreads : (B,) array
+        As `Linear.spreads`.
+    values : (B, n, M) array
+        Readings.
+    separated : (B,) array of bool
+        Contrasts that no orientation error touches determine the noise.
     """
-    size = typical(floor)
-    slopes = np.einsum("bnij,bnij->b", about.spread, about.spread)
-    count = len(size)
-    return integrate_grid(
-        _Evaluator(_rotated(about, floor), size).at_both,
-        dof,
-        size,
-        np.einsum("bni,bni->b", about.error, about.error),
-        slopes,
-        least=least_factor(size, about.error.size // count, slopes),
-        believed=believed,
-    )
+    part = np.where(separated, _LEAST_SEPARATED, _LEAST)
+    rounding = np.finfo(float).eps * np.abs(values).max(axis=(1, 2))
+    return np.asarray(np.maximum(part**2 * spreads / values[0].size, rounding**2))
 
 
-def typical(floor: Array) -> Array:
-    """Return the harmonic mean (B,) of variances (B, n, 3)."""
-    return np.asarray(1.0 / np.mean(1.0 / floor, axis=(1, 2)))
+def contrasts(linear: Linear) -> NDArray[np.intp]:
+    """Return how many contrasts (B,) of readings no orientation error touches.
+
+    They alone determine τ²: combinations along the normals of the sphere, less what the
+    parameters take of them.
+    """
+    turned = [_axes_of_turns(block.spread) for block in linear.blocks]
+    largest = np.max([moving.max(axis=(1, 2)) for _, moving in turned], axis=0)[:, None, None]
+    rows, count = [], np.zeros(len(largest), dtype=np.intp)
+    for block, (axes, moving) in zip(linear.blocks, turned, strict=True):
+        free = moving <= _TOUCHED**2 * largest
+        count += free.sum(axis=(1, 2))
+        rows.append(_flat((axes @ block.design) * free[..., None]))
+    size = np.sqrt(sum((block.design**2).sum(axis=(1, 2)) for block in linear.blocks))
+    left = np.concatenate(rows, axis=1) / np.where(size > 0.0, size, 1.0)[:, None]
+    whole = np.isfinite(left).all(axis=(1, 2))
+    left[~whole] = 0.0
+    return np.asarray(np.where(whole, count - np.linalg.matrix_rank(left), 0))
 
 
-def are_alike(floor: Array) -> NDArray[np.bool_]:
-    """Tell of which units (B,) the variances (B, n, 3) are one number."""
-    return np.asarray(np.ptp(floor.reshape(len(floor), -1), axis=1) == 0.0)
-
-
-def _rotated(about: About, floor: Array) -> Rotated:
-    """Return the linear models in the axes in which eq. (2) is diagonal."""
-    count, n = floor.shape[:2]
-    p = about.design.shape[3]
-    if are_alike(floor).all():
-        axes, moving = _axes_of_turns(about.spread.reshape(-1, _OUTPUTS, 2))
-        fixed = floor.reshape(-1, _OUTPUTS)
-    else:
-        root = np.sqrt(floor)[..., None] * np.eye(_OUTPUTS)
-        both = np.concatenate([root, about.spread], axis=3).reshape(-1, _OUTPUTS, _OUTPUTS + 2)
-        U, singular, _ = np.linalg.svd(both, full_matrices=False)
-        axes, fixed, moving = U.transpose(0, 2, 1), singular**2, np.zeros_like(singular)
-    rows = np.concatenate([about.design, about.error[..., None]], axis=3)
-    rows = (axes @ rows.reshape(-1, _OUTPUTS, p + 1)).reshape(count, n * _OUTPUTS, p + 1)
-    return Rotated(_products(rows), fixed.reshape(count, -1), moving.reshape(count, -1), p)
-
-
-def _products(rows: Array) -> Array:
-    """Return the products of single numbers (B, N, p + 1) with each other."""
-    first, second = np.triu_indices(rows.shape[2])
-    return np.asarray(rows[:, :, first] * rows[:, :, second])
+def _flat(rows: Array) -> Array:
+    """Return rows (B, k, r, P) as (B, k r, P)."""
+    return rows.reshape(len(rows), -1, rows.shape[3])
 
 
 def _axes_of_turns(spread: Array) -> tuple[Array, Array]:
-    """Return the axes (N, 3, 3), as rows, and eigenvalues (N, 3) of sJ (sJ)' (N, 3, 2).
+    """Return the axes (B, k, r, r), as rows, and eigenvalues (B, k, r) of sJ (sJ)' (B, k, r, 2).
 
-    By the angle that makes the two columns orthogonal, so that small eigenvalues are exact.
+    Of three readings by the angle that makes the two columns orthogonal, so that small
+    eigenvalues keep their digits.
     """
-    first, second = spread[:, :, 0], spread[:, :, 1]
-    a, d = (np.einsum("ni,ni->n", each, each) for each in (first, second))
-    angle = np.arctan2(2.0 * np.einsum("ni,ni->n", first, second), a - d) / 2.0
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    r = spread.shape[2]
+    if not spread.any():
+        shape = spread.shape[:3]
+        return np.broadcast_to(np.eye(r), (*shape, r)), np.zeros(shape)
+    if r != 3:
+        U, singular, _ = np.linalg.svd(spread)
+        values = np.zeros(spread.shape[:3])
+        values[..., : singular.shape[2]] = singular**2
+        return np.swapaxes(U, 2, 3), values
+    first, second = spread[..., 0], spread[..., 1]
+    a, d = (np.einsum("bki,bki->bk", each, each) for each in (first, second))
+    angle = np.arctan2(2.0 * np.einsum("bki,bki->bk", first, second), a - d) / 2.0
+    c, s = np.cos(angle)[..., None], np.sin(angle)[..., None]
     one, two = c * first + s * second, c * second - s * first
-    large, small = (np.einsum("ni,ni->n", each, each) for each in (one, two))
-    exact = (large == 0.0)[:, None]  # of a position known exactly any axes serve
-    one = np.where(exact, [1.0, 0.0, 0.0], one) / np.sqrt(np.where(exact, 1.0, large[:, None]))
-    two = np.where(exact, [0.0, 1.0, 0.0], two) / np.sqrt(np.where(exact, 1.0, small[:, None]))
-    values = np.stack([large, small, np.zeros_like(large)], axis=1)
-    return np.stack([one, two, np.cross(one, two)], axis=1), values
+    large, small = (np.einsum("bki,bki->bk", each, each) for each in (one, two))
+    exact = (large == 0.0)[..., None]  # of a position known exactly any axes serve
+    one = np.where(exact, [1.0, 0.0, 0.0], one) / np.sqrt(np.where(exact, 1.0, large[..., None]))
+    two = np.where(exact, [0.0, 1.0, 0.0], two) / np.sqrt(np.where(exact, 1.0, small[..., None]))
+    values = np.stack([large, small, np.zeros_like(large)], axis=2)
+    return np.stack([one, two, np.cross(one, two)], axis=2), values
+
+
+def _axes(block: Block) -> tuple[Array, Array, Array]:
+    """Return the axes of eq. (2) of a block at F = 1, with a and c, (B, k, r) each."""
+    if block.keeps_axes:
+        axes, moving = _axes_of_turns(block.spread)
+        return axes, block.variance, moving
+    if block.variance.ndim == 3:
+        root = np.sqrt(block.variance)[..., None] * np.eye(block.variance.shape[2])
+    else:
+        root = np.linalg.cholesky(block.variance)
+    both = np.concatenate([root, block.spread], axis=3)
+    U, singular, _ = np.linalg.svd(both, full_matrices=False)
+    return np.swapaxes(U, 2, 3), singular**2, np.zeros_like(singular)
+
+
+def _rotated(linear: Linear) -> _Rotated:
+    """Return the linear models in the axes of eq. (2), at F = 1 where these depend on it."""
+    axes, fixed, moving = zip(*(_axes(block) for block in linear.blocks), strict=True)
+    both = (
+        np.concatenate([block.design, block.error[..., None]], axis=3) for block in linear.blocks
+    )
+    rows = [_flat(each @ row) for each, row in zip(axes, both, strict=True)]
+    whole = rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)
+    first, second = np.triu_indices(whole.shape[2])
+
+    def joined(parts: tuple[Array, ...]) -> Array:
+        return np.concatenate([each.reshape(len(each), -1) for each in parts], axis=1)
+
+    return _Rotated(whole[:, :, first] * whole[:, :, second], joined(fixed), joined(moving), axes)
 
 
 class _Evaluator:
-    """What evaluates eq. (4) at nodes of B units, some of them at a time."""
+    """What evaluates eq. (4) at nodes of B units."""
 
-    def __init__(self, rotated: Rotated, size: Array) -> None:
-        self._rotated, self._size = rotated, size
+    def __init__(self, linear: Linear, size: Array) -> None:
+        self._linear, self._size = linear, size
+        self._keeps_axes = all(block.keeps_axes for block in linear.blocks)
+        self._rotated = _rotated(linear)
+        self._prior = _prior_products(linear)
 
-    def at_scatter(self, nodes: Array) -> Found:
+    def at_excess(self, nodes: Array) -> Found:
         """Return what is found at values of τ² (B, G)."""
-        return self.at_both(None, nodes)
+        rotated, parts = self._rotated, []
+        for units, places in _pieces(*nodes.shape):
+            mine = rotated.of(units)
+            tau2 = nodes[units, places]
+            weight = 1.0 / ((mine.fixed + mine.moving)[:, None] + tau2[..., None])
+            log, L = self._likelihood(mine.products, weight)
+            log += 0.5 * np.log(np.einsum("bgi,bgi->bg", weight, weight))
+            parts.append((units, places, log + np.log(tau2 + self._size[units, None]), L))
+        return self._joined(nodes.shape, parts, whole=True)
 
-    def at_both(self, factors: Array | None, nodes: Array, *, whole: bool = True) -> Found:
-        """Return what is found at factors and values of τ² (B, G); of parameters if `whole`."""
-        (count, G), p = nodes.shape, self._rotated.parameters if whole else 0
-        log = np.empty((count, G))
-        moves, variances = np.empty((count, G, p)), np.empty((count, G, p))
-        for units, places in _pieces(count, G):
-            some = None if factors is None else factors[units, places]
-            mine = nodes[units, places]
-            log[units, places], L = _likelihood(self._rotated, self._size, units, some, mine)
+    def at_both(self, factors: Array, nodes: Array, *, whole: bool) -> Found:
+        """Return what is found at all pairs of τ² (B, G) and F (B, C), F running fastest.
+
+        Of the parameters only if `whole`.
+        """
+        if not self._keeps_axes:
+            return self._with_moving_axes(factors, nodes, whole=whole)
+        tau2, F = _pairs(factors, nodes)
+        rotated, parts = self._rotated, []
+        powers = np.stack([np.ones_like(rotated.moving), rotated.moving, rotated.moving**2], axis=2)
+        for units, places in _pieces(*tau2.shape):
+            mine, some, at = rotated.of(units), F[units, places], tau2[units, places]
+            scaled = some[..., None] * mine.moving[:, None]
+            weight = 1.0 / (mine.fixed[:, None] + scaled + at[..., None])
+            log, L = self._likelihood(mine.products, weight)
+            sums = np.moveaxis((weight * weight) @ powers[units], 2, 0)
+            log += _prior_of_both(*sums) + np.log(some * (at + self._size[units, None]))
+            parts.append((units, places, log, L))
+        return self._joined(tau2.shape, parts, whole=whole)
+
+    def _with_moving_axes(self, factors: Array, nodes: Array, *, whole: bool) -> Found:
+        """Return the same where axes depend on F: unit by unit, the values of F side by side."""
+        found = [
+            self._of_unit(unit, factors[unit], nodes[unit], whole=whole)
+            for unit in range(len(nodes))
+        ]
+        return Found(*(np.stack(each) for each in zip(*found, strict=True)))
+
+    def _of_unit(self, unit: int, factors: Array, nodes: Array, *, whole: bool) -> Found:
+        C, G = len(factors), len(nodes)
+        blocks = self._linear.of([unit] * C).blocks
+        root = np.sqrt(factors)[:, None, None, None]
+        rotated = _rotated(
+            Linear(tuple(block._replace(spread=root * block.spread) for block in blocks))
+        )
+        weight = 1.0 / ((rotated.fixed + rotated.moving)[:, None] + nodes[:, None])
+        log, L = self._likelihood(rotated.products, weight)
+        sums = np.zeros((3, C, G))
+        first = 0
+        for block, axes in zip(blocks, rotated.axes, strict=True):
+            k, r = block.spread.shape[1:3]
+            w = weight[:, :, first : first + k * r].reshape(C, G, k, r)
+            turned = axes @ block.spread
+            square = (turned @ np.swapaxes(turned, 2, 3)) ** 2  # of each element of C
+            sums[0] += np.einsum("bgkr,bgkr->bg", w, w)
+            sums[1] += np.einsum("bgkr,bgkr,bkr->bg", w, w, np.sum(turned**2, axis=3))
+            sums[2] += np.einsum(
+                "bgkr,bgkr->bg", w, np.swapaxes(np.swapaxes(w, 1, 2) @ square, 1, 2)
+            )
+            first += k * r
+        log += _prior_of_both(*sums) + np.log(factors[:, None] * (nodes + self._size[unit]))
+        shape = (G * C,)
+        moves, variances = self._parameters(L) if whole else (np.empty((C, G, 0)),) * 2
+        turned = (np.swapaxes(each, 0, 1).reshape(*shape, -1) for each in (moves, variances))
+        return Found(log.T.reshape(shape), *turned)
+
+    def _likelihood(self, products: Array, weight: Array) -> tuple[Array, Array]:
+        """Return ln L (B, G), and the Cholesky factors of eq. (4)."""
+        sums = weight @ products
+        sums += self._prior
+        P = int(np.sqrt(2 * sums.shape[2])) - 1
+        both = np.zeros((*sums.shape[:2], P + 1, P + 1))
+        first, second = np.triu_indices(P + 1)
+        both[:, :, second, first] = sums
+        both[:, :, P, P] *= 1.0 + _ROUNDING  # of residuals that are nothing but rounding
+        both[:, :, P, P] += _TINY
+        L = np.asarray(np.linalg.cholesky(both), dtype=np.float64)  # of the lower triangle
+        logs = np.log(np.einsum("bgpp->bgp", L)[:, :, :P]).sum(axis=2)
+        return 0.5 * (np.log(weight).sum(axis=2) - L[:, :, P, P] ** 2) - logs, L
+
+    def _joined(
+        self,
+        shape: tuple[int, ...],
+        parts: list[tuple[slice, slice, Array, Array]],
+        *,
+        whole: bool,
+    ) -> Found:
+        outer = self._linear.outer
+        p = (len(outer) if outer is not None else parts[0][3].shape[2] - 1) if whole else 0
+        log, moves, variances = np.empty(shape), np.empty((*shape, p)), np.empty((*shape, p))
+        for units, places, mine, L in parts:
+            log[units, places] = mine
             if whole:
-                moves[units, places], variances[units, places] = _parameters(L)
+                moves[units, places], variances[units, places] = self._parameters(L)
         return Found(log, moves, variances)
+
+    def _parameters(self, L: Array) -> tuple[Array, Array]:
+        """Return shifts and variances (B, G, p) of the parameters, eq. (4)."""
+        inverse = _inverted(L[:, :, :-1, :-1])  # (q, P, B, G), S⁻¹ = sum over q of its squares
+        if self._linear.outer is not None:
+            inverse = np.einsum("rp,qpbg->qrbg", self._linear.outer, inverse)
+        moves = np.einsum("qpbg,bgq->bgp", inverse, L[:, :, -1, :-1])
+        return moves, np.moveaxis(np.einsum("qpbg,qpbg->pbg", inverse, inverse), 0, 2)
+
+
+_ROUNDING = 1e-12  # of q, which it is computed to
+_TINY = np.finfo(float).tiny
+
+
+def _prior_products(linear: Linear) -> Array | float:
+    """Return what the prior adds to the sums of eq. (3), in the order of `_Rotated.products`."""
+    if linear.outer is None and np.ndim(linear.information) == 0:
+        return 0.0
+    P = linear.blocks[0].design.shape[3]
+    whole = np.zeros((P + 1, P + 1))
+    whole[:P, :P], whole[:P, P] = linear.information, linear.gradient
+    return np.asarray(whole[np.triu_indices(P + 1)])
+
+
+def _prior_of_both(by_excess: Array, by_both: Array, by_orientation: Array) -> Array:
+    """Return ln of Jeffreys' prior of τ² and ln F but for F, from its traces."""
+    determinant = np.maximum(by_excess * by_orientation - by_both**2, 0.0)
+    return np.asarray(0.5 * np.log(determinant))
+
+
+def _pairs(factors: Array, nodes: Array) -> tuple[Array, Array]:
+    """Return τ² and F at all pairs of nodes (B, G) and factors (B, C), F running fastest."""
+    return (
+        np.repeat(nodes, factors.shape[1], axis=1),
+        np.tile(factors, (1, nodes.shape[1])),
+    )
 
 
 def _pieces(count: int, nodes: int) -> Iterator[tuple[slice, slice]]:
@@ -574,41 +536,8 @@ def _pieces(count: int, nodes: int) -> Iterator[tuple[slice, slice]]:
             yield slice(first, first + step), slice(place, place + _AT_ONCE)
 
 
-def _likelihood(
-    rotated: Rotated, size: Array, units: slice, factors: Array | None, nodes: Array
-) -> tuple[Array, Array]:
-    """Return ln of the posterior density (B, G), and the Cholesky factors of eq. (4)."""
-    (count, G), p = nodes.shape, rotated.parameters
-    fixed, moving = rotated.fixed[units, None], rotated.moving[units, None]
-    times = 1.0 if factors is None else factors[:, :, None]
-    weight = 1.0 / (fixed + times * moving + nodes[:, :, None])  # (B, G, N)
-    sums = weight @ rotated.products[units]
-    both = np.zeros((count, G, p + 1, p + 1))
-    first, second = np.triu_indices(p + 1)
-    both[:, :, second, first] = sums
-    L = np.asarray(np.linalg.cholesky(both), dtype=np.float64)  # of the lower triangle
-    logs = np.log(np.einsum("bgpp->bgp", L)[:, :, :p]).sum(axis=2)
-    log = 0.5 * (np.log(weight).sum(axis=2) - L[:, :, p, p] ** 2) - logs
-    square = weight * weight
-    if factors is None:
-        log += 0.5 * np.log(square.sum(axis=2))
-    else:
-        powers = np.stack([np.ones_like(moving), moving, moving**2], axis=-1)[:, 0]
-        by_scatter, by_both, by_placement = np.moveaxis(square @ powers, 2, 0)
-        determinant = np.maximum(by_scatter * by_placement - by_both**2, 0.0)
-        log += 0.5 * np.log(determinant) + np.log(factors)
-    return np.asarray(log + np.log(nodes + size[units, None])), L
-
-
-def _parameters(L: Array) -> tuple[Array, Array]:
-    """Return moves and variances (B, G, p) of the parameters, eq. (4)."""
-    inverse = _inverted(L[:, :, :-1, :-1])
-    moves = np.einsum("qpbg,bgq->bgp", inverse, L[:, :, -1, :-1])
-    return moves, np.moveaxis(np.einsum("qpbg,qpbg->pbg", inverse, inverse), 0, 2)
-
-
 def _inverted(L: Array) -> Array:
-    """Return inverses (p, p, B, G) of lower triangles (B, G, p, p), all in step."""
+    """Return inverses (P, P, B, G) of lower triangles (B, G, P, P), all at once."""
     A = np.ascontiguousarray(np.moveaxis(L, (2, 3), (0, 1)))
     inverse = np.zeros_like(A)
     for i in range(len(A)):
@@ -616,77 +545,3 @@ def _inverted(L: Array) -> Array:
         if i:
             inverse[i, :i] = -inverse[i, i] * np.einsum("kbg,kjbg->jbg", A[i, :i], inverse[:i, :i])
     return inverse
-
-
-class _Units(Protocol):
-    """Something of many units (B)."""
-
-    def of(self, units: NDArray[Any], /) -> Self:
-        """Return some of the units."""
-
-    def put(self, units: Places, other: Self, /) -> None:
-        """Put other units in places of these."""
-
-
-Place = TypeVar("Place", bound=_Units)
-Noise = TypeVar("Noise", bound=_Units)
-
-
-class Judged(NamedTuple, Generic[Noise]):
-    """What a turn finds of the noise of some units, and of which it has settled."""
-
-    posterior: Posterior
-    noise: Noise
-    settled: NDArray[np.bool_]
-
-
-class Alternated(NamedTuple, Generic[Place, Noise]):
-    """What was found of B units."""
-
-    place: Place
-    noise: Noise
-    U: Array  # at 95 %, (B, p)
-    dof: Array  # (B,)
-    sound: NDArray[np.bool_]
-
-
-def judge_in_turn(
-    place: Place,
-    noise: Noise,
-    sound: NDArray[np.bool_],
-    parameters: int,
-    judge: Callable[[Places, Place, Noise], Judged[Noise]],
-    search: Callable[[Places, Place, Noise], tuple[Place, NDArray[np.bool_]]],
-) -> Alternated[Place, Noise]:
-    """Judge the noise and search on from there, in turn; `place` and `noise` follow.
-
-    Parameters
-    ----------
-    place : Place
-        Where the searches ended under `noise`.
-    noise : Noise
-    sound : (B,) array of bool
-        The units that are asked.
-    parameters : int
-        p
-    judge, search : callables
-        Take units, their places and their noise; the one returns what it finds of the noise, the
-        other where searches end under it, and of which units they do.
-    """
-    U, tail = np.full((len(sound), parameters), np.nan), np.full(len(sound), np.nan)
-    sound = sound.copy()
-    units = np.flatnonzero(sound)
-    for turn in range(ROUNDS):
-        if not len(units):
-            break
-        here = place.of(units)
-        posterior, known, settled = judge(units, here, noise.of(units))
-        noise.put(units, known)
-        following, ended = search(units, here, known)
-        place.put(units, following)
-        sound[units] &= ended
-        going = ~settled & ended & (turn < ROUNDS - 1)
-        if not going.all():
-            U[units], tail[units] = posterior.centred, posterior.shape
-        units = units[going]
-    return Alternated(place, noise, U, tail, sound)

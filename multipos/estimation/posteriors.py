@@ -28,6 +28,7 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.quantiles import coverage_factor, coverage_factors
@@ -92,6 +93,11 @@ class Posterior:
 
     def _mean(self, values: Array) -> Array:
         return np.asarray(np.einsum("bg,bg->b", self.weights, values))
+
+    def of(self, units: NDArray[np.bool_]) -> "Posterior":
+        """Return some of the units."""
+        arrays = (self.nodes, self.weights, self.moves, self.variances, self.size)
+        return Posterior(*(each[units] for each in arrays))
 
     def expanded(self, moves: Array) -> Array:
         """Return U (B, p) about estimates that moved by `moves` (B, p), at 95 %."""
@@ -286,10 +292,10 @@ class Both:
 
 
 class Evaluate(Protocol):
-    """What knows the posterior density at factors and values of τ², (B, G) each."""
+    """What knows the posterior density at all pairs of factors (B, C) and values of τ² (B, G)."""
 
     def __call__(self, factors: Array, nodes: Array, *, whole: bool) -> Found:
-        """Return it, with moves and variances of the parameters if `whole`."""
+        """Return it, factors running fastest; shifts and variances of parameters if `whole`."""
 
 
 def integrate_grid(
@@ -331,8 +337,7 @@ def integrate_grid(
         tau2 = np.concatenate(
             [np.zeros((count, 1)), np.maximum(np.exp(x) - size[:, None], 0.0)], axis=1
         )
-        nodes, factors = np.repeat(tau2, side, axis=1), np.tile(np.exp(y), (1, side + 1))
-        found = evaluate(factors, nodes, whole=side == _FINE)
+        found = evaluate(np.exp(y), tau2, whole=side == _FINE)
         log = found.log.reshape(count, side + 1, side)
         x_ends = _told(x, log[:, 1:].max(axis=2))
         y_ends = _told(y, log.max(axis=1))
@@ -345,6 +350,7 @@ def integrate_grid(
         claimed = belief(dof) / dy[:, None] * weights[:, :, 0] * 2.0
         weights[:, :, 0] += np.where(y[:, :1] == 0.0, claimed, 0.0)
     weights /= weights.sum(axis=(1, 2), keepdims=True)
+    nodes = np.repeat(tau2, side, axis=1)
     posterior = Posterior(nodes, weights.reshape(count, -1), found.moves, found.variances, size)
     return Both(posterior, np.exp(y), weights.sum(axis=1))
 

@@ -51,6 +51,12 @@ from multipos.estimation.identifiability import (
 )
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Optimum, Problem, State, start_state
+from multipos.estimation.uncertain_orientations import WIDE
+from multipos.estimation.unknown_orientations import (
+    fit_ellipsoids,
+    linear_parameters,
+    symmetric_root,
+)
 from multipos.estimation.user_models import first_guesses
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.least_squares import solve
@@ -60,8 +66,6 @@ from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import invert, parameter_jacobian
 
 _FLAT = 0.005  # thickness of the cloud of readings below which it is a disc
-_SHOWN = 1e-3  # relative singular value below which a coefficient is not seen in the positions
-_FLATTEST = 0.02  # ratio of semi-axes below which the ellipsoid is not believed
 
 
 def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[Array, Array]:
@@ -80,61 +84,20 @@ def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[
     MultiposError
         The readings do not spread over three dimensions.
     """
-    centre = values.mean(axis=0)
-    size = np.sqrt(np.mean((values - centre) ** 2, axis=0))
+    centred = values - values.mean(axis=0)
+    size = np.sqrt(np.mean(centred**2, axis=0))
     if not size.min() > 1e-9 * np.abs(values).max():
         raise MultiposError(
             "the readings of one output never change; turn the sensor so that every axis points "
             "up, down and level."
         )
-    scaled = (values - centre) / size
-    extent = np.linalg.svd(values - centre, compute_uv=False)
+    extent = np.linalg.svd(centred, compute_uv=False)
     if extent[-1] < _FLAT * extent[0]:
         raise MultiposError(
             "all positions lie on one circle, so the readings are flat; add positions off it."
         )
-    found = _quadric(scaled, crossed) if crossed else None
-    found = found or _quadric(scaled, crossed=False) or _sphere(scaled)
-    bias, square = found
-    lower = np.linalg.cholesky(square) / magnitude
-    return centre + size * bias, size[:, None] * lower
-
-
-def symmetric_root(lower: Array) -> Array:
-    """Return the symmetric square root of L L'."""
-    left, singular, _ = np.linalg.svd(lower)
-    return np.asarray((left * singular) @ left.T)
-
-
-def _quadric(points: Array, crossed: bool) -> tuple[Array, Array] | None:
-    """Return centre and r² A^-1 of eq. (2), None where it is no ellipsoid."""
-    x, y, z = points.T
-    columns = [x * x - z * z, y * y - z * z, 2 * x, 2 * y, 2 * z, np.ones_like(x)]
-    if crossed:
-        columns += [2 * x * y, 2 * x * z, 2 * y * z]
-    c = _least_squares(columns, points)
-    form = np.diag([1.0 - c[0], 1.0 - c[1], 1.0 + c[0] + c[1]])
-    if crossed:
-        form -= np.array([[0, c[6], c[7]], [c[6], 0, c[8]], [c[7], c[8], 0]])
-    eigenvalues = np.linalg.eigvalsh(form)
-    if not eigenvalues[0] > _FLATTEST**2 * eigenvalues[-1]:
-        return None
-    inverse = np.linalg.inv(form)
-    radius2 = float(c[5] + c[2:5] @ inverse @ c[2:5])
-    return (inverse @ c[2:5], radius2 * inverse) if radius2 > 0.0 else None
-
-
-def _sphere(points: Array) -> tuple[Array, Array]:
-    x, y, z = points.T
-    c = _least_squares([2 * x, 2 * y, 2 * z, np.ones_like(x)], points)
-    radius2 = max(float(c[3] + c[:3] @ c[:3]), 1.0)
-    return c[:3], radius2 * np.eye(3)
-
-
-def _least_squares(columns: list[Array], points: Array) -> Array:
-    """Return the coefficients of |y|², zero where the positions do not show them."""
-    square = np.einsum("ni,ni->n", points, points)
-    return np.asarray(np.linalg.lstsq(np.column_stack(columns), square, rcond=_SHOWN)[0])
+    found = fit_ellipsoids(values.T[None], crossed=crossed)
+    return found.bias[0], found.lower[0] / magnitude
 
 
 _PARTS = 50  # that a robust start leaves out in turn
@@ -208,11 +171,7 @@ def _ellipsoid_start(problem: Problem) -> State | None:
     if sorted(model.axes) != ["x", "y", "z"]:
         return None
     seen = _on_ellipsoid(problem)
-    theta = np.zeros(len(model.keys))
-    for i, (output, term) in enumerate(model.keys):
-        column = {"1": 0, "x": 1, "y": 2, "z": 3}.get(str(term))
-        if column is not None:
-            theta[i] = seen.linear[model.outputs.index(output), column]
+    theta = linear_parameters(model, seen.linear[None])[0]
     return start_state(problem, theta, seen.direction, _turns(problem, seen.direction))
 
 
@@ -294,7 +253,6 @@ _LEVER = 2.0  # how far above the information that noise pretends
 _FEWEST = 4  # parameters that any turn of the sensor shows: a bias for each output, one scale
 _MEDIAN = 0.6745  # of the modulus of a standard normal
 _SCATTER = 0.2  # of one g: a cloud of noise, not a sphere of positions
-WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
 
 
 def search(problem: Problem) -> tuple[Optimum, Told]:

@@ -45,12 +45,12 @@ from multipos.estimation.batches import Estimates
 from multipos.estimation.correlated_rows import are_asked, find_correlated
 from multipos.estimation.known import DENIED, SharedDesign, estimate_known, share_design
 from multipos.estimation.robustness import estimate_robust
-from multipos.estimation.sphere_batches import SharedSphere, estimate_spheres, share_sphere
-from multipos.estimation.uncertain_batches import (
+from multipos.estimation.uncertain_orientations import (
     SharedPlacement,
     estimate_placed,
     share_placement,
 )
+from multipos.estimation.unknown_orientations import SharedSphere, estimate_spheres, share_sphere
 from multipos.files.tables import Table
 from multipos.fitting.fit_readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests

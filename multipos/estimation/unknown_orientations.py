@@ -1,0 +1,632 @@
+"""Unknown orientations of triads: one number a position, B units at once.
+
+Where nothing is known of any position and three outputs see it, what is left of a reading after
+its two angles are eliminated is its part along the normal of the surface that the readings of all
+directions form. With the residuals r = y − h(f) of variances Σ, G = dh/df and A = dh/dθ,
+
+    W = m m',      m = n/√(n'Σn),      n = det(G) G⁻ᵀ f,                                    (1)
+    S = Σ a a',    a = A'm,            S d = Σ a m'r,                                       (2)
+
+and the direction follows along the surface, which needs no projection:
+
+    df = G⁻¹ (x − Σ m m'x),            x = r − A d,        f'df = 0.                        (3)
+
+That is `multipos.estimation.likelihood` at s = ∞ to the digit, in a fifth of its operations; a test
+holds the two together. A robust loss weights the rows a by the root of its weight. Units share the
+form of the equations and nothing else. Each starts on the ellipsoid on which its readings lie: with
+y = b + M d and |d| = g,
+
+    (y − b)' (M M')⁻¹ (y − b) = g²,                                                         (4)
+
+a quadric. With S₀ a symmetric matrix of trace zero, it is one that is linear in its unknowns,
+
+    |y|² = y'S₀y + 2 v'y + w,      B = I − S₀,    b = B⁻¹v,    ρ² = w + v'B⁻¹v,             (5)
+
+and (y − b)'B(y − b) = ρ². It is fitted to centred, scaled readings by least squares, so that
+neither a unit nor a guess is needed. M M' = (ρ²/g²) B⁻¹ then, and M is its lower triangular
+(Cholesky) or symmetric square root: any other differs by a rotation, which no reading at rest can
+show. What the positions do not determine stays zero in S₀, as on a sphere. Noise can make the
+quadric something else than an ellipsoid; then cross terms are left out of S₀, and last all of it.
+
+Where nothing is stated of the noise, cov θ = S⁻¹ F/ν with ν = n − p, and u allows for axes of
+unequal noise (`multipos.estimation.unequal_axes`). Stated noise is a lower bound: the excess
+variance is integrated over (`multipos.estimation.orientation_variance`).
+
+`estimate_spheres` leaves a unit to the fit of one where the ellipsoid needs more care than least
+squares, where a search has not ended, where S is badly conditioned, where noise might hide a
+parameter, or where stated uncertainties cannot be weights.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.estimation.batches import (
+    ROUNDING,
+    Estimates,
+    compensated,
+    force_slopes,
+    join_estimates,
+    model_coefficients,
+)
+from multipos.estimation.identifiability import plausible_range
+from multipos.estimation.known import DENIED
+from multipos.estimation.losses import Loss, loss, loss_weight
+from multipos.estimation.orientation_variance import Block, Linear, find_excess, harmonic_mean
+from multipos.estimation.posteriors import standard_uncertainty
+from multipos.estimation.problem import Point, Problem, State
+from multipos.estimation.stated_uncertainty import Claims, carried_jointly, take_claims
+from multipos.estimation.unequal_axes import allow_for_axes
+from multipos.files.records import LARGEST
+from multipos.numerics.arrays import Array, Places, median
+from multipos.numerics.factoring import cofactors_of
+from multipos.numerics.levenberg_marquardt import Rules, descend
+from multipos.numerics.quantiles import chi2_quantile
+from multipos.numerics.rotations import step_on_sphere, tangent_basis
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class SharedSphere:
+    """What units of unknown orientation share.
+
+    Attributes
+    ----------
+    model : Model
+        With its gauge.
+    size : float or (n,) array [g]
+        Of the reference.
+    environment : mapping of str to (n,) array
+        Other columns of the model.
+    """
+
+    model: Model
+    size: float | Array
+    environment: Mapping[str, Array]
+
+
+class Place(NamedTuple):
+    """Units (B) at a point of their search; positions run fastest in memory."""
+
+    theta: Array  # (B, p)
+    force: Array  # (3, B, n) [g]
+    phi: Array  # terms of the model, (T, B, n)
+    residuals: Array  # (3, B, n)
+    q: Array  # r'Σ⁻¹r, (B, n)
+    objective: Array  # (B,)
+
+    def of(self, units: NDArray[Any]) -> "Place":
+        """Return some of the units."""
+        theta, force, phi, residuals, q, objective = self
+        return Place(
+            theta[units],
+            force[:, units],
+            phi[:, units],
+            residuals[:, units],
+            q[units],
+            objective[units],
+        )
+
+    def put(self, units: Places, other: "Place") -> None:
+        """Put other units in places of these."""
+        self.theta[units] = other.theta
+        self.force[:, units] = other.force
+        self.phi[:, units] = other.phi
+        self.residuals[:, units] = other.residuals
+        self.q[units] = other.q
+        self.objective[units] = other.objective
+
+
+class Surface(NamedTuple):
+    """The normal equations, eqs. (1), (2)."""
+
+    information: Array  # (B, p, p)
+    gradient: Array  # (B, p)
+    rows: Array  # a, (B, p, n)
+    height: Array  # m'r, (B, n)
+    cofactors: Array  # (3, 3, B, n), of G
+    determinant: Array  # (B, n)
+    normal: Array  # m, (3, B, n)
+    across: Array  # Σm, (3, B, n)
+    excess: Array  # (B, n), how far outside a reading lies, relative to the force
+
+
+def is_along_force(problem: Problem) -> bool:
+    """Tell whether all positions of a triad are unknown and its outputs uncorrelated.
+
+    W is then that of eq. (1).
+    """
+    return bool(
+        problem.unknown.all()
+        and problem.precision.ndim == 2
+        and problem.values.shape[1] == 3
+        and not problem.shared
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownSearch:
+    """What a step of the search needs.
+
+    Attributes
+    ----------
+    shared : SharedSphere
+    values, variance : (3, B, n) arrays
+        Readings and Σ.
+    robust : str or None
+        Name of a loss.
+    degrees : (n,) array
+        Degrees of freedom of each position, which the loss asks for.
+    """
+
+    shared: SharedSphere
+    values: Array
+    variance: Array
+    robust: Loss | None = None
+    degrees: Array | float = 1.0
+
+    @staticmethod
+    def fits(problem: Problem) -> bool:
+        """Tell whether a problem is one of these, with a model of terms."""
+        return is_along_force(problem) and type(problem.model) is Model
+
+    @classmethod
+    def of_problem(cls, problem: Problem) -> Self:
+        """Return the search of a problem that `fits`, a batch of one."""
+        model = problem.model
+        columns = {name: problem.environment[name] for name in model.environment}
+        return cls(
+            SharedSphere(model, problem.magnitude, columns),
+            problem.values.T[:, None],
+            1.0 / problem.precision.T[:, None],
+            problem.robust,
+            problem.degrees,
+        )
+
+    def begin(self, state: State) -> Place:
+        """Return the place of a state."""
+        direction = step_on_sphere(state.centre, state.basis, state.step)
+        return self.at(state.theta[None], (self.shared.size * direction.T)[:, None])
+
+    def place(self, state: State, point: Point) -> Place:
+        """Return the place of a state at which the model is known."""
+        phi = self._phi(point.force.T[:, None])
+        residuals = point.residuals.T[:, None]
+        objective = np.array([point.objective])
+        theta = state.theta[None]
+        return Place(theta, point.force.T[:, None], phi, residuals, point.q[None], objective)
+
+    def end(self, place: Place, state: State) -> tuple[State, Point]:
+        """Return state and point of a place, from the state of the beginning."""
+        centre = (place.force[:, 0] / self.shared.size).T
+        found = replace(
+            state,
+            theta=place.theta[0],
+            centre=centre,
+            basis=tangent_basis(centre),
+            step=np.zeros_like(state.step),
+        )
+        return found, self.point(place)
+
+    def point(self, place: Place) -> Point:
+        """Return the place of one unit as other searches have it."""
+        phi = place.phi[:, 0]
+        blocks = tuple(
+            (places, phi.take(columns, axis=0).T)
+            for columns, places in self.shared.model.contributions
+        )
+        objective = float(place.objective[0])
+        return Point(place.force[:, 0].T, blocks, place.residuals[:, 0].T, place.q[0], objective)
+
+    def of(self, units: Places) -> Self:
+        """Return the search of some of the units."""
+        return replace(self, values=self.values[:, units], variance=self.variance[:, units])
+
+    def at(self, theta: Array, force: Array) -> Place:
+        """Return units at parameters (B, p) and forces (3, B, n)."""
+        phi = self._phi(force)
+        coefficients = model_coefficients(self.shared.model, theta)
+        residuals = self.values - np.einsum("bmt,tbn->mbn", coefficients, phi)
+        return self.under_noise(Place(theta, force, phi, residuals, theta, theta))
+
+    def under_noise(self, place: Place) -> Place:
+        """Return a place with the misfits that this noise makes of its residuals."""
+        residuals = place.residuals
+        q = np.einsum("mbn,mbn->bn", residuals, residuals / self.variance)
+        total = q if self.robust is None else loss(self.robust, q, self.degrees)
+        return place._replace(q=q, objective=total.sum(axis=1))
+
+    def linearise(self, place: Place) -> Surface:
+        """Return the normal equations of eqs. (1), (2), weighted by the loss."""
+        model, size = self.shared.model, self.shared.size
+        G = force_slopes(model, self.shared.environment, place.theta, place.force)
+        cofactors = cofactors_of(G)
+        determinant = np.einsum("ibn,ibn->bn", G[0], cofactors[0])
+        normal = np.einsum("mibn,ibn->mbn", cofactors, place.force)
+        across = self.variance * normal
+        height = np.einsum("mbn,mbn->bn", normal, place.residuals)
+        excess = height / (determinant * size**2)
+        root = 1.0 / np.sqrt(np.einsum("mbn,mbn->bn", normal, across))
+        normal *= root
+        across *= root
+        height *= root
+        outputs, columns, copies = model.rows
+        rows = normal.take(outputs, axis=0) * place.phi.take(columns, axis=0)
+        for parameter, output, column in copies:
+            rows[parameter] += normal[output] * place.phi[column]
+        rows = np.ascontiguousarray(rows.transpose(1, 0, 2))
+        weighted = rows
+        if self.robust is not None:
+            weighted = rows * loss_weight(self.robust, place.q, self.degrees)[:, None]
+        return Surface(
+            weighted @ rows.transpose(0, 2, 1),
+            (weighted @ height[:, :, None])[:, :, 0],
+            rows,
+            height,
+            cofactors,
+            determinant,
+            normal,
+            across,
+            excess,
+        )
+
+    def move(self, place: Place, surface: Surface, step: Array, damping: Array) -> Place:
+        """Return places after steps (B, p) of the parameters, directions following by eq. (3)."""
+        change = model_coefficients(self.shared.model, step)
+        left = place.residuals - np.einsum("bmt,tbn->mbn", change, place.phi)
+        left -= surface.across * np.einsum("mbn,mbn->bn", surface.normal, left)
+        turn = np.einsum("mibn,mbn->ibn", surface.cofactors, left) / surface.determinant
+        # as in `multipos.estimation.likelihood`: damped like the rest, and eased far outside the
+        # sphere
+        ease = (1.0 + damping[:, None]) * (1.0 + np.maximum(surface.excess, 0.0))
+        force = place.force + turn / ease
+        force *= self.shared.size / np.sqrt(np.einsum("ibn,ibn->bn", force, force))
+        return self.at(place.theta + step, force)
+
+    def linear(self, place: Place, stated: Array) -> Linear:
+        """Return the linear models of what lies along the normals, of length one.
+
+        `stated` (3, B, n) are the variances to state.
+        """
+        surface = self.linearise(place)
+        length = np.sqrt(np.einsum("mbn,mbn->bn", surface.normal, surface.normal))
+        design = surface.rows.transpose(0, 2, 1) / length[:, :, None]
+        variance = np.einsum("mbn,mbn->bn", (surface.normal / length) ** 2, stated)
+        none = np.zeros((*length.shape, 1, 2))
+        error = (surface.height / length)[..., None]
+        return Linear((Block(error, design[:, :, None], none, variance[..., None]),))
+
+    def _phi(self, force: Array) -> Array:
+        _, count, n = force.shape
+        columns = {name: np.tile(each, count) for name, each in self.shared.environment.items()}
+        phi = self.shared.model.basis(force.reshape(3, -1).T, columns)
+        return phi.T.reshape(-1, count, n)
+
+
+def search(start: UnknownSearch, place: Place) -> tuple[Place, NDArray[np.bool_]]:
+    """Return where the searches of units end, and of which they do."""
+    largest = np.sqrt((start.values**2 / start.variance).max(axis=(0, 2)))
+    found, ended = descend(start, place, Rules(), largest)
+    return found, ended.converged
+
+
+class _Units:
+    """Units at the end of their searches, whose noise is estimated."""
+
+    def __init__(self, search: UnknownSearch, stated: Array, place: Place) -> None:
+        self.search, self.stated, self.found = search, stated, place
+
+    @property
+    def size(self) -> Array:
+        return harmonic_mean(np.moveaxis(self.stated, 0, 2))
+
+    def of(self, units: Places) -> "_Units":
+        return _Units(self.search.of(units), self.stated[:, units], self.found.of(units))
+
+    def put(self, units: Places, other: "_Units") -> None:
+        self.search.variance[:, units] = other.search.variance
+        self.found.put(units, other.found)
+
+    def linear(self) -> Linear:
+        return self.search.linear(self.found, self.stated)
+
+    def squares(self) -> tuple[Array, Array]:
+        residuals = self.found.residuals
+        return self.found.objective, np.einsum("mbn,mbn->b", residuals, residuals)
+
+    def searched(self, excess: Array, factor: Array | None) -> tuple["_Units", NDArray[np.bool_]]:
+        following = replace(self.search, variance=self.stated + excess[:, None])
+        place, ended = search(following, following.under_noise(self.found))
+        return _Units(following, self.stated, place), ended
+
+
+_AT_ONCE = 12_000  # readings of an output, so that what a step needs stays in the cache
+_SPREAD = 1e-3  # ratio of squared extents of the readings, below which they may be flat
+_SEEN = 1e-6  # relative eigenvalue below which a coefficient is not seen in the positions
+_SHOWN = 1e-5  # the same, below which it may not be
+_FLATTEST = 4e-4  # squared ratio of semi-axes below which a quadric is no ellipsoid
+_ROUND = 0.01  # the same, below which it may not be one
+_WORST = 1e-8  # eigenvalue of the scaled information below which a fit is doubted for it
+_CLEAR = 200.0  # of the readings: information beyond which no noise hides a parameter
+
+
+def share_sphere(
+    model: Model, size: float, environment: Mapping[str, Array]
+) -> SharedSphere | None:
+    """Return what units share, or None where a batch does not do the fit of one does."""
+    own = model.axes == model.inputs == COMPONENTS and len(model.own_scales) == len(COMPONENTS)
+    if not own or not model.has_all_linear:
+        return None
+    return SharedSphere(model, size, {name: environment[name] for name in model.environment})
+
+
+def estimate_spheres(
+    shared: SharedSphere,
+    values: Sequence[Array],
+    stated: Sequence[Array] = (),
+    claimed: Sequence[Array] = (),
+) -> Estimates:
+    """Fit B units of unknown orientation.
+
+    Parameters
+    ----------
+    shared : SharedSphere
+    values : 3 arrays (B, n)
+        Readings of each output.
+    stated, claimed : 3 arrays (B, n), or none
+        Their standard uncertainties, and the degrees of freedom of those.
+    """
+    count, n = values[0].shape
+    step = max(1, _AT_ONCE // n)
+    parts = []
+    for first in range(0, count, step):
+        rows = slice(first, first + step)
+        y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, claimed))
+        with np.errstate(all="ignore"):  # a trial may run away, and is then left out
+            parts.append(_estimate(shared, np.stack(y), take_claims(u, dof) if u else None))
+    return join_estimates(parts)
+
+
+class _Found(NamedTuple):
+    """Where the searches of B units ended, and the uncertainty of their parameters."""
+
+    place: Place
+    u: Array  # (B, p)
+    dof: Array  # (B,)
+    valid: NDArray[np.bool_]
+
+
+def _estimate(shared: SharedSphere, values: Array, claims: Claims | None) -> Estimates:
+    model = shared.model
+    n, p = values.shape[2], len(model.keys)
+    variance = np.ones_like(values) if claims is None else np.moveaxis(claims.u**2, 2, 0).copy()
+    valid, theta, force = _start(shared, values)
+    start = UnknownSearch(shared, values, variance)
+    place, ended = search(start, start.at(theta, force))
+    surface = start.linearise(place)
+    nu = float(n - p)
+    factor = place.objective / nu
+    valid &= ended & _is_identifiable(shared, place, surface.information, factor)
+    chi2 = None
+    if claims is None:
+        inverse = _inverse(surface.information)
+        loose = np.moveaxis(surface.normal**2, 0, 1)
+        matrix = allow_for_axes(surface.rows, surface.height, loose, inverse.matrix)
+        u = np.sqrt(np.einsum("bpp->bp", matrix) * factor[:, None])
+        found = _Found(place, u, np.full(len(u), nu), valid & inverse.valid)
+    else:
+        chi2 = place.objective.copy()
+        found = _with_excess(start, place, claims, valid)
+    place, valid = found.place, found.valid & (np.abs(found.place.theta).max(axis=1) <= LARGEST)
+    valid &= (place.theta[:, list(model.own_scales)] > 0.0).all(axis=1)
+    squares = np.einsum("mbn,mbn->b", place.residuals, place.residuals)
+    valid &= squares > ROUNDING**2 * np.einsum("mbn,mbn->b", values, values)
+    force = place.force.transpose(1, 2, 0)
+    left = compensated(
+        model,
+        shared.environment,
+        force,
+        model_coefficients(model, place.theta),
+        tuple(values),
+        tuple(place.residuals),
+    )
+    length = np.linalg.norm(force + left.force, axis=2)
+    rms = np.sqrt(np.mean((length - shared.size) ** 2, axis=1))
+    dof = np.broadcast_to(found.dof[:, None], found.u.shape)
+    residuals = tuple(place.residuals)
+    return Estimates(
+        place.theta, found.u, dof, rms, residuals, left.inverse, valid & left.sound, chi2
+    )
+
+
+def _with_excess(
+    start: UnknownSearch, place: Place, claims: Claims, valid: NDArray[np.bool_]
+) -> _Found:
+    """Return the solutions with the excess variance of readings whose noise is stated."""
+    stated = start.variance.copy()
+    n, p = start.values.shape[2], len(start.shared.model.keys)
+    rejected = np.flatnonzero(place.objective > chi2_quantile(DENIED, float(n - p)))
+    units = _Units(start, stated, place)
+    try:
+        found = find_excess(units, valid & claims.sound, p, float(n - p))
+    except np.linalg.LinAlgError:  # some unit is as good as singular
+        nothing = np.full(place.theta.shape, np.nan)
+        return _Found(place, nothing, nothing[:, 0], np.zeros_like(valid))
+    surface = units.search.linearise(units.found)
+    inverse = _inverse(surface.information)
+    u = standard_uncertainty(found.U, np.broadcast_to(found.dof[:, None], found.U.shape))
+    if rejected.size:
+        excess = np.maximum(units.search.variance - stated, 0.0)
+        loose = np.moveaxis(surface.normal**2 * excess, 0, 1)
+        known = (surface.rows, surface.height, loose, inverse.matrix)
+        wider = allow_for_axes(*(each[rejected] for each in known))
+        formal = np.einsum("bpp->bp", inverse.matrix[rejected])
+        u[rejected] *= np.sqrt(np.einsum("bpp->bp", wider) / formal)
+    dof = carried_jointly(found.dof, claims, found.excess)
+    return _Found(units.found, u, dof, found.valid & inverse.valid)
+
+
+def _start(shared: SharedSphere, values: Array) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Return which units have an ellipsoid, parameters (B, p) and forces (3, B, n) there."""
+    model = shared.model
+    crossed = any("cross_" in name for name in model.names)
+    found = fit_ellipsoids(values.transpose(1, 0, 2), crossed=crossed)
+    matrix = found.lower / shared.size
+    if model.gauge == "symmetric":
+        matrix = symmetric_root(matrix)
+    linear = np.concatenate([found.bias[:, :, None], matrix], axis=2)
+    centred = values.transpose(1, 0, 2) - found.bias[:, :, None]
+    force = np.linalg.solve(matrix, centred).transpose(1, 0, 2)
+    force = force * (shared.size / np.sqrt(np.einsum("ibn,ibn->bn", force, force)))
+    return found.clear, linear_parameters(model, linear), force
+
+
+def linear_parameters(model: Model, linear: Array) -> Array:
+    """Return parameters (B, p) with constants and slopes (B, M, 4) of each output, others 0."""
+    theta = np.zeros((len(linear), len(model.keys)))
+    for i, (output, term) in enumerate(model.keys):
+        column = {"1": 0, "x": 1, "y": 2, "z": 3}.get(str(term))
+        if column is not None:
+            theta[:, i] = linear[:, model.outputs.index(output), column]
+    return theta
+
+
+def symmetric_root(lower: Array) -> Array:
+    """Return the symmetric square roots of L L' (…, 3, 3)."""
+    left, singular, _ = np.linalg.svd(lower)
+    return np.asarray((left * singular[..., None, :]) @ np.swapaxes(left, -1, -2))
+
+
+class Ellipsoids(NamedTuple):
+    """Ellipsoids of the readings of B units.
+
+    Attributes
+    ----------
+    bias : (B, 3) array
+    lower : (B, 3, 3) array
+        Lower triangular M times g.
+    clear : (B,) array of bool
+        Which least squares give well, of readings that spread.
+    """
+
+    bias: Array
+    lower: Array
+    clear: NDArray[np.bool_]
+
+
+def fit_ellipsoids(values: Array, *, crossed: bool) -> Ellipsoids:
+    """Return the ellipsoids on which readings (B, 3, n) lie, eqs. (4), (5).
+
+    Without cross terms in M, six coefficients are fitted instead of nine.
+    """
+    centre = values.mean(axis=2)
+    y = values - centre[:, :, None]
+    size = np.sqrt(np.mean(y**2, axis=2))
+    clear = (size > 1e-6 * np.abs(values).max(axis=(1, 2))[:, None]).all(axis=1)
+    size = np.where(size > 0.0, size, 1.0)
+    extent = np.linalg.eigvalsh(y @ y.transpose(0, 2, 1))
+    clear &= extent[:, 0] > _SPREAD * extent[:, -1]
+    points = y / size[:, :, None]
+    found = _quadrics(points, crossed=crossed)
+    clear &= found.clear
+    bias, square, good = found.bias, found.square, found.good
+    for quadrics in (_quadrics, _spheres):
+        bad = np.flatnonzero(~good)
+        if not len(bad):
+            break
+        simpler = quadrics(points[bad], crossed=False)
+        bias[bad], square[bad], good[bad] = simpler.bias, simpler.square, simpler.good
+    lower = size[:, :, None] * np.linalg.cholesky(square)
+    return Ellipsoids(centre + size * bias, lower, clear)
+
+
+class _Quadrics(NamedTuple):
+    bias: Array  # b, (B, 3)
+    square: Array  # ρ² B⁻¹, (B, 3, 3)
+    good: NDArray[np.bool_]  # that are ellipsoids
+    clear: NDArray[np.bool_]  # far from anything else
+
+
+def _quadrics(points: Array, *, crossed: bool) -> _Quadrics:
+    """Return the quadrics of eq. (5) of points (B, 3, n)."""
+    x, y, z = np.moveaxis(points, 1, 0)
+    columns = [x * x - z * z, y * y - z * z, 2 * x, 2 * y, 2 * z, np.ones_like(x)]
+    if crossed:
+        columns += [2 * x * y, 2 * x * z, 2 * y * z]
+    c, weakest = _least_squares(columns, points)
+    form = np.zeros((len(points), 3, 3))
+    form[:, 0, 0], form[:, 1, 1], form[:, 2, 2] = 1.0 - c[0], 1.0 - c[1], 1.0 + c[0] + c[1]
+    if crossed:
+        for place, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)), start=6):
+            form[:, i, j] = form[:, j, i] = -c[place]
+    axes = np.linalg.eigvalsh(form)
+    good = axes[:, 0] > _FLATTEST * axes[:, -1]
+    form[~good] = np.eye(3)
+    inverse = np.linalg.inv(form)
+    bias = np.einsum("bij,jb->bi", inverse, c[2:5])
+    radius = c[5] + np.einsum("jb,bj->b", c[2:5], bias)
+    good &= radius > 0.0
+    square = inverse * np.where(good, radius, 1.0)[:, None, None]
+    clear = good & (weakest > _SHOWN) & (axes[:, 0] > _ROUND * axes[:, -1])
+    return _Quadrics(bias, square, good, clear)
+
+
+def _spheres(points: Array, *, crossed: bool) -> _Quadrics:
+    """Return the same of spheres, which are ellipsoids always."""
+    x, y, z = np.moveaxis(points, 1, 0)
+    c, _ = _least_squares([2 * x, 2 * y, 2 * z, np.ones_like(x)], points)
+    radius = np.maximum(c[3] + np.sum(c[:3] ** 2, axis=0), 1.0)
+    good = np.ones(len(points), dtype=np.bool_)
+    return _Quadrics(c[:3].T, radius[:, None, None] * np.eye(3), good, good)
+
+
+def _least_squares(columns: list[Array], points: Array) -> tuple[Array, Array]:
+    """Return the coefficients (c, B) of |y|², zero where the positions do not determine them.
+
+    With them the least eigenvalue (B,) of their information, relative to the largest.
+    """
+    design = np.stack(columns, axis=1)
+    square = np.einsum("bin,bin->bn", points, points)
+    values, vectors = np.linalg.eigh(design @ design.transpose(0, 2, 1))
+    kept = values > _SEEN * values[:, -1:]
+    turned = np.einsum("bcq,bc->bq", vectors, (design @ square[:, :, None])[:, :, 0])
+    turned *= kept / np.where(kept, values, 1.0)
+    return np.einsum("bcq,bq->cb", vectors, turned), values[:, 0] / values[:, -1]
+
+
+class _Inverse(NamedTuple):
+    """Inverses of matrices (B, p, p), and which of these are well conditioned."""
+
+    matrix: Array
+    valid: NDArray[np.bool_]
+
+
+def _inverse(information: Array) -> _Inverse:
+    scale = np.sqrt(np.einsum("bpp->bp", information))
+    scaled = information / (scale[:, :, None] * scale[:, None, :])
+    valid = np.isfinite(scaled).all(axis=(1, 2))
+    scaled[~valid] = np.eye(scaled.shape[1])
+    sizes = np.linalg.eigvalsh(scaled)
+    valid &= sizes[:, 0] > _WORST * sizes[:, -1]
+    scaled[~valid] = np.eye(scaled.shape[1])
+    return _Inverse(np.linalg.inv(scaled) / (scale[:, :, None] * scale[:, None, :]), valid)
+
+
+def _is_identifiable(
+    shared: SharedSphere, place: Place, information: Array, factor: Array
+) -> NDArray[np.bool_]:
+    """Tell which units show every parameter far beyond what noise could pretend."""
+    model = shared.model
+    typical = median(place.theta, axis=0)
+    limit = plausible_range(model, typical, shared.size)
+    if limit is None:
+        return np.zeros(len(factor), dtype=np.bool_)
+    relative = information * np.outer(limit, limit) / factor[:, None, None]
+    valid = np.isfinite(relative).all(axis=(1, 2))
+    relative[~valid] = 0.0
+    n = place.force.shape[2]
+    return np.asarray(valid & (np.linalg.eigvalsh(relative)[:, 0] > _CLEAR * n))
