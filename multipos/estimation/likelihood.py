@@ -88,7 +88,7 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
         jacobian = np.where(held[:, None, None], moves * [1.0, 0.0], moves)
     weighted = weigh(problem.precision, jacobian)
     own = eliminate(
-        _full(problem.precision), jacobian, weighted, problem.prior, problem.exact, problem.rolled
+        full(problem.precision), jacobian, weighted, problem.prior, problem.exact, problem.rolled
     )
     gain, inverse, marginal = own.gain, own.inverse, own.marginal
     weighted_residuals = weigh(problem.precision, point.residuals)
@@ -269,7 +269,8 @@ def weigh(precision: Array, array: Array) -> Array:
     return np.asarray(np.einsum("nij,njk->nik", precision, array))
 
 
-def _full(precision: Array) -> Array:
+def full(precision: Array) -> Array:
+    """Return precisions (n, M, M) of variances that are given as (n, M)."""
     if precision.ndim == 3:
         return precision
     n, m = precision.shape

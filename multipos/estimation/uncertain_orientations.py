@@ -32,7 +32,7 @@ from multipos.estimation.batches import (
     model_coefficients,
     share_design,
 )
-from multipos.estimation.likelihood import eliminate
+from multipos.estimation.likelihood import eliminate, full
 from multipos.estimation.orientation_variance import (
     SEPARATING,
     Block,
@@ -86,7 +86,7 @@ class Positions(NamedTuple):
     @classmethod
     def listed(cls, reference: Array, environment: Mapping[str, Array]) -> "Positions":
         """Return those of one unit, from the reference (n, 3) [g]."""
-        centre = directions(reference)
+        centre = np.asfortranarray(directions(reference))
         size = np.linalg.norm(reference, axis=1)[:, None]
         return cls(centre, tangent_basis(centre), size, environment)
 
@@ -94,29 +94,43 @@ class Positions(NamedTuple):
         """Return those of one unit for `count` units."""
         if count == 1:
             return self
-        arrays = (np.concatenate([each] * count) for each in self[:3])
+        arrays = (np.tile(each.T, count).T for each in self[:3])
         return Positions(*arrays, self.environment)
 
 
 class Place(NamedTuple):
-    """Units (B) at a point of their search."""
+    """Units (B) at a point of their search; positions run fastest in memory."""
 
     theta: Array  # (B, p)
-    step: Array  # t, (B, n, 2) [rad]
-    force: Array  # (B, n, 3) [g]
-    design: Array  # A, (B, n, M, p)
-    residuals: Array  # (B, n, M)
+    step: Array  # t, (2, B, n) [rad]
+    force: Array  # (3, B, n) [g]
+    phi: Array  # terms of the model, (T, B, n)
+    residuals: Array  # (M, B, n)
     q: Array  # what each position adds to F, (B, n)
     objective: Array  # F, (B,)
 
     def of(self, units: NDArray[Any]) -> "Place":
         """Return some of the units."""
-        return Place(*(each[units] for each in self))
+        theta, step, force, phi, residuals, q, objective = self
+        return Place(
+            theta[units],
+            step[:, units],
+            force[:, units],
+            phi[:, units],
+            residuals[:, units],
+            q[units],
+            objective[units],
+        )
 
     def put(self, units: Places, other: "Place") -> None:
         """Put other units in places of these."""
-        for mine, new in zip(self, other, strict=True):
-            mine[units] = new
+        self.theta[units] = other.theta
+        self.step[:, units] = other.step
+        self.force[:, units] = other.force
+        self.phi[:, units] = other.phi
+        self.residuals[:, units] = other.residuals
+        self.q[units] = other.q
+        self.objective[units] = other.objective
 
 
 class _Equations(NamedTuple):
@@ -136,7 +150,7 @@ class UncertainSearch:
     model : Model
     listed : Positions
         Of one unit.
-    values, variance : (B, n, M) arrays
+    values, variance : (M, B, n) arrays
         Readings, and Σ.
     orientation_sd : (B, n) array [rad]
     """
@@ -170,97 +184,104 @@ class UncertainSearch:
         return cls(
             problem.model,
             Positions.listed(problem.reference, columns),
-            problem.values[None],
-            1.0 / problem.precision[None],
+            problem.values.T[:, None],
+            1.0 / problem.precision.T[:, None],
             problem.orientation_sd[None],
         )
 
     def begin(self, state: State) -> Place:
         """Return the place of a state."""
-        return self.at(state.theta[None], state.step[None])
+        return self.at(state.theta[None], state.step.T[:, None])
 
     def end(self, place: Place, state: State) -> tuple[State, Point]:
         """Return state and point of a place, from the state of the beginning."""
-        found = replace(state, theta=place.theta[0], step=place.step[0])
-        design = place.design[0]
+        found = replace(state, theta=place.theta[0], step=place.step[:, 0].T)
+        phi = place.phi[:, 0]
         blocks = tuple(
-            (places, design[:, output, places])
-            for output, (_, places) in enumerate(self.model.contributions)
+            (places, phi.take(columns, axis=0).T) for columns, places in self.model.contributions
         )
-        point = Point(
-            place.force[0], blocks, place.residuals[0], place.q[0], float(place.objective[0])
-        )
-        return found, point
+        objective = float(place.objective[0])
+        force, residuals = place.force[:, 0].T, place.residuals[:, 0].T
+        return found, Point(force, blocks, residuals, place.q[0], objective)
 
     def of(self, units: Places) -> Self:
         """Return the search of some of the units."""
         return replace(
             self,
-            values=self.values[units],
-            variance=self.variance[units],
+            values=self.values[:, units],
+            variance=self.variance[:, units],
             orientation_sd=self.orientation_sd[units],
         )
 
     def at(self, theta: Array, step: Array) -> Place:
-        """Return units at parameters (B, p) and steps (B, n, 2)."""
-        model = self.model
-        count, n, m = self.values.shape
+        """Return units at parameters (B, p) and steps (2, B, n)."""
+        _, count, n = step.shape
         listed = self.listed.of(count)
-        force = listed.size * step_on_sphere(listed.centre, listed.basis, step.reshape(-1, 2))
+        moved = step_on_sphere(listed.centre, listed.basis, step.reshape(2, -1).T)
+        force = np.ascontiguousarray((listed.size * moved).T)
         columns = {name: np.tile(column, count) for name, column in listed.environment.items()}
-        phi = model.basis(force, columns).reshape(count, n, -1)
-        design = np.zeros((count, n, m, theta.shape[1]))
-        for output, (part, own) in enumerate(zip(model.slices, model.columns, strict=True)):
-            design[:, :, output, part] = phi[:, :, own]
-        residuals = self.values - phi @ model_coefficients(model, theta).transpose(0, 2, 1)
-        place = Place(theta, step, force.reshape(count, n, 3), design, residuals, theta, theta)
+        phi = self.model.basis(force.T, columns).T.reshape(-1, count, n)
+        coefficients = model_coefficients(self.model, theta)
+        residuals = self.values - np.einsum("bmt,tbn->mbn", coefficients, phi)
+        place = Place(theta, step, force.reshape(3, count, n), phi, residuals, theta, theta)
         return self.under_noise(place)
 
     def under_noise(self, place: Place) -> Place:
         """Return a place with the misfits that this noise makes of it."""
-        q = np.einsum("bni,bni->bn", place.residuals**2, 1.0 / self.variance)
-        q += np.einsum("bni,bni->bn", place.step, place.step) * self._prior
+        q = np.einsum("mbn,mbn->bn", place.residuals, place.residuals / self.variance)
+        q += np.einsum("ibn,ibn->bn", place.step, place.step) * self._prior
         return place._replace(q=q, objective=q.sum(axis=1))
 
     def linearise(self, place: Place) -> _Equations:
         """Return the normal equations."""
+        shape = self.values.shape
+        m = shape[0]
+        jacobian = self.jacobian(place).reshape(m, 2, -1).transpose(2, 0, 1)
+        precision = (1.0 / self.variance).reshape(m, -1).T
+        weighted = precision[:, :, None] * jacobian
+        prior, exact = self._prior.ravel(), self.orientation_sd.ravel() == 0.0
+        own = eliminate(
+            full(precision), jacobian, weighted, prior, exact, np.zeros_like(exact)
+        )
+        residuals = place.residuals.reshape(m, -1).T
+        pull = np.einsum("nmi,nm->ni", weighted, residuals)
+        pull -= prior[:, None] * place.step.reshape(2, -1).T
+        push = precision * residuals - np.einsum("nmi,ni->nm", own.gain, pull)
+        marginal = own.marginal.transpose(1, 2, 0).reshape(m, *shape)
+        found = self._assembled(place, marginal, push.T.reshape(shape))
+        return _Equations(*found, pull, weighted, own.inverse)
+
+    def _assembled(self, place: Place, marginal: Array, push: Array) -> tuple[Array, Array]:
+        """Return S and g of W (M, M, B, n) and what pushes the outputs (M, B, n)."""
         count, p = place.theta.shape
-        m = self.values.shape[2]
-        J = self.turns(place).reshape(-1, m, 2)
-        precision = (1.0 / self.variance).reshape(-1, m)
-        weighted = precision[:, :, None] * J
-        prior = self._prior.ravel()
-        exact = self.orientation_sd.ravel() == 0.0
-        full = precision[:, :, None] * np.eye(m)
-        own = eliminate(full, J, weighted, prior, exact, np.zeros_like(exact))
-        r = place.residuals.reshape(-1, m)
-        pull = np.einsum("nmi,nm->ni", weighted, r) - prior[:, None] * place.step.reshape(-1, 2)
-        push = precision * r - np.einsum("nmi,ni->nm", own.gain, pull)
-        A = place.design.reshape(-1, m, p)
-        WA = (own.marginal @ A).reshape(count, -1, p)
-        At = place.design.reshape(count, -1, p).transpose(0, 2, 1)
-        gradient = (At @ push.reshape(count, -1, 1))[:, :, 0]
-        return _Equations(At @ WA, gradient, pull, weighted, own.inverse)
+        information, gradient = np.zeros((count, p, p)), np.zeros((count, p))
+        phi = np.ascontiguousarray(place.phi.transpose(1, 0, 2))
+        slopes = [phi.take(columns, axis=1) for columns, _ in self.model.contributions]
+        for i, (_, places) in enumerate(self.model.contributions):
+            gradient[:, places] += (slopes[i] @ push[i][:, :, None])[:, :, 0]
+            for j, (_, others) in enumerate(self.model.contributions[i:], start=i):
+                block = (slopes[i] * marginal[i, j][:, None]) @ slopes[j].transpose(0, 2, 1)
+                information[:, places[:, None], others] += block
+                if j > i:
+                    information[:, others[:, None], places] += block.transpose(0, 2, 1)
+        return information, gradient
 
     def move(self, place: Place, equations: _Equations, step: Array, damping: Array) -> Place:
         """Return places after steps (B, p) of the parameters, each position following."""
-        count, n, m = self.values.shape
-        design = place.design.reshape(count, -1, step.shape[1])
-        follows = (design @ step[:, :, None]).reshape(-1, m)
+        change = model_coefficients(self.model, step)
+        follows = np.einsum("bmt,tbn->mbn", change, place.phi).reshape(len(self.values), -1).T
         back = equations.pull - np.einsum("nmi,nm->ni", equations.weighted, follows)
-        own = np.einsum("nij,nj->ni", equations.inverse, back).reshape(count, n, 2)
-        own /= (1.0 + damping)[:, None, None]
-        return self.at(place.theta + step, place.step + own)
+        own = np.einsum("nij,nj->in", equations.inverse, back).reshape(place.step.shape)
+        return self.at(place.theta + step, place.step + own / (1.0 + damping)[:, None])
 
-    def turns(self, place: Place) -> Array:
-        """Return what the angles of each position do to its reading, J (B, n, M, 2)."""
-        count, n, m = self.values.shape
+    def jacobian(self, place: Place) -> Array:
+        """Return what the angles of each position do to its reading, J (M, 2, B, n)."""
+        _, count, n = place.step.shape
         listed = self.listed.of(count)
-        moves = step_derivative(listed.centre, listed.basis, place.step.reshape(-1, 2))
-        force = np.ascontiguousarray(place.force.transpose(2, 0, 1))
-        slopes = force_slopes(self.model, listed.environment, place.theta, force)
-        by_force = slopes.reshape(m, 3, -1).transpose(2, 0, 1)
-        return (by_force @ (listed.size[:, :, None] * moves)).reshape(count, n, m, 2)
+        moves = step_derivative(listed.centre, listed.basis, place.step.reshape(2, -1).T)
+        moves = (listed.size[:, :, None] * moves).transpose(1, 2, 0).reshape(3, 2, count, n)
+        by_force = force_slopes(self.model, listed.environment, place.theta, place.force)
+        return np.einsum("mkbn,kibn->mibn", by_force, moves)
 
     @property
     def _prior(self) -> Array:
@@ -270,15 +291,20 @@ class UncertainSearch:
 
     def linear(self, place: Place) -> Linear:
         """Return the linear models about places, with this noise."""
-        J = self.turns(place)
-        error = place.residuals + np.einsum("bnij,bnj->bni", J, place.step)
-        spread = self.orientation_sd[:, :, None, None] * J
-        return Linear((Block(error, place.design, spread, self.variance),))
+        m, count, n = self.values.shape
+        jacobian = self.jacobian(place)
+        error = place.residuals + np.einsum("mibn,ibn->mbn", jacobian, place.step)
+        spread = (self.orientation_sd * jacobian).transpose(2, 3, 0, 1)
+        design = np.zeros((count, n, m, place.theta.shape[1]))
+        for output, (columns, places) in enumerate(self.model.contributions):
+            design[:, :, output, places] = place.phi.take(columns, axis=0).transpose(1, 2, 0)
+        variance = np.moveaxis(self.variance, 0, 2)
+        return Linear((Block(np.moveaxis(error, 0, 2), design, spread, variance),))
 
 
 def search(start: UncertainSearch, place: Place) -> tuple[Place, NDArray[np.bool_]]:
     """Return where the searches of units end, and of which they do."""
-    largest = np.sqrt((start.values**2 / start.variance).max(axis=(1, 2)))
+    largest = np.sqrt((start.values**2 / start.variance).max(axis=(0, 2)))
     found, ended = descend(start, place, _RULES, largest)
     return found, ended.converged
 
@@ -297,13 +323,13 @@ class _Units:
 
     @property
     def size(self) -> Array:
-        return harmonic_mean(self.stated.variance)
+        return harmonic_mean(np.moveaxis(self.stated.variance, 0, 2))
 
     def of(self, units: Places) -> "_Units":
         return _Units(self.stated.of(units), self.search.of(units), self.found.of(units))
 
     def put(self, units: Places, other: "_Units") -> None:
-        self.search.variance[units] = other.search.variance
+        self.search.variance[:, units] = other.search.variance
         self.search.orientation_sd[units] = other.search.orientation_sd
         self.found.put(units, other.found)
 
@@ -312,14 +338,14 @@ class _Units:
 
     def squares(self) -> tuple[Array, Array]:
         residuals = self.found.residuals
-        return self.found.objective, np.einsum("bni,bni->b", residuals, residuals)
+        return self.found.objective, np.einsum("mbn,mbn->b", residuals, residuals)
 
     def searched(self, excess: Array, factor: Array | None) -> tuple["_Units", NDArray[np.bool_]]:
         stated = self.stated
         sd = stated.orientation_sd
         if factor is not None:
             sd = sd * np.sqrt(factor)[:, None]
-        variance = stated.variance + excess[:, None, None]
+        variance = stated.variance + excess[:, None]
         following = replace(stated, variance=variance, orientation_sd=sd)
         place, ended = search(following, following.under_noise(self.found))
         return _Units(stated, following, place), ended
@@ -431,7 +457,7 @@ def estimate_placed(
         y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, claimed))
         claims = take_claims(u, dof) if u else None
         with np.errstate(all="ignore"):  # a unit may run away, and is then left out
-            part, scatter = _estimate(shared, np.stack(y, axis=2), claims)
+            part, scatter = _estimate(shared, np.stack(y), claims)
             own = part.dof[:, 0]
             carried.append(own if claims is None else carried_jointly(own, claims, scatter))
         parts.append(part)
@@ -445,19 +471,19 @@ def _estimate(
 ) -> tuple[Estimates, Array]:
     """Return estimates, whose u are yet U at 95 %, and the excess variance, τ² (B,)."""
     model = shared.model
-    count, n, _ = values.shape
-    valid = (np.ptp(values, axis=1) > 0.0).all(axis=1)
+    _, count, n = values.shape
+    valid = (np.ptp(values, axis=2) > 0.0).all(axis=0)
     if claims is not None:
         valid &= claims.sound
-    variance = _any_noise(values) if claims is None else claims.u**2
+    variance = _any_noise(values) if claims is None else np.moveaxis(claims.u**2, 2, 0).copy()
     sd = np.tile(shared.orientation_sd, (count, 1))
     start = UncertainSearch(model, shared.listed, values, variance, sd)
     theta = np.concatenate(
-        [values[:, :, i] @ inverse.T for i, inverse in enumerate(shared.inverses)], axis=1
+        [y @ inverse.T for y, inverse in zip(values, shared.inverses, strict=True)], axis=1
     )
-    place = start.at(theta, np.zeros((count, n, 2)))
-    least = ROUNDING**2 * np.einsum("bni,bni->b", values, values)
-    valid &= np.einsum("bni,bni->b", *[place.residuals] * 2) > least
+    place = start.at(theta, np.zeros((2, count, n)))
+    least = ROUNDING**2 * np.einsum("mbn,mbn->b", values, values)
+    valid &= np.einsum("mbn,mbn->b", *[place.residuals] * 2) > least
     place, ended = search(start, place)
     valid &= ended
     chi2 = None if claims is None else place.objective.copy()  # under the stated noise alone
@@ -468,18 +494,18 @@ def _estimate(
         units, valid = _Units.under_stated(start, place), np.zeros_like(valid)
         U, tail, excess = np.full(theta.shape, np.nan), *np.full((2, count), np.nan)
     place = units.found
-    theta, residuals = place.theta, tuple(np.moveaxis(place.residuals, 2, 0))
+    theta, residuals = place.theta, tuple(place.residuals)
     left = compensated(
         model,
         shared.environment,
-        place.force,
+        place.force.transpose(1, 2, 0),
         model_coefficients(model, theta),
-        tuple(np.moveaxis(values, 2, 0)),
+        tuple(values),
         residuals,
     )
     rms = np.sqrt(np.einsum("bnk,bnk->b", left.force, left.force) / n)
     valid &= left.sound & (np.abs(theta).max(axis=1) <= LARGEST)
-    valid &= np.einsum("bni,bni->b", *[place.residuals] * 2) > least
+    valid &= np.einsum("mbn,mbn->b", *[place.residuals] * 2) > least
     some = np.flatnonzero(valid)
     if len(some):
         valid[some] = _are_clear(shared, units.of(some), U[some])
@@ -488,10 +514,10 @@ def _estimate(
 
 
 def _any_noise(values: Array) -> Array:
-    """Return variances (B, n, 3) of any size, as the search takes them where none are stated."""
-    spread = values - values.mean(axis=1, keepdims=True)
-    size = np.sqrt(np.mean(spread**2, axis=(1, 2)))
-    return np.broadcast_to((RELATIVE_NOISE * size[:, None, None]) ** 2, values.shape).copy()
+    """Return variances (3, B, n) of any size, as the search takes them where none are stated."""
+    spread = values - values.mean(axis=2, keepdims=True)
+    size = np.sqrt(np.mean(spread**2, axis=(0, 2)))
+    return np.broadcast_to((RELATIVE_NOISE * size[:, None]) ** 2, values.shape).copy()
 
 
 def _with_noise(
@@ -510,8 +536,9 @@ def _with_noise(
         separated = contrasts(start.linear(place)) >= SEPARATING
     first = start
     if not stated:
-        least = least_variance(start.linear(place).spreads, start.values, separated)
-        variance = np.broadcast_to(least[:, None, None], start.values.shape).copy()
+        spreads, readings = start.linear(place).spreads, np.moveaxis(start.values, 0, 2)
+        least = least_variance(spreads, readings, separated)
+        variance = np.broadcast_to(least[:, None], start.values.shape).copy()
         first = replace(start, variance=variance)
     if shared.estimated:
         units = _Units.under_stated(first, first.under_noise(place))
@@ -536,8 +563,8 @@ def _are_clear(shared: SharedPlacement, units: _Units, U: Array) -> NDArray[np.b
     own = list(shared.model.own_scales)
     length = np.abs(place.theta[:, own])
     clear &= (U[:, own] < _NOISY * length).all(axis=1)
-    sd = np.sqrt(variance.mean(axis=1))
-    clear &= (sd < _NOISY * length.min(axis=1)[:, None]).all(axis=1)
+    sd = np.sqrt(variance.mean(axis=2))
+    clear &= (sd < _NOISY * length.min(axis=1)).all(axis=0)
     q = place.q
     n = q.shape[1]
     labels, degrees = [""] * n, np.full(n, float(len(COMPONENTS)))
