@@ -116,17 +116,24 @@ def force_slopes(
     coefficients = model_coefficients(model, theta)
     columns = {name: np.tile(column, count) for name, column in environment.items()}
     variables = model.variables(force.reshape(3, -1).T, columns)
-    result = np.zeros((len(model.outputs), 3, count, n))
+    constant = np.zeros((len(model.outputs), 3, count))
+    varying = []
     for column, axis, factor, lower in model.slopes:
+        if lower is not None and not lower.factors:
+            constant[:, axis] += factor * coefficients[:, :, column].T
+            continue
         if lower is None:
             slope = model.basis_terms[column].derivative(variables, COMPONENTS[axis])
         else:
             slope = factor * np.asarray(lower.evaluate(variables), dtype=np.float64)
-        slope = np.broadcast_to(slope, (count * n,)).reshape(count, n) if np.ndim(slope) else slope
-        for output in range(len(result)):
-            mine = coefficients[:, output, column]
-            if mine.any():
-                result[output, axis] += mine[:, None] * slope
+        varying.append((column, axis, slope.reshape(count, n) if np.ndim(slope) else slope))
+    result = np.empty((len(model.outputs), 3, count, n))
+    result[:] = constant[..., None]
+    used = coefficients.any(axis=0).T.tolist()
+    for column, axis, slope in varying:
+        for output, present in enumerate(used[column]):
+            if present:
+                result[output, axis] += coefficients[:, output, column, None] * slope
     return result
 
 

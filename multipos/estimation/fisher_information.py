@@ -7,9 +7,9 @@ as there, A_k the slopes of the readings by all unknowns, and Z_k by anything el
     A'WA = S,   Z'WZ,   A'WZ,   A'Σ⁻¹r,   Z'Σ⁻¹r,   diag(W A C A'),   W − W A S⁻¹ A'W       (1)
 
 are all that is asked. Where nothing is known of any position of a triad (`UnknownSearch.fits`), W_k
-is m_k m_k' of `multipos.estimation.unknown_orientations`, and Σ_k⁻¹r_k is W_k r_k at the solution: each position
-is one row A_k'm_k then, and the sums are products of these rows. A test holds the two ways
-together.
+is m_k m_k' of `multipos.estimation.unknown_orientations`, and Σ_k⁻¹r_k is W_k r_k at the solution:
+each position is one row A_k'm_k then, and the sums are products of these rows. A test holds the two
+ways together.
 """
 
 from typing import NamedTuple, Protocol

@@ -65,7 +65,7 @@ from multipos.numerics.terms import COMPONENTS, Term
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import invert, parameter_jacobian
 
-_FLAT = 0.005  # thickness of the cloud of readings below which it is a disc
+_FLAT = 2.5e-5  # squared thickness of the cloud of readings below which it is a disc
 
 
 def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[Array, Array]:
@@ -84,19 +84,16 @@ def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[
     MultiposError
         The readings do not spread over three dimensions.
     """
-    centred = values - values.mean(axis=0)
-    size = np.sqrt(np.mean(centred**2, axis=0))
-    if not size.min() > 1e-9 * np.abs(values).max():
+    found = fit_ellipsoids(values.T[None], crossed=crossed)
+    if not found.change[0] > 1e-9:
         raise MultiposError(
             "the readings of one output never change; turn the sensor so that every axis points "
             "up, down and level."
         )
-    extent = np.linalg.svd(centred, compute_uv=False)
-    if extent[-1] < _FLAT * extent[0]:
+    if found.thickness[0] < _FLAT:
         raise MultiposError(
             "all positions lie on one circle, so the readings are flat; add positions off it."
         )
-    found = fit_ellipsoids(values.T[None], crossed=crossed)
     return found.bias[0], found.lower[0] / magnitude
 
 

@@ -47,6 +47,7 @@ from multipos.estimation.orientation_variance import (
 from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import RELATIVE_NOISE, Point, Problem, State
 from multipos.estimation.stated_uncertainty import Claims, carried_jointly, take_claims
+from multipos.estimation.unknown_orientations import combined
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.levenberg_marquardt import Rules, descend
@@ -221,16 +222,19 @@ class UncertainSearch:
         force = np.ascontiguousarray((listed.size * moved).T)
         columns = {name: np.tile(column, count) for name, column in listed.environment.items()}
         phi = self.model.basis(force.T, columns).T.reshape(-1, count, n)
-        coefficients = model_coefficients(self.model, theta)
-        residuals = self.values - np.einsum("bmt,tbn->mbn", coefficients, phi)
-        place = Place(theta, step, force.reshape(3, count, n), phi, residuals, theta, theta)
-        return self.under_noise(place)
+        residuals = self.values - combined(model_coefficients(self.model, theta), phi)
+        misfits = self._misfits(residuals, step)
+        return Place(theta, step, force.reshape(3, count, n), phi, residuals, *misfits)
 
     def under_noise(self, place: Place) -> Place:
         """Return a place with the misfits that this noise makes of it."""
-        q = np.einsum("mbn,mbn->bn", place.residuals, place.residuals / self.variance)
-        q += np.einsum("ibn,ibn->bn", place.step, place.step) * self._prior
-        return place._replace(q=q, objective=q.sum(axis=1))
+        q, objective = self._misfits(place.residuals, place.step)
+        return place._replace(q=q, objective=objective)
+
+    def _misfits(self, residuals: Array, step: Array) -> tuple[Array, Array]:
+        q = np.einsum("mbn,mbn->bn", residuals, residuals / self.variance)
+        q += np.einsum("ibn,ibn->bn", step, step) * self._prior
+        return q, q.sum(axis=1)
 
     def linearise(self, place: Place) -> _Equations:
         """Return the normal equations."""
@@ -240,9 +244,7 @@ class UncertainSearch:
         precision = (1.0 / self.variance).reshape(m, -1).T
         weighted = precision[:, :, None] * jacobian
         prior, exact = self._prior.ravel(), self.orientation_sd.ravel() == 0.0
-        own = eliminate(
-            full(precision), jacobian, weighted, prior, exact, np.zeros_like(exact)
-        )
+        own = eliminate(full(precision), jacobian, weighted, prior, exact, np.zeros_like(exact))
         residuals = place.residuals.reshape(m, -1).T
         pull = np.einsum("nmi,nm->ni", weighted, residuals)
         pull -= prior[:, None] * place.step.reshape(2, -1).T
@@ -269,7 +271,7 @@ class UncertainSearch:
     def move(self, place: Place, equations: _Equations, step: Array, damping: Array) -> Place:
         """Return places after steps (B, p) of the parameters, each position following."""
         change = model_coefficients(self.model, step)
-        follows = np.einsum("bmt,tbn->mbn", change, place.phi).reshape(len(self.values), -1).T
+        follows = combined(change, place.phi).reshape(len(self.values), -1).T
         back = equations.pull - np.einsum("nmi,nm->ni", equations.weighted, follows)
         own = np.einsum("nij,nj->in", equations.inverse, back).reshape(place.step.shape)
         return self.at(place.theta + step, place.step + own / (1.0 + damping)[:, None])

@@ -135,6 +135,12 @@ class Surface(NamedTuple):
     excess: Array  # (B, n), how far outside a reading lies, relative to the force
 
 
+def combined(coefficients: Array, phi: Array) -> Array:
+    """Return the outputs (M, B, n) of coefficients (B, M, T) and terms (T, B, n)."""
+    found = coefficients @ phi.transpose(1, 0, 2)
+    return np.ascontiguousarray(found.transpose(1, 0, 2))
+
+
 def is_along_force(problem: Problem) -> bool:
     """Tell whether all positions of a triad are unknown and its outputs uncorrelated.
 
@@ -189,7 +195,9 @@ class UnknownSearch:
 
     def begin(self, state: State) -> Place:
         """Return the place of a state."""
-        direction = step_on_sphere(state.centre, state.basis, state.step)
+        direction = state.centre
+        if state.step.any():
+            direction = step_on_sphere(direction, state.basis, state.step)
         return self.at(state.theta[None], (self.shared.size * direction.T)[:, None])
 
     def place(self, state: State, point: Point) -> Place:
@@ -229,16 +237,18 @@ class UnknownSearch:
     def at(self, theta: Array, force: Array) -> Place:
         """Return units at parameters (B, p) and forces (3, B, n)."""
         phi = self._phi(force)
-        coefficients = model_coefficients(self.shared.model, theta)
-        residuals = self.values - np.einsum("bmt,tbn->mbn", coefficients, phi)
-        return self.under_noise(Place(theta, force, phi, residuals, theta, theta))
+        residuals = self.values - combined(model_coefficients(self.shared.model, theta), phi)
+        return Place(theta, force, phi, residuals, *self._misfits(residuals))
 
     def under_noise(self, place: Place) -> Place:
         """Return a place with the misfits that this noise makes of its residuals."""
-        residuals = place.residuals
+        q, objective = self._misfits(place.residuals)
+        return place._replace(q=q, objective=objective)
+
+    def _misfits(self, residuals: Array) -> tuple[Array, Array]:
         q = np.einsum("mbn,mbn->bn", residuals, residuals / self.variance)
         total = q if self.robust is None else loss(self.robust, q, self.degrees)
-        return place._replace(q=q, objective=total.sum(axis=1))
+        return q, total.sum(axis=1)
 
     def linearise(self, place: Place) -> Surface:
         """Return the normal equations of eqs. (1), (2), weighted by the loss."""
@@ -277,7 +287,7 @@ class UnknownSearch:
     def move(self, place: Place, surface: Surface, step: Array, damping: Array) -> Place:
         """Return places after steps (B, p) of the parameters, directions following by eq. (3)."""
         change = model_coefficients(self.shared.model, step)
-        left = place.residuals - np.einsum("bmt,tbn->mbn", change, place.phi)
+        left = place.residuals - combined(change, place.phi)
         left -= surface.across * np.einsum("mbn,mbn->bn", surface.normal, left)
         turn = np.einsum("mibn,mbn->ibn", surface.cofactors, left) / surface.determinant
         # as in `multipos.estimation.likelihood`: damped like the rest, and eased far outside the
@@ -345,6 +355,7 @@ class _Units:
 
 
 _AT_ONCE = 12_000  # readings of an output, so that what a step needs stays in the cache
+_STILL = 1e-6  # relative change of an output below which it may be none
 _SPREAD = 1e-3  # ratio of squared extents of the readings, below which they may be flat
 _SEEN = 1e-6  # relative eigenvalue below which a coefficient is not seen in the positions
 _SHOWN = 1e-5  # the same, below which it may not be
@@ -509,12 +520,17 @@ class Ellipsoids(NamedTuple):
     bias : (B, 3) array
     lower : (B, 3, 3) array
         Lower triangular M times g.
+    change, thickness : (B,) arrays
+        The least root mean square of an output about its mean, relative to the largest reading,
+        and the ratio of the squared extents of the cloud of readings.
     clear : (B,) array of bool
         Which least squares give well, of readings that spread.
     """
 
     bias: Array
     lower: Array
+    change: Array
+    thickness: Array
     clear: NDArray[np.bool_]
 
 
@@ -523,16 +539,19 @@ def fit_ellipsoids(values: Array, *, crossed: bool) -> Ellipsoids:
 
     Without cross terms in M, six coefficients are fitted instead of nine.
     """
-    centre = values.mean(axis=2)
+    n = values.shape[2]
+    centre = values.sum(axis=2) / n
     y = values - centre[:, :, None]
-    size = np.sqrt(np.mean(y**2, axis=2))
-    clear = (size > 1e-6 * np.abs(values).max(axis=(1, 2))[:, None]).all(axis=1)
+    square = y @ y.transpose(0, 2, 1)
+    size = np.sqrt(np.einsum("bii->bi", square) / n)
+    largest = np.abs(values).max(axis=(1, 2))
+    change = size.min(axis=1) / np.where(largest > 0.0, largest, 1.0)
     size = np.where(size > 0.0, size, 1.0)
-    extent = np.linalg.eigvalsh(y @ y.transpose(0, 2, 1))
-    clear &= extent[:, 0] > _SPREAD * extent[:, -1]
+    extent = np.linalg.eigvalsh(square)
+    thickness = extent[:, 0] / np.where(extent[:, -1] > 0.0, extent[:, -1], 1.0)
     points = y / size[:, :, None]
     found = _quadrics(points, crossed=crossed)
-    clear &= found.clear
+    clear = found.clear & (change > _STILL) & (thickness > _SPREAD)
     bias, square, good = found.bias, found.square, found.good
     for quadrics in (_quadrics, _spheres):
         bad = np.flatnonzero(~good)
@@ -541,7 +560,7 @@ def fit_ellipsoids(values: Array, *, crossed: bool) -> Ellipsoids:
         simpler = quadrics(points[bad], crossed=False)
         bias[bad], square[bad], good[bad] = simpler.bias, simpler.square, simpler.good
     lower = size[:, :, None] * np.linalg.cholesky(square)
-    return Ellipsoids(centre + size * bias, lower, clear)
+    return Ellipsoids(centre + size * bias, lower, change, thickness, clear)
 
 
 class _Quadrics(NamedTuple):

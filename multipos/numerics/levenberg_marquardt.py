@@ -148,10 +148,12 @@ def descend(
         step, fall, relative = _step(here.theta, equations, damping[going], held)
         trial = mine.move(here, equations, step, damping[going])
         taken = trial.objective <= F
-        flat = ~taken & (fall <= _FLAT * F)
-        if not rules.weighted and not (taken | flat).all():
-            whole = _step(here.theta, equations, np.zeros(len(going)), held)[1]
-            flat |= ~taken & (whole <= _rise(largest[going], F))
+        flat = np.zeros_like(taken)
+        if not taken.all():
+            flat = ~taken & (fall <= _FLAT * F)
+            if not rules.weighted:
+                whole = _step(here.theta, equations, np.zeros(len(going)), held)[1]
+                flat |= ~taken & (whole <= _rise(largest[going], F))
         decrement[going], last_step[going] = fall, relative
         shrinks = np.where(np.isinf(before[going]), 1.0, fall / before[going])
         following = fall * np.fmin(shrinks, 1.0)

@@ -6,7 +6,8 @@ from numpy.testing import assert_allclose
 from orientation_bench import BIAS, MATRIX, Sensor, lower
 
 from multipos.errors import MultiposError
-from multipos.estimation.starts import ellipsoid_start, symmetric_root
+from multipos.estimation.starts import ellipsoid_start
+from multipos.estimation.unknown_orientations import symmetric_root
 from multipos.positions.scheme import read_scheme
 
 

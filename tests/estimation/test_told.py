@@ -10,7 +10,7 @@ from multipos.estimation.descent import maximise
 from multipos.estimation.fisher_information import told_at
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
-from multipos.estimation.sphere import SphereSearch
+from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.inverse import parameter_jacobian
@@ -70,7 +70,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_told_is_what_dense_matrices_tell(case):
     problem, found = a_solution(**CASES[case])
-    assert SphereSearch.fits(problem) == (case in ("unknown", "symmetric", "robust"))
+    assert UnknownSearch.fits(problem) == (case in ("unknown", "symmetric", "robust"))
     told = told_at(problem, found.state, found.point)
     A, W = dense(problem, found)
     S = A.T @ W @ A
@@ -109,8 +109,8 @@ def test_what_is_told_is_what_dense_matrices_tell(case):
 def test_one_row_a_position_is_what_three_outputs_tell():
     problem, found = a_solution()
     general = replace(problem, precision=problem.precision[:, :, None] * np.eye(3))
-    assert SphereSearch.fits(problem)
-    assert not SphereSearch.fits(general)
+    assert UnknownSearch.fits(problem)
+    assert not UnknownSearch.fits(general)
     fast = told_at(problem, found.state)
     slow = told_at(general, found.state)
     assert_allclose(fast.point.force, found.point.force, atol=1e-14)
