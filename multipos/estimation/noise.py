@@ -298,14 +298,14 @@ def _identifiable(problem: Problem, theta: Array, blocks: tuple[Block, ...]) -> 
     Such as a rotation about the only direction of a group.
     """
     p, P = len(theta), blocks[0].design.shape[3]
-    prior, gradient = np.zeros(P), np.zeros(P)
+    prior, gradient, penalty = np.zeros(P), np.zeros(P), 0.0
     if problem.believed:
         excess, slope = problem.model.belief(theta)
-        prior[:p], gradient[:p] = slope**2, -slope * excess
+        prior[:p], gradient[:p], penalty = slope**2, -slope * excess, float(excess @ excess)
     if problem.level_sd > 0.0:
         prior[-2:] = 1.0 / problem.level_sd**2
     if p == P:
-        return Linear(blocks, np.diag(prior), gradient)
+        return Linear(blocks, np.diag(prior), gradient, penalty)
     sd = 1.0 / np.sqrt(
         np.median(
             problem.precision
@@ -321,7 +321,7 @@ def _identifiable(problem: Problem, theta: Array, blocks: tuple[Block, ...]) -> 
     outer = scale[:, None] * vectors[sizes > _RANK * sizes[0]].T
     reduced = tuple(block._replace(design=block.design @ outer) for block in blocks)
     information = outer.T @ (prior[:, None] * outer)
-    return Linear(reduced, information, outer.T @ gradient, outer[:p])
+    return Linear(reduced, information, outer.T @ gradient, penalty, outer[:p])
 
 
 def _covariances(problem: Problem) -> Array:

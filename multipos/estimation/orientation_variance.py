@@ -76,6 +76,7 @@ class Linear(NamedTuple):
     blocks: tuple[Block, ...]
     information: Array | float = 0.0  # P, (P, P)
     gradient: Array | float = 0.0  # g, (P,)
+    penalty: float = 0.0  # of the prior where the model is linear
     outer: Array | None = None  # (p, P) parameters as combinations of θ; None: they are θ
 
     def of(self, units: Any) -> "Linear":
@@ -511,6 +512,7 @@ def _prior_products(linear: Linear) -> Array | float:
     P = linear.blocks[0].design.shape[3]
     whole = np.zeros((P + 1, P + 1))
     whole[:P, :P], whole[:P, P] = linear.information, linear.gradient
+    whole[P, P] = linear.penalty  # constant, but keeps q − b'S⁻¹b positive
     return np.asarray(whole[np.triu_indices(P + 1)])
 
 

@@ -1,7 +1,7 @@
 """Axes of unequal noise, of which nothing is stated: what unknown orientations are then worth.
 
 Where nothing is known of any position of a triad, a position is one number r, what is left along
-the normal m of `multipos.estimation.sphere`, and the noise e of that number is made of those of
+the normal m of `multipos.estimation.unknown_orientations`, and the noise e of that number is made of those of
 three axes. With c_kj the share of axis j in it where all axes are alike, s_j how much more there
 is of it, c_k0 the share of what is stated (s_0 = 1), the rows a = A'm and S = sum a a',
 
