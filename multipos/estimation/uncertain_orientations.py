@@ -24,14 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.batches import (
-    ROUNDING,
     Estimates,
     compensated,
     force_slopes,
     join_estimates,
     model_coefficients,
-    share_design,
 )
+from multipos.estimation.known import ROUNDING, share_design
 from multipos.estimation.likelihood import eliminate, full
 from multipos.estimation.orientation_variance import (
     SEPARATING,
@@ -426,10 +425,10 @@ def share_placement(
         return None
     design = share_design(model, reference, environment)
     spare = len(reference) - len(model.keys)
-    if design is None or (spare < SEPARATING and not orientation_sd.all()):
+    if not design.well_posed or (spare < SEPARATING and not orientation_sd.all()):
         return None
     return SharedPlacement(
-        model, reference, orientation_sd, design.environment, estimated, design.inverses
+        model, reference, orientation_sd, design.environment, estimated, tuple(design.inverses)
     )
 
 

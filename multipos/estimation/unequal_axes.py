@@ -1,9 +1,10 @@
 """Axes of unequal noise, of which nothing is stated: what unknown orientations are then worth.
 
 Where nothing is known of any position of a triad, a position is one number r, what is left along
-the normal m of `multipos.estimation.unknown_orientations`, and the noise e of that number is made of those of
-three axes. With c_kj the share of axis j in it where all axes are alike, s_j how much more there
-is of it, c_k0 the share of what is stated (s_0 = 1), the rows a = A'm and S = sum a a',
+the normal m of `multipos.estimation.unknown_orientations`, and the noise e of that number is made
+of those of three axes. With c_kj the fraction of axis j in it where all axes are equal, s_j how
+much more there is of it, c_k0 the fraction that is stated (s_0 = 1), the rows a = A'm and
+S = sum a a',
 
     Var e_k = sum_j s_j c_kj,     p − p₀ = S⁻¹ sum a e,     Cov p = sum_j s_j K_j,          (1)
     K_j = S⁻¹ (sum c_kj a a') S⁻¹,     V_kj = (1 − 2h_k) c_kj + a_k'K_j a_k,                (2)

@@ -45,7 +45,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.batches import (
-    ROUNDING,
     Estimates,
     compensated,
     force_slopes,
@@ -53,7 +52,7 @@ from multipos.estimation.batches import (
     model_coefficients,
 )
 from multipos.estimation.identifiability import plausible_range
-from multipos.estimation.known import DENIED
+from multipos.estimation.known import DENIED, ROUNDING
 from multipos.estimation.losses import Loss, loss, loss_weight
 from multipos.estimation.orientation_variance import Block, Linear, find_excess, harmonic_mean
 from multipos.estimation.posteriors import standard_uncertainty
