@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import UsageError
-from multipos.estimation.free_rotations import hold_free_rotations
-from multipos.estimation.user_models import nominal_parameters
+from multipos.estimation.user_models import hold_free_rotations, nominal_parameters
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS

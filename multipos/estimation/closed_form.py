@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.known import FLOOR, solve_known
-from multipos.estimation.solution import Solution
+from multipos.estimation.problem import Solution
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.terms import COMPONENTS

@@ -8,7 +8,7 @@ from multipos import __version__
 from multipos.errors import MultiposError
 from multipos.estimation.closed_form import closed_form_difference
 from multipos.estimation.gains import gravity_effect
-from multipos.estimation.solution import Solution
+from multipos.estimation.problem import Solution
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
 from multipos.files.whole import now
 from multipos.numerics.arrays import Array, row_keys

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.posteriors import Posterior
-from multipos.estimation.solution import Solution
+from multipos.estimation.problem import Solution
 from multipos.numerics.arrays import Array, Places, row_keys
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, normal_quantile

@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 
 from multipos.estimation import robust_search
 from multipos.estimation.likelihood import evaluate, linearise, moved, recentred
-from multipos.estimation.losses import loss, loss_weight
 from multipos.estimation.problem import Normal, Optimum, Point, Problem, State
 from multipos.estimation.uncertain_orientations import UncertainSearch
 from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.levenberg_marquardt import ROBUST, Ended, Rules, descend
+from multipos.numerics.losses import loss, loss_weight
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Block
 

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.likelihood import assemble, evaluate, linearise, respond, weigh
-from multipos.estimation.losses import loss_weight
 from multipos.estimation.problem import Point, Problem, State
 from multipos.estimation.unequal_axes import allow_for_axes
 from multipos.estimation.unknown_orientations import UnknownSearch, is_along_force
 from multipos.numerics.arrays import Array
+from multipos.numerics.losses import loss_weight
 
 
 class Beside(NamedTuple):

@@ -45,7 +45,7 @@ from multipos.errors import RankError
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
 from multipos.estimation.excess_variance import Scatter, find_scatter
 from multipos.estimation.identifiability import formal_only
-from multipos.estimation.solution import Solution
+from multipos.estimation.problem import Solution
 from multipos.estimation.stated_uncertainty import Claims, carried_dof, take_claims
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array

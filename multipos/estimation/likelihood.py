@@ -43,9 +43,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.circles import eliminate_free, spread_inclinations
-from multipos.estimation.losses import loss, loss_weight
 from multipos.estimation.problem import Normal, Point, Problem, State, put_on_circles
 from multipos.numerics.arrays import Array
+from multipos.numerics.losses import loss, loss_weight
 from multipos.numerics.rotations import (
     cross_matrix,
     left_jacobian,

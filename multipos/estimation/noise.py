@@ -45,8 +45,7 @@ from multipos.estimation.orientation_variance import (
     least_variance,
 )
 from multipos.estimation.posteriors import standard_uncertainty
-from multipos.estimation.problem import Optimum, Problem, start_state
-from multipos.estimation.solution import Solution
+from multipos.estimation.problem import Optimum, Problem, Solution, start_state
 from multipos.estimation.starts import reduced_information
 from multipos.estimation.uncertain_orientations import STILL, UncertainSearch
 from multipos.estimation.unknown_orientations import UnknownSearch

@@ -363,7 +363,7 @@ def _axes(block: Block) -> tuple[Array, Array, Array]:
     if block.variance.ndim == 3:
         root = np.sqrt(block.variance)[..., None] * np.eye(block.variance.shape[2])
     else:
-        root = np.linalg.cholesky(block.variance)
+        root = np.asarray(np.linalg.cholesky(block.variance), dtype=np.float64)
     both = np.concatenate([root, block.spread], axis=3)
     U, singular, _ = np.linalg.svd(both, full_matrices=False)
     return np.swapaxes(U, 2, 3), singular**2, np.zeros_like(singular)
@@ -459,8 +459,8 @@ class _Evaluator:
         log += _prior_of_both(*sums) + np.log(factors[:, None] * (nodes + self._size[unit]))
         shape = (G * C,)
         moves, variances = self._parameters(L) if whole else (np.empty((C, G, 0)),) * 2
-        turned = (np.swapaxes(each, 0, 1).reshape(*shape, -1) for each in (moves, variances))
-        return Found(log.T.reshape(shape), *turned)
+        both = (np.swapaxes(each, 0, 1).reshape(*shape, -1) for each in (moves, variances))
+        return Found(log.T.reshape(shape), *both)
 
     def _likelihood(self, products: Array, weight: Array) -> tuple[Array, Array]:
         """Return ln L (B, G), and the Cholesky factors of eq. (4)."""

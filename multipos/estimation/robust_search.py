@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.known import fit_output
-from multipos.estimation.losses import Loss, loss, loss_weight
 from multipos.estimation.problem import Optimum, Point, Problem, State
 from multipos.numerics.arrays import Array, Places
+from multipos.numerics.losses import Loss, loss, loss_weight
 from multipos.sensor.model import Model
 
 _ITERATIONS = 2000  # weights that change with the step make convergence linear

@@ -41,12 +41,12 @@ from numpy.typing import NDArray
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
 from multipos.estimation.descent import resume
 from multipos.estimation.known import DENIED, ROUNDING, Design, SharedDesign, fit_output
-from multipos.estimation.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.estimation.noise import Appraisal
 from multipos.estimation.problem import RELATIVE_NOISE, Optimum, Problem
 from multipos.estimation.robust_search import Ended, Linear, search_linear
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array, median
+from multipos.numerics.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.sensor.fit_diagnostics import Claim
 

@@ -49,7 +49,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.solution import Solution
+from multipos.estimation.problem import Solution
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import digamma, inverse_trigamma, trigamma
 from multipos.positions.readings import Readings

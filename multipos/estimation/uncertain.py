@@ -28,15 +28,14 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.estimation.fisher_information import Told, told_at
-from multipos.estimation.free_rotations import rotations_to_hold
 from multipos.estimation.identifiability import condition, formal_only
-from multipos.estimation.losses import Loss
 from multipos.estimation.noise import Appraisal, judge_noise, judge_tied, with_degrees
-from multipos.estimation.problem import Optimum, Problem, State, state_problem
+from multipos.estimation.problem import Optimum, Problem, Solution, State, state_problem
 from multipos.estimation.robustness import judge_robustly
-from multipos.estimation.solution import Solution
 from multipos.estimation.starts import own_starts, reduced_information, search, too_few
+from multipos.estimation.user_models import rotations_to_hold
 from multipos.numerics.arrays import Array
+from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.orientations import Placement, across
 from multipos.positions.readings import Readings, select_outputs
@@ -71,7 +70,7 @@ def solve_uncertain(
     gauge : str
         'lower' or 'symmetric', where nothing ties the readings to the directions of the world.
     robust : str, optional
-        Name of a loss of `multipos.estimation.losses`.
+        Name of a loss of `multipos.numerics.losses`.
     pool : bool
         One residual variance for all outputs where orientations are exact, and so fitted one
         by one; elsewhere there is one anyway.

@@ -94,8 +94,8 @@ class Positions(NamedTuple):
         """Return those of one unit for `count` units."""
         if count == 1:
             return self
-        arrays = (np.tile(each.T, count).T for each in self[:3])
-        return Positions(*arrays, self.environment)
+        centre, basis, size = (np.tile(each.T, count).T for each in self[:3])
+        return Positions(centre, basis, size, self.environment)
 
 
 class Place(NamedTuple):
@@ -282,7 +282,7 @@ class UncertainSearch:
         moves = step_derivative(listed.centre, listed.basis, place.step.reshape(2, -1).T)
         moves = (listed.size[:, :, None] * moves).transpose(1, 2, 0).reshape(3, 2, count, n)
         by_force = force_slopes(self.model, listed.environment, place.theta, place.force)
-        return np.einsum("mkbn,kibn->mibn", by_force, moves)
+        return np.asarray(np.einsum("mkbn,kibn->mibn", by_force, moves))
 
     @property
     def _prior(self) -> Array:

@@ -38,7 +38,7 @@ parameter, or where stated uncertainties cannot be weights.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -53,7 +53,6 @@ from multipos.estimation.batches import (
 )
 from multipos.estimation.identifiability import plausible_range
 from multipos.estimation.known import DENIED, ROUNDING
-from multipos.estimation.losses import Loss, loss, loss_weight
 from multipos.estimation.orientation_variance import Block, Linear, find_excess, harmonic_mean
 from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import Point, Problem, State
@@ -63,6 +62,7 @@ from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.levenberg_marquardt import Rules, descend
+from multipos.numerics.losses import Loss, loss, loss_weight
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import step_on_sphere, tangent_basis
 from multipos.numerics.terms import COMPONENTS
@@ -77,14 +77,14 @@ class SharedSphere:
     ----------
     model : Model
         With its gauge.
-    size : float or (n,) array [g]
+    size : float [g]
         Of the reference.
     environment : mapping of str to (n,) array
         Other columns of the model.
     """
 
     model: Model
-    size: float | Array
+    size: float
     environment: Mapping[str, Array]
 
 
@@ -172,7 +172,7 @@ class UnknownSearch:
     values: Array
     variance: Array
     robust: Loss | None = None
-    degrees: Array | float = 1.0
+    degrees: Array = field(default_factory=lambda: np.ones(1))
 
     @staticmethod
     def fits(problem: Problem) -> bool:
@@ -185,7 +185,7 @@ class UnknownSearch:
         model = problem.model
         columns = {name: problem.environment[name] for name in model.environment}
         return cls(
-            SharedSphere(model, problem.magnitude, columns),
+            SharedSphere(model, float(problem.magnitude[0]), columns),
             problem.values.T[:, None],
             1.0 / problem.precision.T[:, None],
             problem.robust,
@@ -599,7 +599,8 @@ def _spheres(points: Array, *, crossed: bool) -> _Quadrics:
     c, _ = _least_squares([2 * x, 2 * y, 2 * z, np.ones_like(x)], points)
     radius = np.maximum(c[3] + np.sum(c[:3] ** 2, axis=0), 1.0)
     good = np.ones(len(points), dtype=np.bool_)
-    return _Quadrics(c[:3].T, radius[:, None, None] * np.eye(3), good, good)
+    square = np.asarray(radius[:, None, None] * np.eye(3), dtype=np.float64)
+    return _Quadrics(c[:3].T, square, good, good)
 
 
 def _least_squares(columns: list[Array], points: Array) -> tuple[Array, Array]:

@@ -1,29 +1,40 @@
-"""Known orientations and a model of one's own: searched for, then worth what its tangent is.
+"""User-defined models: where their search starts, their fit at known orientations, their gauge.
 
-Where nothing ties the outputs all are searched for together; weights of whole outputs change none
-of them. About the end p, A = dh/dp, the readings are those of a linear model,
+**Start.** No guess is asked for but what is stated. Parameters enter linearly where no second
+derivative joins two of them. Given the others, q, they are those of least squares,
 
-    y − h(p) + A p = A p' + e,                                                              (1)
-
-whose least squares are at p' = p: covariance, degrees of freedom, leverage and what cannot be
-separated are those of `multipos.estimation.known`. A model that is linear in its parameters
-is (1) everywhere, and needs no search. To second order the estimate is off by
-
-    E p − p = −½ C Σ_k a_k tr(C ∂²h_k/∂p²)/s²,    C its covariance, a_k = ∂h_k/∂p,            (2)
-
-the mean of what noise adds to h by its bend, as least squares take it for parameters; that is
-stated where it is more than a tenth of u.
-
-Where the search for the parameters of a model of one's own starts: no guess but what is stated.
-
-Parameters enter linearly where no second derivative joins two of them. Given the others, q, they
-are those of least squares,
-
-    l(q) = argmin |y - h(q, 0) - A l|,    A = dh/dl at q,                                    (3)
+    l(q) = argmin |y − h(q, 0) − A l|,    A = dh/dl at q,                                   (1)
 
 and where q has no stated start it is tried at a few values, all together and one by one; what
-leaves the least misfit after steps of Gauss and Newton on all that is not stated is where the
-search starts. The first that explains the readings ends the trials. Priors are starts.
+leaves the least misfit after Gauss–Newton steps on all that is not stated is where the search
+starts. The first that explains the readings ends the trials. Means of priors are starts.
+
+**Known orientations.** Where no prior or shared parameter ties the outputs, all are searched for
+together; weights of whole outputs change none of them. About the end p, A = dh/dp, the readings are
+those of a linear model,
+
+    y − h(p) + A p = A p' + e,                                                              (2)
+
+whose least squares are at p' = p: covariance, degrees of freedom, leverage and what cannot be
+separated are those of `multipos.estimation.known`. A model that is linear in its parameters is (2)
+everywhere, and needs no search. To second order the estimate is off by
+
+    E p − p = −½ C Σ_k a_k tr(C ∂²h_k/∂p²)/s²,    C its covariance, a_k = ∂h_k/∂p,           (3)
+
+as noise moves h by its curvature and least squares take that for parameters; a bias of more than a
+tenth of u is reported.
+
+**Gauge.** Where no position is listed, a common rotation w of all directions, df = w × f, can be
+undone by the parameters if some change d of them moves every reading as it does,
+
+    A d = J (w × f)   at all positions,    J = dh/df:                                       (4)
+
+the null space of [A, −J (e_a × f)], and what is as good as that: a small square of the own axis
+determines the axis a thousand times worse than linear terms determine the rest, so that a rotation
+counts as free there as it does in a polynomial model. Its dimension along w is how many rotations
+are free; as many parameters are held, by choice those that a lower triangular matrix of
+sensitivities has as zeros, slopes along a later axis. Where no rotation leaves a model as it is,
+the model itself fixes its axes, and nothing is held.
 """
 
 from collections.abc import Iterator, Mapping
@@ -34,18 +45,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.errors import ConvergenceError, MultiposError
+from multipos.errors import ConvergenceError, MultiposError, UsageError
 from multipos.estimation.descent import maximise, resume
 from multipos.estimation.known import solve_known
-from multipos.estimation.problem import Optimum, Problem, start_state
-from multipos.estimation.solution import Solution
+from multipos.estimation.problem import Optimum, Problem, Solution, State, start_state
 from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import cross_matrix
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.calibration import Status
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.model import Block, Model
+from multipos.sensor.inverse import parameter_jacobian
+from multipos.sensor.model import Block, Gauge, Model
+from multipos.sensor.own_models import Fixed, hold
 
 _TRIED = (0.0, 1.0, 0.1, 10.0)  # values of what has no start
 _ALONE = 3  # parameters of an output up to which all their combinations are tried
@@ -55,7 +68,7 @@ _EXPLAINED = 1e-3  # of the readings' variance: what is left of it where no othe
 _RANK = 1e-9  # of the largest, a direction that least squares of a guess leaves alone
 
 
-class _Weighed(NamedTuple):
+class _Weighted(NamedTuple):
     """Readings (n, M), their force and surroundings, and the weight (M,) of each output.
 
     Each output counts by its spread: what they share must not be that of the largest alone.
@@ -96,7 +109,7 @@ def first_guesses(
     stated = np.isfinite(model.starts)
     free = ~stated & ~linear
     sought = (linear & (model.beliefs == 0.0) & ~(stated & keep)) | free
-    readings = _Weighed(
+    readings = _Weighted(
         values, force, environment, 1.0 / np.maximum(np.std(values, axis=0), 1e-300)
     )
     found: list[tuple[float, Array]] = []
@@ -129,7 +142,7 @@ def first_guesses(
 
 
 def nominal_parameters(model: ExpressionModel) -> Array:
-    """Return the parameters at which positions are judged (p,), before any reading.
+    """Return the parameters at which positions are assessed (p,), before any reading.
 
     Those that are stated, and with them what comes nearest to an output of one per g along its own
     axis, and nothing at zero.
@@ -145,7 +158,7 @@ def nominal_parameters(model: ExpressionModel) -> Array:
 
 
 def _trials(model: ExpressionModel, start: Array, free: NDArray[np.bool_]) -> Iterator[Array]:
-    """Yield starts whose free parameters have values to be tried, alike for all outputs."""
+    """Yield starts whose free parameters have values to be tried, the same for all outputs."""
     names = list(dict.fromkeys(str(model.keys[i][1]) for i in np.flatnonzero(free)))
     if len(names) <= _ALONE:
         values = list(product(_TRIED, repeat=len(names)))
@@ -164,9 +177,9 @@ def _improved(
     model: ExpressionModel,
     theta: Array,
     sought: NDArray[np.bool_],
-    readings: _Weighed,
+    readings: _Weighted,
 ) -> Array:
-    """Return parameters after a step of Gauss and Newton on those that are sought, eq. (3)."""
+    """Return parameters after a step of Gauss and Newton on those that are sought, eq. (1)."""
     outputs, blocks = model.respond(theta, readings.force, readings.environment)
     left = readings.values - outputs
     rows = []
@@ -174,7 +187,7 @@ def _improved(
         whole = np.concatenate([slopes.T, left[None, :, output]]).T
         if not np.isfinite(whole).all():
             return theta
-        R = np.linalg.qr(whole, mode="r") * readings.weight[output]  # tells what all rows do
+        R = np.linalg.qr(whole, mode="r") * readings.weight[output]  # equivalent to all rows
         rows.append(np.zeros((len(R), len(theta) + 1)))
         rows[-1][:, places], rows[-1][:, -1] = R[:, :-1], R[:, -1]
     reduced = np.concatenate(rows)
@@ -186,23 +199,23 @@ def _improved(
     return model.within(moved)
 
 
-def _misfit(model: ExpressionModel, theta: Array, readings: _Weighed) -> float:
+def _misfit(model: ExpressionModel, theta: Array, readings: _Weighted) -> float:
     outputs, blocks = model.respond(theta, readings.force, readings.environment)
     if not all(np.isfinite(slopes).all() for _, slopes in blocks):
         return np.inf
     return float(np.sum(((readings.values - outputs) * readings.weight) ** 2))
 
 
-_ROUNDS = 8  # of scatter and solution in turn
+_ROUNDS = 8  # of excess variance and solution
 _SETTLED = 1e-4  # of u
-_MANY = 200  # readings from which on (2) is not looked at
+_MANY = 200  # readings from which on the bias (3) is not computed
 _STATED = 0.1  # of u
-_ALIKE = 5.0  # of ln: residuals so much apart leave each output its digits in one search
+_EQUAL = 5.0  # of ln: residuals that differ by so much leave each output its digits in one search
 _LEAST = 1e-14  # of an output's spread, below which no residual is known
 
 
-def is_apart(model: Model, readings: Readings) -> bool:
-    """Tell whether the outputs of a model of one's own can be fitted as `solve_own_known` does."""
+def is_untied(model: Model, readings: Readings) -> bool:
+    """Tell whether the outputs of a user-defined model can be fitted as `solve_own_known` does."""
     if not isinstance(model, ExpressionModel):
         return False
     noise = readings.noise
@@ -217,7 +230,7 @@ def solve_own_known(
     pool: bool = False,
     tested: bool = True,
 ) -> Solution:
-    """Fit a model of one's own at known orientations, by (1); options as in `solve_known`.
+    """Fit a user-defined model at known orientations, by (2); options as in `solve_known`.
 
     Raises
     ------
@@ -235,9 +248,9 @@ def solve_own_known(
     solution = _about(model, best, reference, readings, how)
     noise = readings.noise
     if noise is not None and np.ptp(noise.reshape(readings.values.shape), axis=0).any():
-        for _ in range(_ROUNDS):  # what readings scatter beside the stated noise changes weights
+        for _ in range(_ROUNDS):  # excess variance changes weights
             before = best.state.theta
-            variance = noise.reshape(readings.values.shape) + _scatter(solution)
+            variance = noise.reshape(readings.values.shape) + _excess(solution)
             best = resume(replace(problem, precision=1.0 / variance), best)
             solution = _about(model, best, reference, readings, how)
             moved = np.abs(best.state.theta - before)
@@ -250,12 +263,12 @@ def solve_own_known(
         best.last_step,
         best.gradient,
     )
-    said = _bends(model, best, reference, readings, solution)
+    said = _curvature_bias(model, best, reference, readings, solution)
     return replace(solution, status=status, warnings=(*solution.warnings, *said))
 
 
-def _scatter(solution: Solution) -> Array:
-    """Return the variance (M,) that was found beside the stated noise."""
+def _excess(solution: Solution) -> Array:
+    """Return the variance (M,) of each output in excess of the stated noise."""
     found = solution.variance_components
     if found is None or found.rest_to_rest is None:
         return np.zeros(len(solution.model.outputs))
@@ -269,7 +282,7 @@ def _about(
     readings: Readings,
     how: Mapping[str, bool],
 ) -> Solution:
-    """Return the least squares of the model (1) about where the search ended."""
+    """Return the least squares of the model (2) about where the search ended."""
     theta, point = best.state.theta, best.point
     return _tangent(model, theta, point.residuals, point.blocks, reference, readings, how)
 
@@ -283,17 +296,17 @@ def _tangent(
     readings: Readings,
     how: Mapping[str, bool],
 ) -> Solution:
-    """Return the least squares of the model (1) about parameters."""
+    """Return the least squares of the model (2) about parameters."""
     reached = [slopes @ theta[places] for places, slopes in blocks]
     design = np.concatenate([slopes.T for _, slopes in blocks]).T
     tangent = design, residuals + np.array(reached).T
     return solve_known(model, reference, readings, tangent=tangent, **how)
 
 
-def _bends(
+def _curvature_bias(
     model: ExpressionModel, best: Optimum, reference: Array, readings: Readings, solution: Solution
 ) -> tuple[str, ...]:
-    """State the bias (2) of parameters where it matters; of many readings it is nothing beside u.
+    """State the bias (3) of parameters where it matters; of many readings it is far below u.
 
     It falls with their number, and u with the root of it.
     """
@@ -345,7 +358,129 @@ def _searched(
             "them), or choose a model with fewer parameters."
         )
     left = np.sqrt(np.mean(best.point.residuals**2, axis=0))
-    if noise is not None or np.ptp(np.log(np.maximum(left / spread, _LEAST))) < _ALIKE:
+    if noise is not None or np.ptp(np.log(np.maximum(left / spread, _LEAST))) < _EQUAL:
         return problem, best
     weighed = replace(problem, precision=np.tile(np.maximum(left, _LEAST * spread) ** -2.0, (n, 1)))
     return weighed, resume(weighed, best)
+
+
+_NULL = 1e-3  # of the largest singular value, scaled: what moves no reading, or as good as none
+_LEAST_SHARE = (
+    1e-6  # share of a null direction below which it has no rotation, or no such parameter
+)
+_FIXING = 0.1  # share of the most that a rotation moves, from which a parameter fixes it
+_ALONG = 0.99  # cosine from which a slope is along a component
+
+
+def rotations_to_hold(problem: Problem, state: State, gauge: Gauge) -> Fixed:
+    """Return what is to be held of the parameters, (output, name, value) each; empty if nothing.
+
+    Raises
+    ------
+    UsageError
+        The symmetric gauge, which is not one of single parameters.
+    """
+    model = problem.model
+    assert isinstance(model, ExpressionModel)
+    force = problem.magnitude[:, None] * state.centre
+    slopes = parameter_jacobian(model, state.theta, force, problem.environment)
+    by_force = model.force_jacobian(state.theta, force, problem.environment)
+    # of one axis alone, what the rotation about it hardly moves would fix it badly
+    least = _LEAST_SHARE if problem.rolls is None else _FIXING
+    moved = _moved_by_rotations(slopes, (by_force @ cross_matrix(force))[..., _free_axes(problem)])
+    held = _held(model, _chosen(moved, _upper_first(model, slopes, force), least))
+    if held and gauge != "lower":
+        raise UsageError(
+            "--gauge symmetric is one of polynomial models; a model of one's own is fixed by "
+            "parameters that are held, --gauge lower."
+        )
+    return held
+
+
+def hold_free_rotations(model: ExpressionModel, parameters: Array) -> ExpressionModel:
+    """Return a model whose gauge is fixed where all orientations are unknown, before any reading.
+
+    Parameters
+    ----------
+    model : ExpressionModel
+        Of specific force alone.
+    parameters : (p,) array
+        Of the sensor; which rotations are free is determined there, all over the sphere.
+    """
+    force = read_scheme("fibonacci-100").up
+    slopes = parameter_jacobian(model, parameters, force, {})
+    moved = _moved_by_rotations(
+        slopes, model.force_jacobian(parameters, force, {}) @ cross_matrix(force)
+    )
+    held = _held(model, _chosen(moved, _upper_first(model, slopes, force), _LEAST_SHARE))
+    return hold(model, held) if held else model
+
+
+def _moved_by_rotations(slopes: Array, rotated: Array) -> Array:
+    """Return the changes of parameters (p, r), scaled, that undo r rotations, eq. (4).
+
+    Parameters
+    ----------
+    slopes : (n, M, p) array
+    rotated : (n, M, t) array
+        J (f × w) of each rotation w that the positions leave open.
+    """
+    n, m, p = slopes.shape
+    design = np.concatenate([slopes, rotated], axis=2).reshape(n * m, -1)
+    scale = np.linalg.norm(design, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    _, sizes, rows = np.linalg.svd(design / scale, full_matrices=True)
+    sizes = np.append(sizes, np.zeros(len(rows) - len(sizes)))
+    null = (rows[sizes <= _NULL * sizes[0]] / scale).T  # (p + t, d)
+    if not null.size:
+        return np.zeros((p, 0))
+    # directions with a rotation in them: the others are parameters that nothing separates
+    _, rotations, inner = np.linalg.svd(null[p:])
+    free = int((rotations > _LEAST_SHARE * max(float(np.abs(null).max()), 1e-300)).sum())
+    return np.asarray((null @ inner[:free].T)[:p] * scale[:p, None])
+
+
+def _held(model: ExpressionModel, chosen: list[int]) -> Fixed:
+    """Return parameters with the values that they are held at: those stated, else 0."""
+    held = []
+    for i in chosen:
+        output, name = model.keys[i]
+        start = model.quantities[i].start
+        held.append((output, str(name), 0.0 if start is None else start))
+    return held
+
+
+def _free_axes(problem: Problem) -> list[int]:
+    """Return the axes that the positions may rotate about: of rolls about one axis that axis."""
+    if problem.rolls is None:
+        return [0, 1, 2]
+    return [i for i, axis in enumerate(COMPONENTS) if axis == problem.free_axis]
+
+
+def _upper_first(model: ExpressionModel, slopes: Array, force: Array) -> list[int]:
+    """Return the parameters in the order in which they are held: upper triangle first."""
+    order = {axis: i for i, axis in enumerate(COMPONENTS)}
+    length = np.linalg.norm(force, axis=0)
+    upper = []
+    for output, (axis, places) in enumerate(zip(model.axes, model.places, strict=True)):
+        for i in places.tolist():
+            column = slopes[:, output, i]
+            size = max(float(np.linalg.norm(column)), 1e-300)
+            along = np.abs(column @ force) / (size * np.where(length > 0.0, length, 1.0))
+            if along.max() > _ALONG and int(along.argmax()) > order[axis]:
+                upper.append(i)
+    rest = [i for i in range(len(model.keys)) if i not in upper]
+    return [*upper, *rest]
+
+
+def _chosen(moved: Array, order: list[int], share: float) -> list[int]:
+    """Return as many parameters as there are directions (p, r), which fix all of them."""
+    chosen: list[int] = []
+    if not moved.shape[1]:
+        return chosen
+    for i in order:
+        trial = moved[[*chosen, i]]
+        least = np.linalg.svd(trial, compute_uv=False)[-1]
+        if len(chosen) < moved.shape[1] and least > share * np.abs(moved).max():
+            chosen.append(i)
+    return chosen

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import RankError
-from multipos.estimation.losses import Loss
 from multipos.files.spelling import Names
 from multipos.files.tables import Source
 from multipos.fitting.fit_readings import fit
@@ -23,6 +22,7 @@ from multipos.logs.clock import TimeUnit
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median
+from multipos.numerics.losses import Loss
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.order import Order

@@ -27,22 +27,22 @@ from multipos.estimation.closed_form import solve_closed_form
 from multipos.estimation.completion import complete
 from multipos.estimation.correlated_rows import spread_correlation
 from multipos.estimation.known import solve_known
-from multipos.estimation.losses import Loss
 from multipos.estimation.model_selection import select_terms, with_selection
-from multipos.estimation.options import (
+from multipos.estimation.outliers import find_outlying_rows
+from multipos.estimation.problem import Solution
+from multipos.estimation.stated_uncertainty import add_reference_noise, carry_dof, steady_floors
+from multipos.estimation.uncertain import solve_uncertain
+from multipos.estimation.user_models import is_untied, solve_own_known
+from multipos.files.spelling import Names, quoted, split_names
+from multipos.files.tables import Source
+from multipos.fitting.options import (
     Options,
     check_options,
     choose_estimator,
     criterion_in_words,
 )
-from multipos.estimation.outliers import find_outlying_rows
-from multipos.estimation.solution import Solution
-from multipos.estimation.stated_uncertainty import add_reference_noise, carry_dof, steady_floors
-from multipos.estimation.uncertain import solve_uncertain
-from multipos.estimation.user_models import is_apart, solve_own_known
-from multipos.files.spelling import Names, quoted, split_names
-from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
+from multipos.numerics.losses import Loss
 from multipos.numerics.terms import COMPONENTS, Term, formula_columns, largest_value
 from multipos.positions.attitudes import CONVENTIONS, Convention
 from multipos.positions.order import Order
@@ -475,7 +475,7 @@ def _solver(
             return solve_closed_form(model, reference, readings, pool=pool)
         exact = estimator is Estimator.LINEAR and options.robust is None
         own = isinstance(model, ExpressionModel)
-        if isinstance(model, ExpressionModel) and exact and is_apart(model, readings):
+        if isinstance(model, ExpressionModel) and exact and is_untied(model, readings):
             return solve_own_known(model, reference, readings, pool=pool, tested=tested)
         if exact and not own:
             return solve_known(model, reference, readings, pool=pool, tested=tested)

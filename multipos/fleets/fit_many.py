@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
-from multipos.estimation.losses import Loss
 from multipos.files.csv_columns import Cells, arrange_cells, spread_cells
 from multipos.files.spelling import Names
 from multipos.files.tables import Column, Source, Table
@@ -40,6 +39,7 @@ from multipos.fleets.sources import Rows, read_rows
 from multipos.fleets.unit_results import Units, UnitsFound
 from multipos.fleets.workers import open_engine, solve_all
 from multipos.numerics.arrays import Array, Places, places_of_kinds
+from multipos.numerics.losses import Loss
 from multipos.numerics.terms import formula_columns
 from multipos.positions.attitudes import Convention
 from multipos.positions.reading_tables import read_readings

@@ -30,8 +30,8 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.estimation.gains import estimator_gain, gravity_effect
-from multipos.estimation.options import Options
 from multipos.fitting.fit_readings import calibrate_at
+from multipos.fitting.options import Options
 from multipos.numerics.arrays import Array
 from multipos.positions.orientations import place
 from multipos.positions.readings import Readings

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from multipos.estimation.losses import EFFICIENCY, LOSSES, loss, loss_slope, loss_weight
+from multipos.numerics.losses import EFFICIENCY, LOSSES, loss, loss_slope, loss_weight
 
 every_loss = pytest.mark.parametrize("name", [None, *LOSSES])
 Z = np.concatenate([np.linspace(0.01, 6.0, 61), [20.0, 1e3]])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from multipos.errors import MultiposError, UsageError
-from multipos.estimation.losses import LOSSES, Loss
+from multipos.numerics.losses import LOSSES, Loss
 from multipos.numerics.quantiles import check_confidence
 from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.orientations import Placement
