@@ -10,7 +10,7 @@ from multipos.plots.runs import runs_figure, terms_figure
 from multipos.verification.comparison import Comparison, compare, comparison_text
 from multipos.verification.regression_comparison import RegressionComparison
 
-INPUTS = ("calibrations",)
+INPUTS = ("calibrations", "limits")
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))
 
 
@@ -32,12 +32,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="make one calibration of all, whose U holds how sessions differ; -o CAL.json is it",
     )
+    add(
+        "--limits",
+        metavar="FILE|NAME=VALUE[UNIT],…",
+        help="what parameters may be (CSV name,lsl,usl or TOML), or by how much they or a kind "
+        "(bias, scale, cross) may have changed, as bias=1mg,scale=500ppm",
+    )
 
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     found = compare(
-        *arguments.calibrations, confidence=arguments.confidence, combine=arguments.combine
+        *arguments.calibrations,
+        confidence=arguments.confidence,
+        combine=arguments.combine,
+        limits=arguments.limits,
     )
     return Answer(
         text=lambda: _text(found),

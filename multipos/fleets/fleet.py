@@ -21,6 +21,7 @@ import numpy as np
 
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
+from multipos.files.limits import LimitsSource, read_limits
 from multipos.files.pipes import is_there
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source
@@ -34,13 +35,11 @@ from multipos.fleets.pictures import charts, histogram
 from multipos.fleets.quality import (
     PASS,
     Limit,
-    LimitsSource,
     Verdicts,
     column,
     describe,
     judge_units,
     proportion,
-    read_limits,
 )
 from multipos.fleets.sources import read_rows
 from multipos.fleets.stations import describe_stations

@@ -34,20 +34,16 @@ A limit is on a column of the table of calibrations (a parameter, ``u_…``, ``r
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files.records import LARGEST
+from multipos.files.limits import Limit
 from multipos.files.spelling import near
-from multipos.files.tables import Table, read_table
-from multipos.files.trees import read_toml
 from multipos.fleets.unit_results import Texts, Units
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factors, normal_quantile
@@ -200,77 +196,6 @@ def _against_limits(
 
 PASS, FAIL, DOUBT, FAILED = "pass", "fail", "doubt", "failed"
 VERDICTS = (PASS, FAIL, DOUBT, FAILED)
-
-
-@dataclass(frozen=True)
-class Limit:
-    """What a number may be; infinite where there is no limit on that side."""
-
-    name: str
-    lsl: float
-    usl: float
-
-
-LimitsSource = str | os.PathLike[str] | Mapping[str, Sequence[float | None]]
-
-
-def read_limits(source: LimitsSource) -> tuple[Limit, ...]:
-    """Return limits from a CSV or TOML file, or a mapping of name to (lsl, usl).
-
-    Raises
-    ------
-    MultiposError
-        The file is missing or at fault, or a lower limit is not below its upper one.
-    """
-    if isinstance(source, Mapping):
-        return tuple(_limit("the limits", name, pair) for name, pair in source.items())
-    if Path(source).suffix.lower() == ".toml":
-        tables = read_toml(source, "limits")
-        return tuple(_limit(str(source), name, pair) for name, pair in tables.items())
-    return _of_table(read_table(source, what="limits"))
-
-
-def _of_table(table: Table) -> tuple[Limit, ...]:
-    for name in ("name", "lsl", "usl"):
-        if name not in table:
-            raise MultiposError(
-                f"{table.source}: no column '{name}'; limits have the columns name, lsl, usl."
-            )
-    lower, upper = (_side(table, name) for name in ("lsl", "usl"))
-    return tuple(
-        _limit(table.where(row, "name"), name, (lower[row], upper[row]))
-        for row, name in enumerate(table.text("name"))
-    )
-
-
-def _side(table: Table, name: str) -> list[float]:
-    """Return the limits of one side, NaN where a cell is empty."""
-    side = table.numbers(name).tolist()
-    for row, text in enumerate(table.text(name)):
-        if text and math.isnan(side[row]):
-            raise MultiposError(f"{table.where(row, name)}: '{text}' is not a number.")
-    return list(side)
-
-
-def _is_side(side: Any) -> bool:
-    return side is None or (isinstance(side, int | float) and not isinstance(side, bool))
-
-
-def _limit(where: str, name: str, pair: Any) -> Limit:
-    known = isinstance(pair, list | tuple) and len(pair) == 2
-    if not known or not all(map(_is_side, pair)):
-        raise MultiposError(f"{where}: '{name}' needs two limits, [lsl, usl], got {pair!r}.")
-    lsl = -math.inf if pair[0] is None or math.isnan(pair[0]) else float(pair[0])
-    usl = math.inf if pair[1] is None or math.isnan(pair[1]) else float(pair[1])
-    for side in (lsl, usl):
-        if LARGEST < abs(side) < math.inf:
-            raise MultiposError(
-                f"{where}: '{name}' has the limit {side:g}, which no parameter could reach; "
-                "leave it empty where there is none."
-            )
-    if not lsl < usl:
-        raise MultiposError(f"{where}: '{name}' has lsl {lsl:g}, which is not below usl {usl:g}.")
-    return Limit(name, lsl, usl)
 
 
 @dataclass(frozen=True, eq=False)

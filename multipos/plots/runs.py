@@ -7,14 +7,17 @@ import numpy as np
 
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
-from multipos.plots.style import COLOURS, MARKERS, name_axis, name_series, new_figure
-from multipos.verification.comparison import Comparison
+from multipos.plots.style import COLOURS, MARKERS, name_axis, name_series, new_figure, write_title
+from multipos.verification.comparison import Comparison, since_1970
+from multipos.verification.recalibration import YEAR, dates_of, expanded_apart
 from multipos.verification.regression_comparison import RegressionComparison
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_PANELS = 3  # beside each other
+_DAY = 86400.0  # s
 _BESIDE = 0.1  # of a run, between outputs, so that no bar hides another
 
 
@@ -69,10 +72,64 @@ def draw_values(values: Mapping[str, tuple[Array, Array]], axes: "Axes", *, unit
 
 
 def runs_figure(comparison: Comparison) -> "Figure":
-    """Return the biases against the run."""
-    figure, axes = new_figure()
-    draw_runs(comparison, axes[0])
+    """Return a control chart of every parameter, or the biases by run where methods are compared.
+
+    Each panel has the values with U over their dates, the trend with its U where there is one, and
+    the limits of the value.
+    """
+    if not comparison.changes:
+        figure, axes = new_figure()
+        draw_runs(comparison, axes[0])
+        return figure
+    rows = -(-len(comparison.changes) // _PANELS)
+    figure, panels = new_figure(rows, _PANELS, width=7.8, height=1.6)
+    for axes in panels[len(comparison.changes) :]:
+        axes.set_visible(False)
+    for i, axes in enumerate(panels[: len(comparison.changes)]):
+        draw_chart(comparison, i, axes)
     return figure
+
+
+def draw_chart(comparison: Comparison, index: int, axes: "Axes") -> None:
+    """Draw one parameter over the dates of its calibrations, with trend and limits."""
+    found, change = comparison.calibrations, comparison.changes[index]
+    at = dates_of(found, since_1970(found))
+    values = comparison.values[:, index]
+    dated = np.ptp(at) >= _DAY
+    x = 1970.0 + at / YEAR if dated else np.arange(1.0, len(found) + 1.0)
+    U = np.array([expanded_apart(c)[index] for c in found])
+    if change.per_year is not None:
+        line = np.array([x.min(), x.max()])
+        slope, about = change.per_year.value, (np.mean(x), np.mean(values))
+        axes.plot(line, about[1] + slope * (line - about[0]), color=COLOURS[1], linewidth=0.9)
+        wide = change.per_year.U * np.abs(line - about[0])
+        middle = about[1] + slope * (line - about[0])
+        axes.fill_between(line, middle - wide, middle + wide, color=COLOURS[1], alpha=0.15)
+    axes.errorbar(
+        x,
+        values,
+        yerr=np.where(np.isfinite(U), U, 0.0),
+        color=COLOURS[0],
+        marker=MARKERS[0],
+        linestyle="none",
+        markeredgewidth=1.0,
+        elinewidth=0.9,
+        capsize=2.0,
+        capthick=1.0,
+    )
+    limit = change.limit
+    sides = limit if isinstance(limit, tuple) else ()
+    if isinstance(limit, float):
+        sides = (values[0] - limit, values[0] + limit)
+    for side in sides:
+        if side is not None:
+            axes.axhline(side, color=COLOURS[2], linewidth=0.9, linestyle="--")
+    axes.set_xlabel("year" if dated else "run")
+    axes.set_xticks(np.unique(np.round(x)))
+    axes.xaxis.set_major_formatter("{x:.0f}")
+    due = f"; due {change.due}" if change.due else ""
+    write_title(axes, f"{change.name}{due}")
+    name_axis(axes.yaxis, "", found[0].model.units[index])
 
 
 def draw_terms(comparison: RegressionComparison, axes: "Axes") -> None:

@@ -39,8 +39,10 @@ _DPI = 200  # dots per inch of a .png
 _DRAWING = Lock()
 
 
-def new_figure(rows: int = 1, *, width: float = 5.8, height: float = 2.6) -> "tuple[Figure, Any]":
-    """Return a figure of so many axes below each other, and the axes (rows,); sizes in inches."""
+def new_figure(
+    rows: int = 1, columns: int = 1, *, width: float = 5.8, height: float = 2.6
+) -> "tuple[Figure, Any]":
+    """Return a figure of axes in rows and columns, and the axes, row by row; sizes in inches."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -55,7 +57,7 @@ def new_figure(rows: int = 1, *, width: float = 5.8, height: float = 2.6) -> "tu
         layout=layout,
     )
     edges = {"left": 0.125, "right": 0.9, "bottom": 0.11, "top": 0.88}  # before the layout
-    axes = figure.subplots(rows, 1, squeeze=False, gridspec_kw=edges)[:, 0]
+    axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw=edges).ravel()
     for one in axes:
         _dress(one)
     return figure, axes

@@ -39,11 +39,12 @@ from multipos.numerics.quantiles import check_confidence, t_tail
 from multipos.numerics.terms import CONSTANT
 from multipos.regression.regression import Regression, Regressions, all_of
 from multipos.regression.regression_file import SCHEMA, load_regression
-from multipos.results import Drawn, Result, data_frame
+from multipos.results import Drawn, Result, data_frame, plain
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.verification.combining import combine_sessions
 from multipos.verification.consistency import Judgement, judge_repeats
+from multipos.verification.recalibration import Change, LimitsSource, find_changes
 from multipos.verification.regression_comparison import (
     RegressionComparison,
     compare_regressions,
@@ -105,6 +106,12 @@ def _clock(calibrations: Sequence[Calibration]) -> tuple[Array, str]:
     return np.arange(1.0, len(known) + 1.0), GIVEN
 
 
+def since_1970(calibrations: Sequence[Calibration]) -> Array | None:
+    """Return when the readings were taken [s since 1970], where their times say it."""
+    at, times = _clock(calibrations)
+    return at if times == ABSOLUTE else None
+
+
 def _are_apart(times: Sequence[Array]) -> bool:
     """Tell whether none begins before another has ended."""
     spans = sorted((float(time.min()), float(time.max())) for time in times)
@@ -153,6 +160,8 @@ class Comparison(Result, Drawn):
         That of all sessions, where it was asked for.
     doubts : tuple of Doubt
         The texts of these are the first warnings.
+    changes : tuple of Change
+        Between the first and the last; empty for several methods on the same readings.
     """
 
     calibrations: tuple[Calibration, ...]
@@ -180,6 +189,13 @@ class Comparison(Result, Drawn):
     warnings: tuple[str, ...]
     combined: Calibration | None = None
     doubts: tuple[Doubt, ...] = ()
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def largest(self) -> Change | None:
+        """The change with the largest E_n."""
+        judged = [each for each in self.changes if math.isfinite(each.En)]
+        return max(judged, key=lambda each: each.En, default=None)
 
     def to_pandas(self) -> Any:
         """Return the parameters as a data frame: their values by run, mean, sd, drift and p.
@@ -242,6 +258,8 @@ class Comparison(Result, Drawn):
             "p": self.p_total,
             "test": self.test,
             "consistent": self.consistent,
+            "changes": [plain(each) for each in self.changes],
+            "largest": self.largest and {"name": self.largest.name, "En": self.largest.En},
             "drift_per": self.per,
             "drift_times": self.times,
             "doubts": [doubt.to_dict() for doubt in self.doubts],
@@ -251,7 +269,10 @@ class Comparison(Result, Drawn):
 
 
 def compare(
-    *calibrations: "Run | Sequence[Run]", confidence: float = 0.95, combine: bool = False
+    *calibrations: "Run | Sequence[Run]",
+    confidence: float = 0.95,
+    combine: bool = False,
+    limits: LimitsSource | None = None,
 ) -> Comparison | RegressionComparison:
     """Compare repeated calibrations of one unit, or several methods on the same readings.
 
@@ -263,6 +284,9 @@ def compare(
         They are called inconsistent where chance would do so with probability 1 − confidence.
     combine : bool
         Make one calibration of them, `combined`, whose U holds how sessions differ.
+    limits : path, mapping of name to (low, high), or text, optional
+        What a parameter may be, from a file as of `multipos.fleet`; a text such as
+        'bias=1mg,scale=500ppm' says how far it may have changed, by name or kind.
 
     Returns
     -------
@@ -292,16 +316,23 @@ def compare(
     found = tuple(one for one in loaded if isinstance(one, Calibration))
     regressions = [all_of(one) for one in loaded if not isinstance(one, Calibration)]
     if not regressions:
-        return _compare(found, files, confidence, combine=combine)
+        return _compare(found, files, confidence, combine=combine, limits=limits)
     if found:
         raise UsageError("calibrations and regressions are no repeats; compare one kind.")
+    if limits is not None:
+        raise UsageError("--limits are of calibrations; a regression has terms of its own.")
     if combine:
         raise UsageError("--combine is for calibrations; fit runs of a regression with --run.")
     return compare_regressions(regressions, files, confidence)
 
 
 def _compare(
-    found: tuple[Calibration, ...], files: tuple[str, ...], confidence: float, *, combine: bool
+    found: tuple[Calibration, ...],
+    files: tuple[str, ...],
+    confidence: float,
+    *,
+    combine: bool,
+    limits: LimitsSource | None,
 ) -> Comparison:
     _check_alike(found, files)
     combined = combine_sessions(found, files) if combine else None
@@ -345,6 +376,7 @@ def _compare(
         warnings=tuple(warnings),
         combined=combined,
         doubts=doubts,
+        changes=() if same else find_changes(found, since_1970(found), limits),
     )
 
 
@@ -406,7 +438,7 @@ def _loaded(run: Run) -> Calibration | Regression | Regressions:
 
 
 def comparison_text(found: Comparison) -> str:
-    """Return a comparison as text."""
+    """Return a comparison as text: whether they agree, what changed, then run by run."""
     lines = [
         f"{i}  {file}  ({c.created})"
         for i, (file, c) in enumerate(zip(found.files, found.calibrations, strict=True), start=1)
@@ -414,6 +446,7 @@ def comparison_text(found: Comparison) -> str:
     model = found.calibrations[0].model
     stability = [[output, number(sd, 3)] for output, sd in found.bias_stability.items()]
     parts = [
+        *_answer(found),
         *(f"{doubt.severity}: {doubt.text}" for doubt in found.doubts),
         "\n".join(lines),
         _parameter_table(found),
@@ -424,6 +457,52 @@ def comparison_text(found: Comparison) -> str:
         *(f"warning: {warning}" for warning in besides(found.warnings, found.doubts)),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _answer(found: Comparison) -> list[str]:
+    """Return whether the last agrees with the first, as a sentence, and the table of changes."""
+    largest = found.largest
+    if largest is None:
+        return []
+    agree = sum(each.En <= 1.0 for each in found.changes)
+    total = len(found.changes)
+    said = (
+        f"{agree} of {total} parameters agree with the first calibration's within U (largest E_n "
+        f"{largest.En:.2f}, {largest.name})."
+    )
+    limited = [each for each in found.changes if each.within is not None]
+    if limited:
+        beyond = [each.name for each in limited if not each.within]
+        said += f" {len(limited) - len(beyond)} of {len(limited)} are within their limits"
+        said += f"; beyond: {', '.join(beyond)}." if beyond else "."
+        due = min((each.due for each in limited if each.due), default=None)
+        said += f" Next calibration due {due}." if due else ""
+    header = ["parameter", "unit", "change", "U", "E_n", "per year", "U", "limit", "within", "due"]
+    rows = []
+    units = found.calibrations[0].model.units
+    for unit, each in zip(units, found.changes, strict=True):
+        rate = each.per_year
+        rows.append(
+            [
+                each.name,
+                unit,
+                *(number(each.change, 3), number(each.U, 2), number(each.En, 2)),
+                *(("", "") if rate is None else (number(rate.value, 3), number(rate.U, 2))),
+                _limit_in_words(each.limit),
+                {True: "yes", False: "NO", None: ""}[each.within],
+                each.due or "",
+            ]
+        )
+    kept = [i for i in range(len(header)) if i < 5 or any(row[i] for row in rows)]
+    shown = [[row[i] for i in kept] for row in rows]
+    return [said, table([header[i] for i in kept], shown, left=2)]
+
+
+def _limit_in_words(limit: float | tuple[float | None, float | None] | None) -> str:
+    if isinstance(limit, tuple):
+        low, high = ("" if side is None else number(side, 3) for side in limit)
+        return f"{low} … {high}"
+    return "" if limit is None else number(limit, 3)
 
 
 def _parameter_table(found: Comparison) -> str:

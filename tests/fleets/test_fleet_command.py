@@ -264,7 +264,7 @@ def test_limits_that_are_none(tmp_path, table, text, said, capsys):
 
 
 def test_limits_of_toml_are_those_of_csv(tmp_path):
-    from multipos.fleets.quality import read_limits
+    from multipos.files.limits import read_limits
 
     one, other = tmp_path / "limits.csv", tmp_path / "limits.toml"
     one.write_text(LIMITS)

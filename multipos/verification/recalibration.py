@@ -1,0 +1,268 @@
+"""Is it still the same instrument? Changes of a recalibration, their rate, and the next due date.
+
+Of a parameter p with values p₁ of the first calibration and p_R of the last, each with the expanded
+uncertainty U of what they do not share (budget and gravity taken out),
+
+    change = p_R − p₁,    U² = U₁² + U_R²,    E_n = |change| / U,                             (1)
+
+E_n ≤ 1 says that both agree (ISO/IEC 17043 uses it between laboratories). Over the time T between
+two calibrations the rate is change / T with U / T. For three and more it is the slope of the
+weighted straight line, w = 1/u²,
+
+    rate = S_w(t − t̄)p / S_w(t − t̄)²,    u² = max(1, χ²/(R − 2)) / S_w(t − t̄)²,             (2)
+
+U with the k of the calibrations, or, where χ² rejects a straight line at 5 %, with Student's on
+R − 2 degrees of freedom. With a
+limit on the change, or on the value, the next calibration is due when the value that the rate
+predicts, or the end of its U, reaches the limit,
+
+    |change + rate Δ| + U_rate Δ = limit,                                                    (3)
+
+Δ from the last calibration: the drift method, the simplest of ILAC-G24 / OIML D 10 that uses the
+measured rate of this instrument. Beyond ten years no date is given.
+
+References
+----------
+ILAC-G24:2022 / OIML D 10:2022 (recalibration intervals); ISO/IEC 17043 (E_n).
+"""
+
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from multipos.errors import UsageError
+from multipos.files.limits import Limit, read_limits
+from multipos.files.spelling import near
+from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import chi2_quantile, coverage_factor, coverage_factors
+from multipos.results import Keyed
+from multipos.sensor.calibration import Calibration
+from multipos.uncertainty.propagation import evaluate_budget
+
+YEAR = 365.25 * 86400.0  # s
+_LEVEL = 0.05  # at which χ² rejects a straight line
+_LONGEST = 10.0  # years to a due date
+_SHORTEST = 1.0 / 365.25  # years between calibrations, below which there is no rate
+_STATED = re.compile(r"^(?P<value>[\d.]+(?:[eE][+-]?\d+)?)\s*(?P<unit>.*)$")
+_OF_G = {"g": 1.0, "mg": 1e-3, "ug": 1e-6, "µg": 1e-6, "μg": 1e-6}
+_RELATIVE = {"%": 1e-2, "ppm": 1e-6, "mrad": 1e-3}
+
+
+class Rate(NamedTuple):
+    """Change per year, and its expanded uncertainty."""
+
+    value: float
+    U: float
+
+
+@dataclass(frozen=True, eq=False)
+class Change(Keyed):
+    """What became of one parameter between the first and the last calibration.
+
+    Attributes
+    ----------
+    output, term, name : str
+    change, U, En : float
+        Eq. (1); U and En are NaN where a calibration has no degrees of freedom.
+    per_year : Rate or None
+        Eq. (2); None where the dates are not a day apart.
+    limit : float, or pair of float or None, or None
+        On |change|, or [lower, upper] of the value.
+    within : bool or None
+        None without a limit.
+    due : str or None
+        ISO date by eq. (3); None without a rate or a limit, or beyond ten years.
+    """
+
+    output: str
+    term: str
+    name: str
+    change: float
+    U: float
+    En: float
+    per_year: Rate | None
+    limit: float | tuple[float | None, float | None] | None
+    within: bool | None
+    due: str | None
+
+
+def dates_of(found: Sequence[Calibration], seconds: Array | None) -> Array:
+    """Return when calibrations were made [s since 1970]: by their readings, else by their files."""
+    return np.array([_seconds(c.created) for c in found]) if seconds is None else seconds
+
+
+def find_changes(
+    found: Sequence[Calibration], seconds: Array | None, limits: "LimitsSource | None"
+) -> tuple[Change, ...]:
+    """Return the changes of every parameter, eqs. (1) to (3).
+
+    Parameters
+    ----------
+    found : R calibrations, in the order of time
+    seconds : (R,) array or None
+        When each was made, since 1970; None takes the dates of the files.
+    limits : path, mapping, or text such as 'bias=1mg,scale=500ppm', optional
+        A file or mapping limits the value, a text |change| by name or kind.
+    """
+    last = found[-1]
+    at = dates_of(found, seconds)
+    years = (at - at[0]) / YEAR
+    U = np.array([expanded_apart(c) for c in found])
+    values = np.array([c.parameters for c in found])
+    change, both = values[-1] - values[0], np.hypot(U[0], U[-1])
+    rates = _rates(years, values, U, last) if np.ptp(years) >= _SHORTEST else None
+    stated = _stated_limits(limits, last)
+    changes = []
+    for i, (name, (output, term)) in enumerate(zip(last.names, last.model.keys, strict=True)):
+        rate = None if rates is None else Rate(*rates[:, i].tolist())
+        low, high, value = _bounds(stated.get(name), values[0, i], values[-1, i])
+        limited = stated.get(name) is not None
+        changes.append(
+            Change(
+                output=output,
+                term=str(term),
+                name=name,
+                change=float(change[i]),
+                U=float(both[i]),
+                En=float(abs(change[i]) / both[i]) if both[i] > 0.0 else math.nan,
+                per_year=rate,
+                limit=stated.get(name),
+                within=bool(low <= value <= high) if limited else None,
+                due=_due(value, rate, low, high, float(at[-1])) if limited else None,
+            )
+        )
+    return tuple(changes)
+
+
+def expanded_apart(c: Calibration) -> Array:
+    """Return U (p,) of what a calibration does not share with others."""
+    variance = np.diag(evaluate_budget(c).independent)
+    alone = np.isclose(variance, c.u**2, rtol=1e-9, atol=0.0)
+    dof = np.where(alone, c.parameter_dof, c.dof_of_outputs)
+    return np.asarray(coverage_factors(c.confidence, dof) * np.sqrt(variance))
+
+
+def _seconds(created: str) -> float:
+    try:
+        made = datetime.fromisoformat(created)
+    except ValueError:
+        return 0.0  # a file of another hand: no rate
+    return (made if made.tzinfo else made.replace(tzinfo=UTC)).timestamp()
+
+
+def _rates(years: Array, values: Array, U: Array, c: Calibration) -> Array:
+    """Return rate and U (2, p) per year, eq. (2); of two calibrations the difference over time."""
+    if len(years) == 2:
+        span = years[1] - years[0]
+        return np.array([values[1] - values[0], np.hypot(U[0], U[1])]) / span
+    k = coverage_factors(c.confidence, c.parameter_dof)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        w = np.where(U > 0.0, (k / U) ** 2, 1.0)
+    mean = (w * years[:, None]).sum(axis=0) / w.sum(axis=0)
+    t = years[:, None] - mean
+    square = (w * t**2).sum(axis=0)
+    slope = (w * t * values).sum(axis=0) / square
+    left = values - (w * values).sum(axis=0) / w.sum(axis=0) - slope * t
+    excess = (w * left**2).sum(axis=0) / (len(years) - 2)
+    dof = len(years) - 2.0
+    rejected = excess * dof > chi2_quantile(1.0 - _LEVEL, dof)
+    factor = np.where(rejected, coverage_factor(c.confidence, dof), k)
+    return np.array([slope, factor * np.sqrt(np.maximum(excess, 1.0) / square)])
+
+
+def _bounds(
+    limit: "float | tuple[float | None, float | None] | None", first: float, last: float
+) -> tuple[float, float, float]:
+    """Return the lower and upper bound of what is limited, and where it is now."""
+    if isinstance(limit, tuple):
+        low, high = limit
+        return -math.inf if low is None else low, math.inf if high is None else high, last
+    return (-math.inf, math.inf, last) if limit is None else (-limit, limit, last - first)
+
+
+def _due(value: float, rate: Rate | None, low: float, high: float, at: float) -> str | None:
+    """Return the date on which the rate, or the end of its U, reaches a bound, eq. (3)."""
+    if rate is None or not math.isfinite(rate.U):
+        return None
+    years = 0.0
+    if low <= value <= high:
+        up, down = rate.value + rate.U, rate.U - rate.value
+        reached = [(high - value) / up] if up > 0.0 else []
+        reached += [(value - low) / down] if down > 0.0 else []
+        years = min(reached, default=math.inf)
+    if not years <= _LONGEST:
+        return None
+    day = date(1970, 1, 1) + timedelta(seconds=at)
+    return (day + timedelta(days=365.25 * years)).isoformat()
+
+
+LimitsSource = str | os.PathLike[str] | dict[str, Any]
+
+
+def _stated_limits(
+    limits: LimitsSource | None, c: Calibration
+) -> dict[str, float | tuple[float | None, float | None]]:
+    """Return the limit of each parameter that has one."""
+    if limits is None:
+        return {}
+    if isinstance(limits, str) and "=" in limits:
+        return _of_changes(limits, c)
+    known = {one.name: one for one in read_limits(limits)}
+    strange = [name for name in known if name not in c.names]
+    if strange:
+        raise UsageError(
+            f"--limits: there is no parameter '{strange[0]}'{near(strange[0], c.names)}"
+        )
+    return {name: _pair(one) for name, one in known.items()}
+
+
+def _pair(limit: Limit) -> tuple[float | None, float | None]:
+    low, high = (side if math.isfinite(side) else None for side in (limit.lsl, limit.usl))
+    return low, high
+
+
+def _of_changes(text: str, c: Calibration) -> dict[str, float | tuple[float | None, float | None]]:
+    """Return limits on |change|, by name or kind, of a text as 'bias=1mg,scale=500ppm'."""
+    found: dict[str, float | tuple[float | None, float | None]] = {}
+    kinds = [name.partition("_")[0] for name in c.names]
+    for part in text.split(","):
+        name, _, stated = (piece.strip() for piece in part.partition("="))
+        match = _STATED.match(stated)
+        meant = [n for n, kind in zip(c.names, kinds, strict=True) if name in (n, kind)]
+        if not meant:
+            offered = near(name, (*dict.fromkeys(kinds), *c.names))
+            raise UsageError(f"--limits: there is no parameter nor kind '{name}'{offered}")
+        if match is None:
+            raise UsageError(f"--limits: '{part.strip()}' is no limit; write one as in bias=1mg.")
+        for each in meant:
+            found[each] = _in_unit(float(match["value"]), match["unit"], each, c)
+    return found
+
+
+def _in_unit(value: float, unit: str, name: str, c: Calibration) -> float:
+    """Return a limit in the unit of a parameter; g and ppm are of the output's own scale."""
+    i = c.names.index(name)
+    own = c.model.units[i]
+    if unit in ("", own):
+        return value
+    output = c.model.keys[i][0]
+    scale = next(
+        (
+            abs(float(v))
+            for n, v in zip(c.names, c.parameters, strict=True)
+            if n == f"scale_{output}"
+        ),
+        1.0,
+    )
+    factor = _OF_G.get(unit) if name.startswith("bias_") else None
+    factor = _RELATIVE.get(unit) if factor is None else factor
+    if factor is None:
+        known = ", ".join(dict.fromkeys((own, *_RELATIVE, *(_OF_G if name[:4] == "bias" else ()))))
+        raise UsageError(f"--limits: '{unit}' is no unit of {name}; give one of {known}.")
+    return value * factor * scale
