@@ -4,14 +4,20 @@ A fit with no degrees of freedom passes through every reading, right or wrong, a
 zero to rounding, say nothing. With orientations unknown a position is one equation, however
 many outputs it has. Positions that are much alike separate the parameters badly: at a condition of
 10⁴ four of sixteen digits are gone, and every error of the model is as much larger. And a scale
-factor that U leaves open by a fifth is no result, however it came about.
+factor that U leaves open by a fifth is no result, however it came about. Where nothing is left to
+contradict it, a fit that the noise stated, or else one of 1 mg, moves by a tenth of a g or of a
+scale factor is an error: with the gain G of the estimator by √(Σ G² u²).
 """
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.doubt import Doubt
+from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import Array
+from multipos.positions.readings import diagonal
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import Model
@@ -19,6 +25,8 @@ from multipos.sensor.model import Model
 _POOR = 0.02  # U of a linear term, as a share of the scale factor of its output
 _OPEN = 0.2  # likewise of an own scale factor, where the positions are known
 _ILL_CONDITIONED = 1e4
+_TYPICAL = 1e-3  # [g], noise of a reading of which nothing is stated
+_BEYOND = 0.1  # standard deviations of a linear term in scale factors, beyond any sensor
 
 
 def no_redundancy(c: Calibration) -> Doubt | None:
@@ -31,6 +39,15 @@ def no_redundancy(c: Calibration) -> Doubt | None:
     else:
         return None
     if spare <= 0:
+        name, moved = _moved_by_noise(c)
+        if moved > _BEYOND:
+            noise = "their noise" if c.readings.noise is not None else "a noise of 1 mg"
+            return Doubt(
+                "no-residuals",
+                "implausible",
+                f"{n} positions for as many parameters: nothing contradicts the fit, and {noise} "
+                f"moves {name} by {100.0 * moved:.2g} % of one g; add positions that differ more",
+            )
         return Doubt(
             "no-redundancy",
             "caution",
@@ -38,6 +55,20 @@ def no_redundancy(c: Calibration) -> Doubt | None:
             "nothing shows whether it is right; add positions",
         )
     return _poorly_known(c) if c.estimator == Estimator.UNKNOWN else None
+
+
+def _moved_by_noise(c: Calibration) -> tuple[str, float]:
+    """Return the linear term that noise moves most, and by how much of the scale factor."""
+    readings = c.readings
+    response = np.linalg.norm(c.sensitivity, axis=1)
+    sd = np.full(readings.values.shape, _TYPICAL * float(response.max()))
+    if readings.noise is None:
+        c = replace(c, readings=replace(readings, u=sd), variance_components=None)
+    else:
+        sd = np.sqrt(diagonal(readings.noise)).reshape(readings.values.shape)
+    u = np.sqrt(np.sum((estimator_gain(c) * sd.ravel()) ** 2, axis=1))
+    share = _shares(c.model, c.parameters[None], u[None])[0]
+    return c.names[int(np.argmax(share))], float(share.max())
 
 
 def hardly_told(c: Calibration) -> Doubt | None:

@@ -147,6 +147,7 @@ def _parity(term: Term, axes: set[str]) -> float:
 
 
 _TIED = "the listed directions leave no rotation of the case to choose"
+_SPARE = 3  # degrees of freedom of a robust fit: at two of six faces U held 6 to 48 %
 _ROLLED = "the rolls of open angle say which rotation of the case is free, if any"
 
 
@@ -419,6 +420,8 @@ def calibrate_at(
         note = f"--gauge {options.gauge} has no effect: {tied}"
         readings = replace(readings, notes=(*readings.notes, note))
     estimator = choose_estimator(options, placement)
+    if options.robust is not None:
+        _require_spare(model, len(readings), unknown=estimator is Estimator.UNKNOWN)
     readings = steady_floors(readings)
     solve = _solver(estimator, readings, placement, options)
     chosen = None
@@ -456,6 +459,16 @@ def _require_one_unit(readings: Readings, gravity: Gravity | None) -> None:
             f"{readings.source or 'the readings'}: position '{label}' is at rest in gravity, "
             "others have a known force in standard g; give --gravity or --latitude, so that both "
             "are in one unit."
+        )
+
+
+def _require_spare(model: Model, n: int, *, unknown: bool) -> None:
+    """Refuse a robust loss where so little is left that it goes through what it should doubt."""
+    spare = n - (len(model.keys) if unknown else max(len(terms) for terms in model.terms))
+    if spare < _SPARE:
+        raise UsageError(
+            f"--robust needs {_SPARE} degrees of freedom, and {n} positions leave {max(spare, 0)} "
+            f"with the model '{model.text}'; leave it out, or add positions."
         )
 
 

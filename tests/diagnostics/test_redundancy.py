@@ -77,3 +77,25 @@ def test_a_scale_factor_that_u_leaves_open_is_said():
         mp.fit(noisy).diagnostics.warnings
     )
     assert "no-redundancy" not in codes(mp.fit(mp.Readings(readings().values, up=UP)))
+
+
+def test_poses_near_one_direction_that_nothing_contradicts_are_no_result():
+    # nine poses within 30° of z: every residual is zero, and 1 mg moves parameters by several g
+    rng = np.random.default_rng(1)
+    up = rng.standard_normal((4000, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    near, spread = up[up[:, 2] > np.cos(np.radians(30.0))][:9], mp.read_scheme("fibonacci-9").up
+    found = {}
+    for name, at in (("near", near), ("spread", spread)):
+        values = [0.01, -0.02, 0.03] + at * [1.012, 0.991, 1.008]
+        values += 1e-4 * rng.standard_normal((9, 3))
+        cal = mp.fit(mp.Readings(values, unit="g"), unknown_orientation=True)
+        found[name] = cal.diagnostics.doubts[0]
+    assert (found["near"].code, found["near"].implausible) == ("no-residuals", True)
+    assert (found["spread"].code, found["spread"].implausible) == ("no-redundancy", False)
+
+
+def test_a_robust_fit_of_six_faces_is_refused():
+    values = mp.read_scheme("faces-6").up + 1e-3
+    with pytest.raises(mp.UsageError, match="3 degrees of freedom, and 6 positions leave 2"):
+        mp.fit(mp.Readings(values), scheme="faces-6", robust="huber")
