@@ -69,7 +69,7 @@ def steady_floors(readings: Readings) -> Readings:
     least = float(readings.dof.min())
     if least >= _FEW:
         return replace(readings, u=u)
-    few = poorly_known(readings.dof[None])[0]
+    few = np.mean(readings.dof < _FEW, axis=0) > 0.5
     said = (
         f"the readings' uncertainties have as few as {least:.2g} degrees of freedom: they are "
         "drawn towards what they have in common, and U is larger for it"
@@ -81,11 +81,6 @@ def steady_floors(readings: Readings) -> Readings:
             "count by their numbers of samples, and U follows from the residuals"
         )
     return replace(readings, u=u, notes=(*readings.notes, said))
-
-
-def poorly_known(dof: Array) -> NDArray[np.bool_]:
-    """Tell of which outputs (B, M) most u have few degrees of freedom (B, n, M)."""
-    return np.asarray(np.mean(dof < _FEW, axis=1) > 0.5)
 
 
 def _by_samples(u: Array, dof: Array, samples: Array) -> Array:
@@ -135,7 +130,6 @@ def take_claims(stated: Sequence[Array], claimed: Sequence[Array]) -> Claims:
         return Claims(np.where(sound[:, None, None], u, 1.0), None, sound)
     dof = np.stack(list(claimed), axis=2)
     sound &= ((dof >= 1.0) & np.isfinite(dof)).all(axis=(1, 2))
-    sound &= ~poorly_known(dof).any(axis=1)  # which eq. (1a) may be of
     u, dof = (np.where(sound[:, None, None], each, 1.0) for each in (u, dof))
     return Claims(drawn_together(u, dof), dof, sound)
 

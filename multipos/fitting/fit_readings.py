@@ -420,8 +420,8 @@ def calibrate_at(
         note = f"--gauge {options.gauge} has no effect: {tied}"
         readings = replace(readings, notes=(*readings.notes, note))
     estimator = choose_estimator(options, placement)
-    if options.robust is not None:
-        _require_spare(model, len(readings), unknown=estimator is Estimator.UNKNOWN)
+    if options.robust is not None and placement.exact:
+        _require_spare(model, len(readings))
     readings = steady_floors(readings)
     solve = _solver(estimator, readings, placement, options)
     chosen = None
@@ -462,9 +462,9 @@ def _require_one_unit(readings: Readings, gravity: Gravity | None) -> None:
         )
 
 
-def _require_spare(model: Model, n: int, *, unknown: bool) -> None:
+def _require_spare(model: Model, n: int) -> None:
     """Refuse a robust loss where so little is left that it goes through what it should doubt."""
-    spare = n - (len(model.keys) if unknown else max(len(terms) for terms in model.terms))
+    spare = n - max(len(terms) for terms in model.terms)
     if spare < _SPARE:
         raise UsageError(
             f"--robust needs {_SPARE} degrees of freedom, and {n} positions leave {max(spare, 0)} "

@@ -239,6 +239,8 @@ def find_pattern(
     asked = c.robust_weight is None and are_asked(c.model, c.readings, c.reference, c.estimator)
     alike = c.estimator is Estimator.LINEAR and c.readings.noise is None
     whole = options.get("range") is None and options.get("exclude", "none") == "none"
+    # Rests of a log are weighed by their numbers of samples where few of these are independent.
+    whole &= c.readings.samples is None or c.readings.dof is None
     if not (plain and whole) or (asked and not alike):
         return None
     try:
