@@ -125,7 +125,7 @@ class Setting:
         up : (n, 3) array
             In the order of time.
         """
-        M, row = len(self.model.outputs), np.arange(len(up)) - 0.5 * (len(up) - 1)
+        M, row = len(self.model.outputs), np.asarray(np.arange(len(up)) - 0.5 * (len(up) - 1))
         blocks = self.rows(up)
         shares = []
         for i in range(M):

@@ -141,7 +141,7 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
         D = P @ np.column_stack(list(second.values())) * (2.0**t / PER_G)
     r = _shift(np.abs(D).sum(axis=1).max(initial=0.0), _SUM, 0.0, _CONSTANT) if second else 0
     quadratic = _whole(D, r)
-    used = quadratic.any(axis=0)
+    used = np.asarray(quadratic.any(axis=0))
     steps = counted_steps(c, theta[:, columns], _TOLERANCE / PER_G) if used.any() else 0
     if steps > _MOST_STEPS:
         raise MultiposError(

@@ -21,7 +21,7 @@ import numpy as np
 
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
-from multipos.files.limits import LimitsSource, read_limits
+from multipos.files.limits import Limit, LimitsSource, read_limits
 from multipos.files.pipes import is_there
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source
@@ -34,7 +34,6 @@ from multipos.fleets.line import find_drift, find_outliers
 from multipos.fleets.pictures import charts, histogram
 from multipos.fleets.quality import (
     PASS,
-    Limit,
     Verdicts,
     column,
     describe,

@@ -160,7 +160,7 @@ def _rates(years: Array, values: Array, U: Array, c: Calibration) -> Array:
     """Return rate and U (2, p) per year, eq. (2); of two calibrations the difference over time."""
     if len(years) == 2:
         span = years[1] - years[0]
-        return np.array([values[1] - values[0], np.hypot(U[0], U[1])]) / span
+        return np.asarray(np.array([values[1] - values[0], np.hypot(U[0], U[1])]) / span)
     k = coverage_factors(c.confidence, c.parameter_dof)
     with np.errstate(divide="ignore", invalid="ignore"):
         w = np.where(U > 0.0, (k / U) ** 2, 1.0)
@@ -173,7 +173,7 @@ def _rates(years: Array, values: Array, U: Array, c: Calibration) -> Array:
     dof = len(years) - 2.0
     rejected = excess * dof > chi2_quantile(1.0 - _LEVEL, dof)
     factor = np.where(rejected, coverage_factor(c.confidence, dof), k)
-    return np.array([slope, factor * np.sqrt(np.maximum(excess, 1.0) / square)])
+    return np.asarray([slope, factor * np.sqrt(np.maximum(excess, 1.0) / square)])
 
 
 def _bounds(
