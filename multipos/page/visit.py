@@ -9,6 +9,7 @@ directions of three axes, and otherwise unknown orientations.
 
 import json
 import warnings
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from inspect import signature
@@ -25,6 +26,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.exports.targets import export
 from multipos.files.numbers import number
 from multipos.files.tables import write_table
+from multipos.files.whole import first_bytes
 from multipos.fitting.calibrate_logs import calibrate
 from multipos.fitting.fit_readings import fit
 from multipos.logs.opening import open_log, read_log
@@ -46,6 +48,7 @@ _NEXT = 3  # best positions shown
 _ONE_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1000.0}
 _NEAR = 0.15  # how far one g may read from one
 _ALONG = 0.8  # of a reading, the share along its axis: up to 37 degrees from a face
+_MOST_BYTES = 300_000_000  # of a file unpacked: what fits into a browser with its copies
 _OUT = Path("multipos-downloads")
 
 
@@ -69,6 +72,9 @@ class Visit:
             found = {"error": tr.message(str(error))}
         except MemoryError:
             found = {"error": tr("The data do not fit into memory; give fewer rows.")}
+        except ImportError as error:  # of what the runtime does not carry
+            said = "This takes {name}, which the page lacks; use multipos on your machine."
+            found = {"error": tr(said, name=error.name or str(error))}
         except Exception as error:
             said = f"{type(error).__name__}: {error}; a fault of multipos {__version__}."
             found = {"error": said}
@@ -78,6 +84,8 @@ class Visit:
         self.calibration = None
         paths = [str(name) for name in asked["files"]]
         unit = asked["unit"] or None
+        for path in paths:
+            _refuse_large(path)
         self.kind, source = _chosen(paths, asked["kind"], unit)
         if isinstance(source, Readings):
             self.calibration = fit(source, unknown_orientation=self.kind == "free")
@@ -175,6 +183,7 @@ class Visit:
         else:
             calibration = self._made()
         source = Path(asked["files"][0])
+        _refuse_large(str(source))
         found = apply(calibration, str(source), tilt=bool(asked["tilt"]))
         path = _OUT / f"{source.name.partition('.')[0]}_compensated.csv"
         _OUT.mkdir(exist_ok=True)
@@ -213,6 +222,21 @@ def _chosen(paths: list[str], kind: str, unit: str | None) -> tuple[str, Reading
             )
         readings = replace(readings, up=faces, rotation=None)
     return kind, readings
+
+
+def _refuse_large(path: str) -> None:
+    """Refuse a packed file that would not fit into memory when it is unpacked."""
+    size = 0
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+    elif first_bytes(path, 2) == b"\x1f\x8b":
+        size = int.from_bytes(Path(path).read_bytes()[-4:], "little")
+    if size > _MOST_BYTES:
+        raise MultiposError(
+            f"{path} has {size / 1e6:.0f} MB unpacked, and this page takes "
+            f"{_MOST_BYTES / 1e6:.0f} MB: use multipos calibrate on your machine."
+        )
 
 
 def _is_short_table(path: str) -> bool:

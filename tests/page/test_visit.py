@@ -1,7 +1,9 @@
 """What the page answers, asked without a browser."""
 
+import gzip
 import json
 import warnings
+import zipfile
 
 import numpy as np
 import pytest
@@ -140,6 +142,29 @@ def test_what_is_at_fault_is_said_in_the_program_s_words(visit, tmp_path):
     assert "not six faces" in calibrate(visit, "few.csv", kind="six")["error"]
     assert "不是六面位置" in calibrate(visit, "few.csv", kind="six", language="zh")["error"]
     assert "no calibration yet" in visit("download", form="json")["error"]
+
+
+def test_what_the_runtime_lacks_is_named(visit, tmp_path, monkeypatch):
+    def fit(*given, **options):
+        raise ModuleNotFoundError("No module named 'scipy'", name="scipy")
+
+    (tmp_path / "r.csv").write_text(README)
+    monkeypatch.setattr("multipos.page.visit.fit", fit)
+    said = calibrate(visit, "r.csv")["error"]
+    assert said == "This takes scipy, which the page lacks; use multipos on your machine."
+
+
+def test_what_would_be_too_large_unpacked_is_refused(visit, tmp_path):
+    with gzip.open(tmp_path / "log.csv.gz", "wb", compresslevel=1) as stream:
+        for _ in range(301):
+            stream.write(bytes(1_000_000))
+    with zipfile.ZipFile(tmp_path / "phone.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(tmp_path / "log.csv.gz", "a.csv")  # a small one passes this gate
+    said = calibrate(visit, "log.csv.gz")["error"]
+    assert said.startswith("log.csv.gz has 301 MB unpacked, and this page takes 300 MB")
+    said = calibrate(visit, "log.csv.gz", language="zh")["error"]
+    assert said.startswith("log.csv.gz 解压后有 301 MB")
+    assert "unpacked" not in calibrate(visit, "phone.zip")["error"]
 
 
 def test_a_plan_is_a_scheme_that_can_be_read(visit):
