@@ -163,7 +163,7 @@ async function calibrate() {
     fail(T("There are no rows: drop a file, paste rows, or press Example."));
     return;
   }
-  const request = { do: "calibrate", kind: $("kind").value, unit: $("unit").value };
+  const request = { do: "calibrate", kind: $("kind").value, unit: $("unit").value, outputs: $("outputs").value };
   const answer = await run(request, chosen.length ? chosen : [rows]);
   $("result").hidden = !answer;
   if (!answer) return;

@@ -86,11 +86,12 @@ class Visit:
         unit = asked["unit"] or None
         for path in paths:
             _refuse_large(path)
-        self.kind, source = _chosen(paths, asked["kind"], unit)
+        outputs = asked.get("outputs", "").strip() or None
+        self.kind, source = _chosen(paths, asked["kind"], unit, outputs)
         if isinstance(source, Readings):
             self.calibration = fit(source, unknown_orientation=self.kind == "free")
         else:
-            self.calibration = calibrate(*source, unit=unit)
+            self.calibration = calibrate(*source, unit=unit, outputs=outputs)
         self.name = Path(paths[0]).name.partition(".")[0] or "calibration"
         return self._show(asked, tr)
 
@@ -199,7 +200,9 @@ class Visit:
         return self.calibration
 
 
-def _chosen(paths: list[str], kind: str, unit: str | None) -> tuple[str, Readings | list[str]]:
+def _chosen(
+    paths: list[str], kind: str, unit: str | None, outputs: str | None
+) -> tuple[str, Readings | list[str]]:
     """Return the kind of data, and the readings of a table, or the logs.
 
     Raises
@@ -209,7 +212,7 @@ def _chosen(paths: list[str], kind: str, unit: str | None) -> tuple[str, Reading
     """
     if kind == "log" or (kind == "auto" and (len(paths) > 1 or not _is_short_table(paths[0]))):
         return "log", paths
-    readings = _with_unit(_read(paths[0], unit))
+    readings = _with_unit(_read(paths[0], unit, outputs))
     known = readings.up is not None or readings.force is not None
     faces = _faces(readings) if kind == "six" or (kind == "auto" and not known) else None
     if kind == "auto":
@@ -247,16 +250,16 @@ def _is_short_table(path: str) -> bool:
     return b"\0" not in head and not rest and head.count(b"\n") <= _MOST_READINGS
 
 
-def _read(path: str, unit: str | None) -> Readings:
+def _read(path: str, unit: str | None, outputs: str | None) -> Readings:
     """Return readings; a table without a header, or with blanks between its cells, as of a log."""
     lines = Path(path).read_text(encoding="utf-8", errors="replace").splitlines()
     first = next((line for line in lines if line.strip() and line[0] not in "#%/"), "")
     if any(letter.isalpha() for letter in first) and any(mark in first for mark in ",;\t"):
-        return read_readings(path, unit=unit)
+        return read_readings(path, unit=unit, outputs=outputs)
     columns = read_log(open_log(path))
-    if list(columns) == ["1", "2", "3"]:
+    if list(columns) == ["1", "2", "3"] and outputs is None:
         columns = dict(zip(("ax", "ay", "az"), columns.values(), strict=True))
-    return read_readings(columns, unit=unit)
+    return read_readings(columns, unit=unit, outputs=outputs)
 
 
 def _with_unit(readings: Readings) -> Readings:

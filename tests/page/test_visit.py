@@ -92,6 +92,18 @@ def test_other_rows_are_hand_held(visit, tmp_path):
     assert len(answer["next"]) == 3
 
 
+def test_outputs_may_be_named(visit):
+    log = mp.simulate_log(mp.demo().calibration, "all-26", rate=50, rest=4, sample_sd=1e-3, seed=1)
+    columns = {"p": log["time"], "q": log["ax"], "r": log["ay"], "s": log["az"]}
+    mp.write_table("log.csv", columns)
+    assert "--outputs" in calibrate(visit, "log.csv")["error"]
+    asked = {"files": ["log.csv"], "kind": "auto", "unit": "", "outputs": "q,r,s"}
+    assert [p["name"] for p in visit("calibrate", **asked)["parameters"]][:2] == [
+        "bias_q",
+        "scale_q",
+    ]
+
+
 def test_many_rows_are_a_log_and_several_files_too(visit):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
