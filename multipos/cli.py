@@ -23,11 +23,18 @@ from types import FrameType
 from typing import NoReturn, TextIO
 
 from multipos import __version__
-from multipos.commands.answers import deliver, settle
-from multipos.commands.options import warn
-from multipos.commands.parsers import COMMANDS, Parser, command, command_parser
-from multipos.errors import CalibrationWarning, MultiposError, UsageError
-from multipos.files.spelling import near, one_line
+
+# Libraries of linear algebra read this once, when NumPy is imported. Our factors are small: between
+# their steps threads wait for each other, and a second made commands up to eight times slower.
+_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+if "numpy" not in sys.modules and not any(name in os.environ for name in _THREADS):
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+
+from multipos.commands.answers import deliver, settle  # noqa: E402
+from multipos.commands.options import warn  # noqa: E402
+from multipos.commands.parsers import COMMANDS, Parser, command, command_parser  # noqa: E402
+from multipos.errors import CalibrationWarning, MultiposError, UsageError  # noqa: E402
+from multipos.files.spelling import near, one_line  # noqa: E402
 
 _INTERRUPTED = 130  # the status by which shells know Ctrl-C
 

@@ -62,6 +62,8 @@ from multipos.numerics.arrays import Array
 RANK = 1e-13  # singular values of the scaled design below this part of the largest are zero
 BLOCK = 8192  # numbers factored at once: in cache, and below the size that BLAS starts threads for
 
+_PRODUCTS = 250_000  # of one matrix product, below which BLAS starts no threads
+
 
 class Covariance:
     """V as unit matrix, variances or full; what whitens with it and colours again.
@@ -154,6 +156,16 @@ def factor(V: Covariance, X: Array) -> tuple[Array, Array]:
     for i, block in enumerate(blocks):
         Q[..., block, :] = Q[..., block, :] @ turns[..., i, :, :]
     return Q, R
+
+
+def gram(X: Array) -> Array:
+    """Return X'X, by pieces so small that BLAS starts no threads for one of them."""
+    n, p = X.shape
+    rows = max(_PRODUCTS // p**2, 1)
+    whole = n - n % rows
+    pieces = X[:whole].reshape(-1, rows, p)
+    rest = X[whole:]
+    return np.asarray(np.matmul(pieces.transpose(0, 2, 1), pieces).sum(axis=0) + rest.T @ rest)
 
 
 def column_norms(X: Array) -> Array:

@@ -1,6 +1,7 @@
 """The command line: its promises on output, and one clear line for every kind of bad input."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -571,3 +572,14 @@ def test_a_terminal_without_latin_letters_gets_json_escapes(here, monkeypatch):
     (here / "six.csv").write_text(SIX.replace("\n1,", "\né😀,", 1), encoding="utf-8")
     monkeypatch.setenv("PYTHONIOENCODING", "ascii")
     assert json.loads(process("fit", "six.csv", "--json").stdout)["positions"][0] == "é😀"
+
+
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise():
+    code = "import multipos.cli, os; print(os.environ.get('OPENBLAS_NUM_THREADS'))"
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    plain = {name: value for name, value in os.environ.items() if name not in names}
+    for stated, expected in (({}, "1"), ({"OMP_NUM_THREADS": "2"}, "None")):
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=plain | stated, capture_output=True, check=True
+        )
+        assert done.stdout.decode().strip() == expected
