@@ -7,7 +7,7 @@ MINPACK's Levenberg-Marquardt. Both start from the same ellipsoid.
 *What a user writes* is the same without a Jacobian and without an ellipsoid: `least_squares` from
 zero bias and unit matrix with `method="lm"`, and the covariance from its Jacobian. Beside it stands
 the whole of `multipos.fit`, which also reads and checks, finds its start in any unit, has the noise
-and its degrees of freedom, asks every doubt and tests every term that the model lacks.
+and its degrees of freedom, asks every finding and tests every term that the model lacks.
 """
 
 import tracemalloc

@@ -2,9 +2,10 @@
 
 A triad is calibrated at the positions of a scheme and checked by another run at the same ones, both
 written out here: y = b + M u + noise, u from the angles of the faces and edges of a cube. Printed,
-by what is known of the noise: the share of runs called inconsistent, of runs with a doubt, of runs
-in which a zero moved by 7 U between the days is told, and the median En. Then the same run with a
-true error of 2.5 mg in every output at every position against a limit of 3 mg: the share that fails
+by what is known of the noise: the share of runs called inconsistent, of runs with a finding, of
+runs in which a zero moved by 7 U between the days is told, and the median En. Then the same run
+with a true error of 2.5 mg in every output at every position against a limit of 3 mg: the share
+that fails
 by the worst of its errors, and by the verdict of the run.
 """
 
@@ -32,7 +33,7 @@ def main() -> None:
     rng = np.random.default_rng(chosen.seed)
     warnings.simplefilter("ignore", mp.CalibrationWarning)
     known = {"reading_sd": NOISE}
-    print("| noise | inconsistent | doubt | zero moved by 7 U told | median En |")
+    print("| noise | inconsistent | finding | zero moved by 7 U told | median En |")
     print("|---|---|---|---|---|")
     for name, fit, check in (
         ("by residuals", {}, {}),
@@ -41,10 +42,11 @@ def main() -> None:
     ):
         found = [control(rng, fit, check) for _ in range(chosen.runs)]
         moved = [control(rng, fit, check, moved=7.0) for _ in range(chosen.runs // 10)]
-        p, doubts, ratios = zip(*found, strict=True)
-        told = np.mean([doubt for _, doubt, _ in moved])
+        p, findings, ratios = zip(*found, strict=True)
+        told = np.mean([finding for _, finding, _ in moved])
         print(
-            f"| {name} | {100 * np.mean(np.array(p) < 0.05):.1f} % | {100 * np.mean(doubts):.1f} % "
+            f"| {name} | {100 * np.mean(np.array(p) < 0.05):.1f} % "
+            f"| {100 * np.mean(findings):.1f} % "
             f"| {100 * told:.0f} % | {np.median(np.concatenate(ratios)):.2f} |"
         )
     verdicts = np.array([off_by_a_known_error(rng) for _ in range(chosen.runs)])
@@ -54,11 +56,11 @@ def main() -> None:
 
 
 def control(rng, fit, check, moved=0.0):
-    """Return p of one run, whether there is a doubt, and its En."""
+    """Return p of one run, whether there is a finding, and its En."""
     calibration = mp.fit(readings(rng, NOISE), **fit)
     off = moved * np.array([calibration["bias_ax"].U, 0.0, 0.0])
     found = mp.check(calibration, readings(rng, NOISE, off), **check)
-    return found.consistency.p, bool(found.doubts), found.En.ravel()
+    return found.consistency.p, bool(found.findings), found.En.ravel()
 
 
 def off_by_a_known_error(rng):

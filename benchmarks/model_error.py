@@ -147,7 +147,7 @@ def fitted(
     values = sense(stood, name, size, drawn) + NOISE * rng.standard_normal(up.shape)
     readings = mp.Readings(values, outputs=("ax", "ay", "az"), up=up, unit="g")
     cal = mp.fit(readings, **options)
-    return cal, {doubt.code for doubt in cal.diagnostics.doubts}, drawn
+    return cal, {finding.code for finding in cal.diagnostics.findings}, drawn
 
 
 def sense(force: np.ndarray, name: str, size: float, drawn: np.ndarray) -> np.ndarray:

@@ -82,14 +82,14 @@ def named(
         names = ("ax", "ay", "az")[:outputs]
         values = up[:, :outputs] + SD * noise
         cal = mp.fit(mp.Readings(values, up=up, outputs=names))
-        said = [doubt for doubt in cal.diagnostics.doubts if doubt.code == "outlier"]
+        said = [finding for finding in cal.diagnostics.findings if finding.code == "outlier"]
         if size == 0.0:
             count += bool(said)
         elif whole:
-            count += any(str(row + 1) in doubt.rows for doubt in said)
+            count += any(str(row + 1) in finding.rows for finding in said)
         else:
             text = f"position {row + 1}: {names[output]} is off"
-            count += any(text in doubt.text for doubt in said)
+            count += any(text in finding.text for finding in said)
     return 100.0 * count / runs
 
 

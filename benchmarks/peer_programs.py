@@ -60,9 +60,9 @@ def plain(task: Task) -> Found:
 
 def as_it_advises(task: Task) -> Found:
     """Fit again with the formula that the caution `missing-term` prints, where there is one."""
-    for doubt in _fit(task).diagnostics.doubts:
-        if doubt.code == "missing-term":
-            formula = doubt.text.split("--model '")[1].split("'")[0]
+    for finding in _fit(task).diagnostics.findings:
+        if finding.code == "missing-term":
+            formula = finding.text.split("--model '")[1].split("'")[0]
             return _found(_fit(task, model=formula))
     raise NoAdviceError
 
@@ -89,7 +89,7 @@ def _fit(task: Task, **options: Any) -> mp.Calibration:
 
 def _found(cal: mp.Calibration) -> Found:
     zeros = [cal[output, "1"] for output in cal.outputs]
-    codes = {d.code for d in cal.diagnostics.doubts} - {"hidden-terms"}
+    codes = {d.code for d in cal.diagnostics.findings} - {"hidden-terms"}
     return Found(
         cal.compensate,
         np.array([p.value for p in zeros]),

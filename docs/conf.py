@@ -25,7 +25,7 @@ mathjax = Path(found.submodule_search_locations[0], "static", "mathjax", "tex-sv
 html_static_path = [str(mathjax)]
 mathjax_path = mathjax.name
 
-# Who searches for what a fit said wants the page of doubts first.
+# Who searches for what a fit said wants the page of findings first.
 html_search_scorer = str(Path(__file__).with_name("scorer.js"))
 
 # What is copied of a block is what one types, not what comes out.

@@ -24,7 +24,7 @@ _PUBLIC = {
     "Captured": "capturing.running",
     "Check": "verification.verdicts",
     "ConvergenceError": "errors",
-    "Doubt": "doubt",
+    "Finding": "finding",
     "Fleet": "fleets.fleet",
     "Model": "sensor.model",
     "MultiposError": "errors",
@@ -90,7 +90,6 @@ if TYPE_CHECKING:
     from multipos.designs.assessment import schemes as schemes
     from multipos.designs.designing import design as design
     from multipos.designs.prospects import worth as worth
-    from multipos.doubt import Doubt as Doubt
     from multipos.errors import CalibrationWarning as CalibrationWarning
     from multipos.errors import ConvergenceError as ConvergenceError
     from multipos.errors import MultiposError as MultiposError
@@ -100,6 +99,7 @@ if TYPE_CHECKING:
     from multipos.exports.targets import verify_export as verify_export
     from multipos.files.tables import read_table as read_table
     from multipos.files.tables import write_table as write_table
+    from multipos.finding import Finding as Finding
     from multipos.fitting.calibrate_logs import calibrate as calibrate
     from multipos.fitting.fit_readings import fit as fit
     from multipos.fitting.regress_columns import regress as regress

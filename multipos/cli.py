@@ -4,7 +4,8 @@ Every command lives in `multipos.commands` as a module with ``INPUTS``, ``OUTPUT
 ``add_options(parser)`` and ``run(arguments)``, which returns an answer, a thin layer over the
 function of the same name; only the one that is asked for is imported. Results go to stdout once
 everything has succeeded, messages to stderr; exit status 1 means the data or the fit is at fault,
-2 the command line, and then stderr ends in one line that begins ``multipos: error:``.
+2 the command line, and then stderr ends in one line that begins ``multipos: error:``; 3 that all
+is written and printed, and the verdict is negative.
 """
 
 import argparse
@@ -31,7 +32,7 @@ if "numpy" not in sys.modules and not any(name in os.environ for name in _THREAD
     os.environ.update(dict.fromkeys(_THREADS, "1"))
 
 from multipos.commands.answers import deliver, settle  # noqa: E402
-from multipos.commands.options import warn  # noqa: E402
+from multipos.commands.options import say  # noqa: E402
 from multipos.commands.parsers import COMMANDS, Parser, command, command_parser  # noqa: E402
 from multipos.errors import CalibrationWarning, MultiposError, UsageError  # noqa: E402
 from multipos.files.spelling import near, one_line  # noqa: E402
@@ -66,7 +67,7 @@ def _guarded(argv: list[str]) -> int:
     try:
         if sys.stdout is None:
             raise MultiposError("stdout is closed; send it to a file, or to /dev/null.")
-        _run(argv)
+        return _run(argv)
     except UsageError as error:
         return _complain(error, 2)
     except MultiposError as error:
@@ -81,31 +82,33 @@ def _guarded(argv: list[str]) -> int:
         if os.environ.get("MULTIPOS_DEBUG") and sys.stderr is not None:
             traceback.print_exc()
         return _complain(_unforeseen(error), 1)
-    return 0
 
 
-def _run(argv: list[str]) -> None:
+def _run(argv: list[str]) -> int:
+    """Run one command and return its exit status."""
     if not argv or argv[0] not in COMMANDS:
         parser = _top_parser()
         if argv and not argv[0].startswith("-"):
             way = near(argv[0], COMMANDS).removesuffix(".")
             raise UsageError(f"there is no command '{argv[0]}'{way}; see 'multipos --help'.")
         if _parse(parser, argv or ["--help"]) is None:
-            return
+            return 0
         parser.error("the command must come first")
     name, *rest = argv
     arguments = _parse(command_parser(name), rest)
     if arguments is None:
-        return
+        return 0
     module = command(name)
-    quiet = arguments.__dict__.pop("quiet")  # no option of the function
+    # no options of the function
+    quiet, verbose = (arguments.__dict__.pop(name) for name in ("quiet", "verbose"))
     if quiet:
         warnings.simplefilter("ignore")
     order = settle(name, arguments, module.INPUTS, module.OUTPUT)
     with ExitStack() as stack:
         for pipe in order.pipes:
             stack.enter_context(closing(pipe))
-        deliver(module.run(arguments), arguments, order, quiet=quiet)
+        answer = module.run(arguments)
+        return deliver(answer, arguments, order, quiet=quiet, verbose=verbose)
 
 
 def _fill_closed_streams() -> None:
@@ -171,7 +174,7 @@ def _show_warning(
     line: str | None = None,
 ) -> None:
     """Show a warning of Python, such as NumPy's of an overflow, as one line like our own."""
-    warn([f"{message} ({category.__name__} at {Path(filename).name} line {lineno})"])
+    say(f"warning: {message} ({category.__name__} at {Path(filename).name} line {lineno})")
 
 
 def _parse(parser: argparse.ArgumentParser, argv: list[str]) -> argparse.Namespace | None:

@@ -94,7 +94,7 @@ class UsageError(ValueError):
 
 
 class CalibrationWarning(UserWarning):
-    """What a fit warns of; its doubts come first.
+    """An error or a warning among the findings of a result.
 
     Examples
     --------
@@ -102,9 +102,9 @@ class CalibrationWarning(UserWarning):
     >>> import multipos as mp
     >>> with warnings.catch_warnings(record=True) as caught:
     ...     warnings.simplefilter("always")
-    ...     cal = mp.demo().calibration
-    >>> caught[0].category is mp.CalibrationWarning, len(cal.diagnostics.warnings)
-    (True, 1)
+    ...     cal = mp.fit({"up_z": [1.0, -1.0], "az": [1.0, -1.0]}, axes="z", inputs="z")
+    >>> caught[0].category is mp.CalibrationWarning, [found.code for found in cal.findings]
+    (True, ['no-redundancy', 'no-dof'])
     """
 
 

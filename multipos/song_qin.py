@@ -148,6 +148,7 @@ def demo_dict(found: Demonstration) -> dict[str, object]:
             for i, (output, term) in enumerate(c.model.keys)
         ],
         "calibration": c.to_dict(),
+        "findings": [each.to_dict() for each in c.findings],
     }
 
 

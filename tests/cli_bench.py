@@ -22,11 +22,6 @@ position,direction,ax,ay,az
 HIDDEN = re.compile(r"multipos: warning: [^\n]*not show own\*\|own\|, own\^3 or own\*other[^\n]*\n")
 
 
-def beside_hidden(err):
-    """Return what stands on stderr beside the caution that six faces cannot show some terms."""
-    return HIDDEN.sub("", err)
-
-
 def run(capsys, *arguments):
     """Run in this process; return status, stdout and stderr."""
     try:

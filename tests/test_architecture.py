@@ -18,7 +18,7 @@ ORDER = (
     ("results",),
     ("numerics",),
     ("files",),
-    ("doubt",),
+    ("finding",),
     ("positions", "regression"),
     ("logs", "sensor"),
     ("estimation", "bias_stability"),

@@ -302,7 +302,7 @@ LOOKED_UP = {
     "architecture.md",
     "conventions.md",
     "decisions.md",
-    "doubts.md",
+    "findings.md",
 }
 LOOKED_UP |= {"gallery.md"}
 READ = [

@@ -43,7 +43,7 @@ LEFT_OUT = frozenset(
         "created",
         "cross_check",
         "customary",
-        "doubts",
+        "findings",
         "environment",
         "file",
         "findings",

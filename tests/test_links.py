@@ -98,7 +98,7 @@ def test_the_table_of_terms_lacks_none_that_a_result_names():
     stated = {"third_order": "third-order", "unseen": "term", "stability": "zero stability"}
     assert not [name for name in KINDS if stated.get(name, name) not in words]
     assert not [law for law in DIVISORS if law not in words]
-    assert not [verdict for verdict in ("pass", "fail", "undecided") if verdict not in words]
+    assert not [verdict for verdict in ("pass", "fail", "indeterminate") if verdict not in words]
 
 
 # Other sites are not visited by a test: that would fail where there is no network, and on the day

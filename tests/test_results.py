@@ -124,7 +124,7 @@ def checked():
 def doubted():
     up = np.tile(mp.read_scheme("faces-6").up, (2, 1))
     readings = mp.Readings(up * [1.0, 0.0, 1.0] + 1e-3, up=up, unit="g")
-    return mp.fit(readings).diagnostics.doubts[0]
+    return mp.fit(readings).diagnostics.findings[0]
 
 
 @cache
@@ -176,7 +176,7 @@ RESULTS = {
     "Check": checked,
     "Comparison": lambda: mp.compare(calibrated(1), calibrated(2)),
     "Demonstration": mp.demo,
-    "Doubt": doubted,
+    "Finding": doubted,
     "Evaluation": lambda: evaluate_budget(calibrated(), read_budget(BUDGET)),
     "Exported": lambda: mp.export(sensor(), to="c"),
     "Fleet": lambda: mp.fleet(line(5), unit_column="unit", station_column="station"),
@@ -308,7 +308,7 @@ def test_a_pickle_and_a_copy_equal_the_result_and_are_frozen(name):
 def test_a_result_with_another_number_is_another(name):
     result = RESULTS[name]()
     others = list(nudges(result))
-    if name in ("Doubt", "Exported"):  # those without a number
+    if name in ("Finding", "Exported"):  # those without a number
         others = [replace(result, text=result.text.replace("1", "7", 1))]
     assert others
     for other in others:

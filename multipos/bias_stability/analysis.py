@@ -56,6 +56,7 @@ from multipos.bias_stability.trends import (
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
+from multipos.finding import Finding, Findings, in_order
 from multipos.logs.clock import TimeUnit, check_time_unit
 from multipos.logs.opening import open_log
 from multipos.logs.samples import Progress, Timing
@@ -339,7 +340,7 @@ def _complete(
         unit=unit,
         confidence=confidence,
         calibration=None if calibration is None else calibration.created,
-        warnings=_cautions(raw, steady, outputs),
+        findings=_find(raw, steady, outputs),
     )
 
 
@@ -412,34 +413,35 @@ def _spread(values: list[float]) -> Spread:
     return Spread(float(np.std(values, ddof=1)), float(np.ptp(values)), len(values) - 1)
 
 
-def _cautions(
+def _find(
     raw: Sequence[RawRecord], steady: Sequence[str], outputs: Mapping[str, OutputStability]
-) -> tuple[str, ...]:
-    notes = [note for each in raw for note in each.notes]
+) -> Findings:
+    said = [found for each in raw for found in each.findings]
     if steady:
-        notes.append(f"{steady[0]}: the temperature never changes, so it is not used")
-    notes += [said for each in raw for said in _movements(each)]
+        text = f"{steady[0]}: the temperature never changes, so it is not used"
+        said.append(Finding("constant-temperature", "note", text))
+    said += [found for each in raw for found in _movements(each)]
     shortest = min(each.samples / each.rate for each in raw)
-    notes += [said for name, found in outputs.items() for said in _unsettled(name, found, shortest)]
+    for name, found in outputs.items():
+        said += _unsettled(name, found, shortest)
     if 1 < len(raw) < _LEAST:
-        notes.append(
-            f"{len(raw)} records say little about how the zero repeats; take at least {_LEAST}"
-        )
-    return tuple(notes)
+        text = f"{len(raw)} records say little about how the zero repeats; take at least {_LEAST}"
+        said.append(Finding("few-repeats", "note", text))
+    return in_order(said)
 
 
-def _unsettled(name: str, found: OutputStability, shortest: float) -> list[str]:
+def _unsettled(name: str, found: OutputStability, shortest: float) -> list[Finding]:
     """Say that a warm-up settles only after the shortest record [s] has ended."""
     if found.warm_up is None or not found.warm_up.settled_after > shortest:
         return []
-    said = (
+    text = (
         f"{name}: the warm-up settles after {found.warm_up.settled_after:.0f} s only, but a record "
         f"ends at {shortest:.0f} s; record longer"
     )
-    return [said]
+    return [Finding("warm-up-unsettled", "warning", text, outputs=(name,))]
 
 
-def _movements(record: RawRecord) -> list[str]:
+def _movements(record: RawRecord) -> list[Finding]:
     """Say what moved in a record that should have lain still."""
     said = []
     for name, means in zip(record.names, record.blocks, strict=True):
@@ -448,9 +450,10 @@ def _movements(record: RawRecord) -> list[str]:
             continue
         when = (found.block + 0.5) * record.length / record.rate
         more = f", the largest of {found.count} movements" if found.count > 1 else ""
-        said.append(
+        text = (
             f"{record.source}: {name} jumps by {found.jump:.2g} near {when:.0f} s{more}, which "
             "neither noise nor warm-up makes: it was moved or knocked, and noise, drift and zero "
             "hold that; leave this part out"
         )
+        said.append(Finding("jump", "warning", text, outputs=(name,)))
     return said

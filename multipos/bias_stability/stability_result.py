@@ -31,7 +31,6 @@ from multipos.files.records import (
     NOT_NEGATIVE,
     POSITIVE,
     SHARE,
-    TEXTS,
     Fields,
     Listed,
     Maybe,
@@ -43,6 +42,7 @@ from multipos.files.records import (
 from multipos.files.tables import Column
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text
+from multipos.finding import FINDINGS, Findings, read_findings
 from multipos.numerics.arrays import Array
 from multipos.results import Drawn, Result, Tabular, plain
 from multipos.units import STANDARD_GRAVITY
@@ -181,7 +181,7 @@ class Stability(Result, Drawn, Tabular):
     confidence : float
     calibration : str or None
         When the calibration was made that the records were compensated with.
-    warnings : tuple of str
+    findings : tuple of Finding
 
     Examples
     --------
@@ -205,7 +205,7 @@ class Stability(Result, Drawn, Tabular):
     unit: str
     confidence: float
     calibration: str | None = field(compare=False)
-    warnings: tuple[str, ...]
+    findings: Findings
 
     def columns(self) -> dict[str, Column]:
         """Return the Allan deviations as a table: `tau`, then `adev_<output>` and `u_<output>`."""
@@ -287,8 +287,8 @@ STABILITY = Fields(
         "unit": ANY_TEXT,
         "confidence": SHARE,
         "calibration": Maybe(ANY_TEXT),
-        "warnings": TEXTS,
-    }
+    },
+    FINDINGS,
 )
 
 
@@ -308,7 +308,7 @@ def stability_dict(found: Stability) -> dict[str, Any]:
             "unit": found.unit,
             "confidence": found.confidence,
             "calibration": found.calibration,
-            "warnings": found.warnings,
+            "findings": found.findings,
         }
     )
     return result
@@ -383,7 +383,7 @@ def load_stability(path: str | os.PathLike[str]) -> Stability:
         unit=content["unit"],
         confidence=content["confidence"],
         calibration=content["calibration"],
-        warnings=tuple(content["warnings"]),
+        findings=read_findings(content),
     )
 
 
@@ -477,7 +477,6 @@ def stability_text(found: Stability) -> str:
         _warm_up_text(found, factor, unit),
         _temperature(found, factor, unit),
         _repeats(found, factor, unit),
-        *(f"warning: {warning}" for warning in found.warnings),
     ]
     return "\n\n".join(filter(None, parts)) + "\n"
 

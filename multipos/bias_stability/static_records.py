@@ -7,6 +7,7 @@ import numpy as np
 
 from multipos.bias_stability.allan import Phases, octaves
 from multipos.errors import MultiposError
+from multipos.finding import Finding, Findings, about
 from multipos.logs.clock import time_columns
 from multipos.logs.log_columns import Outputs, choose_outputs
 from multipos.logs.samples import Progress, Samples, Timing
@@ -56,7 +57,7 @@ class RawRecord:
     blocks: Array
     temperature: Array | None
     sums: Array
-    notes: tuple[str, ...]
+    findings: Findings
 
 
 def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> RawRecord:
@@ -101,9 +102,9 @@ def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> R
             blocks=means[: len(names)],
             temperature=_measured(log.source, means[len(names) :]),
             sums=np.array([each.sums(lengths) for each in phases]),
-            notes=tuple(
-                f"{log.source}: {note}"
-                for note in (*log.left_out, *raw.notes, *_dropped(samples), *gaps.notes())
+            findings=about(
+                log.source,
+                (*log.left_out, *raw.findings, *_dropped(samples), *gaps.findings()),
             ),
         )
 
@@ -122,10 +123,11 @@ def _rate(samples: Samples) -> float:
     return samples.rate
 
 
-def _dropped(samples: Samples) -> list[str]:
+def _dropped(samples: Samples) -> list[Finding]:
     if not samples.dropped:
         return []
-    return [f"{samples.dropped} of {samples.log_rows} rows are bad and left out"]
+    text = f"{samples.dropped} of {samples.log_rows} rows are bad and left out"
+    return [Finding("dropped-rows", "note", text)]
 
 
 def _outputs(log: Log, wanted: RecordOptions, time_column: str | None) -> Outputs:
@@ -232,7 +234,8 @@ class _Gaps:
         self._count += int((np.diff(time, prepend=self._last) > self._longest).sum())
         self._last = time[-1:]
 
-    def notes(self) -> list[str]:
+    def findings(self) -> list[Finding]:
         if not self._count:
             return []
-        return [f"the time has {self._count} gaps; samples are taken as if evenly spaced"]
+        text = f"the time has {self._count} gaps; samples are taken as if evenly spaced"
+        return [Finding("time-gap", "warning", text)]

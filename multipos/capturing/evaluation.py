@@ -26,6 +26,7 @@ import numpy as np
 from multipos.capturing.poses import Frame, NextPose, Pose, best_pose, expected, find_frame, gain_at
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.spelling import near
+from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.calibrate_logs import fit_rests
 from multipos.logs.averages import Averages
 from multipos.logs.joining import Chosen, complete
@@ -152,8 +153,7 @@ class PosesWorth(Result):
         Why there is no calibration yet.
     frame : Frame or None
     parameters : tuple of Progress
-    doubts : tuple of mappings
-        Severity and text of what does not look right; what else is said is 'said'.
+    findings : tuple of Finding
     enough : bool
         Whether every target is met.
     """
@@ -163,7 +163,7 @@ class PosesWorth(Result):
     problem: str | None
     frame: Frame | None
     parameters: tuple[Progress, ...]
-    doubts: tuple[dict[str, str], ...]
+    findings: Findings
     enough: bool
 
 
@@ -195,13 +195,14 @@ def evaluate(
     if calibration is not None:
         parameters = tuple(_progress(plan, calibration, before))
     wanted = [each.met for each in parameters if each.met is not None]
+    found = averages.findings if calibration is None else calibration.findings
     return PosesWorth(
         averages=averages,
         calibration=calibration,
         problem=problem,
         frame=frame,
         parameters=parameters,
-        doubts=(*_unreachable(plan, calibration, poses), *_doubts(averages, calibration)),
+        findings=in_order((*_unreachable(plan, calibration, poses), *found)),
         enough=bool(wanted) and all(wanted) and problem is None,
     )
 
@@ -224,7 +225,7 @@ def _fit(plan: SessionPlan, averages: Averages) -> tuple[Calibration | None, str
         try:
             options = {**plan.fitting, "model": model}
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", CalibrationWarning)  # shown as doubts
+                warnings.simplefilter("ignore", CalibrationWarning)  # shown as findings
                 return fit_rests(averages, **options), problem
         except UsageError:
             raise
@@ -260,9 +261,7 @@ def _small(calibration: Calibration, name: str, target: float) -> bool:
     return _dof(calibration) >= FEWEST_DOF and target >= calibration[name].U
 
 
-def _unreachable(
-    plan: SessionPlan, calibration: Calibration | None, poses: list[Pose]
-) -> tuple[dict[str, str], ...]:
+def _unreachable(plan: SessionPlan, calibration: Calibration | None, poses: list[Pose]) -> Findings:
     """Say which targets cannot be met, by the noise as the fit finds it, and why."""
     if calibration is None or not plan.targets or _dof(calibration) < FEWEST_DOF:
         return ()
@@ -277,7 +276,7 @@ def _unreachable(
     if not far:
         return ()
     text = _out_of_reach(", ".join(far), float(ratios.max()), count, known=further is not None)
-    return ({"severity": "caution", "text": text},)
+    return (Finding("target-out-of-reach", "warning", text),)
 
 
 def _left_of(scheme: Scheme, poses: list[Pose]) -> Array:
@@ -303,15 +302,6 @@ def _out_of_reach(names: str, ratio: float, count: int, *, known: bool) -> str:
     return (
         f"the target of {names} is out of reach: all that is left of the scheme, {count} more, "
         f"would still leave U at {ratio:.3g} times the target; {way_out}"
-    )
-
-
-def _doubts(averages: Averages, calibration: Calibration | None) -> tuple[dict[str, str], ...]:
-    doubts = () if calibration is None else calibration.diagnostics.doubts
-    known = {each.text: each.severity for each in doubts}
-    found = averages.warnings if calibration is None else calibration.diagnostics.warnings
-    return tuple(
-        {"severity": known.get(text, "said"), "text": text} for text in dict.fromkeys(found)
     )
 
 

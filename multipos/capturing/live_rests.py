@@ -61,7 +61,7 @@ class LiveRows:
         Good rows so far.
     gaps, bad : int
         Gaps in the time, and rows left out, so far.
-    notes : tuple of str
+    findings : tuple of Finding
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class LiveRows:
         named = None if timing.column is None else log.find(timing.column)
         likely = time_columns(log) if timing.rate is None else []
         chosen = choose_outputs(log, outputs, [*time_columns(log), *([named] if named else [])])
-        self.outputs, self.notes = chosen.names, (*log.notes, *chosen.notes)
+        self.outputs, self.findings = chosen.names, (*log.notes, *chosen.findings)
         column = named or next((name for name in likely if _rises(self._of(head, name))), None)
         self.clock: Clock | None = None
         self.rate = timing.rate or log.rate

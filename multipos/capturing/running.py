@@ -27,6 +27,7 @@ from multipos.capturing.streams import RowSource, open_source
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
+from multipos.finding import Finding, Findings, in_order
 from multipos.logs.averages import Averages
 from multipos.logs.clock import TimeUnit, check_time_unit
 from multipos.logs.samples import Timing
@@ -128,16 +129,20 @@ class Captured(Result):
     state: Mapping[str, Any]
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What is to be said of the result."""
-        if self.calibration is not None:
-            return self.calibration.diagnostics.warnings
-        return () if self.averages is None else self.averages.warnings
+    def findings(self) -> Findings:
+        """What was found about the result."""
+        found = self.averages if self.calibration is None else self.calibration
+        if found is None:
+            return ()
+        if self.problem is None:
+            return found.findings
+        return in_order((*found.findings, Finding("reduced-model", "warning", self.problem)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can carry."""
         calibration = None if self.calibration is None else self.calibration.to_dict()
-        return {**self.state, "calibration": calibration}
+        findings = [each.to_dict() for each in self.findings]
+        return {**self.state, "calibration": calibration, "findings": findings}
 
 
 def capture(

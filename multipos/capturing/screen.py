@@ -111,7 +111,7 @@ def picture_of(state: Mapping[str, Any], language: Language = "en") -> "Renderab
         lines.append(
             Text(f"{tr('next')}: {label}{next_['words'][language]}{gain}", style="magenta")
         )
-    lines += [Text(_said(doubt, "text", tr), style="yellow") for doubt in state["doubts"]]
+    lines += [Text(_said(finding, "text", tr), style="yellow") for finding in state["findings"]]
     if state["problem"]:
         lines.append(Text(_said(state, "problem", tr), style="dim"))
     keys = Text(tr("u: undo   r LABEL: redo   f: finish   l: 中文   (then Enter)"), style="dim")

@@ -388,6 +388,5 @@ class Session:
             clock=rows.clock,
             rate=rows.rate,
             threshold=rests.threshold,
-            notes=rows.notes,
-            warnings=(),
+            findings=rows.findings,
         )

@@ -55,7 +55,9 @@ def state_of(session: Session) -> dict[str, Any]:
             "targets": session.plan.targets,
             "problem": found.problem,
             "problem_zh": _chinese(found.problem),
-            "doubts": [{**doubt, "text_zh": chinese(doubt["text"])} for doubt in found.doubts],
+            "findings": [
+                {**each.to_dict(), "text_zh": chinese(each.text)} for each in found.findings
+            ],
         }
     )
     return shown

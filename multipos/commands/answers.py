@@ -19,13 +19,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
-from multipos.commands.options import warn
+from multipos.commands.options import tell
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import STDIN, Pipe, is_pipe
 from multipos.files.spelling import escaped, visible_lines
 from multipos.files.whole import Content, written
+from multipos.finding import Finding, Findings, errors_of, in_order, serious
 
 STDOUT = "-"
+NEGATIVE = 3  # exit status: written and printed, but the verdict is negative
 # Forms of an answer: the endings that ask for them, and what they are in words.
 FORMS: dict[str, tuple[tuple[str, ...], str]] = {
     "json": ((".json",), "JSON"),
@@ -129,8 +131,10 @@ class Answer:
     forms : mapping of str to callable
         What ``-o`` writes beside these two or in their place: text, bytes, pieces of text, a
         figure, or several files by name.
-    warnings : callable
+    findings : callable
         Asked when all else has been made.
+    negative : callable
+        Whether the verdict is negative, of the findings: where one is an error, if not told.
     failure : str
         What could not be done; the rest is written, nothing is printed, and it is an error.
     verbatim : bool
@@ -140,7 +144,8 @@ class Answer:
     text: Callable[[], Content]
     json: Callable[[], Content]
     forms: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
-    warnings: Callable[[], Sequence[str]] = tuple
+    findings: Callable[[], Iterable[Finding]] = tuple
+    negative: Callable[[Findings], bool] = lambda found: bool(errors_of(found))
     failure: str = ""
     verbatim: bool = False
 
@@ -262,11 +267,22 @@ def _same(a: os.stat_result | None, b: os.stat_result | None) -> bool:
 
 
 def deliver(
-    answer: Answer, arguments: argparse.Namespace, order: Order, *, quiet: bool = False
-) -> None:
+    answer: Answer,
+    arguments: argparse.Namespace,
+    order: Order,
+    *,
+    quiet: bool = False,
+    verbose: bool = False,
+) -> int:
     """Make what was asked for, print what goes to stdout, then put files in their places.
 
-    Warnings go to stderr unless it is to be quiet.
+    Findings go to stderr, unless it is to be quiet or they are in the JSON that is printed; notes
+    only where it is verbose.
+
+    Returns
+    -------
+    int
+        Exit status: 3 where the verdict is negative.
 
     Raises
     ------
@@ -284,12 +300,14 @@ def deliver(
                 stack.enter_context(written(made if isinstance(made, Mapping) else {path: made}))
             made = answer.json() if arguments.json else answer.text()
         pieces = _complete("" if answer.failure else made, stack)
-        if not quiet:
-            warn(answer.warnings())
+        found = in_order(answer.findings())
+        if not quiet and not arguments.json:
+            tell(found if verbose else serious(found))
         verbatim = path == STDOUT or (answer.verbatim and not arguments.json)
         print_out(pieces, verbatim=verbatim)
     if answer.failure:
         raise MultiposError(answer.failure)
+    return NEGATIVE if answer.negative(found) else 0
 
 
 def _complete(made: Content, stack: ExitStack) -> Iterable[str | bytes]:

@@ -1,7 +1,7 @@
 """``multipos apply``."""
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 
 from multipos.commands.answers import Answer, Output
@@ -12,6 +12,7 @@ from multipos.errors import UsageError
 from multipos.files.tables import Column, format_csv, read_table
 from multipos.files.trees import json_table, read_schema
 from multipos.files.whole import Content
+from multipos.finding import Findings, in_order
 from multipos.logs.opening import open_log
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.sensor.calibration_file import load
@@ -74,7 +75,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         arguments,
         table,
         columns,
-        lambda: (*log.left_out, *applied.warnings, *_outside(applied.beyond, applied.rows)),
+        lambda: in_order((*log.left_out, *applied.findings)),
         applied.noise,
     )
 
@@ -97,7 +98,7 @@ def _correct(arguments: argparse.Namespace) -> Answer:
         arguments,
         lambda: format_csv(columns, table.delimiter),
         lambda: columns,
-        lambda: (*columns.warnings, *_beyond(columns)),
+        lambda: columns.findings,
         columns.noise,
     )
 
@@ -106,22 +107,18 @@ def _answer(
     arguments: argparse.Namespace,
     table: Callable[[], Content],
     columns: Callable[[], Mapping[str, Column]],
-    warnings: Callable[[], Sequence[str]],
+    findings: Callable[[], Findings],
     noise: str | None,
 ) -> Answer:
-    said = {} if noise is None else {"noise": noise}
+    def json() -> Iterable[str]:
+        table, said = columns(), {} if noise is None else {"noise": noise}
+        listed = {"findings": [each.to_dict() for each in findings()]}
+        return json_table(table, len(table["outside"]), said | listed)
+
     return Answer(
         text=table if arguments.output is None else str,
-        json=lambda: json_table(columns(), len(columns()["outside"]), said),
+        json=json,
         forms={"table": table, "text": table},
-        warnings=warnings,
+        findings=findings,
         verbatim=True,
     )
-
-
-def _beyond(columns: Mapping[str, Column]) -> tuple[str, ...]:
-    return _outside(int(sum(columns["outside"])), len(columns["outside"]))
-
-
-def _outside(beyond: int, rows: int) -> tuple[str, ...]:
-    return (f"{beyond} of {rows} rows are outside what was calibrated",) if beyond else ()

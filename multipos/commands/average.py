@@ -70,5 +70,5 @@ def run(arguments: argparse.Namespace) -> Answer:
         text=lambda: averages_text(found),
         json=lambda: to_json(found.to_dict()),
         forms={"table": lambda: format_csv(found.columns())},
-        warnings=lambda: found.warnings,
+        findings=lambda: found.findings,
     )

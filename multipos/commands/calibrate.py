@@ -15,6 +15,7 @@ from multipos.commands.options import (
     file_progress,
 )
 from multipos.files.trees import to_json
+from multipos.finding import in_order
 from multipos.fitting.calibrate_logs import fit_rests
 from multipos.logs.averages import averages_text
 from multipos.logs.averaging import average
@@ -82,7 +83,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     calibration = fit_rests(found, **{k: v for k, v in options.items() if k not in apart})
     exports, refused = _exports(calibration, arguments)
     listing = [
-        {"target": each.target, "files": [*map(str, each.files(path))], "notes": each.notes}
+        {"target": each.target, "files": [*map(str, each.files(path))]}
         for path, each in exports.items()
     ]
     written = [name for each in listing for name in each["files"]]
@@ -98,7 +99,11 @@ def run(arguments: argparse.Namespace) -> Answer:
         files = [each.files(path) for path, each in exports.items()]
         return {arguments.output: made} | {k: v for each in files for k, v in each.items()}
 
-    summary = {"average": found.to_dict(), "exports": listing}
+    findings = in_order(
+        (*calibration.findings, *(note for each in exports.values() for note in each.findings))
+    )
+    told = [each.to_dict() for each in findings]
+    summary = {"average": found.to_dict(), "exports": listing, "findings": told}
     return Answer(
         text=text,
         json=lambda: to_json(calibration.to_dict() | summary),
@@ -106,10 +111,7 @@ def run(arguments: argparse.Namespace) -> Answer:
             "json": lambda: with_exports(to_json(calibration.to_dict())),
             "text": lambda: with_exports(text()),
         },
-        warnings=lambda: (
-            *calibration.diagnostics.warnings,
-            *(note for each in exports.values() for note in each.notes),
-        ),
+        findings=lambda: findings,
         failure=" ".join(refused),
     )
 

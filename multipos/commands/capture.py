@@ -1,7 +1,6 @@
 """``multipos capture``."""
 
 import argparse
-import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from multipos.capturing.streams import RowSource, open_source
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, same_file
 from multipos.commands.export import check_targets, make_exports
 from multipos.commands.fit import add_fit_options
-from multipos.commands.options import add_order, add_reading, add_targets, export_options, warn
+from multipos.commands.options import add_order, add_reading, add_targets, export_options, say
 from multipos.errors import UsageError
 from multipos.exports.target import Exported
 from multipos.files.tables import format_csv
@@ -89,15 +88,10 @@ def run(arguments: argparse.Namespace) -> Answer:
             from multipos.capturing.serving import serve
 
             address = stack.enter_context(serve(session, arguments.port, default=PORT))
-            _say(f"page at {address}")
+            say(f"page at {address}")
             stack.enter_context(text_screen(session, commands=arguments.source != STDOUT))
         run_session(session, source, arguments.columns, kept)
     return _answer(arguments, _Result(captured(session), arguments))
-
-
-def _say(text: str) -> None:
-    if sys.stderr is not None:
-        print(f"multipos: {text}", file=sys.stderr, flush=True)
 
 
 def _begin(arguments: argparse.Namespace, source: RowSource) -> tuple[Session, Kept]:
@@ -111,7 +105,7 @@ def _begin(arguments: argparse.Namespace, source: RowSource) -> tuple[Session, K
     source.untimed = source.untimed and arguments.rate is None
     kept = keep(source, _readings_path(arguments), resume=arguments.resume)
     for said in kept.said:
-        _say(said)
+        say(said)
 
     def told(session: Session) -> None:
         if arguments.headless:
@@ -176,8 +170,6 @@ def _answer(arguments: argparse.Namespace, result: _Result) -> Answer:
     found = result.captured
     exports, refused = result.exports()
     table = "" if found.averages is None else format_csv(found.averages.columns())
-    if found.problem is not None and found.averages is not None:
-        warn([found.problem])
 
     def text() -> str:
         if arguments.headless:
@@ -193,9 +185,9 @@ def _answer(arguments: argparse.Namespace, result: _Result) -> Answer:
             "table": lambda: result.files(table, exports),
             "json": lambda: result.files(to_json(found.to_dict()), exports),
         },
-        warnings=lambda: (
-            *found.warnings,
-            *(note for each in exports.values() for note in each.notes),
+        findings=lambda: (
+            *found.findings,
+            *(note for each in exports.values() for note in each.findings),
         ),
         failure=" ".join(refused),
     )

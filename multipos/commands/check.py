@@ -6,13 +6,14 @@ from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_range, numbers
 from multipos.files.tables import format_csv, read_table
 from multipos.files.trees import read_schema, to_json
+from multipos.finding import Findings, errors_of
 from multipos.plots.check import check_figure
 from multipos.regression.regression import Regression, Regressions
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.reports.sheets import check_text
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
-from multipos.verification.checks import check
+from multipos.verification.checks import RUN, check
 from multipos.verification.verdicts import Check, errors_table
 
 INPUTS = ("calibration", "readings", "scheme")
@@ -82,8 +83,15 @@ def run(arguments: argparse.Namespace) -> Answer:
             "figure": lambda: check_figure(found),
             "table": lambda: _errors(calibration, arguments.readings, found),
         },
-        warnings=lambda: found.warnings,
+        findings=lambda: found.findings,
+        negative=lambda findings: _failed(found, findings),
     )
+
+
+def _failed(found: Check, findings: Findings) -> bool:
+    """Tell whether the check failed, or the run itself is not fit for use."""
+    verdicts = (found.verdict, found.run_verdict)
+    return "fail" in verdicts or any(each.text.startswith(RUN) for each in errors_of(findings))
 
 
 def _errors(

@@ -52,7 +52,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         text=lambda: _text(found),
         json=lambda: to_json(found.to_dict()),
         forms={"figure": lambda: _figure(found), **_combined(found)},
-        warnings=lambda: found.warnings,
+        findings=lambda: found.findings,
+        negative=lambda _: False,  # errors are of calibrations that were made before
     )
 
 

@@ -19,4 +19,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     folder = arguments.output or "multipos-demo"
     found = demo(folder)
     said = f"{demo_text(found)}\nWritten to {folder}: readings.csv, calibration.json, report.txt\n"
-    return Answer(text=lambda: said, json=lambda: to_json(demo_dict(found)))
+    return Answer(
+        text=lambda: said,
+        json=lambda: to_json(demo_dict(found)),
+        findings=lambda: found.calibration.findings,
+    )

@@ -8,7 +8,6 @@ from typing import Any
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_order, add_orientation, numbers, progress_bar
 from multipos.designs.designing import Design, design, design_csv, design_text, smaller_designs
-from multipos.designs.information import nothing_to_weigh
 from multipos.errors import UsageError
 from multipos.files.trees import to_json
 
@@ -89,7 +88,7 @@ def run(arguments: argparse.Namespace) -> Answer:
                 smaller_designs(make, found), model=arguments.model, sensed=axes, **setting
             ),
         },
-        warnings=lambda: nothing_to_weigh(arguments.orientation_sd, arguments.reading_sd),
+        findings=lambda: found.findings,
     )
 
 

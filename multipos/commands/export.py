@@ -70,12 +70,12 @@ def run(arguments: argparse.Namespace) -> Answer:
         correct=arguments.correct,
     )
     names = [arguments.output, *map(str, _beside(arguments))]
-    listing = {"target": exported.target, "files": names, "notes": exported.notes}
+    listing = {"target": exported.target, "files": names, "findings": _listed(exported)}
     content = {
         "target": exported.target,
         "text": exported.text,
         "test": exported.test,
-        "notes": exported.notes,
+        "findings": _listed(exported),
     }
     return Answer(
         text=lambda: f"Written to {', '.join(names)}\n",
@@ -87,8 +87,12 @@ def run(arguments: argparse.Namespace) -> Answer:
             # a file of the target that is JSON itself stays as it is
             "json": lambda: exported.text if _is_json(arguments.to) else to_json(content),
         },
-        warnings=lambda: exported.notes,
+        findings=lambda: exported.findings,
     )
+
+
+def _listed(exported: Exported) -> list[dict[str, Any]]:
+    return [found.to_dict() for found in exported.findings]
 
 
 def files_beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
@@ -128,7 +132,7 @@ def _own(target: Target, options: dict[str, Any]) -> dict[str, Any]:
     own = {
         "name",
         "allow_lossy",
-        "accept_doubts",
+        "force",
         *target.takes,
         *(("float",) if target.is_code else ()),
     }

@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         text=lambda: text_report(calibration),
         json=lambda: to_json(calibration.to_dict()),
         forms={"figure": lambda: _figure(calibration)},
-        warnings=lambda: calibration.diagnostics.warnings,
+        findings=lambda: calibration.findings,
     )
 
 

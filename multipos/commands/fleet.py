@@ -13,6 +13,7 @@ from multipos.commands.options import progress_bar
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import to_json
 from multipos.files.whole import no_folder
+from multipos.finding import Finding, Findings, read_findings
 from multipos.fleets.fleet import Fleet, fleet
 from multipos.fleets.fleet_text import fleet_text
 from multipos.fleets.folder import (
@@ -78,7 +79,7 @@ def run(arguments: argparse.Namespace) -> Answer:
             f"{fleet_text(found.to_dict())}\nWritten to {folder}: {', '.join(_names(found))}\n"
         ),
         json=lambda: to_json(found.to_dict()),
-        warnings=lambda: _warnings(found),
+        findings=lambda: (*read_findings(found.summary), *_without_parquet()),
     )
 
 
@@ -126,24 +127,9 @@ def _kept_if_stopped(folder: Path) -> Iterator[Path]:
         raise
 
 
-def _warnings(found: Fleet) -> Sequence[str]:
-    said = []
-    if found["failed"]:
-        first = next(
-            (unit, reason)
-            for unit, verdict, reason in zip(
-                found.verdicts["unit"],
-                found.verdicts["verdict"],
-                found.verdicts["reasons"],
-                strict=True,
-            )
-            if verdict == "failed"
-        )
-        said.append(
-            f"{found['failed']} of {found['units']} units failed, first {first[0]}: {first[1]}"
-        )
-    if not has_parquet():
-        said.append(
-            f"the table is {CSV}, as Parquet is not installed; pip install 'multipos[parquet]'"
-        )
-    return said
+def _without_parquet() -> Findings:
+    """Say that the table is no Parquet, where that is not installed."""
+    if has_parquet():
+        return ()
+    text = f"the table is {CSV}, as Parquet is not installed; pip install 'multipos[parquet]'"
+    return (Finding("no-parquet", "note", text),)

@@ -1,16 +1,17 @@
-"""What several commands share: lists on the command line, the model's options, warnings."""
+"""What several commands share: lists on the command line, the model's options, findings."""
 
 import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 from multipos.errors import UsageError
 from multipos.files.spelling import one_line, split_names, split_numbers
+from multipos.finding import Finding
 from multipos.numerics.terms import NAMED
 
 T = TypeVar("T")
@@ -136,11 +137,19 @@ def add_order(parser: argparse.ArgumentParser, default: str | None, what: str) -
     )
 
 
-def warn(warnings: Sequence[str]) -> None:
-    """Print warnings to stderr, a line each."""
+_HEADS = {"error": "not fit for use", "warning": "warning", "note": "note"}
+
+
+def tell(findings: Iterable[Finding]) -> None:
+    """Print findings to stderr, a line each."""
+    for found in findings:
+        say(f"{_HEADS[found.level]}: {found}")
+
+
+def say(text: str) -> None:
+    """Print a line to stderr."""
     if sys.stderr is not None:
-        for warning in warnings:
-            print(f"multipos: warning: {one_line(warning)}", file=sys.stderr)
+        print(f"multipos: {one_line(text)}", file=sys.stderr, flush=True)
 
 
 def add_targets(parser: argparse.ArgumentParser, beside: str) -> None:
@@ -169,7 +178,7 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
     )
     add("--tilt", action="store_true", help="write NAME_tilt as well, angles in degrees, in C")
     add(
-        "--accept-doubts",
+        "--force",
         action="store_true",
         help="export what is not fit for use all the same; the file says so",
     )
@@ -193,7 +202,7 @@ def _whole(text: str) -> int:
 
 def export_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the options that `add_export_options` added, as `export` takes them."""
-    asked = ("name", "float", "fixed", "allow_lossy", "accept_doubts")
+    asked = ("name", "float", "fixed", "allow_lossy", "force")
     own = ("output_unit", "instance", "device_id", "stability", "tilt")
     return {name: getattr(arguments, name) for name in (*asked, *own)}
 

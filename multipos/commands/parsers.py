@@ -44,7 +44,9 @@ def command_parser(name: str) -> argparse.ArgumentParser:
     """Return the parser of one command, which the documentation prints as well."""
     parser = Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
-    parser.add_argument("-q", "--quiet", action="store_true", help="print no warnings")
+    add = parser.add_argument
+    add("-v", "--verbose", action="store_true", help="print notes and all that explains")
+    add("-q", "--quiet", action="store_true", help="print no findings")
     module = command(name)
     module.add_options(parser)
     module.OUTPUT.add_to(parser)

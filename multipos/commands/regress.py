@@ -108,5 +108,5 @@ def run(arguments: argparse.Namespace) -> Answer:
         text=lambda: f"{regression}\n",
         json=lambda: to_json(regression.to_dict()),
         forms={"figure": lambda: regression_figure(regression, arguments.data)},
-        warnings=lambda: regression.warnings,
+        findings=lambda: regression.findings,
     )

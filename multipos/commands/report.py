@@ -173,7 +173,7 @@ def _answer(
 ) -> Answer:
     return Answer(
         text=lambda: f"Written to {arguments.output}\n",
-        json=lambda: to_json(listing),
+        json=lambda: to_json({**listing, "findings": ()}),
         forms={
             "html": lambda: html_report(content),
             "paper": lambda: pdf_report(content),

@@ -6,7 +6,6 @@ from typing import Any
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_order, add_orientation
 from multipos.designs.assessment import Schemes, schemes, schemes_text
-from multipos.designs.information import nothing_to_weigh
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
@@ -57,7 +56,7 @@ def run(arguments: argparse.Namespace) -> Answer:
             "figure": lambda: _figure(found, sensed=axes, **setting),
             "table": lambda: _scheme_file(arguments),
         },
-        warnings=lambda: nothing_to_weigh(arguments.orientation_sd, arguments.reading_sd),
+        findings=lambda: found.findings,
     )
 
 

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> Answer:
 
     return Answer(
         text=table if arguments.output is None else str,
-        json=lambda: to_json({"columns": columns}),
+        json=lambda: to_json({"columns": columns, "findings": ()}),
         forms={"table": table, "text": table},
         verbatim=True,
     )

@@ -54,5 +54,5 @@ def run(arguments: argparse.Namespace) -> Answer:
             "table": lambda: format_csv(found.columns()),
             "figure": lambda: stability_figure(found),
         },
-        warnings=lambda: found.warnings,
+        findings=lambda: found.findings,
     )

@@ -33,5 +33,5 @@ def run(arguments: argparse.Namespace) -> Answer:
         text=lambda: tumbles_text(found) if isinstance(found, Tumbles) else tumble_text(found),
         json=lambda: to_json(found.to_dict()),
         forms={"figure": lambda: tumble_figure(found)},
-        warnings=lambda: found.warnings,
+        findings=lambda: found.findings,
     )

@@ -40,4 +40,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         data=arguments.data,
         run_foreign_code=arguments.run_foreign_code,
     )
-    return Answer(text=lambda: str(found), json=lambda: to_json(found.to_dict()))
+    return Answer(
+        text=lambda: str(found),
+        json=lambda: to_json(found.to_dict()),
+        findings=lambda: found.findings,
+    )

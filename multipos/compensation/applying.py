@@ -46,9 +46,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncertainty
-from multipos.diagnostics.model_error import said_of_hidden
+from multipos.diagnostics.model_error import find_hidden
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Column, Source, Table, format_csv, read_table
+from multipos.finding import Finding, Findings, in_order
 from multipos.logs.opening import open_log, read_log
 from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import LARGEST, Array
@@ -265,8 +266,8 @@ class AppliedLog:
         Is told how much of the log has been read, 0 to 1.
     rows, beyond : int
         Rows done so far, and those of them beyond what was calibrated.
-    cautions : tuple of str
-        What is doubtful in the uncertainties, as the first piece shows it.
+    samples : tuple of Finding
+        What is wrong with the uncertainties, as the first piece shows it.
     """
 
     calibration: Calibration
@@ -277,7 +278,7 @@ class AppliedLog:
     progress: Callable[[float], object] | None = None
     rows: int = 0
     beyond: int = 0
-    cautions: tuple[str, ...] = ()
+    samples: Findings = ()
 
     @property
     def noise(self) -> str | None:
@@ -285,12 +286,11 @@ class AppliedLog:
         return None if self.uncertainty is None else self.uncertainty.noise.text
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What there is to say of the force and its uncertainties, of the rows done so far."""
-        hidden = said_of_hidden(self.calibration)
-        if self.uncertainty is None:
-            return hidden
-        return (*hidden, *self.uncertainty.said, *self.cautions)
+    def findings(self) -> Findings:
+        """What was found about force and its uncertainties, of the rows done so far."""
+        wanted = self.uncertainty
+        of_noise = () if wanted is None else (*wanted.held, *self.samples)
+        return found_applying(self.calibration, of_noise, self.beyond, self.rows)
 
     def __iter__(self) -> Iterator[str]:
         """Yield header and rows; under 'refuse' the error comes when all rows have been seen."""
@@ -321,7 +321,7 @@ class AppliedLog:
         first = None
         for piece in self.log.read(self._needed, carried):
             if self.uncertainty is not None and self.rows == 0:
-                self.cautions = self.uncertainty.cautions(piece.table, self.log.columns)
+                self.samples = self.uncertainty.find_samples(piece.table, self.log.columns)
             added = add_columns(
                 self.calibration,
                 piece.table,
@@ -391,24 +391,24 @@ class AppliedColumns(Columns):
     """A table with what was made of it beside its columns.
 
     `noise` says which noise of one reading the uncertainties hold, None where there are none, and
-    `warnings` what there is to say of them.
+    `findings` what was found about them.
     """
 
     noise: str | None
-    warnings: tuple[str, ...]
+    findings: Findings
 
     def __init__(
         self,
         content: Mapping[str, Any],
         noise: str | None = None,
-        warnings: tuple[str, ...] = (),
+        findings: Findings = (),
     ) -> None:
         super().__init__(content)
         object.__setattr__(self, "noise", noise)
-        object.__setattr__(self, "warnings", warnings)
+        object.__setattr__(self, "findings", findings)
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
-        return type(self), (dict(self), self.noise, self.warnings)
+        return type(self), (dict(self), self.noise, self.findings)
 
     def to_dict(self) -> dict[str, Any]:
         """Return ``{"rows": n, "columns": {name: […]}}`` as what JSON can carry.
@@ -416,7 +416,13 @@ class AppliedColumns(Columns):
         With uncertainties ``"noise"`` stands between them.
         """
         said = {} if self.noise is None else {"noise": self.noise}
-        return {"rows": len(self["outside"]), **said, **super().to_dict()}
+        findings = [each.to_dict() for each in self.findings]
+        return {
+            "rows": len(self["outside"]),
+            **said,
+            "findings": findings,
+            **super().to_dict(),
+        }
 
 
 class Applied(AppliedColumns):
@@ -497,7 +503,7 @@ def apply(
             outside=outside,
         )
         columns = whole.columns()
-        return Applied(columns, whole.noise, (*whole.log.left_out, *whole.warnings))
+        return Applied(columns, whole.noise, in_order((*whole.log.left_out, *whole.findings)))
     given = read_table(data, what="data")
     table, units = plain_names(given)
     wanted = asked_uncertainty(
@@ -509,8 +515,22 @@ def apply(
         where = table.where(int(np.argmax(added["outside"])), calibration.outputs[0])
         raise refusal(where, int(added["outside"].sum()), table.rows)
     kept = {name: copy(column) for name, column in given.columns.items()}  # the caller's own stay
-    said = said_of_hidden(calibration)
-    if wanted is None:
-        return Applied({**kept, **added}, warnings=said)
-    said += (*wanted.said, *wanted.cautions(table, table.columns))
-    return Applied({**kept, **added}, wanted.noise.text, said)
+    said: Findings = ()
+    if wanted is not None:
+        said = (*wanted.held, *wanted.find_samples(table, table.columns))
+    findings = found_applying(calibration, said, int(sum(added["outside"])), table.rows)
+    noise = None if wanted is None else wanted.noise.text
+    return Applied({**kept, **added}, noise, findings)
+
+
+def found_applying(c: Calibration, of_noise: Findings, beyond: int, rows: int) -> Findings:
+    """Return what was found about compensated force."""
+    return in_order((*find_hidden(c), *of_noise, *find_outside(beyond, rows)))
+
+
+def find_outside(beyond: int, rows: int) -> Findings:
+    """Return a warning of rows beyond what was calibrated, where there are any."""
+    if not beyond:
+        return ()
+    text = f"{beyond} of {rows} rows are outside what was calibrated"
+    return (Finding("outside", "warning", text),)

@@ -16,11 +16,12 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.compensation.applying import AppliedColumns, Outside, check_outside
+from multipos.compensation.applying import AppliedColumns, Outside, check_outside, find_outside
 from multipos.compensation.reading_noise import check_noise_options
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, Table, read_table
+from multipos.finding import Finding, Findings, about, in_order
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import largest_value
 from multipos.positions.reading_tables import nonnegative_column
@@ -114,16 +115,19 @@ def correct(
         values["corrected"] = table.number(target, largest=LARGEST) - predicted
     added: dict[str, Column] = dict(values)
     noise: str | None = None
-    told: tuple[str, ...] = ()
+    told: Findings = ()
     if uncertainty:
         noise, sd = _noise(regression, table, target, reading_sd, parameters_only)
         u, U = predict_uncertainty(regression, used, place, sd)
         added |= {f"{size}_{name}": each for name in values for size, each in (("u", u), ("U", U))}
-        told = (f"u_… and U_… hold the noise of one row: {noise}",)
+        text = f"u_… and U_… hold the noise of one row: {noise}"
+        told = (Finding("reading-noise", "note", text),)
     if target is None:
-        told = (f"no column '{regression.response}' to correct: predicted only", *told)
+        text = f"no column '{regression.response}' to correct: predicted only"
+        told = (Finding("predicted-only", "note", text), *told)
+    told = (*told, *find_outside(int(beyond.sum()), table.rows))
     added["outside"] = beyond.astype(np.int64)
-    return Corrected(_beside(table, added), noise, told)
+    return Corrected(_beside(table, added), noise, in_order(told))
 
 
 def _beside(table: Table, added: Mapping[str, Column]) -> dict[str, Column]:
@@ -155,7 +159,8 @@ def _correct_each(
         )
     added: dict[str, Column] = {}
     beyond = np.zeros(table.rows, dtype=np.int64)
-    noises, told = [], []
+    noises: list[str | None] = []
+    told: list[Finding] = []
     for (name, one), target in zip(regressions.items(), targets, strict=True):
         found = correct(
             one,
@@ -170,9 +175,10 @@ def _correct_each(
         mine = [key for key in found if key not in table and key != "outside"]
         added |= {f"{key}_{name}": found[key] for key in mine}
         noises.append(found.noise)
-        told += [f"{name}: {said}" for said in found.warnings]
+        told += about(name, (each for each in found.findings if each.code != "outside"))
     added["outside"] = beyond
-    return Corrected(_beside(table, added), noises[0], tuple(told))
+    told += find_outside(int(beyond.sum()), table.rows)
+    return Corrected(_beside(table, added), noises[0], in_order(told))
 
 
 def _target(regression: Regression, table: Table, names: Names | None) -> str | None:

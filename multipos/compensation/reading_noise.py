@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import quoted
 from multipos.files.tables import Table
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_by_tenths
 from multipos.positions.reading_tables import nonnegative_column
@@ -183,17 +184,18 @@ class ReadingUncertainty:
     budget: Evaluation
 
     @property
-    def said(self) -> tuple[str, ...]:
-        """Which noise it is, in words."""
+    def held(self) -> Findings:
+        """Which noise it is."""
         sd = self.noise.sd
         if np.isnan(sd).any():
-            return (_NOTHING,)
+            return (Finding("no-noise", "warning", _NOTHING),)
         size = ""
         if sd.any():
             pairs = zip(self.calibration.outputs, sd.tolist(), strict=True)
             unit = self.calibration.model.unit
             size = f" ({', '.join(f'{name} {each:.3g}' for name, each in pairs)} {unit})"
-        return (f"u_… and U_… hold the noise of one reading: {self.noise.text}{size}",)
+        text = f"u_… and U_… hold the noise of one reading: {self.noise.text}{size}"
+        return (Finding("reading-noise", "note", text),)
 
     def of_force(
         self, force: Array, environment: Mapping[str, Array], sd: Array
@@ -236,8 +238,8 @@ class ReadingUncertainty:
         u[~sound] = np.nan
         return u, coverage_by_tenths(c.confidence, nu) * u
 
-    def cautions(self, table: Table, columns: Iterable[str]) -> tuple[str, ...]:
-        """Return a caution where rows look like single samples, and their noise is not told.
+    def find_samples(self, table: Table, columns: Iterable[str]) -> Findings:
+        """Return a warning where rows look like single samples, and their noise is not told.
 
         Parameters
         ----------
@@ -255,9 +257,9 @@ class ReadingUncertainty:
         if not close.all() or not (step > _TELLING * self.noise.sd).any():
             return ()
         told = ",".join(f"{each:.2g}" for each in step.tolist())
-        caution = (
+        text = (
             "the rows look like single samples, which scatter more than the averaged readings of "
             "the calibration: u_… and U_… are too small for them; state the noise of a sample "
             f"with --reading-sd (from row to row they scatter by {told})"
         )
-        return (caution,)
+        return (Finding("single-samples", "warning", text),)

@@ -38,12 +38,20 @@ from typing import Any
 import numpy as np
 
 from multipos.designs.criteria import make_criterion, objective
-from multipos.designs.information import Blocks, Setting, inform, log_det, make_setting
+from multipos.designs.information import (
+    Blocks,
+    Setting,
+    inform,
+    log_det,
+    make_setting,
+    nothing_to_weigh,
+)
 from multipos.designs.optimum import ContinuousOptimum, largest_sensitivity, optimise_sphere
 from multipos.estimation.known import FLOOR
 from multipos.files.numbers import number, table
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
+from multipos.finding import Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.separability import name_combinations, separability
 from multipos.numerics.terms import COMPONENTS, Term
@@ -191,11 +199,13 @@ class Schemes(Keyed):
     orientation : str
         'known', 'uncertain' or 'unknown'.
     schemes : tuple of Assessment
+    findings : tuple of Finding
     """
 
     model: str
     orientation: str
     schemes: tuple[Assessment, ...]
+    findings: Findings = ()
 
     def to_pandas(self) -> Any:
         """Return a data frame with a row for each scheme, of what is one number or text each.
@@ -278,7 +288,8 @@ def schemes(
     if not given:
         # of equally good ones, to what rounding leaves, the shortest first
         found.sort(key=lambda e: (-round(e.d_efficiency or 0.0, 9), e.positions))
-    return Schemes(setting.model.text, orientation(setting), tuple(found))
+    findings = nothing_to_weigh(orientation_sd, reading_sd)
+    return Schemes(setting.model.text, orientation(setting), tuple(found), findings)
 
 
 def read_setting(

@@ -27,7 +27,7 @@ from multipos.designs.assessment import (
 )
 from multipos.designs.criteria import Criterion, kernels, make_criterion, sensitivity
 from multipos.designs.exchange import choose, polish, polish_largest
-from multipos.designs.information import Setting, inform, log_det
+from multipos.designs.information import Setting, inform, log_det, nothing_to_weigh
 from multipos.designs.optimum import (
     ContinuousOptimum,
     largest_sensitivity,
@@ -38,6 +38,7 @@ from multipos.errors import MultiposError, RankError, UsageError
 from multipos.files.numbers import table
 from multipos.files.spelling import Names
 from multipos.files.tables import Source, format_csv
+from multipos.finding import Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import bench_settings, read_bench
@@ -73,6 +74,7 @@ class Design(Keyed, Drawn, Tabular):
     settings : tuple of mappings
         How the bench that was given is set at each position, in its own words; empty where it has
         none (`multipos.positions.benches`).
+    findings : tuple of Finding
     """
 
     model: str
@@ -90,6 +92,7 @@ class Design(Keyed, Drawn, Tabular):
     time_s: float | None
     scheme: Assessment
     settings: tuple[Mapping[str, Any], ...] = ()
+    findings: Findings = ()
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -295,6 +298,7 @@ def design(
         travel_deg=turned,
         time_s=_time_s(move_time, len(up), turned),
         scheme=described,
+        findings=nothing_to_weigh(orientation_sd, reading_sd),
         settings=_settings(up, len(given), candidates, include),
     )
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from multipos.errors import UsageError
 from multipos.estimation.user_models import hold_free_rotations, nominal_parameters
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
@@ -251,15 +252,15 @@ def _at_own_parameters(model: ExpressionModel) -> dict[str, Any]:
     return {"parameters": nominal, "draws": tuple(draws)}
 
 
-def nothing_to_weigh(orientation_sd: float | None, reading_sd: float) -> list[str]:
+def nothing_to_weigh(orientation_sd: float | None, reading_sd: float) -> Findings:
     """Return a warning where an orientation sd stands beside a reading sd of a whole g."""
     if not orientation_sd or reading_sd != 1.0:
-        return []
+        return ()
     text = (
         f"--orientation-sd {orientation_sd:g} is weighed against a reading of standard uncertainty "
         "1 g, where it hardly counts; give --reading-sd in g (at a scale factor of 1 per g)"
     )
-    return [text]
+    return (Finding("orientation-unweighed", "warning", text),)
 
 
 def inform(rows: Blocks, weights: Array | None = None) -> Blocks:

@@ -21,6 +21,7 @@ from multipos.designs.information import Setting
 from multipos.errors import MultiposError, UsageError
 from multipos.files.numbers import number, table
 from multipos.files.tables import Source
+from multipos.finding import Findings, errors_of
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import read_bench
@@ -73,6 +74,8 @@ class Worth(Keyed):
         The part of u of the parameter that no position lowers.
     drift_absorbed : float
         Share of the variance of the row number that the model absorbs, as the rows stand.
+    findings : tuple of Finding
+        Errors of the calibration.
     """
 
     parameter: str | None
@@ -83,6 +86,7 @@ class Worth(Keyed):
     path: Array | None
     floor: float | None
     drift_absorbed: float
+    findings: Findings = ()
 
     def to_pandas(self) -> Any:
         """Return the candidates as a data frame: up_x, up_y, up_z, fall, u of each parameter.
@@ -162,6 +166,7 @@ def worth(
         for row in order.tolist()
     ]
     return Worth(
+        findings=errors_of(calibration.findings),
         parameter=parameter,
         target=target,
         u=dict(zip(keys, before.tolist(), strict=True)),

@@ -47,8 +47,8 @@ from multipos.diagnostics.scales import (
     turned,
     unit,
 )
-from multipos.doubt import Doubt
 from multipos.files.spelling import quoted
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import COMPONENTS
@@ -150,7 +150,7 @@ _QUIET = 0.2  # likewise, as scatter
 _SKEW = 0.5  # cosine between two outputs of a triad, which should be at right angles
 
 
-def explained(c: Calibration) -> tuple[Doubt, ...]:
+def explained(c: Calibration) -> tuple[Finding, ...]:
     """Return what is absurd about the fit as a whole: the repair, or what it says as it is."""
     if _is_calm(c):
         return ()
@@ -173,7 +173,7 @@ def explained(c: Calibration) -> tuple[Doubt, ...]:
         found.append(reversed_or_permuted(c, sensitivity))
     if found[0] is found[-1] is None:
         found.append(turned(c, sensitivity))
-    return tuple(doubt for doubt in found if doubt is not None)
+    return tuple(finding for finding in found if finding is not None)
 
 
 def _is_calm(c: Calibration) -> bool:
@@ -209,7 +209,7 @@ def _bends(c: Calibration, sizes: dict[str, float]) -> bool:
     )
 
 
-def _silent(c: Calibration) -> Doubt | None:
+def _silent(c: Calibration) -> Finding | None:
     """Find outputs that only scatter, and as the others do; in another unit they would do less."""
     response = np.linalg.norm(c.sensitivity, axis=1)
     middle, scatter = float(median(response)), float(median(c.residual_sd))
@@ -221,9 +221,9 @@ def _silent(c: Calibration) -> Doubt | None:
     silent = [output for output, each in zip(c.outputs, found.tolist(), strict=True) if each]
     if not silent:
         return None
-    return Doubt(
+    return Finding(
         "no-signal",
-        "implausible",
+        "error",
         f"{quoted(silent)} does not respond to gravity along any axis: the output is not "
         "connected, or the column is another one; mend it, or leave it out with --outputs",
         outputs=tuple(silent),
@@ -235,7 +235,7 @@ def _placement_sd(c: Calibration) -> float:
     return 0.0 if sd is None or c.estimator.exact else float(np.max(sd))
 
 
-def _repair(c: Calibration, view: View) -> Doubt | None:
+def _repair(c: Calibration, view: View) -> Finding | None:
     """Return what one repair explains, the one after which the outputs face their own axes."""
     expected = expected_directions(c)
     found, tried = candidates(view, expected, slight=_is_slight(c))
@@ -273,7 +273,7 @@ def _faces(view: View, expected: Array) -> float:
     return float(np.round(cosines(view.sensitivity, expected).min(), 2))
 
 
-def _in_words(c: Calibration, repair: Repair) -> Doubt:
+def _in_words(c: Calibration, repair: Repair) -> Finding:
     labels = c.readings.labels
     rows = tuple(labels[row] for row in repair.rows)
     named = _positions(rows)
@@ -296,7 +296,7 @@ def _in_words(c: Calibration, repair: Repair) -> Doubt:
     }
     everywhere = repair.code == "angles-in-radians"
     text = texts[repair.code]
-    return Doubt(repair.code, "implausible", text, () if everywhere else rows, outputs)
+    return Finding(repair.code, "error", text, rows=() if everywhere else rows, outputs=outputs)
 
 
 def _positions(rows: tuple[str, ...]) -> str:
@@ -304,7 +304,7 @@ def _positions(rows: tuple[str, ...]) -> str:
     return f"position {named}" if len(rows) == 1 else f"positions {named}"
 
 
-def _no_signal(c: Calibration, view: View) -> Doubt | None:
+def _no_signal(c: Calibration, view: View) -> Finding | None:
     """Find residuals as large as the signal, or outputs of a triad that are not three."""
     own = c.residual_sd / np.maximum(np.linalg.norm(c.sensitivity, axis=1), np.finfo(float).tiny)
     poor = np.isnan(own) | (own > _SUSPICIOUS)
@@ -313,9 +313,9 @@ def _no_signal(c: Calibration, view: View) -> Doubt | None:
     share = np.sqrt(np.sum(view.residuals**2, axis=0) / view.dof) / view.response
     loud = [output for output, own in zip(c.outputs, share.tolist(), strict=True) if own > ABSURD]
     outputs = tuple(loud) if len(loud) < len(c.outputs) else ()
-    return Doubt(
+    return Finding(
         "no-signal",
-        "implausible",
+        "error",
         f"the residuals{f' of {quoted(outputs)}' if outputs else ''} are "
         f"{100.0 * float(share.max()):.0f} % of what one g does to the output: the readings do not "
         "follow the positions; the order of the rows, the scheme and the columns are where to look",
@@ -323,7 +323,7 @@ def _no_signal(c: Calibration, view: View) -> Doubt | None:
     )
 
 
-def _no_response(c: Calibration, sensitivity: Array) -> Doubt | None:
+def _no_response(c: Calibration, sensitivity: Array) -> Finding | None:
     """Find outputs that do not respond to their own axis, in a sensor that is not turned."""
     size = np.linalg.norm(sensitivity, axis=1)
     expected = expected_directions(c)
@@ -342,9 +342,9 @@ def _no_response(c: Calibration, sensitivity: Array) -> Doubt | None:
         return None
     axes = dict(zip(c.outputs, c.model.axes, strict=True))
     named = ", ".join(f"{output} to {axes[output]}" for output in silent)
-    return Doubt(
+    return Finding(
         "no-signal",
-        "implausible",
+        "error",
         f"an output does not respond to its own axis: {named}; look at the columns and the wiring, "
         "or say with --axes which axis each output senses",
         outputs=tuple(silent),

@@ -1,4 +1,4 @@
-"""Doubts that the columns raise by themselves, whatever was fitted.
+"""Findings that the columns raise by themselves, whatever was fitted.
 
 A dead output stands still, to the last digit, while its own axis turned from one side of the
 horizon to the other. A sensor at rest scatters and quantises, but over an own reference that spans
@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.diagnostics.linear_view import listed_reference
-from multipos.doubt import Doubt
 from multipos.files.spelling import quoted
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median, resolution, row_keys
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
@@ -40,7 +40,7 @@ _MEDIAN = 0.6745  # of the size of a normal error with standard deviation one
 _BEYOND = 4.0  # standard deviations, and steps, that a saturated reading falls short
 
 
-def dead_output(c: Calibration) -> Doubt | None:
+def dead_output(c: Calibration) -> Finding | None:
     """Find outputs that gave one number while gravity moved along their axis."""
     still = (np.ptp(c.readings.values, axis=0) == 0.0).tolist()
     if not any(still):
@@ -52,16 +52,16 @@ def dead_output(c: Calibration) -> Doubt | None:
     ]
     if not dead:
         return None
-    return Doubt(
+    return Finding(
         "dead-output",
-        "implausible",
+        "error",
         f"{quoted(dead)} read the same number at all {len(c.readings)} positions: the output is "
         "not connected, or the column is another one; mend it, or leave it out with --outputs",
         outputs=tuple(dead),
     )
 
 
-def temperature_kelvin(c: Calibration) -> Doubt | None:
+def temperature_kelvin(c: Calibration) -> Finding | None:
     """Find a temperature that the model uses and that looks like kelvin."""
     column = c.readings.environment.get("temperature")
     if column is None or "temperature" not in c.model.environment:
@@ -69,15 +69,15 @@ def temperature_kelvin(c: Calibration) -> Doubt | None:
     low, high = float(column.min()), float(column.max())
     if not _KELVIN[0] <= low <= high <= _KELVIN[1]:
         return None
-    return Doubt(
+    return Finding(
         "temperature-kelvin",
-        "caution",
+        "warning",
         f"the temperature, {low:g} to {high:g}, looks like kelvin: coefficients are for degrees "
         "Celsius, and the bias is that at 0; subtract 273.15 from the column",
     )
 
 
-def counter_column(c: Calibration) -> Doubt | None:
+def counter_column(c: Calibration) -> Finding | None:
     """Find outputs that only count the rows."""
     values = c.readings.values
     if len(values) < _COUNTED:
@@ -93,16 +93,16 @@ def counter_column(c: Calibration) -> Doubt | None:
             counters.append(output)
     if not counters:
         return None
-    return Doubt(
+    return Finding(
         "counter-column",
-        "implausible",
+        "error",
         f"{quoted(counters)} rises by the same step from row to row: a counter or a clock, not an "
         "output; name the outputs with --outputs",
         outputs=tuple(counters),
     )
 
 
-def saturated(c: Calibration) -> Doubt | None:
+def saturated(c: Calibration) -> Finding | None:
     """Find outputs that ran into the end of their range."""
     values = c.readings.values
     top, bottom = values.max(axis=0), values.min(axis=0)
@@ -128,13 +128,13 @@ def saturated(c: Calibration) -> Doubt | None:
         return None
     named = quoted(list(outputs))
     where = f" at position {', '.join(list(rows)[:12])}" if rows else ""
-    return Doubt(
+    return Finding(
         "saturated",
-        "implausible",
+        "error",
         f"{named} ran into the end of its range{where}: readings stop at the same number where "
         "more is expected; measure again in a wider range, or leave these positions out",
-        tuple(rows),
-        tuple(outputs),
+        rows=tuple(rows),
+        outputs=tuple(outputs),
     )
 
 
@@ -176,7 +176,7 @@ def _has_common_ends(c: Calibration) -> bool:
     return (resolution(values) / (4.0 * scatter)) ** again < _BY_CHANCE
 
 
-def repeated_rows(c: Calibration) -> Doubt | None:
+def repeated_rows(c: Calibration) -> Finding | None:
     """Find rows that are copies of others."""
     keys = row_keys(c.readings.values)
     if len(set(keys)) == len(keys):
@@ -204,7 +204,7 @@ def repeated_rows(c: Calibration) -> Doubt | None:
         "tell nothing new but make U smaller than it is; leave them out"
     )
     rows = dict.fromkeys(labels[row] for pair in copies for row in pair)
-    return Doubt("repeated-rows", "caution", text, tuple(rows))
+    return Finding("repeated-rows", "warning", text, rows=tuple(rows))
 
 
 def _shows_noise(c: Calibration) -> bool:

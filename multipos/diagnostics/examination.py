@@ -1,7 +1,7 @@
-"""Every doubt about a finished calibration, in the order in which they are asked.
+"""Every finding about a finished calibration, in the order in which they are asked.
 
-A doubt is a function from a calibration to at most one finding, a `Doubt`, and a line in one of
-the lists below. Cautions about what the residuals say are asked only where nothing implausible
+A finding is a function from a calibration to at most one finding, a `Finding`, and a line in one of
+the lists below. Cautions about what the residuals say are asked only where nothing wrong
 was found: rows interchanged look like a missing term, an outlier and a denied noise as well, and
 are none of these.
 """
@@ -29,10 +29,10 @@ from multipos.diagnostics.residuals import (
 )
 from multipos.diagnostics.scales import gravity
 from multipos.diagnostics.score_tests import judge_model
-from multipos.doubt import Doubt, besides, implausible
+from multipos.finding import Finding, errors_of, in_order
 from multipos.sensor.calibration import Calibration
 
-Question = Callable[[Calibration], Doubt | None]
+Question = Callable[[Calibration], Finding | None]
 
 # Implausible whatever the fit says; where a column is no output at all, no more is asked of it.
 OF_COLUMNS: tuple[Question, ...] = (dead_output, counter_column, saturated)
@@ -52,15 +52,19 @@ OF_RESIDUALS: tuple[Question, ...] = (
     unequal_noise,
     time_correlated,
 )
-# What is alike from row to row because of these is no drift.
-_EXPLAINING = frozenset({"zero-per-soak", "missing-term"})
+# What a finding explains is not said beside it: rows alike because of a soak are no drift.
+_EXPLAINED = {
+    "zero-per-soak": "time-correlated",
+    "missing-term": "time-correlated",
+    "no-redundancy": "no-dof",
+    "no-signal": "convention",
+}
 
 
 def examine(calibration: Calibration) -> Calibration:
     """Return a calibration with what does not look right about it.
 
-    The doubts stand in `diagnostics.doubts`, the worst first, and their texts are the first of
-    `diagnostics.warnings`; beside them stand the tests of the terms that the model lacks.
+    Beside the findings stand the tests of the terms that the model lacks.
     """
     tested = judge_model(calibration)
     of_model = replace(calibration.diagnostics, model_tests=tested.tests, hidden=tested.hidden)
@@ -69,18 +73,15 @@ def examine(calibration: Calibration) -> Calibration:
     if not found:
         found += explained(calibration)
     found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
-    if not implausible(found):
+    if not errors_of(found):
         found += _answers(OF_RESIDUALS, calibration)
-        if not _EXPLAINING.isdisjoint(doubt.code for doubt in found):
-            found = [doubt for doubt in found if doubt.code != "time-correlated"]
-    if not found:
-        return calibration
-    doubts = tuple(sorted(found, key=lambda doubt: not doubt.implausible))
     before = calibration.diagnostics
-    warnings = (*(doubt.text for doubt in doubts), *besides(before.warnings, doubts))
-    return replace(calibration, diagnostics=replace(before, doubts=doubts, warnings=warnings))
+    every = (*found, *before.findings)
+    explained_too = {_EXPLAINED.get(each.code) for each in every}
+    findings = in_order(each for each in every if each.code not in explained_too)
+    return replace(calibration, diagnostics=replace(before, findings=findings))
 
 
-def _answers(questions: Sequence[Question], calibration: Calibration) -> list[Doubt]:
+def _answers(questions: Sequence[Question], calibration: Calibration) -> list[Finding]:
     answers = (ask(calibration) for ask in questions)
-    return [doubt for doubt in answers if doubt is not None]
+    return [finding for finding in answers if finding is not None]

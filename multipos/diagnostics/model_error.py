@@ -1,4 +1,4 @@
-"""Doubts about the model: a term that the data ask for, and terms that the positions cannot show.
+"""Findings about the model: a term that the data ask for, and terms that the positions cannot show.
 
 A term that is missing spoils compensated force by as much as it is large, and no U of the
 parameters holds it: with a linear model and 2 mg of third order, U covers 58 % at 24 positions and
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from multipos.diagnostics.projections import Kind, formula_with, lacking, left_of, seen_rows
 from multipos.diagnostics.score_tests import judge_model, significant
-from multipos.doubt import Doubt
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
@@ -45,7 +45,7 @@ _GAP = 0.04  # of the span of temperature, by which levels are apart
 _FEWEST = 4  # soaks
 
 
-def zero_per_soak(c: Calibration) -> Doubt | None:
+def zero_per_soak(c: Calibration) -> Finding | None:
     """Find a zero that differs from soak to soak, by eq. (2)."""
     found = judge_soaks(c)
     if found is None or not found[0].is_below(_LEVEL):
@@ -54,9 +54,9 @@ def zero_per_soak(c: Calibration) -> Doubt | None:
     told = ", ".join(
         f"{output} {size:.2g}" for output, size in zip(c.outputs, sizes.tolist(), strict=True)
     )
-    return Doubt(
+    return Finding(
         "zero-per-soak",
-        "caution",
+        "warning",
         f"the zero differs from soak to soak, beyond what the model follows (p = {test.p:.1g}; "
         f"{told} {c.model.unit}): rows of one soak are not independent, and U and the band over "
         "temperature are too small; take more soaks, or state it in a budget, [stability] u_… = …",
@@ -130,7 +130,7 @@ _MOST = 3  # terms named
 _AS_GOOD = 6.6  # of twice the logarithm of the likelihood: the 99 % point of chi² on one degree
 
 
-def missing_term(c: Calibration) -> Doubt | None:
+def missing_term(c: Calibration) -> Finding | None:
     """Name the terms that the data ask for, the one that explains most first."""
     best = significant(c.diagnostics.model_tests)
     if any(test.term.startswith(COLUMN) for test in best) and zero_per_soak(c) is not None:
@@ -141,23 +141,23 @@ def missing_term(c: Calibration) -> Doubt | None:
     others = [t.term for t in best[1:] if t.gain > first.gain - _AS_GOOD and t.term not in named]
     instead = f"; {' or '.join(others)} would explain them as well" if others else ""
     chance = "less than 1e-99" if first.p < 1e-99 else f"{first.p:.1g}"
-    return Doubt(
+    return Finding(
         "missing-term",
-        "caution",
+        "warning",
         f"the residuals ask for {' and '.join(named)}, which the model lacks (p = {chance}"
         f"{instead}): U of compensated force does not hold that error; {_way_out(c, named)}",
         outputs=_showing(first),
     )
 
 
-def hidden_terms(c: Calibration) -> Doubt | None:
+def hidden_terms(c: Calibration) -> Finding | None:
     """Name the terms that the positions cannot show and the budget does not state."""
     hidden = not_stated(c)
     if not hidden:
         return None
-    return Doubt(
+    return Finding(
         "hidden-terms",
-        "caution",
+        "note",
         f"these positions cannot show {_listed(hidden)}, and U of compensated force leaves such "
         "terms out: add directions between those there are, or state them in a budget, [unseen]",
     )
@@ -169,16 +169,16 @@ def not_stated(c: Calibration) -> tuple[str, ...]:
     return tuple(kind for kind in c.diagnostics.hidden if kind not in stated)
 
 
-def said_of_hidden(c: Calibration) -> tuple[str, ...]:
-    """Return a sentence on the hidden terms for who applies a calibration; none where all show."""
+def find_hidden(c: Calibration) -> Findings:
+    """Return a note on the hidden terms for who applies a calibration; none where all show."""
     hidden = not_stated(c)
     if not hidden:
         return ()
-    said = (
+    text = (
         f"the positions of the calibration could not show {_listed(hidden)}: between the "
         "directions that were applied force may be off by such terms, and U leaves them out"
     )
-    return (said,)
+    return (Finding("hidden-terms", "note", text),)
 
 
 def _named(c: Calibration, best: Sequence[ModelTest]) -> tuple[str, ...]:

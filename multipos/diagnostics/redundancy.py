@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.doubt import Doubt
 from multipos.estimation.gains import estimator_gain
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array
 from multipos.positions.readings import diagonal
 from multipos.sensor.calibration import Calibration
@@ -29,7 +29,7 @@ _TYPICAL = 1e-3  # [g], noise of a reading of which nothing is stated
 _BEYOND = 0.1  # standard deviations of a linear term in scale factors, beyond any sensor
 
 
-def no_redundancy(c: Calibration) -> Doubt | None:
+def no_redundancy(c: Calibration) -> Finding | None:
     """Find fits that nothing checks."""
     n = len(c.readings)
     if c.estimator == Estimator.UNKNOWN:
@@ -42,15 +42,15 @@ def no_redundancy(c: Calibration) -> Doubt | None:
         name, moved = _moved_by_noise(c)
         if moved > _BEYOND:
             noise = "their noise" if c.readings.noise is not None else "a noise of 1 mg"
-            return Doubt(
+            return Finding(
                 "no-residuals",
-                "implausible",
+                "error",
                 f"{n} positions for as many parameters: nothing contradicts the fit, and {noise} "
                 f"moves {name} by {100.0 * moved:.2g} % of one g; add positions that differ more",
             )
-        return Doubt(
+        return Finding(
             "no-redundancy",
-            "caution",
+            "warning",
             f"{n} positions for as many parameters: the fit passes through every reading and "
             "nothing shows whether it is right; add positions",
         )
@@ -71,12 +71,12 @@ def _moved_by_noise(c: Calibration) -> tuple[str, float]:
     return c.names[int(np.argmax(share))], float(share.max())
 
 
-def hardly_told(c: Calibration) -> Doubt | None:
+def hardly_told(c: Calibration) -> Finding | None:
     """Find positions that are much alike, and own scale factors that U leaves open, if not zero."""
     if c.diagnostics.condition > _ILL_CONDITIONED:
-        return Doubt(
+        return Finding(
             "no-redundancy",
-            "caution",
+            "warning",
             "the positions separate the parameters badly (condition "
             f"{c.diagnostics.condition:.1e}); add positions that differ more",
         )
@@ -85,14 +85,14 @@ def hardly_told(c: Calibration) -> Doubt | None:
     if not found:
         return None
     said = ", ".join(f"{name} to {100.0 * each:.2g} %" for name, each in found)
-    return Doubt(
+    return Finding(
         "no-redundancy",
-        "caution",
+        "warning",
         f"U leaves scale factors open: {said}; average longer, or add positions",
     )
 
 
-def _poorly_known(c: Calibration) -> Doubt | None:
+def _poorly_known(c: Calibration) -> Finding | None:
     """Find linear terms that positions of unknown orientation leave nearly open."""
     share = _shares(c.model, c.parameters[None], c.U[None])[0]
     poor = [
@@ -101,9 +101,9 @@ def _poorly_known(c: Calibration) -> Doubt | None:
     if not poor:
         return None
     said = ", ".join(f"{name} to {1e3 * each:.2g} mrad" for name, each in poor[:4])
-    return Doubt(
+    return Finding(
         "no-redundancy",
-        "caution",
+        "warning",
         f"the positions hardly tell some parameters: {said} (U); add positions that differ more",
     )
 

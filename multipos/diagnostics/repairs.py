@@ -56,7 +56,7 @@ class Repair:
     Attributes
     ----------
     code : str
-        Of the doubt.
+        Of the finding.
     rows : tuple of int
         What is changed.
     view : View

@@ -37,11 +37,11 @@ from multipos.diagnostics.noise_causes import (
     prefers_unequal,
 )
 from multipos.diagnostics.score_tests import significant
-from multipos.doubt import Doubt
 from multipos.estimation.gains import told_by_solution
 from multipos.estimation.known import DENIED
 from multipos.estimation.likelihood import weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median, resolution
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail
 from multipos.numerics.terms import COMPONENTS
@@ -61,7 +61,7 @@ _ENOUGH = 3  # degrees of freedom without them
 _SIGN = 0.2  # of an error: how near twice the reading it is where a sign was lost
 
 
-def outlier(c: Calibration) -> Doubt | None:
+def outlier(c: Calibration) -> Finding | None:
     """Find positions that stick out, and readings whose sign is lost."""
     rows = _outlying_rows(c)
     if rows is not None:
@@ -73,12 +73,12 @@ def outlier(c: Calibration) -> Doubt | None:
     more = f"; and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
     heads = [(f"position {label}:", f"position {label} ", label) for label in c.readings.labels]
     named = [label for *starts, label in heads if any(s.startswith(tuple(starts)) for s in found)]
-    return Doubt(
+    return Finding(
         "outlier",
-        "caution",
+        "warning",
         f"{'; '.join(found[:_SHOWN])}{more}: measure again, leave it out, or fit with --robust "
         "huber",
-        tuple(dict.fromkeys(named)),
+        rows=tuple(dict.fromkeys(named)),
     )
 
 
@@ -96,7 +96,7 @@ def _outlying_rows(c: Calibration) -> Outlying | None:
     return find_outlying_rows(c.model, readings, reference, sd)
 
 
-def _outlying(c: Calibration, found: Outlying) -> Doubt:
+def _outlying(c: Calibration, found: Outlying) -> Finding:
     labels = [c.readings.labels[row] for row in found.rows.tolist()]
     off = [f"{1e3 * size:.3g} mg" for size in found.off.tolist()]
     gross = found.ratio > _GROSS and found.dof >= _ENOUGH
@@ -108,21 +108,21 @@ def _outlying(c: Calibration, found: Outlying) -> Doubt:
     lost = _signs_lost(c, found)
     if lost:
         cells = ", ".join(f"{output} of position {label}" for label, output in lost)
-        return Doubt(
+        return Finding(
             "flipped-row",
-            "implausible" if gross else "caution",
+            "error" if gross else "warning",
             f"{cells} has the other sign: with it turned the residuals agree; correct the sign, or "
             f"set the position aside with --exclude {named}",
-            tuple(dict.fromkeys(labels)),
-            tuple(dict.fromkeys(output for _, output in lost)),
+            rows=tuple(dict.fromkeys(labels)),
+            outputs=tuple(dict.fromkeys(output for _, output in lost)),
         )
     lower = f"; without, residuals are {found.ratio:.2g} times smaller" if gross else ""
-    return Doubt(
+    return Finding(
         "outlier",
-        "implausible" if gross else "caution",
+        "error" if gross else "warning",
         f"{said} off the fit of the others{lower}; measure again, or set aside with "
         f"--exclude {named}",
-        tuple(dict.fromkeys(labels)),
+        rows=tuple(dict.fromkeys(labels)),
     )
 
 
@@ -142,7 +142,7 @@ def _signs_lost(c: Calibration, found: Outlying) -> list[tuple[str, str]]:
     ]
 
 
-def lack_of_fit(c: Calibration) -> Doubt | None:
+def lack_of_fit(c: Calibration) -> Finding | None:
     """Find outputs whose repeats scatter less than the model misses them."""
     if c.effective_rows:  # neighbours are no repeats
         return None
@@ -158,16 +158,16 @@ def lack_of_fit(c: Calibration) -> Doubt | None:
     if not small or repeated_rows(c) is not None:  # copies are no repeats
         return None
     said = ", ".join(f"{output} (p = {p:.2g})" for output, p in small.items())
-    return Doubt(
+    return Finding(
         "lack-of-fit",
-        "caution",
+        "warning",
         f"repeats of a position agree better than the model meets them: {said}; the model lacks a "
         "term, or the positions are not where they are listed (--orientation-sd)",
         outputs=tuple(small),
     )
 
 
-def time_correlated(c: Calibration) -> Doubt | None:
+def time_correlated(c: Calibration) -> Finding | None:
     """Find rows that are worth fewer, and residuals alike where the positions are not."""
     if c.effective_rows:
         return _worth_fewer(c, c.effective_rows)
@@ -189,23 +189,23 @@ def time_correlated(c: Calibration) -> Doubt | None:
     expected = -float(np.sum(basis[1:] * basis[:-1])) / left
     if product - expected < enough or float(median(_angles_between(c.reference))) < _APART:
         return None
-    return Doubt(
+    return Finding(
         "time-correlated",
-        "caution",
+        "warning",
         "residuals are alike from one row to the next though the positions are not: something "
         "drifted while it was measured, and U is too small; take the positions in random order, "
         "or fit a term of time or temperature",
     )
 
 
-def _worth_fewer(c: Calibration, effective: Mapping[str, float]) -> Doubt:
-    """Return the doubt about rows whose correlation U follows from."""
+def _worth_fewer(c: Calibration, effective: Mapping[str, float]) -> Finding:
+    """Return the finding about rows whose correlation U follows from."""
     n = len(c.residuals)
     fewer = {output: rows for output, rows in effective.items() if rows < n}
     said = ", ".join(f"{output} {max(rows, 1.0):.2g}" for output, rows in fewer.items())
-    return Doubt(
+    return Finding(
         "time-correlated",
-        "caution",
+        "warning",
         f"neighbouring rows have nearly the same error: the mean of {n} is worth that of fewer "
         f"independent ones, {said}, and U is larger for it; take the positions several times, in "
         "random order",
@@ -225,7 +225,7 @@ _FEW = 6.0  # degrees of freedom below which the law of eq. (1) is not reached
 _MOST = 600  # readings beyond which eq. (1) is not worked out
 
 
-def denied_noise(c: Calibration) -> Doubt | None:
+def denied_noise(c: Calibration) -> Finding | None:
     """Find a stated noise that the residuals deny, and name the cause that the data favour."""
     claim = c.diagnostics.claim
     if claim is None or not claim.chi2 > chi2_quantile(DENIED, claim.dof):
@@ -236,15 +236,15 @@ def denied_noise(c: Calibration) -> Doubt | None:
     if scatter:
         sizes = ", ".join(dict.fromkeys(f"{part.value:.3g}" for part in scatter.values()))
         added = f"a scatter from position to position of {sizes} {c.model.unit} is added to it"
-    return Doubt(
+    return Finding(
         "denied-noise",
-        "caution",
+        "warning",
         f"the residuals deny the stated reading noise (chi-square {claim.chi2:.4g} on "
         f"{claim.dof:g} degrees of freedom): {added}; {_cause(c)}",
     )
 
 
-def placement(c: Calibration) -> Doubt | None:
+def placement(c: Calibration) -> Finding | None:
     """Find readings that scatter across the force, as placement makes them."""
     if c.noise is not None or not _separable(c) or significant(c.diagnostics.model_tests):
         return None
@@ -254,16 +254,16 @@ def placement(c: Calibration) -> Doubt | None:
     degrees = _orientation_error(explain_equal(of), explain_orientations(of))
     if degrees is None:
         return None
-    return Doubt(
+    return Finding(
         "placement",
-        "caution",
+        "warning",
         "the residuals lie across the force, as those of positions that were off by some "
         f"{degrees:.2g} degrees do: known orientations weigh them wrongly; --orientation-sd auto "
         "estimates that with the parameters",
     )
 
 
-def unequal_noise(c: Calibration) -> Doubt | None:
+def unequal_noise(c: Calibration) -> Finding | None:
     """Find outputs of unequal noise where the likelihood takes them as equal, or as stated."""
     if c.estimator.exact or c.robust_weight is not None or len(c.outputs) < 2:
         return None
@@ -271,9 +271,9 @@ def unequal_noise(c: Calibration) -> Doubt | None:
     if not p < _LEVEL or significant(c.diagnostics.model_tests):
         return None
     told = ",".join(f"{size:.2g}" for size in sizes.tolist())
-    return Doubt(
+    return Finding(
         "unequal-noise",
-        "caution",
+        "warning",
         f"the outputs scatter unequally (p = {p:.1g}), and the fit takes them as "
         f"{'stated' if c.readings.noise is not None else 'equal'}: U of the noisiest is too small; "
         f"state their noise, --reading-sd {told} is what the residuals show",

@@ -1,4 +1,4 @@
-"""Doubts about sizes: the unit of the readings, that of one output, and gravity.
+"""Findings about sizes: the unit of the readings, that of one output, and gravity.
 
 A sensor in a unit that is known responds to one g by what that unit says: 1 in g, 9.80665 in
 m/s², 1000 in mg; by half as much again or half, if it was never adjusted. Outputs of one triad
@@ -25,8 +25,8 @@ from itertools import permutations
 import numpy as np
 
 from multipos.diagnostics.repairs import FACTORS
-from multipos.doubt import Doubt
 from multipos.files.spelling import quoted
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.rotations import align, rotation_vector
 from multipos.numerics.terms import COMPONENTS
@@ -92,7 +92,7 @@ def is_triad(c: Calibration) -> bool:
     return len(c.outputs) == _TRIAD and sorted(c.model.axes) == list(COMPONENTS)
 
 
-def reversed_or_permuted(c: Calibration, sensitivity: Array) -> Doubt | None:
+def reversed_or_permuted(c: Calibration, sensitivity: Array) -> Finding | None:
     """Find a triad that no turning of the sensor gives."""
     if not is_triad(c) or not np.linalg.norm(sensitivity, axis=1).all():
         return None
@@ -113,9 +113,9 @@ def reversed_or_permuted(c: Calibration, sensitivity: Array) -> Doubt | None:
     )
     if face.axes == own:
         wrong = [o for o, cosine in zip(c.outputs, along.tolist(), strict=True) if cosine < 0.0]
-        return Doubt(
+        return Finding(
             "sign",
-            "implausible",
+            "error",
             f"{quoted(wrong)} falls where it should rise as its axis turns, {known}: the output "
             "is reversed, or positions are listed for each other; where the sensor is made so, say "
             f"it with --axes {face.text}",
@@ -127,16 +127,16 @@ def reversed_or_permuted(c: Calibration, sensitivity: Array) -> Doubt | None:
         for output, axis in zip(c.outputs, face.text.split(","), strict=True)
         if output in wrong
     )
-    return Doubt(
+    return Finding(
         "permuted-outputs",
-        "implausible",
+        "error",
         f"outputs are interchanged: {senses} is how they respond, {known}; name the columns "
         f"rightly, or say with --axes {face.text} that it is so",
         outputs=tuple(wrong),
     )
 
 
-def turned(c: Calibration, sensitivity: Array) -> Doubt | None:
+def turned(c: Calibration, sensitivity: Array) -> Finding | None:
     """Find a sensor that is turned as a whole, or an output of one or two that faces elsewhere."""
     expected = expected_directions(c)
     if len(c.outputs) > _TRIAD or (cosines(sensitivity, expected) > _SLANTED).all():
@@ -151,9 +151,9 @@ def turned(c: Calibration, sensitivity: Array) -> Doubt | None:
     )
     if is_triad(c):
         how = f"{_rotation_in_words(sensitivity, expected)}: {how}"
-    return Doubt(
+    return Finding(
         "turned",
-        "caution",
+        "warning",
         f"the sensor stands turned in its case, {how}; compensated forces are along the axes of "
         f"the case all the same{words}",
         outputs=c.outputs,
@@ -182,7 +182,7 @@ _NAMED = 1.6  # a ratio so near to a known one is called by its name
 _EARTH = (9.75, 9.85)  # [m/s²] from the equator's mountains to the poles' seas, and a little more
 
 
-def unit(c: Calibration, sensitivity: Array) -> Doubt | None:
+def unit(c: Calibration, sensitivity: Array) -> Finding | None:
     """Find readings that are in another unit than the one stated."""
     one_g = _ONE_G.get(c.model.unit)
     size = np.linalg.norm(sensitivity, axis=1)
@@ -195,15 +195,15 @@ def unit(c: Calibration, sensitivity: Array) -> Doubt | None:
         return None  # one output is to be mended first
     near = [name for name, value in _ONE_G.items() if _is_near(ratio * one_g, value)]
     way_out = f"they look like {near[0]}: --unit {near[0]}" if near else "state the right one"
-    return Doubt(
+    return Finding(
         "unit",
-        "implausible",
+        "error",
         f"the readings are not in {c.model.unit}: one g makes {ratio * one_g:.4g} of them, where "
         f"it should be {one_g:g}; {way_out}, or leave --unit away where the unit has no name",
     )
 
 
-def output_unit(c: Calibration, sensitivity: Array) -> Doubt | None:
+def output_unit(c: Calibration, sensitivity: Array) -> Finding | None:
     """Find an output that is in another unit than the others."""
     size = np.linalg.norm(sensitivity, axis=1)
     if len(size) < 2 or not size.all() or (is_triad(c) and _alike(size)):
@@ -217,24 +217,24 @@ def output_unit(c: Calibration, sensitivity: Array) -> Doubt | None:
     if not wrong:
         return None
     said = ", ".join(f"{output} {_times(ratio)}" for output, ratio in wrong)
-    return Doubt(
+    return Finding(
         "output-unit",
-        "implausible",
+        "error",
         f"outputs differ in unit: {said} as sensitive as the others; bring the columns to one unit",
         outputs=tuple(output for output, _ in wrong),
     )
 
 
-def gravity(c: Calibration) -> Doubt | None:
+def gravity(c: Calibration) -> Finding | None:
     """Find a gravity that is none of this earth."""
     stated = c.gravity
     if stated is None or _EARTH[0] - stated.u <= stated.value <= _EARTH[1] + stated.u:
         return None
     feet = _is_near(stated.value, STANDARD_GRAVITY / 0.3048, 1.01)
     looks = "; it looks like feet per second squared, of which m/s^2 are .3048" if feet else ""
-    return Doubt(
+    return Finding(
         "gravity",
-        "implausible",
+        "error",
         f"gravity is {stated.value:g} m/s^2, and on the surface of the earth between 9.764 and "
         f"9.834{looks}; correct --gravity, or give --latitude and --height",
     )

@@ -110,7 +110,7 @@ def _diagnose(solution: Solution, readings: Readings, estimator: Estimator) -> D
         else {},
         outliers=solution.outliers,
         unidentifiable=solution.unidentifiable,
-        warnings=(*readings.notes, *solution.warnings),
+        findings=(*readings.findings, *solution.findings),
         claim=solution.claim,
     )
 

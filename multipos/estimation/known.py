@@ -48,6 +48,7 @@ from multipos.estimation.identifiability import formal_only
 from multipos.estimation.problem import Solution
 from multipos.estimation.stated_uncertainty import Claims, carried_dof, take_claims
 from multipos.files.records import LARGEST
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.factoring import singular_values
 from multipos.numerics.least_squares import (
@@ -80,13 +81,17 @@ _SPLIT = 26  # bits of the design that they multiply
 _WORST = 1e6  # condition, or ratio of variances, beyond which (2) and (3) lack digits
 _REFINEMENTS = 2  # of eq. (3), the second for the rounding of the first
 _AT_ONCE = 12_000  # readings of an output, so that the weights of eq. (3) stay in cache
-_UNSUPPORTED = (
+_UNSUPPORTED = Finding(
+    "unequal-pool",
+    "warning",
     "the outputs' residual variances differ (Bartlett's test at 5 %), so pooling them is not "
-    "supported by the data"
+    "supported by the data",
 )
-_NOTHING_LEFT = (
+_NOTHING_LEFT = Finding(
+    "no-dof",
+    "warning",
     "as many terms as readings: nothing is left to estimate the uncertainty from; give "
-    "--reading-sd or more positions"
+    "--reading-sd or more positions",
 )
 
 
@@ -543,7 +548,7 @@ def solve_known(
         leverage=found.leverage,
         outliers=_outliers(shared, readings, found),
         condition=found.condition,
-        warnings=_warnings(shared, found, pool) if claim is None else overstated(claim),
+        findings=_of_noise(shared, found, pool) if claim is None else overstated(claim),
         unidentifiable=formal_only(
             model,
             found.parameters,
@@ -636,8 +641,8 @@ def _solve_jointly(shared: SharedDesign, values: Array, readings: Readings, pool
     )
 
 
-def _warnings(shared: SharedDesign, found: _One, pool: bool) -> tuple[str, ...]:
-    """Return the warnings about a noise that the residuals alone give."""
+def _of_noise(shared: SharedDesign, found: _One, pool: bool) -> Findings:
+    """Return the findings about a noise that the residuals alone give."""
     if found.sd is not None:
         return ()
     dof = shared.dof
@@ -701,12 +706,13 @@ def chi_squares(residuals: Array, noise: Array | None) -> Array:
     )
 
 
-def overstated(claim: Claim) -> tuple[str, ...]:
+def overstated(claim: Claim) -> Findings:
     """Return a warning where the residuals of all outputs are far below the stated noise."""
     if claim.chi2 >= chi2_quantile(1.0 - DENIED, claim.dof):
         return ()
     seen = f"(chi-square {claim.chi2:.4g} on {claim.dof:g} degrees of freedom)"
-    return (f"the residuals are far smaller than the stated noise {seen}: it may be overstated",)
+    text = f"the residuals are far smaller than the stated noise {seen}: it may be overstated"
+    return (Finding("overstated-noise", "warning", text),)
 
 
 def per_parameter(model: Model, values: Array) -> Array:

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from multipos.estimation.known import solve_known
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Selection, Thresholds, compress, select_stepwise
 from multipos.numerics.terms import CONSTANT, linear_term
@@ -22,9 +23,11 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Chosen
 from multipos.sensor.model import Model
 
-OPTIMISTIC = (
+OPTIMISTIC = Finding(
+    "selected-terms",
+    "note",
     "the terms were chosen stepwise by the readings that also test them: the uncertainties of the "
-    "terms kept are too small, and what was left out is taken as zero"
+    "terms kept are too small, and what was left out is taken as zero",
 )
 
 
@@ -81,7 +84,7 @@ def with_selection(calibration: Calibration, record: dict[str, Chosen]) -> Calib
     return replace(
         calibration,
         selection=record,
-        diagnostics=replace(diagnostics, warnings=(*diagnostics.warnings, OPTIMISTIC)),
+        diagnostics=replace(diagnostics, findings=(*diagnostics.findings, OPTIMISTIC)),
     )
 
 

@@ -49,6 +49,7 @@ from multipos.estimation.problem import Optimum, Problem, Solution, start_state
 from multipos.estimation.starts import reduced_information
 from multipos.estimation.uncertain_orientations import STILL, UncertainSearch
 from multipos.estimation.unknown_orientations import UnknownSearch
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import step_on_sphere
@@ -59,11 +60,12 @@ from multipos.sensor.inverse import parameter_jacobian
 _DETERMINED = 2.0  # factor to either side within which a placement is called determined
 _ROUNDING = 1e-9  # relative, below which no sd is known
 _RANK = 1e-7  # of the largest singular value, scaled, below which nothing is determined
-_NOTHING_LEFT = "as many unknowns as equations: nothing is left to estimate the "
-_INSEPARABLE = (
+_INSEPARABLE = Finding(
+    "inseparable",
+    "warning",
     "these positions cannot tell placement from scatter: all that readings differ by is taken as "
     "scatter from position to position, and --orientation-sd auto found no orientation error; "
-    "state it, or add positions (18 or more serve)"
+    "state it, or add positions (18 or more serve)",
 )
 
 
@@ -74,7 +76,7 @@ class Appraisal:
     factor: float
     dof: float  # inf where the noise is known beforehand
     orientation_sd: Array | None = None  # (n,) [rad], where it is not as listed
-    warnings: tuple[str, ...] = ()
+    findings: Findings = ()
     components: VarianceComponents | None = None
     u: Array | None = None  # (p,), where it is not the root of the covariance times the factor
     weight: Array | None = None  # (n,) of each position under a robust loss
@@ -107,7 +109,7 @@ def judge_noise(
             if stated
             else "uncertainty from; give --reading-sd or more positions"
         )
-        return problem, optimum, Appraisal(np.nan, 0.0, warnings=(_NOTHING_LEFT + words,))
+        return problem, optimum, Appraisal(np.nan, 0.0, findings=(_no_dof(words),))
     if estimate_sd:
         return _both(problem, optimum, nu, stated)
     if stated:
@@ -116,6 +118,11 @@ def judge_noise(
         return _with_orientation_errors(problem, optimum, nu)
     loose = np.ones(problem.values.shape)
     return problem, optimum, Appraisal(optimum.point.objective / nu, nu, loose=loose)
+
+
+def _no_dof(words: str) -> Finding:
+    text = f"as many unknowns as equations: nothing is left to estimate the {words}"
+    return Finding("no-dof", "warning", text)
 
 
 def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
@@ -128,19 +135,20 @@ def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
     if unexplained and first.prior.any() and separates(first, start):
         # the stated orientation sds are then a lower bound as well
         unit, found = _find(first, start, nu, both=True, least=True)
-        said = (
+        text = (
             "no scatter alone explains the residuals: positions were off by more than was stated, "
             f"some {_widest(unit.problem):.2g} degrees, see --orientation-sd auto"
         )
         worth = _appraise(unit.problem, found, stated=True)
         orientation_sd = unit.problem.orientation_sd
-        worth = replace(worth, warnings=(said,), orientation_sd=orientation_sd, claim=claim)
+        findings = (Finding("placement", "warning", text),)
+        worth = replace(worth, findings=findings, orientation_sd=orientation_sd, claim=claim)
         return unit.problem, unit.optimum, worth
     worth = _appraise(unit.problem, found, stated=True)
     loose = None
     if first.precision.ndim == 2 and claim.chi2 > chi2_quantile(DENIED, nu):
         loose = np.maximum(1.0 - unit.problem.precision / first.precision, 0.0)
-    worth = replace(worth, warnings=overstated(claim), claim=claim, loose=loose)
+    worth = replace(worth, findings=overstated(claim), claim=claim, loose=loose)
     return unit.problem, unit.optimum, worth
 
 
@@ -149,7 +157,8 @@ def _with_orientation_errors(problem: Problem, optimum: Optimum, nu: float) -> F
     first = _least_noise(problem, optimum)
     unit, found = _find(first, resume(first, optimum), nu, both=False, stated=False)
     worth = _appraise(unit.problem, found, stated=False)
-    worth = replace(worth, warnings=(f"estimated: {_noise_in_words(worth)}",))
+    estimated = Finding("estimated-noise", "note", f"estimated: {_noise_in_words(worth)}")
+    worth = replace(worth, findings=(estimated,))
     return unit.problem, unit.optimum, worth
 
 
@@ -159,8 +168,8 @@ def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
         exact, exactly, worth = judge_noise(
             *_at_listed(first, optimum), nu, stated=stated, estimate_sd=False
         )
-        warnings = (*worth.warnings, _INSEPARABLE)
-        worth = replace(worth, orientation_sd=exact.orientation_sd, warnings=warnings)
+        findings = (*worth.findings, _INSEPARABLE)
+        worth = replace(worth, orientation_sd=exact.orientation_sd, findings=findings)
         return exact, exactly, worth
     if not stated:
         first = _least_noise(first, optimum)
@@ -176,10 +185,11 @@ def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
         else f"orientation error not determined (68 %: {low:.2g} to {high:.2g} degrees)"
     )
     assert worth.components is not None
+    text = f"estimated together: {_noise_in_words(worth)}, {words}"
     worth = replace(
         worth,
         orientation_sd=unit.problem.orientation_sd,
-        warnings=(f"estimated together: {_noise_in_words(worth)}, {words}",),
+        findings=(Finding("estimated-noise", "note", text),),
         components=replace(
             worth.components, orientation_sd_deg=Placed(sd, (high - low) / 2.0, determined)
         ),
@@ -409,9 +419,9 @@ def judge_tied(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum, Ap
     for _ in range(_ROUNDS):
         dof = _degrees(problem, optimum)
         if dof.min() <= 0.0:
-            said = "as many unknowns as equations: nothing is left to estimate the uncertainty "
-            said += "from; give --reading-sd or more positions"
-            return problem, optimum, Appraisal(np.nan, 0.0, warnings=(said,)), np.zeros(m)
+            words = "uncertainty from; give --reading-sd or more positions"
+            worth = Appraisal(np.nan, 0.0, findings=(_no_dof(words),))
+            return problem, optimum, worth, np.zeros(m)
         square = np.sum(optimum.point.residuals**2, axis=0)
         if not problem.exact.all():
             square = np.full(m, square.sum())

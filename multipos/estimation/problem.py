@@ -19,6 +19,7 @@ from multipos.estimation.circles import (
     over_circle,
     spread_inclinations,
 )
+from multipos.finding import Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import directions, tangent_basis
@@ -236,7 +237,8 @@ class Solution:
     residuals, leverage : (n, M) arrays
     residual_sd : (M,) array
         Standard deviation of a reading as the residuals show it; NaN where none is left.
-    outliers, warnings, unidentifiable : tuples of str
+    findings : tuple of Finding
+    outliers, unidentifiable : tuples of str
     condition : float
     status : Status
     orientation_sd : (n,) array [rad] or None
@@ -259,7 +261,7 @@ class Solution:
     leverage: Array
     outliers: tuple[str, ...]
     condition: float
-    warnings: tuple[str, ...]
+    findings: Findings
     unidentifiable: tuple[str, ...] = ()
     status: Status = DIRECT
     orientation_sd: Array | None = None

@@ -45,13 +45,14 @@ from multipos.estimation.noise import Appraisal
 from multipos.estimation.problem import RELATIVE_NOISE, Optimum, Problem
 from multipos.estimation.robust_search import Ended, Linear, search_linear
 from multipos.files.records import LARGEST
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.sensor.fit_diagnostics import Claim
 
 ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is still reported
-BEYOND_DOUBT = 1e-6  # chance below which a position is set aside
+SET_ASIDE = 1e-6  # chance below which a position is set aside
 ROUNDS = 30  # of noise and solution in turn
 SETTLED = 1e-4  # change of ln variance far below what a median can tell
 # Noise that is less of what the placement does would leave no digits of what tells them apart.
@@ -75,7 +76,7 @@ def judge_robustly(
     stated : bool
         Whether the readings state their noise.
     """
-    limit = np.array([chi2_quantile(1.0 - BEYOND_DOUBT, m) for m in problem.degrees])
+    limit = np.array([chi2_quantile(1.0 - SET_ASIDE, m) for m in problem.degrees])
     said = []
     # At most a quarter of the positions: beyond that it is the model that does not fit.
     for _ in range(len(limit) // 4 + 1):
@@ -88,9 +89,10 @@ def judge_robustly(
         if excess[worst] <= 1.0:
             break
         misfit = float(np.sqrt(optimum.point.q[worst] / problem.degrees[worst]))
-        said.append(
+        text = (
             f"position {names[worst]} is set aside: it does not fit by {misfit:.3g} times the noise"
         )
+        said.append(Finding("set-aside", "warning", text, rows=(names[worst],)))
         problem = set_aside(problem, np.arange(len(limit)) == worst)
         optimum = resume(problem, optimum)
     if loss != problem.robust:
@@ -102,7 +104,7 @@ def judge_robustly(
     if stated:
         chi2 = float(np.sum(q * weight**2))
         if not (nu > 0 and chi2 > chi2_quantile(DENIED, nu)):
-            worth = Appraisal(1.0 / EFFICIENCY, np.inf, warnings=tuple(said), weight=weight)
+            worth = Appraisal(1.0 / EFFICIENCY, np.inf, findings=tuple(said), weight=weight)
             return problem, optimum, worth
         claim = Claim(chi2, nu)
     counted = max(float(np.sum(weight * problem.degrees)) - problem.unknowns, 1.0)
@@ -230,7 +232,7 @@ def _fit(shared: Design, y: Array, name: Loss) -> _Worth:
         linear, ended, variance, (FINEST * np.abs(y).max(axis=1)) ** 2
     )
     q = ended.residuals**2 / variance
-    sound = ended.converged & (q.max(axis=1) <= chi2_quantile(1.0 - BEYOND_DOUBT, 1.0))
+    sound = ended.converged & (q.max(axis=1) <= chi2_quantile(1.0 - SET_ASIDE, 1.0))
     if name != _HUBER:
         ended = search_linear(linear, ended.moves, variance, np.flatnonzero(sound), name)
         sound = ended.converged

@@ -50,6 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.problem import Solution
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import digamma, inverse_trigamma, trigamma
 from multipos.positions.readings import Readings
@@ -70,17 +71,18 @@ def steady_floors(readings: Readings) -> Readings:
     if least >= _FEW:
         return replace(readings, u=u)
     few = np.mean(readings.dof < _FEW, axis=0) > 0.5
-    said = (
+    text = (
         f"the readings' uncertainties have as few as {least:.2g} degrees of freedom: they are "
         "drawn towards what they have in common, and U is larger for it"
     )
     if readings.samples is not None and few.any():
         u = np.where(few, _by_samples(readings.u, readings.dof, readings.samples), u)
-        said = (
+        text = (
             f"the readings' uncertainties have as few as {least:.2g} degrees of freedom: rests "
             "count by their numbers of samples, and U follows from the residuals"
         )
-    return replace(readings, u=u, notes=(*readings.notes, said))
+    found = Finding("few-dof", "note", text)
+    return replace(readings, u=u, findings=(*readings.findings, found))
 
 
 def _by_samples(u: Array, dof: Array, samples: Array) -> Array:

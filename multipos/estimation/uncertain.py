@@ -34,6 +34,7 @@ from multipos.estimation.problem import Optimum, Problem, Solution, State, state
 from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.starts import own_starts, reduced_information, search, too_few
 from multipos.estimation.user_models import rotations_to_hold
+from multipos.finding import Finding, Findings, about
 from multipos.numerics.arrays import Array
 from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import rotation_vector
@@ -93,7 +94,7 @@ def solve_uncertain(
     problem = state_problem(model, readings, placement, None if robust is None else "huber")
     if _degrees(problem, model) < 0:
         raise too_few(problem)
-    held: tuple[str, ...] = ()
+    held: Findings = ()
     if isinstance(model, ExpressionModel) and problem.adrift:
         problem, held = _without_free_rotations(problem, gauge)
     nu = _degrees(problem, model)
@@ -112,7 +113,7 @@ def solve_uncertain(
         problem, optimum, worth = judge_noise(
             problem, optimum, nu, stated=stated, estimate_sd=placement.estimated
         )
-    worth = replace(worth, warnings=(*held, *worth.warnings))
+    worth = replace(worth, findings=(*held, *worth.findings))
     if problem is not searched or optimum is not reached or problem.robust is not None:
         told = told_at(problem.plain, optimum.state, optimum.point)
     found = _solution(problem, optimum, told, readings, nu, worth, parts)
@@ -145,17 +146,17 @@ def _with_gauge(model: Model, placement: Placement, gauge: Gauge) -> Model:
     return model.with_gauge(next(name for name in ROLL_GAUGES if name.endswith(about[0])))
 
 
-def _without_free_rotations(problem: Problem, gauge: Gauge) -> tuple[Problem, tuple[str, ...]]:
+def _without_free_rotations(problem: Problem, gauge: Gauge) -> tuple[Problem, Findings]:
     """Return the problem with what a rotation of the case leaves free held, and say so."""
     model = problem.model
     assert isinstance(model, ExpressionModel)
     fixed = rotations_to_hold(problem, own_starts(problem)[0], gauge)
     if not fixed:
         said = "no rotation of the case is free: the model itself says where its axes lie"
-        return problem, (said,)
+        return problem, (Finding("free-rotation", "note", said),)
     names = ", ".join(f"`{name}` of {output} at {value:g}" for output, name, value in fixed)
     said = f"a rotation of the case is free in this model; it is fixed by holding {names}"
-    return replace(problem, model=hold(model, fixed)), (said,)
+    return replace(problem, model=hold(model, fixed)), (Finding("free-rotation", "note", said),)
 
 
 def _correlated(readings: Readings) -> bool:
@@ -202,7 +203,11 @@ def _solve_separately(
         leverage=stacked("leverage"),
         condition=max(part.condition for part in parts),
         outliers=said("outliers"),
-        warnings=said("warnings"),
+        findings=tuple(
+            each
+            for output, part in zip(model.outputs, parts, strict=True)
+            for each in about(output, part.findings)
+        ),
         unidentifiable=said("unidentifiable"),
         status=max((part.status for part in parts), key=lambda status: status.iterations),
         variance_components=_joined([part.variance_components for part in parts]),
@@ -302,8 +307,8 @@ def _solution(
         ),
         condition=condition(information),
         unidentifiable=formal_only(model, state.theta, u, magnitude),
-        warnings=(
-            *worth.warnings,
+        findings=(
+            *worth.findings,
             *at_bounds(model, state.theta),
             *_scale_bias(problem, state.theta, u, residual_sd, magnitude),
         ),
@@ -316,9 +321,7 @@ def _solution(
     )
 
 
-def _scale_bias(
-    problem: Problem, theta: Array, u: Array, sd: Array, magnitude: float
-) -> tuple[str, ...]:
+def _scale_bias(problem: Problem, theta: Array, u: Array, sd: Array, magnitude: float) -> Findings:
     """State the second-order bias of the scale factors, eq. (1), where it matters."""
     model = problem.model
     own = list(model.own_scales)
@@ -330,8 +333,12 @@ def _scale_bias(
     share = 1.0 - relative.mean() / (problem.orientation_sd**2 + relative.mean())
     bias = across * float(share.mean()) * np.abs(theta[own])
     return tuple(
-        f"`{model.names[i]}` is larger by about {size:.2g} than it should be, because noise moves "
-        "the estimated positions along the sphere (sigma^2/g^2); average longer"
+        Finding(
+            "scale-bias",
+            "warning",
+            f"`{model.names[i]}` is larger by about {size:.2g} than it should be, because noise "
+            "moves the estimated positions along the sphere (sigma^2/g^2); average longer",
+        )
         for i, size in zip(own, bias.tolist(), strict=True)
         if size > _STATED_BIAS * u[i]
     )

@@ -49,6 +49,7 @@ from multipos.errors import ConvergenceError, MultiposError, UsageError
 from multipos.estimation.descent import maximise, resume
 from multipos.estimation.known import solve_known
 from multipos.estimation.problem import Optimum, Problem, Solution, State, start_state
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import cross_matrix
 from multipos.numerics.terms import COMPONENTS
@@ -264,7 +265,7 @@ def solve_own_known(
         best.gradient,
     )
     said = _curvature_bias(model, best, reference, readings, solution)
-    return replace(solution, status=status, warnings=(*solution.warnings, *said))
+    return replace(solution, status=status, findings=(*solution.findings, *said))
 
 
 def _excess(solution: Solution) -> Array:
@@ -305,7 +306,7 @@ def _tangent(
 
 def _curvature_bias(
     model: ExpressionModel, best: Optimum, reference: Array, readings: Readings, solution: Solution
-) -> tuple[str, ...]:
+) -> Findings:
     """State the bias (3) of parameters where it matters; of many readings it is far below u.
 
     It falls with their number, and u with the root of it.
@@ -322,9 +323,13 @@ def _curvature_bias(
     u = np.sqrt(np.diag(solution.covariance))
     far = np.abs(bias) > _STATED * u
     return tuple(
-        f"`{name}` is {'larger' if off > 0.0 else 'smaller'} by about {abs(off):.2g} than it "
-        "should be, because the model bends within its uncertainty; average longer, or add "
-        "positions"
+        Finding(
+            "model-bias",
+            "warning",
+            f"`{name}` is {'larger' if off > 0.0 else 'smaller'} by about {abs(off):.2g} than it "
+            "should be, because the model bends within its uncertainty; average longer, or add "
+            "positions",
+        )
         for name, off, stated in zip(model.names, bias.tolist(), far.tolist(), strict=True)
         if stated
     )

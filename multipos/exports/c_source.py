@@ -22,7 +22,6 @@ from textwrap import wrap
 import numpy as np
 
 from multipos import __version__
-from multipos.doubt import accepted
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_body import environment_range, function_body, literal
 from multipos.exports.c_expression import expression_body, unseen_part
@@ -35,6 +34,7 @@ from multipos.exports.c_fixed import (
 )
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.spelling import visible
+from multipos.finding import forced
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, FUNCTIONS, Factor
 from multipos.sensor.calibration import Calibration
@@ -382,7 +382,7 @@ def _header(
     what = "specific force" if c.convention == "specific-force" else "gravity"
     lines = [
         f"{name}_compensate: raw accelerometer readings to {what} [{unit}].",
-        *(line for said in accepted(c.diagnostics.doubts) for line in wrap(said, _WIDTH)),
+        *(line for said in forced(c.diagnostics.findings) for line in wrap(said, _WIDTH)),
         "",
         f"raw[{len(c.outputs)}] = {', '.join(c.outputs)} [{model.unit}]",
         *env,

@@ -5,6 +5,7 @@ drift (2) of the offset, raw in m/s² or in the unit of the readings. Writing, r
 the files share are here; each target has a file of its own.
 """
 
+import math
 import re
 from collections.abc import Callable
 from itertools import pairwise
@@ -12,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from multipos.doubt import accepted
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.laws import (
     Correction,
@@ -30,10 +30,11 @@ from multipos.exports.target import (
     Target,
     Verification,
     Wish,
-    refuse_strange,
+    find_strange,
 )
 from multipos.files.spelling import visible
 from multipos.files.trees import to_json
+from multipos.finding import Finding, forced, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
@@ -47,7 +48,7 @@ def parameter_target(
     formula: str,
     *,
     raw_in_metres: bool,
-    write: Callable[[Calibration, Law, Wish], tuple[str, list[str]]],
+    write: Callable[[Calibration, Law, Wish], tuple[str, list[Finding]]],
     recognises: Callable[[str], bool],
     read: Callable[[str, str], Correction],
     suffix: str,
@@ -65,8 +66,8 @@ def parameter_target(
     raw_in_metres : bool
         Whether the consumer holds raw values in m/s², not in the unit of the readings.
     write : function
-        Return the text of a file and notes from a calibration, its law in the consumer's unit, and
-        what the user asks for.
+        Return the text of a file and findings from a calibration, its law in the consumer's unit,
+        and what the user asks for.
     recognises : function
         Tell from its text whether a file is one of this target.
     read : function
@@ -85,13 +86,13 @@ def parameter_target(
         check_inputs(calibration, name, thermal=thermal)
         metres = in_metres(calibration, name) if raw_in_metres else 1.0
         law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy, thermal=thermal)
-        text, notes = write(calibration, law.of_raw_in(metres), wish)
+        text, found = write(calibration, law.of_raw_in(metres), wish)
         if law.lost:
-            notes = [loss_text(calibration, law, name), *notes]
+            found = [Finding("lossy", "warning", loss_text(calibration, law, name)), *found]
         if calibration.convention == "gravity":
             turned = "the force is turned from gravity to specific force"
-            notes.append(f"{turned}, which {name} works in")
-        return Exported(name, text, notes=tuple(notes))
+            found.append(Finding("convention-turned", "note", f"{turned}, which {name} works in"))
+        return Exported(name, text, findings=in_order(found))
 
     def read_file(file: GivenFile, calibration: Calibration) -> Verification:
         given = read(file.path, file.text)
@@ -99,19 +100,20 @@ def parameter_target(
         expected = reduce_to(calibration, formula, name, allow_lossy=True, thermal=thermal)
         metres = in_metres(calibration, name) if raw_in_metres else 1.0
         with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
-            if (given.drift is None) != (expected.drift is None):
-                refuse_strange(file.path, np.inf, 0.0)
             residuals = law_residuals(calibration, given.of_raw_in(1.0 / metres))
             should = law_residuals(calibration, expected.correction)
-            refuse_strange(file.path, float(np.abs(residuals - should).max()), same(calibration))
+            thermal_too = (given.drift is None) == (expected.drift is None)
+            difference = float(np.abs(residuals - should).max()) if thermal_too else np.inf
+            rms = rms_left(calibration, residuals)
         return Verification(
             target=name,
             axes=COMPONENTS,
             positions=calibration.readings.labels,
             residuals=residuals,
-            rms=rms_left(calibration, residuals),
+            rms=rms,
             calibration_rms=calibration.rms,
-            difference=None,
+            difference=difference if math.isfinite(difference) else None,
+            findings=find_strange(file.path, difference, same(calibration)),
         )
 
     return Target(name, write_file, recognises, read_file, suffix, takes=takes)
@@ -193,7 +195,7 @@ def origin(calibration: Calibration) -> list[str]:
     ]
     if calibration.gravity is None:
         lines.append("one g of the calibration, the local gravity, is taken as 9.80665 m/s^2")
-    lines += accepted(calibration.diagnostics.doubts)
+    lines += forced(calibration.diagnostics.findings)
     return [visible(line) for line in lines]
 
 

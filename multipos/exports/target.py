@@ -8,7 +8,7 @@ Each target is one file of this room, which holds its `Target`, and one line in 
 import os
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multipos.bias_stability.stability_result import Stability
-from multipos.errors import MultiposError
 from multipos.files.numbers import table
 from multipos.files.whole import written
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.results import Result, plain
 from multipos.sensor.calibration import Calibration
@@ -76,14 +76,14 @@ class Exported(Result):
         Content of the file.
     test : str or None
         C program that checks the function, for a file beside it.
-    notes : tuple of str
-        What is lost or doubtful, in words.
+    findings : tuple of Finding
+        What is lost, and what the consumer needs beside it.
     """
 
     target: str
     text: str
     test: str | None = None
-    notes: tuple[str, ...] = field(default=())
+    findings: Findings = ()
 
     def save(self, path: str | os.PathLike[str]) -> tuple[str, ...]:
         """Write the file, for C also ``…_test.c`` beside it; return the names written."""
@@ -125,6 +125,8 @@ class Verification(Result):
         Largest difference from what the calibration gives; None where the target says less.
     foreign : bool
         Whether C was run that is not what `export` writes of this calibration.
+    findings : tuple of Finding
+        An error where the file is not what `export` writes of this calibration.
     """
 
     target: str
@@ -135,6 +137,7 @@ class Verification(Result):
     calibration_rms: float
     difference: float | None
     foreign: bool = False
+    findings: Findings = ()
 
     @cached_property
     def max(self) -> float:
@@ -156,6 +159,7 @@ class Verification(Result):
                 "calibration_rms": self.calibration_rms,
                 "difference": self.difference,
                 "foreign": self.foreign,
+                "findings": self.findings,
             }
         )
         return result
@@ -212,10 +216,12 @@ class Target:
     takes: tuple[str, ...] = ()
 
 
-def refuse_strange(path: str, difference: float, allowed: float) -> None:
-    """Refuse a file whose forces differ [g] from the calibration's by more than its digits do."""
-    if not difference <= allowed:
-        raise MultiposError(
-            f"{path}: differs from this calibration by {difference:.2g} g, so it was exported from "
-            "another or changed since; export again."
-        )
+def find_strange(path: str, difference: float, allowed: float) -> Findings:
+    """Return an error where forces differ [g] from the calibration's by more than digits do."""
+    if difference <= allowed:
+        return ()
+    text = (
+        f"{path}: differs from this calibration by {difference:.2g} g, so it was exported from "
+        "another or changed since."
+    )
+    return (Finding("export-differs", "error", text, "Export again."),)

@@ -30,6 +30,7 @@ from multipos.exports.parameters import (
     require_instance,
 )
 from multipos.exports.target import Wish
+from multipos.finding import Finding
 from multipos.sensor.calibration import Calibration
 
 # What the ground stations accept, offset [m/s²] and scale.
@@ -54,22 +55,26 @@ def _limits(instance: int) -> tuple[str, ...]:
     return (f"INS_ACC{instance}_CALTEMP", *names)
 
 
-def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[str]]:
+def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Finding]]:
     instance = require_instance(wish, "ardupilot", _INSTANCES)
     names = _names(instance)
     values = diagonal_values(calibration, law, names)
     offset, (low, high) = _LIMITS
     bad = [n for n, v in zip(names[:3], values[:3], strict=True) if abs(v) > offset]
     bad += [n for n, v in zip(names[3:], values[3:], strict=True) if not low <= v <= high]
-    notes = [f"{', '.join(bad)} beyond what ArduPilot accepts"] if bad else []
+    findings = []
+    if bad:
+        text = f"{', '.join(bad)} beyond what ArduPilot accepts"
+        findings.append(Finding("beyond-target", "warning", text))
     found: list[tuple[str, float | int]] = list(zip(names, values, strict=True))
     number = "" if instance == 1 else instance
     sensor = f"INS_ACC{number}_ID"
     if wish.device_id is None:
-        notes.append(
+        text = (
             f"the file names no sensor, and ArduPilot asks for a calibration until {sensor} is "
             "saved as its ID; give that with --device-id"
         )
+        findings.append(Finding("no-device-id", "warning", text))
     else:
         found.insert(0, (sensor, wish.device_id))
     thermal = ""
@@ -81,7 +86,7 @@ def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[st
         f"# corrected = (raw - OFFS{thermal}) SCAL, in m/s^2",
         *(f"{name},{value!r}" for name, value in found),
     ]
-    return "\n".join(lines) + "\n", notes
+    return "\n".join(lines) + "\n", findings
 
 
 def _thermal(drift: Drift, instance: int) -> list[tuple[str, float | int]]:

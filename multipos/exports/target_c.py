@@ -35,9 +35,10 @@ from multipos.exports.target import (
     Target,
     Verification,
     Wish,
-    refuse_strange,
+    find_strange,
 )
 from multipos.files.spelling import visible
+from multipos.finding import Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
@@ -86,9 +87,9 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
         dict(zip(names, rows[:, len(calibration.outputs) :].T, strict=True)),
     )
     difference = float(np.abs(force - should).max())
-    refuse_strange(path, difference, _SAME[found["type"]])
     target = f"{C.name}, single precision" if single else C.name
-    return _verified(target, calibration, force, difference, foreign)
+    findings = find_strange(path, difference, _SAME[found["type"]])
+    return _verified(target, calibration, force, difference, foreign, findings)
 
 
 def _read_back_fixed(file: GivenFile, calibration: Calibration) -> Verification:
@@ -105,14 +106,22 @@ def _read_back_fixed(file: GivenFile, calibration: Calibration) -> Verification:
     declared = fixed_signature(calibration, found["name"])
     text = file.raw if foreign else own
     whole = run_c(file.path, text, calibration, declared, rows.astype(np.float64))
-    refuse_strange(file.path, float(np.abs(whole - fixed_forces(fixed, rows)).max()), 0.0)
+    findings = find_strange(
+        file.path, float(np.abs(whole - fixed_forces(fixed, rows)).max()) / fixed.accel_per_g, 0.0
+    )
     force = whole / fixed.accel_per_g
     difference = float(np.abs(force - calibration.compensate(calibration.readings.values)).max())
-    return _verified(f"{C.name}, whole numbers", calibration, force, difference, foreign)
+    target = f"{C.name}, whole numbers"
+    return _verified(target, calibration, force, difference, foreign, findings)
 
 
 def _verified(
-    target: str, calibration: Calibration, force: Array, difference: float, foreign: bool
+    target: str,
+    calibration: Calibration,
+    force: Array,
+    difference: float,
+    foreign: bool,
+    findings: Findings,
 ) -> Verification:
     sensed = list(sensed_axes(calibration.model))
     all_axes = np.zeros_like(calibration.reference)
@@ -126,6 +135,7 @@ def _verified(
         calibration_rms=calibration.rms,
         difference=difference,
         foreign=foreign,
+        findings=findings,
     )
 
 

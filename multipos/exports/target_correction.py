@@ -27,6 +27,7 @@ from multipos.exports.target_c import difference_of
 from multipos.files.numbers import number, table
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source, read_table
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array, median
 from multipos.regression.observations import filter_time
 from multipos.regression.regression import Regression
@@ -124,6 +125,8 @@ class Replay(Result):
         Largest difference from Python, in the unit of each response, and what rounding allows.
     foreign : bool
         Whether C was run that is not what `export` writes of these regressions.
+    findings : tuple of Finding
+        An error where C and Python differ.
     """
 
     target: str
@@ -134,6 +137,7 @@ class Replay(Result):
     difference: Array
     allowed: Array
     foreign: bool = False
+    findings: Findings = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can carry."""
@@ -151,6 +155,7 @@ class Replay(Result):
                 ],
                 "difference": self.difference.max(),
                 "foreign": self.foreign,
+                "findings": self.findings,
             }
         )
         return found
@@ -307,7 +312,6 @@ def replay(
     allowed = _allowed(c, drive, out, single)
     difference = np.abs(back[:, 1:] - out)[certain].max(axis=0, initial=0.0)
     codes = int((back[:, 0] != beyond)[certain].sum())
-    _require_same(file.path, difference, allowed, codes)
     return Replay(
         target="c, single precision" if single else "c",
         outputs=tuple(output_line(c, k).partition(" = ")[2] for k in range(len(c.regressions))),
@@ -317,6 +321,7 @@ def replay(
         difference=difference,
         allowed=allowed,
         foreign=foreign,
+        findings=_find_difference(file.path, difference, allowed, codes),
     )
 
 
@@ -341,18 +346,17 @@ def _require_same_data(c: Correction, source: str, sha256: str | None) -> None:
             )
 
 
-def _require_same(path: str, difference: Array, allowed: Array, codes: int) -> None:
-    if codes or not (difference <= allowed).all():
-        k = int(np.argmax(difference / allowed))
-        what = (
-            f"{codes} rows return another code"
-            if codes
-            else f"output {k} differs by {difference[k]:.2g} where rounding allows {allowed[k]:.2g}"
-        )
-        raise MultiposError(
-            f"{path}: {what}, so it was exported from another regression or changed since; "
-            "export again."
-        )
+def _find_difference(path: str, difference: Array, allowed: Array, codes: int) -> Findings:
+    if not codes and (difference <= allowed).all():
+        return ()
+    k = int(np.argmax(difference / allowed))
+    what = (
+        f"{codes} rows return another code"
+        if codes
+        else f"output {k} differs by {difference[k]:.2g} where rounding allows {allowed[k]:.2g}"
+    )
+    text = f"{path}: {what}, so it was exported from another regression or changed since."
+    return (Finding("export-differs", "error", text, "Export again."),)
 
 
 def _run(path: str, text: bytes, c: Correction, name: str, single: bool, drive: Drive) -> Array:

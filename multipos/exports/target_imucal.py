@@ -20,6 +20,7 @@ from multipos.exports.parameters import origin, parameter_target, require_writab
 from multipos.exports.target import Wish
 from multipos.files.spelling import visible
 from multipos.files.trees import to_json
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 
@@ -28,7 +29,7 @@ _RAW = "a.u."  # how imucal calls a unit of its own
 _ACCELERATION = {"K_a": (3, 3), "R_a": (3, 3), "b_a": (3,)}
 
 
-def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[str]]:
+def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[Finding]]:
     response = np.linalg.inv(law.matrix)
     scale = np.linalg.norm(response, axis=1)
     found = {
@@ -55,7 +56,8 @@ def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[str]]
         "cal_type": "Ferraris",
         "_format_version": _FORMAT,
     }
-    return to_json(content), ["the gyroscope is left as it is: imucal needs its part to be there"]
+    text = "the gyroscope is left as it is: imucal needs its part to be there"
+    return to_json(content), [Finding("gyroscope-unchanged", "note", text)]
 
 
 def _recognises(text: str) -> bool:

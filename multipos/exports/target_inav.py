@@ -21,6 +21,7 @@ from multipos.errors import MultiposError
 from multipos.exports.laws import DIAGONAL, Correction, Law, scale_per_g
 from multipos.exports.parameters import origin, parameter_target, read_named
 from multipos.exports.target import Wish
+from multipos.finding import Finding
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY
 
@@ -46,7 +47,7 @@ def _nominal(calibration: Calibration) -> int:
     return min(_ONE_G, key=lambda counts: abs(np.log(scale / counts)))
 
 
-def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[str]]:
+def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[Finding]]:
     counts = _nominal(calibration)
     slopes = np.diag(law.matrix) / STANDARD_GRAVITY
     zeros, gains = np.rint(law.offset), np.rint(_UNITY * counts * slopes)
@@ -67,11 +68,11 @@ def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[str]]
         "save",
         f"# Betaflight, offsets alone: set acc_calibration = {','.join(map(str, whole[:3]))},1",
     ]
-    note = (
+    text = (
         f"1G of the flight controller is taken to be {counts} counts; where its driver has "
         "another, the forces are off by the ratio"
     )
-    return "\n".join(lines) + "\n", [note]
+    return "\n".join(lines) + "\n", [Finding("assumed-counts", "note", text)]
 
 
 def _read(path: str, text: str) -> Correction:

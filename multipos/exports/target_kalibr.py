@@ -28,6 +28,7 @@ from multipos.exports.parameters import (
     require_writable,
 )
 from multipos.exports.target import Wish
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY
@@ -35,27 +36,30 @@ from multipos.units import STANDARD_GRAVITY
 _ROW = r"\[[^\]\n]*\]"
 _M = re.compile(rf"^ +M:\s*\n((?:\s*- {_ROW}\s*\n){{3}})", re.MULTILINE)
 _BIAS = re.compile(rf"^ +bias: ({_ROW})", re.MULTILINE)
-_NO_NOISE = (
+_NO_NOISE = Finding(
+    "no-noise-density",
+    "warning",
     "no noise densities, which Kalibr needs: give the result of multipos stability with "
-    "--stability, or write them in"
+    "--stability, or write them in",
 )
 
 
-def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[str]]:
+def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Finding]]:
     response = np.linalg.inv(law.matrix)
     for key, array in (("M", response), ("bias", law.offset)):
         for value in array.ravel().tolist():
             require_writable(calibration, key, value, np.finfo(np.float64))
-    notes = []
+    findings = []
     upper = np.abs(response[np.triu_indices(3, 1)])
     if (upper > 0.0).any():
-        notes.append(
+        text = (
             "M is full, in the axes of the case; that of Kalibr itself is lower triangular, in "
             "the axes of the accelerometer: fit --unknown-orientation gives those"
         )
+        findings.append(Finding("full-matrix", "note", text))
     noise: list[str] = []
     if wish.stability is None:
-        notes.append(_NO_NOISE)
+        findings.append(_NO_NOISE)
     else:
         white, walk = densities(calibration, wish.stability)
         noise = [
@@ -74,7 +78,7 @@ def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[st
         f"    bias: {law.offset.tolist()}",
         *noise,
     ]
-    return "\n".join(lines) + "\n", notes
+    return "\n".join(lines) + "\n", findings
 
 
 def densities(calibration: Calibration, stability: Stability) -> tuple[float, float]:

@@ -27,6 +27,7 @@ from multipos.exports.parameters import (
     require_instance,
 )
 from multipos.exports.target import Wish
+from multipos.finding import Finding
 from multipos.sensor.calibration import Calibration
 
 _REAL32, _INT32 = 9, 6  # MAV_PARAM_TYPE
@@ -47,7 +48,7 @@ def _limits(instance: int) -> tuple[str, ...]:
     return tuple(f"TC_A{instance}_{name}" for name in ("TREF", "TMIN", "TMAX"))
 
 
-def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[str]]:
+def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Finding]]:
     instance = require_instance(wish, "px4", _INSTANCES)
     names = _names(instance)
     values = diagonal_values(calibration, law, names)
@@ -83,11 +84,12 @@ def _thermal(
     ]
 
 
-def _without_id(instance: int) -> str:
-    return (
+def _without_id(instance: int) -> Finding:
+    text = (
         f"the file names no sensor, and PX4 ignores what does not carry its ID: give the value of "
         f"CAL_ACC{instance}_ID, or of device_id in 'listener sensor_accel', with --device-id"
     )
+    return Finding("no-device-id", "warning", text)
 
 
 def _read(path: str, text: str) -> Correction:

@@ -21,10 +21,11 @@ from multipos.exports.parameters import (
 )
 from multipos.exports.target import Wish
 from multipos.files.spelling import visible
+from multipos.finding import Finding
 from multipos.sensor.calibration import Calibration
 
 
-def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[str]]:
+def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[Finding]]:
     matrix, bias = law.matrix, law.matrix @ law.offset
     for key, array in (("SM", matrix), ("bias", bias)):
         for value in array.ravel().tolist():

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from multipos.bias_stability.stability_result import Stability, load_stability
-from multipos.doubt import refuse_implausible
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import Parts, split_parts
 from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish
@@ -23,6 +22,7 @@ from multipos.exports.target_ros import ROS
 from multipos.files.spelling import Names
 from multipos.files.tables import Source
 from multipos.files.whole import read_bytes
+from multipos.finding import refuse_unfit
 
 # In the order of the documentation; the first that recognises a file reads it back.
 TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, IMUCAL, KALIBR, INAV)
@@ -37,7 +37,7 @@ def export(
     float: bool = False,
     fixed: bool = False,
     allow_lossy: bool = False,
-    accept_doubts: bool = False,
+    force: bool = False,
     output_unit: Unit | None = None,
     instance: int | None = None,
     device_id: int | None = None,
@@ -61,8 +61,8 @@ def export(
         32-bit whole numbers instead of floating point, in C, of linear and quadratic models.
     allow_lossy : bool
         Let go of terms that the target cannot express; the rest is fitted again.
-    accept_doubts : bool
-        Export a calibration with implausible doubts all the same; the file says so.
+    force : bool
+        Export a calibration with implausible findings all the same; the file says so.
     output_unit : str, optional
         'g' or 'm/s^2', of C; one g of a calibration without gravity is taken as 9.80665 m/s².
     instance, device_id : int, optional
@@ -107,8 +107,8 @@ def export(
     if fixed and (float or tilt or output_unit is not None):
         raise UsageError("--fixed has whole numbers of its own: no --float, --tilt, --output-unit.")
     _check_options(target, {name: value for name, value in others.items() if value is not None})
-    if first is not None and not accept_doubts:
-        refuse_implausible(first.diagnostics.doubts, f"the export to {to}")
+    if first is not None and not force:
+        refuse_unfit(first.diagnostics.findings, f"the export to {to}")
     if regressions:
         _check_correction(target, tilt, output_unit, fixed)
         return write_correction(correction_of(first, regressions, correct), name, single=float)

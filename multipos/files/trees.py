@@ -38,7 +38,7 @@ def _escaped(text: str) -> str:
 
 
 def json_table(
-    columns: Mapping[str, Column], rows: int, said: Mapping[str, str] | None = None
+    columns: Mapping[str, Column], rows: int, said: Mapping[str, Any] | None = None
 ) -> Iterator[str]:
     """Yield one JSON object of columns in pieces, {"rows": …, "columns": {name: [..]}}.
 

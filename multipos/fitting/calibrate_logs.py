@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from multipos.errors import RankError
 from multipos.files.spelling import Names
 from multipos.files.tables import Source
+from multipos.finding import Finding
 from multipos.fitting.fit_readings import fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
@@ -240,12 +241,13 @@ def fit_rests(
     except RankError as error:
         if model is None and assumed and _both_sides(readings.values):
             stated = {} if budget is None else read_budget(budget).tables
-            said = (
+            text = (
                 f"{len(readings)} rests cannot carry cross terms: bias and scale factor of each "
                 "output are fitted, and U allows for cross terms of 1 %; nine rests, edges and "
                 "corners among them, would show them"
             )
-            noted = replace(readings, notes=(*readings.notes, said))
+            reduced = Finding("reduced-model", "warning", text)
+            noted = replace(readings, findings=(*readings.findings, reduced))
             return fitted(noted, "1 + own", {"cross": {"u": _CROSS}, **stated})
         if unknown_orientation or not assumed:
             raise
@@ -267,13 +269,14 @@ def _both_sides(values: Array) -> bool:
 
 def readings_of(found: Averages, unit: str | None) -> Readings:
     """Return the readings of rests: in the unit given, that of the log, or the one they show."""
-    readings = replace(found.readings, notes=found.warnings)
+    readings = replace(found.readings, findings=found.findings)
     if unit is not None or found.unit is not None:
         return replace(readings, unit=unit or found.unit or "")
     size = float(median(np.linalg.norm(readings.values, axis=1)))
     if readings.values.shape[1] == 3:
         for likely, one in _ONE_G.items():
             if abs(size / one - 1.0) < _NEAR:
-                note = f"the unit is taken to be {likely}, since gravity reads {size:.3g}"
-                return replace(readings, unit=likely, notes=(*readings.notes, note))
+                text = f"the unit is taken to be {likely}, since gravity reads {size:.3g}"
+                findings = (*readings.findings, Finding("likely-unit", "note", text))
+                return replace(readings, unit=likely, findings=findings)
     return readings

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.diagnostics.examination import examine
 from multipos.diagnostics.repairs import explain_breakdown, explain_failure
-from multipos.errors import MultiposError, UsageError, warn_of
+from multipos.errors import MultiposError, UsageError
 from multipos.estimation.closed_form import solve_closed_form
 from multipos.estimation.completion import complete
 from multipos.estimation.correlated_rows import spread_correlation
@@ -35,6 +35,7 @@ from multipos.estimation.uncertain import solve_uncertain
 from multipos.estimation.user_models import is_untied, solve_own_known
 from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
+from multipos.finding import Finding, warn
 from multipos.fitting.options import (
     Options,
     check_options,
@@ -62,7 +63,7 @@ from multipos.sensor.own_models import build_sketch
 from multipos.sensor.stating import build_model, default_axes, stated_facing
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.uncertainty.propagation import state_budget
-from multipos.uncertainty.turntable import roll_warnings
+from multipos.uncertainty.turntable import find_in_rolls
 
 
 def note_names(readings: Readings, model: Model) -> Readings:
@@ -71,15 +72,15 @@ def note_names(readings: Readings, model: Model) -> Readings:
         return readings
     pairs = zip(model.outputs, model.axes, strict=True)
     said = ", ".join(f"{output} senses {axis}" for output, axis in pairs)
-    note = f"by their names {said}; --axes says otherwise"
-    return replace(readings, notes=(*readings.notes, note))
+    found = Finding("axes-by-name", "note", f"by their names {said}; --axes says otherwise")
+    return replace(readings, findings=(*readings.findings, found))
 
 
 def face(calibration: Calibration, facing: tuple[str, ...] | None) -> Calibration:
     """Return a calibration that knows what was said of its outputs, reflected where it is free.
 
     Where nothing was said every output is taken to face along its axis. One that says of all its
-    outputs that they face the other way has that as a warning.
+    outputs that they face the other way has that as a finding.
 
     Raises
     ------
@@ -107,7 +108,8 @@ def _with_convention(calibration: Calibration, facing: tuple[str, ...]) -> Calib
         f"every own-axis scale factor is {how} under --convention {c.convention}; "
         f"the readings look like --convention {other}"
     )
-    diagnostics = replace(c.diagnostics, warnings=(*c.diagnostics.warnings, text))
+    found = Finding("convention", "warning", text)
+    diagnostics = replace(c.diagnostics, findings=(*c.diagnostics.findings, found))
     return replace(c, diagnostics=diagnostics)
 
 
@@ -253,7 +255,7 @@ def fit(
     Warns
     -----
     CalibrationWarning
-        Once for each of `diagnostics.warnings`, of which doubts about the result are the first.
+        Once for each of `diagnostics.findings` that is an error or a warning.
 
     References
     ----------
@@ -334,7 +336,7 @@ def fit(
     if stated is not None:
         calibration = state_budget(calibration, stated)
     calibration = examine(calibration)
-    warn_of(calibration.diagnostics.warnings)
+    warn(calibration.findings)
     return calibration
 
 
@@ -398,8 +400,9 @@ def with_excluded(
     excluded = tuple(Excluded(label, each, "g") for label, each in pairs)
     calibration = replace(calibration, excluded=excluded)
     found = calibration.diagnostics
-    said = (f"{calibration.set_aside}; --exclude none keeps them", *found.warnings)
-    return replace(calibration, diagnostics=replace(found, warnings=said))
+    text = f"{calibration.set_aside}; --exclude none keeps them"
+    note = Finding("excluded", "note", text, rows=tuple(each.label for each in excluded))
+    return replace(calibration, diagnostics=replace(found, findings=(*found.findings, note)))
 
 
 def calibrate_at(
@@ -411,14 +414,15 @@ def calibrate_at(
     *,
     ordered: bool = True,
 ) -> Calibration:
-    """Return the calibration of readings whose positions are resolved; no doubt is asked yet.
+    """Return the calibration of readings whose positions are resolved; no finding is asked yet.
 
     Rows that are `ordered` stand in the order of time, and may be correlated.
     """
     tied = _TIED if placement.listed.any() else placement.rolls and _ROLLED
     if options.gauge != GAUGES[0] and tied:
-        note = f"--gauge {options.gauge} has no effect: {tied}"
-        readings = replace(readings, notes=(*readings.notes, note))
+        text = f"--gauge {options.gauge} has no effect: {tied}"
+        unused = Finding("gauge-unused", "warning", text)
+        readings = replace(readings, findings=(*readings.findings, unused))
     estimator = choose_estimator(options, placement)
     if options.robust is not None and placement.exact:
         _require_spare(model, len(readings))
@@ -446,7 +450,7 @@ def calibrate_at(
         criterion=criterion_in_words(estimator, options, model, readings),
         confidence=options.confidence,
     )
-    calibration = _with_roll_warnings(calibration)
+    calibration = _with_rolls(calibration)
     return calibration if chosen is None else with_selection(calibration, chosen)
 
 
@@ -463,7 +467,7 @@ def _require_one_unit(readings: Readings, gravity: Gravity | None) -> None:
 
 
 def _require_spare(model: Model, n: int) -> None:
-    """Refuse a robust loss where so little is left that it goes through what it should doubt."""
+    """Refuse a robust loss where so little is left that it goes through what it should finding."""
     spare = n - max(len(terms) for terms in model.terms)
     if spare < _SPARE:
         raise UsageError(
@@ -520,13 +524,13 @@ def _gravity_of(budget: Budget | None, local: Gravity | None) -> Gravity | None:
     return Gravity(*budget.gravity)
 
 
-def _with_roll_warnings(calibration: Calibration) -> Calibration:
+def _with_rolls(calibration: Calibration) -> Calibration:
     """Return the calibration of one or two axes with what its rolls warn of."""
-    said = roll_warnings(calibration) if len(calibration.outputs) < 3 else []
+    said = find_in_rolls(calibration) if len(calibration.outputs) < 3 else []
     if not said:
         return calibration
     found = calibration.diagnostics
-    return replace(calibration, diagnostics=replace(found, warnings=(*found.warnings, *said)))
+    return replace(calibration, diagnostics=replace(found, findings=(*found.findings, *said)))
 
 
 def _columns_named(model: str | Expression | Sketch) -> tuple[str, ...]:
@@ -556,10 +560,11 @@ def _build(
 
 def _with_reading_sd(readings: Readings, reading_sd: ArrayLike) -> Readings:
     u = spread_reading_sd(reading_sd, readings.values.shape)
-    notes = readings.notes
+    findings = readings.findings
     if readings.u is not None or readings.covariance is not None:
-        notes += ("the readings' own uncertainties are ignored, --reading-sd is used",)
-    return replace(readings, u=u, dof=None, covariance=None, notes=notes)
+        text = "the readings' own uncertainties are ignored, --reading-sd is used"
+        findings += (Finding("u-ignored", "note", text),)
+    return replace(readings, u=u, dof=None, covariance=None, findings=findings)
 
 
 def _check_environment(readings: Readings, model: Model) -> None:

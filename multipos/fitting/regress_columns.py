@@ -34,11 +34,11 @@ from typing import Any
 import numpy as np
 
 from multipos import __version__
-from multipos.doubt import Doubt
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names, split_numbers, visible
 from multipos.files.tables import Source, read_table
 from multipos.files.whole import now
+from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.selection import CRITERIA, SubsetCriterion, thresholds
@@ -70,54 +70,57 @@ from multipos.regression.variation import term_variances
 _ENDS = 0.1  # share of the points in balance that may be outside, at the ends of the range
 
 
-def order_said(read: Observations, result: Regression) -> tuple[str, ...]:
+def find_order(read: Observations, result: Regression) -> Findings:
     """Say by what rows are neighbours, where that was of any consequence."""
     return read.order if any(s.robust is not None for s in result.segments) else ()
 
 
-def state_cautions(
+def find_in_choice(
     plan: Plan,
     segments: Sequence[Segment],
     hysteresis: Mapping[str, Any] | None,
     validation: Mapping[str, Any] | None,
-) -> list[str]:
-    """Say what the choice of terms, the branches and each segment leave to doubt."""
+) -> list[Finding]:
+    """Say what the choice of terms, the branches and each segment leave open."""
     said = []
     if not plan.constant:
-        said.append("no intercept: F and R² are about zero, not about the mean, dof n − k")
+        text = "no intercept: F and R² are about zero, not about the mean, dof n − k"
+        said.append(Finding("no-intercept", "note", text))
     if plan.method != "full":
-        said.append(
+        text = (
             "the terms were chosen by the same data that test them: F and p of the chosen model "
             "are optimistic"
-            + ("" if validation else "; --cross-validate checks it by blocks of time")
         )
+        more = "" if validation else "; --cross-validate checks it by blocks of time"
+        said.append(Finding("selected-terms", "note", f"{text}{more}"))
     if hysteresis is not None and not hysteresis["significant"]:
         p = hysteresis["p"]
-        said.append(
+        text = (
             f"heating and cooling do not differ (p = {p:.2g}): one model for both"
             if p == p
             else "too few independent rows to tell heating from cooling: one model for both"
         )
+        said.append(Finding("one-branch", "note", text))
     for where, segment in _named(segments):
-        said += _segment_warnings(plan, segment, where)
+        said += _find_in_segment(plan, segment, where)
     return said
 
 
-def doubt_segments(segments: Sequence[Segment]) -> tuple[Doubt, ...]:
-    """Return the doubts about a regression: nothing to test it with, or rows that are not apart."""
+def find_in_segments(segments: Sequence[Segment]) -> Findings:
+    """Find segments that nothing tests, or whose rows are not apart."""
     found = []
     for where, segment in _named(segments):
         robust = segment.robust
         if segment.dof[0] > 0 and segment.dof[1] == 0:
             text = f"{where}: as many terms as rows, nothing is left to test it with"
-            found.append(Doubt("no-redundancy", "caution", text))
+            found.append(Finding("no-redundancy", "warning", text))
         apart = robust is None or robust.kind == "cluster" or robust.n_effective == segment.n
         if robust is not None and not apart:
             text = (
                 f"{where}: neighbouring rows are correlated ({robust.lag_one:.2f}); {segment.n} "
                 f"rows are worth about {robust.n_effective:.3g}, see F_robust"
             )
-            found.append(Doubt("time-correlated", "caution", text))
+            found.append(Finding("time-correlated", "warning", text))
     return tuple(found)
 
 
@@ -127,7 +130,7 @@ def _named(segments: Sequence[Segment]) -> Iterator[tuple[str, Segment]]:
         yield f"segment {number}" if len(segments) > 1 else "the model", segment
 
 
-def doubt_jumps(variable: str | None, junctions: Sequence[Junction]) -> tuple[Doubt, ...]:
+def find_jumps(variable: str | None, junctions: Sequence[Junction]) -> Findings:
     """Name the largest jump that is none by chance, and the way without."""
     clear = [j for j in junctions if j.clear]
     if not clear:
@@ -137,10 +140,10 @@ def doubt_jumps(variable: str | None, junctions: Sequence[Junction]) -> tuple[Do
         f"the model jumps at {variable} = {most.edge:.6g} by up to {abs(most.jump):.2g} "
         f"(U {most.U:.2g}); leave out --free to fit without a jump"
     )
-    return (Doubt("jump", "caution", text),)
+    return (Finding("jump", "warning", text),)
 
 
-def doubt_balance(balance: Balance | None) -> tuple[Doubt, ...]:
+def find_imbalance(balance: Balance | None) -> Findings:
     """Say where nothing was measured in thermal balance, which is how most sensors are used."""
     if balance is None or balance.outside.mean() <= _ENDS:
         return ()
@@ -149,10 +152,10 @@ def doubt_balance(balance: Balance | None) -> tuple[Doubt, ...]:
         f"in thermal balance (rate 0) {outside} of {points} points over {balance.variable} are "
         "outside what was measured; add soaks there to the programme"
     )
-    return (Doubt("balance", "caution", text),)
+    return (Finding("balance", "warning", text),)
 
 
-def doubt_switch_on(data: Data) -> tuple[Doubt, ...]:
+def find_switch_on(data: Data) -> tuple[Finding, ...]:
     """Say that one switch-on cannot tell what the next one has."""
     if data.run is not None:
         return ()
@@ -160,32 +163,36 @@ def doubt_switch_on(data: Data) -> tuple[Doubt, ...]:
         "the change of bias from one switch-on to the next is not in U; measure several switch-ons "
         "and name their column with --run"
     )
-    return (Doubt("turn-on", "caution", text),)
+    return (Finding("turn-on", "warning", text),)
 
 
-def _segment_warnings(plan: Plan, segment: Segment, where: str) -> list[str]:
+def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
     said = []
     k, nu = segment.dof
     if k == 0:
-        said.append(f"{where}: no term is supported by the data, the model is the mean alone")
+        text = f"{where}: no term is supported by the data, the model is the mean alone"
+        said.append(Finding("mean-only", "warning", text))
     elif nu > 0 and not segment.significant:
-        said.append(f"{where} means nothing: F = {segment.F:.3g} is below {segment.F_critical:.4g}")
+        text = f"{where} means nothing: F = {segment.F:.3g} is below {segment.F_critical:.4g}"
+        said.append(Finding("not-significant", "warning", text, p=segment.p))
     if segment.left_out:
         names = ", ".join(one.term for one in segment.left_out)
-        said.append(f"{where}: left out {names}: {segment.left_out[0].reason}")
+        text = f"{where}: left out {names}: {segment.left_out[0].reason}"
+        said.append(Finding("left-out", "note", text))
     if segment.collinear:
-        said.append(
-            f"{where}: {', '.join(segment.collinear)} cannot be told from the terms in the model"
-        )
+        text = f"{where}: {', '.join(segment.collinear)} cannot be told from the terms in the model"
+        said.append(Finding("collinear-terms", "note", text))
     robust = segment.robust
     if robust is not None and segment.significant and not robust.p < 1.0 - plan.confidence:
-        said.append(f"{where}: significant by F, not by F_robust (p = {robust.p:.2g})")
+        text = f"{where}: significant by F, not by F_robust (p = {robust.p:.2g})"
+        said.append(Finding("not-robust", "warning", text, p=robust.p))
         if robust.kind != "cluster" and robust.n_effective == segment.n:
-            said.append(
+            text = (
                 f"{where}: {segment.n} rows cannot tell slow noise beside white noise from white "
                 f"noise alone: F (p = {segment.p:.2g}) stands if theirs is white, F_robust if it "
                 "is as slow as they leave open; more rows, or several runs, tell"
             )
+            said.append(Finding("slow-or-white", "warning", text))
     return said
 
 
@@ -249,7 +256,7 @@ def settle_edges(
     variable: str | None,
     given: tuple[float, ...] | None,
     min_rows: int | None,
-) -> tuple[tuple[float, ...], tuple[str, ...]]:
+) -> tuple[tuple[float, ...], Findings]:
     """Return the edges that are given or found, and what there is to say of them.
 
     Raises
@@ -266,7 +273,8 @@ def settle_edges(
         return given, ()
     edges = _find_edges(plan, data, variable, min_rows)
     if not edges:
-        return (), (f"no edge in {variable} is worth its coefficients: one segment",)
+        text = f"no edge in {variable} is worth its coefficients: one segment"
+        return (), (Finding("one-segment", "note", text),)
     return edges, ()
 
 
@@ -522,12 +530,8 @@ def regress(
         run=run,
         source=visible(source) if sha256 else None,
         sha256=sha256,
-        warnings=(
-            *(doubt.text for doubt in result.doubts),
-            *read.notes,
-            *order_said(read, result),
-            *said,
-            *result.warnings,
+        findings=in_order(
+            (*read.findings, *find_order(read, result), *said, *result.findings),
         ),
     )
 
@@ -581,13 +585,13 @@ def _describe(
         dropped=read.dropped,
         hysteresis=hysteresis,
         cross_validation=validation,
-        doubts=(
-            *doubt_segments(segments),
-            *doubt_jumps(cut.variable, junctions),
-            *doubt_balance(balance),
-            *doubt_switch_on(read.data),
+        findings=(
+            *find_in_segments(segments),
+            *find_jumps(cut.variable, junctions),
+            *find_imbalance(balance),
+            *find_switch_on(read.data),
+            *find_in_choice(plan, segments, hysteresis, validation),
         ),
-        warnings=tuple(state_cautions(plan, segments, hysteresis, validation)),
     )
 
 
@@ -611,7 +615,6 @@ def _assemble(plan: Plan, response: str, segments: Sequence[Segment], cut: Cut) 
         dropped=0,
         hysteresis=None,
         cross_validation=None,
-        warnings=(),
         source=None,
         sha256=None,
         created=now(),

@@ -426,7 +426,7 @@ def fit_many(
     Returns
     -------
     Columns
-        `unit`, `station`, every parameter by name, `u_<name>`, `dof_<name>`, `rms` [g], `doubts`
+        `unit`, `station`, every parameter by name, `u_<name>`, `dof_<name>`, `rms` [g], `findings`
         and, of a unit that failed, `reason`; (B,) each.
 
     Raises
@@ -495,7 +495,7 @@ def fit_units(
         if trials is None:
             return units
         each = _solve(rows, trials.grouped, given, executor, folder, lambda done: None)
-    usable = ~each.failed & ~each.implausible & (each.names == units.names)
+    usable = ~each.failed & ~each.unfit & (each.names == units.names)
     return replace(units, study=gather_study(trials, each.parameters, usable))
 
 
@@ -528,8 +528,8 @@ def _solve(
         u=found.u,
         dof=found.dof,
         rms=found.rms,
-        doubts=found.doubts,
-        implausible=found.implausible,
+        findings=found.findings,
+        unfit=found.unfit,
         reasons=found.reasons,
         first=grouped.firsts,
         time=times,

@@ -26,6 +26,7 @@ from multipos.files.pipes import is_there
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source
 from multipos.files.whole import now
+from multipos.finding import Finding, Findings
 from multipos.fitting.fit_readings import fit
 from multipos.fleets.fit_many import FitOptions, fit_units
 from multipos.fleets.gauge import describe_gauge
@@ -34,6 +35,7 @@ from multipos.fleets.line import find_drift, find_outliers
 from multipos.fleets.pictures import charts, histogram
 from multipos.fleets.quality import (
     PASS,
+    VERDICTS,
     Verdicts,
     column,
     describe,
@@ -149,7 +151,7 @@ class Fleet(Result, Drawn):
         What `fleet.json` holds: input, asked, units, fitted, failed, yield, parameters, outliers,
         stations, drift, gauge, and beside them causes, verdicts, limits.
     calibrations : Columns
-        One row a unit: every parameter, ``u_…``, ``dof_…``, rms [g], doubts.
+        One row a unit: every parameter, ``u_…``, ``dof_…``, rms [g], findings.
     verdicts : Columns
         unit, verdict, reasons.
     time : (B,) array
@@ -268,9 +270,9 @@ def fleet(
 
 def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) -> Fleet:
     """Return the fleet of solved units; `how` is what `asked` tells of the options."""
-    implausible = units.implausible
-    judged = judge_units(units, limits, implausible)
-    counted = ~units.failed & ~implausible
+    unfit = units.unfit
+    judged = judge_units(units, limits, unfit)
+    counted = ~units.failed & ~unfit
     failed = int(units.failed.sum())
     passed = int(np.sum(judged.verdict == PASS))
     total = len(units)
@@ -291,6 +293,7 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "stations": describe_stations(units, counted),
         "drift": find_drift(units, counted),
         "gauge": _gauge(units, limits),
+        "findings": [each.to_dict() for each in _find_failed(units)],
     }
     verdicts = Columns(
         {
@@ -300,6 +303,19 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         }
     )
     return Fleet(_settled(summary), units.columns(), verdicts, units.time, now(), __version__)
+
+
+def _find_failed(units: Units) -> Findings:
+    """Return a warning of units without a calibration, where there are any."""
+    failed = np.flatnonzero(units.failed).tolist()
+    if not failed:
+        return ()
+    first = failed[0]
+    text = (
+        f"{len(failed)} of {len(units)} units failed, first {units.unit[first]}: "
+        f"{units.reasons[first]}"
+    )
+    return (Finding("failed-units", "warning", text),)
 
 
 def _gauge(units: Units, limits: tuple[Limit, ...]) -> dict[str, Any] | None:
@@ -333,7 +349,7 @@ def _settled(value: Any) -> Any:
 
 
 def _order(judged: Verdicts) -> list[str]:
-    return sorted(set(judged.verdict.tolist()), key=("pass", "fail", "doubt", "failed").index)
+    return sorted(set(judged.verdict.tolist()), key=VERDICTS.index)
 
 
 def _parameters(

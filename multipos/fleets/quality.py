@@ -28,7 +28,7 @@ A limit is on a column of the table of calibrations (a parameter, ``u_…``, ``r
 ``U:name``, on the expanded uncertainty of a parameter. A value on a limit is within it.
 
 - `failed`: there is no calibration, with the reason;
-- `doubt`: there is one, but it is not fit for use, so that what it says of the unit is not known;
+- `unfit`: there is one, but it is not fit for use, so that what it says of the unit is not known;
 - `fail`: a value is outside its limits, or is none;
 - `pass`: none of these.
 """
@@ -194,8 +194,8 @@ def _against_limits(
     return said
 
 
-PASS, FAIL, DOUBT, FAILED = "pass", "fail", "doubt", "failed"
-VERDICTS = (PASS, FAIL, DOUBT, FAILED)
+PASS, FAIL, UNFIT, FAILED = "pass", "fail", "unfit", "failed"
+VERDICTS = (PASS, FAIL, UNFIT, FAILED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,14 +207,14 @@ class Verdicts:
     causes: Mapping[str, int]
 
 
-def judge_units(units: Units, limits: Sequence[Limit], implausible: NDArray[np.bool_]) -> Verdicts:
+def judge_units(units: Units, limits: Sequence[Limit], unfit: NDArray[np.bool_]) -> Verdicts:
     """Return the verdicts of units.
 
     Parameters
     ----------
     units : Units
     limits : sequence of Limit
-    implausible : (B,) array of bool
+    unfit : (B,) array of bool
         Whose calibration is not fit for use.
 
     Raises
@@ -234,13 +234,13 @@ def judge_units(units: Units, limits: Sequence[Limit], implausible: NDArray[np.b
             causes[f"{limit.name} outside its limits"] = int(beyond.sum())
         for unit in np.flatnonzero(beyond).tolist():
             _add(reasons, unit, _said(limit, float(value[unit])))
-    for unit in np.flatnonzero(implausible).tolist():
-        _add(reasons, unit, f"doubts: {units.doubts[unit]}")
-        for code in units.doubts[unit].split():
+    for unit in np.flatnonzero(unfit).tolist():
+        _add(reasons, unit, f"findings: {units.findings[unit]}")
+        for code in units.findings[unit].split(";"):
             causes[code] = causes.get(code, 0) + 1
     if failed.any():
         causes["no calibration"] = int(failed.sum())
-    verdict = np.select([failed, implausible, outside], [FAILED, DOUBT, FAIL], PASS)
+    verdict = np.select([failed, unfit, outside], [FAILED, UNFIT, FAIL], PASS)
     return Verdicts(verdict, reasons, causes)
 
 

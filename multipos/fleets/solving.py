@@ -7,7 +7,7 @@ depends on which way was taken.
 
 Which units of a batch may not be fit for use: each is fitted alone, and looked at in full.
 
-Implausible doubts of `multipos.diagnostics` need something to begin with, and each bound here is
+Errors of `multipos.diagnostics` need something to begin with, and each bound here is
 passed by far less than any of them needs:
 
 - residuals of half a percent of a g, or one of eight tenths (rows interchanged, flipped, in another
@@ -39,7 +39,6 @@ from numpy.typing import NDArray
 
 from multipos.diagnostics.redundancy import are_poorly_known
 from multipos.diagnostics.scales import are_of_unit
-from multipos.doubt import implausible
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates
 from multipos.estimation.correlated_rows import are_asked, find_correlated
@@ -52,6 +51,7 @@ from multipos.estimation.uncertain_orientations import (
 )
 from multipos.estimation.unknown_orientations import SharedSphere, estimate_spheres, share_sphere
 from multipos.files.tables import Table
+from multipos.finding import errors_of, serious
 from multipos.fitting.fit_readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests
 from multipos.numerics.arrays import Array, Places, median
@@ -143,9 +143,9 @@ class Solved(NamedTuple):
     names : tuple of p str
     parameters, u, dof : (B, p) arrays
     rms : (B,) array [g]
-    doubts, reasons : lists of B str
-        Codes of doubts, with spaces between them.
-    implausible : (B,) array of bool
+    findings, reasons : lists of B str
+        Codes of errors and warnings, with `;` between them.
+    unfit : (B,) array of bool
     nests : tuple of NestSums
     """
 
@@ -155,9 +155,9 @@ class Solved(NamedTuple):
     u: Array
     dof: Array
     rms: Array
-    doubts: list[str]
+    findings: list[str]
     reasons: list[str]
-    implausible: NDArray[np.bool_]
+    unfit: NDArray[np.bool_]
     nests: tuple[NestSums, ...] = ()
 
 
@@ -172,7 +172,7 @@ class Pattern:
     nest : Nest or None
         Where the angles of the positions can be told from residuals.
     gravity : Gravity or None
-    doubts : str
+    findings : str
         Codes that the positions alone give, whatever the unit.
     asked : bool
         Rows can show whether they are correlated: a unit whose rows are is looked at in full.
@@ -181,7 +181,7 @@ class Pattern:
     shared: Shared
     nest: Nest | None
     gravity: Gravity | None
-    doubts: str
+    findings: str
     asked: bool
 
 
@@ -300,26 +300,26 @@ def _share_uncertain(
 
 
 _POOR, _DENIED = "no-redundancy", "denied-noise"
-# What units are doubted for without being looked at in full, in the order of `fit`.
-_TOLD = ("gravity", "turned", _POOR, "temperature-kelvin", "hidden-terms", _DENIED)
+# What units are found of without being looked at in full, in the order of `fit`.
+_TOLD = ("gravity", "turned", _POOR, "temperature-kelvin", _DENIED)
 
 
 def _common(calibration: Calibration) -> str:
-    """Return what every unit at these positions is doubted for."""
+    """Return what every unit at these positions is found of."""
     # what depends on the unit is told of each by itself
     return _in_order(_codes(calibration) - {_DENIED, _POOR})
 
 
 def _codes(calibration: Calibration) -> set[str]:
-    return {doubt.code for doubt in calibration.diagnostics.doubts}
+    return {finding.code for finding in serious(calibration.diagnostics.findings)}
 
 
 def _in_order(codes: Iterable[str]) -> str:
-    return " ".join(code for code in _TOLD if code in codes)
+    return ";".join(code for code in _TOLD if code in codes)
 
 
-def _doubts(task: Task, pattern: Pattern, found: Estimates, u: Array, dof: Array) -> list[str]:
-    """Return what every unit is doubted for; u and dof are those with gravity's part."""
+def _findings(task: Task, pattern: Pattern, found: Estimates, u: Array, dof: Array) -> list[str]:
+    """Return what every unit is found of; u and dof are those with gravity's part."""
     shared, count = pattern.shared, len(task.units)
     unknown = isinstance(shared, SharedSphere)
     told: dict[str, NDArray[np.bool_]] = {}
@@ -330,10 +330,10 @@ def _doubts(task: Task, pattern: Pattern, found: Estimates, u: Array, dof: Array
         equations = task.values[0].size // count * (1 if unknown else len(task.values))
         limit = chi2_quantile(DENIED, float(equations - len(shared.model.keys)))
         told[_DENIED] = found.chi2 > limit
-    words, number = [pattern.doubts], np.zeros(count, dtype=np.intp)
+    words, number = [pattern.findings], np.zeros(count, dtype=np.intp)
     for code, each in told.items():
         number += len(words) * each
-        words += [_in_order((*word.split(), code)) for word in words]
+        words += [_in_order((*word.split(";"), code)) for word in words]
     return [words[i] for i in number.tolist()]
 
 
@@ -360,7 +360,7 @@ def solve_task(task: Task) -> Solved:
         u,
         dof,
         found.rms,
-        _doubts(task, task.pattern, found, u, dof),
+        _findings(task, task.pattern, found, u, dof),
         reasons,
         np.zeros(count, dtype=np.bool_),
         nests,
@@ -425,7 +425,7 @@ def gather(units: Places, fitted: list[Calibration | str]) -> Solved:
     shape = (len(fitted), len(names))
     parameters, u, dof = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     rms = np.full(len(fitted), np.nan)
-    doubts, reasons = [""] * len(fitted), [""] * len(fitted)
+    findings, reasons = [""] * len(fitted), [""] * len(fitted)
     wrong = np.zeros(len(fitted), dtype=np.bool_)
     for row, each in enumerate(fitted):
         if isinstance(each, str):
@@ -435,8 +435,8 @@ def gather(units: Places, fitted: list[Calibration | str]) -> Solved:
             reasons[row] = "the columns of this unit give other parameters than those of others."
             continue
         parameters[row], u[row], dof[row] = each.parameters, each.u, each.parameter_dof
-        found = each.diagnostics.doubts
-        doubts[row] = " ".join(dict.fromkeys(doubt.code for doubt in found))
-        wrong[row] = bool(implausible(found))
+        found = each.diagnostics.findings
+        findings[row] = ";".join(dict.fromkeys(finding.code for finding in serious(found)))
+        wrong[row] = bool(errors_of(found))
         rms[row] = each.rms
-    return Solved(units, names, parameters, u, dof, rms, doubts, reasons, wrong)
+    return Solved(units, names, parameters, u, dof, rms, findings, reasons, wrong)

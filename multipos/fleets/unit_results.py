@@ -34,9 +34,9 @@ class Units:
     names : tuple of p str
     parameters, u, dof : (B, p) arrays
     rms : (B,) array [g]
-    doubts : (B,) array of str
-        Codes, with spaces between them.
-    implausible : (B,) array of bool
+    findings : (B,) array of str
+        Codes of errors and warnings, with `;` between them.
+    unfit : (B,) array of bool
         Whose calibration is not fit for use.
     reasons : (B,) array of str
         Why a unit failed; '' where it did not.
@@ -61,8 +61,8 @@ class Units:
     u: Array
     dof: Array
     rms: Array
-    doubts: Texts
-    implausible: NDArray[np.bool_]
+    findings: Texts
+    unfit: NDArray[np.bool_]
     reasons: Texts
     first: NDArray[np.intp]
     time: Array
@@ -97,7 +97,7 @@ class Units:
         columns |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.names)}
         columns |= {f"dof_{name}": self.dof[:, i] for i, name in enumerate(self.names)}
         columns["rms"] = self.rms
-        return Columns(columns | {"doubts": self.doubts, "reason": self.reasons})
+        return Columns(columns | {"findings": self.findings, "reason": self.reasons})
 
 
 class UnitsFound:
@@ -108,9 +108,9 @@ class UnitsFound:
         self.names: tuple[str, ...] = ()
         self.parameters = self.u = self.dof = np.empty((count, 0))
         self.rms = np.full(count, np.nan)
-        self.doubts: Texts = np.full(count, "", dtype=np.object_)
+        self.findings: Texts = np.full(count, "", dtype=np.object_)
         self.reasons: Texts = np.full(count, "", dtype=np.object_)
-        self.implausible = np.zeros(count, dtype=np.bool_)
+        self.unfit = np.zeros(count, dtype=np.bool_)
         self.nests: list[NestSums] = []
 
     def take(self, solved: Solved) -> None:
@@ -125,7 +125,7 @@ class UnitsFound:
             if not reason and not same:
                 reason = "its columns give other parameters than those of the other units."
             self.reasons[unit] = reason
-            self.doubts[unit] = "" if reason else solved.doubts[row]
+            self.findings[unit] = "" if reason else solved.findings[row]
         good = np.array([not self.reasons[unit] for unit in solved.units.tolist()], dtype=np.bool_)
         units = solved.units[good]
         if len(units):
@@ -133,5 +133,5 @@ class UnitsFound:
             self.u[units] = solved.u[good]
             self.dof[units] = solved.dof[good]
             self.rms[units] = solved.rms[good]
-            self.implausible[units] = solved.implausible[good]
+            self.unfit[units] = solved.unfit[good]
         self.nests += solved.nests

@@ -170,7 +170,7 @@ def _packed(solved: Solved) -> bytes:
     stream = io.BytesIO()
     words = {
         "names": solved.names,
-        "doubts": solved.doubts,
+        "findings": solved.findings,
         "reasons": solved.reasons,
         "nests": [[each.station, each.labels, each.units] for each in solved.nests],
     }
@@ -187,7 +187,7 @@ def _packed(solved: Solved) -> bytes:
         u=solved.u,
         dof=solved.dof,
         rms=solved.rms,
-        implausible=solved.implausible,
+        unfit=solved.unfit,
         **arrays,
     )
     return stream.getvalue()
@@ -219,9 +219,9 @@ def _load(path: Path) -> Solved | None:
                 kept["u"],
                 kept["dof"],
                 kept["rms"],
-                words["doubts"],
+                words["findings"],
                 words["reasons"],
-                kept["implausible"],
+                kept["unfit"],
                 nests,
             )
     except (OSError, ValueError, KeyError, BadZipFile):

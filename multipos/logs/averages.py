@@ -10,6 +10,7 @@ import numpy as np
 
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.tables import Column, write_table
+from multipos.finding import Findings
 from multipos.logs.rest_means import RestMean
 from multipos.logs.rests import Rest
 from multipos.numerics.arrays import Array
@@ -34,8 +35,8 @@ class RestAverage(Result):
         Means of the columns that are no outputs; NaN where all cells are empty.
     distance_deg : float or None
         Angle to the position of the scheme.
-    notes : tuple of str
-        What is wrong with the rest, in words.
+    findings : tuple of Finding
+        About the rest.
     log : str
         Name of the log, without its folder.
     """
@@ -46,7 +47,7 @@ class RestAverage(Result):
     found: RestMean
     environment: Mapping[str, float]
     distance_deg: float | None
-    notes: tuple[str, ...]
+    findings: Findings
     log: str = field(default="", compare=False)
 
 
@@ -64,9 +65,7 @@ class Averages(Result, Tabular):
     sample_rate : float or None [Hz]
     threshold : float or None
         Standard deviation of a window above which it moves; None where the log shows none.
-    warnings : tuple of str
-    notes : tuple of str
-        What was found and chosen on reading, in words.
+    findings : tuple of Finding
     short : tuple of (str, Rest)
         Stretches that stood still for less than a rest: the name of the log, and its rows.
     unit : str or None
@@ -89,8 +88,7 @@ class Averages(Result, Tabular):
     scheme_up: Array | None
     sample_rate: float | None
     threshold: float | None
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...] = ()
+    findings: Findings
     short: tuple[tuple[str, Rest], ...] = field(default=(), compare=False)
     unit: str | None = None
 
@@ -174,7 +172,7 @@ class Averages(Result, Tabular):
                 "drift": named(rest.found.drift),
                 "environment": rest.environment,
                 "distance_deg": rest.distance_deg,
-                "notes": rest.notes,
+                "findings": rest.findings,
             }
             for rest in self.rests
         ]
@@ -183,8 +181,7 @@ class Averages(Result, Tabular):
                 "positions": positions,
                 "sample_rate": self.sample_rate,
                 "threshold": self.threshold,
-                "warnings": self.warnings,
-                "found": self.notes,
+                "findings": self.findings,
                 "short": [{"log": log, "start": a, "end": b} for log, (a, b) in self.short],
                 "unit": self.unit,
             }
@@ -220,5 +217,5 @@ def averages_text(found: Averages) -> str:
         )
     rate = "" if found.sample_rate is None else f", {found.sample_rate:.6g} Hz"
     level = "" if found.threshold is None else f", threshold {found.threshold:.3g}"
-    head = [f"{found.source}: {len(found.rests)} rests{rate}{level}", *found.notes]
+    head = [f"{found.source}: {len(found.rests)} rests{rate}{level}"]
     return "\n".join([*head, "", table(header, rows), ""])

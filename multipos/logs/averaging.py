@@ -133,7 +133,7 @@ def average(
     chosen = choose(found, _names(only, "--only"))
     wrong = faults_of_means(chosen)
     if wrong and not accept_faults:
-        raise MultiposError(f"{wrong[0]}, or go on with --accept-faults.")
+        raise MultiposError(f"{wrong[0].text}, or go on with --accept-faults.")
     return complete(found, chosen, wanted, convention, wrong)
 
 

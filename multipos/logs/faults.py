@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from multipos.finding import Finding, Level
 from multipos.logs.rest_means import Counts, RestMean
 from multipos.logs.rests import Rest, Survey
 from multipos.logs.samples import Kept, Samples
@@ -28,16 +29,17 @@ _TWIN_DEG = 2.0
 _EDGE = 0.1  # of the windows of a section may be its edges
 
 
-def compare_scales(outputs: Sequence[str], means: Array) -> str | None:
-    """Return what is said of outputs of different units, by the ellipsoid of their means (n, 3)."""
+def compare_scales(outputs: Sequence[str], means: Array) -> Finding | None:
+    """Find outputs of different units, by the ellipsoid of their means (n, 3)."""
     scale = _semi_axes(means)
     if scale is None or scale.max() <= _UNITS * scale.min():
         return None
     large, small = outputs[int(np.argmax(scale))], outputs[int(np.argmin(scale))]
-    return (
+    text = (
         f"1 g moves '{large}' {scale.max() / scale.min():.3g} times as far as '{small}': mixed "
         "units? Convert the outputs to one unit, average them one at a time with --outputs"
     )
+    return Finding("output-unit", "warning", text, outputs=(large, small))
 
 
 def _semi_axes(means: Array) -> Array | None:
@@ -117,8 +119,8 @@ def find_faults(
     gaps: Sequence[int],
     moving: Sequence[float | None],
     labels: Sequence[str],
-) -> tuple[list[list[str]], list[str]]:
-    """Return what is to be said of each rest, and of all of them together."""
+) -> tuple[list[list[Finding]], list[Finding]]:
+    """Return the findings about each rest, and about all of them together."""
     usual = median([each.sd for each in found], axis=0)
     faults = []
     for each, gap, moved in zip(found, gaps, moving, strict=True):
@@ -128,21 +130,24 @@ def find_faults(
     return faults, _twins([found[i] for i in still], [labels[i] for i in still])
 
 
-def _moved(share: float | None) -> list[str]:
+def _moved(share: float | None) -> list[Finding]:
     if share is not None and share > _EDGE:
-        return [f"in motion during {100 * share:.0f} % of the time"]
-    return ["motion at its edges; give fewer rows"] if share else []
+        text = f"in motion during {100 * share:.0f} % of the time"
+        return [Finding("in-motion", "warning", text)]
+    text = "motion at its edges; give fewer rows"
+    return [Finding("motion-at-edge", "warning", text)] if share else []
 
 
-def _gaps(count: int) -> list[str]:
+def _gaps(count: int) -> list[Finding]:
     if not count:
         return []
-    return ["a gap in the time" if count == 1 else f"{count} gaps in the time"]
+    text = "a gap in the time" if count == 1 else f"{count} gaps in the time"
+    return [Finding("time-gap", "warning", text)]
 
 
 def _rest_faults(
     outputs: Sequence[str], each: RestMean, usual: Array, resolution: Array
-) -> list[str]:
+) -> list[Finding]:
     return [
         note
         for j, output in enumerate(outputs)
@@ -152,21 +157,26 @@ def _rest_faults(
 
 def _output_faults(
     output: str, j: int, each: RestMean, usual: float, resolution: float
-) -> list[str]:
-    notes = []
+) -> list[Finding]:
+    notes: list[Finding] = []
+
+    def add(code: str, level: Level, text: str) -> None:
+        notes.append(Finding(code, level, text, outputs=(output,)))
+
     noisy = each.sd[j] >= _NOISY * resolution
     if noisy and each.longest[j] >= max(_STUCK, each.n / 10):
-        notes.append(f"'{output}' repeats one value {each.longest[j]} times")
+        add("stuck", "warning", f"'{output}' repeats one value {each.longest[j]} times")
     if usual > 0.0 and each.sd[j] > _UNSTEADY * usual:
-        notes.append(f"'{output}' is unsteady, its sd {each.sd[j] / usual:.1f} times the usual")
+        text = f"'{output}' is unsteady, its sd {each.sd[j] / usual:.1f} times the usual"
+        add("unsteady", "note", text)
     if each.drift_u[j] > 0.0 and abs(each.drift[j]) > _SIGNIFICANT * each.drift_u[j]:
-        notes.append(f"'{output}' drifts by {each.drift[j]:+.3g}")
+        add("slow-drift", "note", f"'{output}' drifts by {each.drift[j]:+.3g}")
     elif each.edge[j] > _SIGNIFICANT:
-        notes.append(f"'{output}' is off at an edge; motion there?")
+        add("motion-at-edge", "warning", f"'{output}' is off at an edge; motion there?")
     return notes + _settled(output, j, each)
 
 
-def common_noise(outputs: Sequence[str], found: Sequence[RestMean]) -> list[str]:
+def common_noise(outputs: Sequence[str], found: Sequence[RestMean]) -> list[Finding]:
     """Say where all rests together show that means do not settle."""
     ratio = np.array([each.common for each in found])
     names = [f"'{outputs[j]}'" for j in np.flatnonzero((ratio > 1.0).any(axis=0)).tolist()]
@@ -175,33 +185,33 @@ def common_noise(outputs: Sequence[str], found: Sequence[RestMean]) -> list[str]
     raised = ratio[ratio > 1.0]
     low, high = f"{raised.min():.2g}", f"{raised.max():.2g}"
     times = low if low == high else f"{low} to {high}"
-    said = (
+    text = (
         f"the rests together show slow noise in {', '.join(names)}, so that means do not settle: u "
         f"is {times} times what the scatter of samples says"
     )
-    return [said]
+    return [Finding("flicker", "note", text)]
 
 
-def _settled(output: str, j: int, each: RestMean) -> list[str]:
+def _settled(output: str, j: int, each: RestMean) -> list[Finding]:
     """Say where a mean does not settle, or rests on few independent samples."""
     if each.common[j] > 1.0:  # which is said once, of all rests
         return []
     if each.wander[j] > 1.0:
-        said = (
+        text = (
             f"'{output}' wanders: its Allan deviation does not fall as that of noise does, and u "
             f"is {each.wander[j]:.2g} times what its scatter says"
         )
-        return [said]
+        return [Finding("slow-drift", "note", text, outputs=(output,))]
     if each.sd[j] > 0.0 and each.effective[j] < _FEW:
-        said = (
+        text = (
             f"'{output}' is worth {each.effective[j]:.2g} independent samples only, so that its u "
             f"has {each.dof[j]:.2g} degrees of freedom"
         )
-        return [said]
+        return [Finding("correlated-samples", "note", text, outputs=(output,))]
     return []
 
 
-def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[str]:
+def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[Finding]:
     if len(found) < 3 or len(found[0].mean) == 2:  # two axes read the same of two directions
         return []
     means = np.array([each.mean for each in found])
@@ -215,11 +225,11 @@ def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[str]:
     if not pairs:
         return []
     listed = ", ".join(pairs[:6]) + (f" and {len(pairs) - 6} more pairs" if len(pairs) > 6 else "")
-    note = (
+    text = (
         f"nearly the same position, within about {_TWIN_DEG:g} degrees: {listed}; they say little "
         "more than one, unless repeats are meant"
     )
-    return [note]
+    return [Finding("near-twins", "note", text)]
 
 
 _BITS = (8, 10, 12, 14, 16, 18, 20, 24, 32)
@@ -233,8 +243,8 @@ _PARTS = 64  # places where a log may be cut in two
 _FEWEST = 8  # windows of a part
 
 
-def find_wrapped(samples: Samples, survey: Survey) -> list[str]:
-    """Return what is said of outputs that wrap around: whole numbers of so many bits.
+def find_wrapped(samples: Samples, survey: Survey) -> list[Finding]:
+    """Find outputs that wrap around: whole numbers of so many bits.
 
     A sample beyond the largest number comes out as the smallest.
     """
@@ -250,8 +260,14 @@ def find_wrapped(samples: Samples, survey: Survey) -> list[str]:
             first[j] = begin + int(np.argmax(steps[j])) + 1
         jumps += steps.sum(axis=1)
     return [
-        f"output '{output}' wraps around: {jumps[j]} times it jumps across all of {bits[j]} bits, "
-        f"from {survey.lowest[j]:.10g} to {survey.highest[j]:.10g}, first at row {first[j]}"
+        Finding(
+            "wrapped",
+            "warning",
+            f"output '{output}' wraps around: {jumps[j]} times it jumps across all of {bits[j]} "
+            f"bits, from {survey.lowest[j]:.10g} to {survey.highest[j]:.10g}, first at row "
+            f"{first[j]}",
+            outputs=(output,),
+        )
         for j, output in enumerate(samples.outputs)
         if jumps[j]
     ]
@@ -293,8 +309,8 @@ def _values(samples: Kept, rest: Rest, j: int) -> tuple[Array, Counts]:
     return values, counts
 
 
-def find_second_unit(survey: Survey) -> list[str]:
-    """Return what is said of a log that goes on in another unit: gravity has two sizes."""
+def find_second_unit(survey: Survey) -> list[Finding]:
+    """Find a log that goes on in another unit: gravity has two sizes."""
     sizes = survey.sizes()
     places = np.unique(np.linspace(_FEWEST, len(sizes) - _FEWEST, _PARTS).astype(int))
     places = places[(places >= _FEWEST) & (places <= len(sizes) - _FEWEST)]
@@ -314,8 +330,8 @@ def find_second_unit(survey: Survey) -> list[str]:
         return []
     row = at * survey.grid.window
     more, times = ("larger", ratio) if ratio > 1.0 else ("smaller", 1.0 / ratio)
-    said = f"from about row {row} on the readings are {times:.3g} times {more} than before"
-    return [f"{said}: two units in one log"]
+    text = f"from about row {row} on the readings are {times:.3g} times {more} than before"
+    return [Finding("two-units", "warning", f"{text}: two units in one log")]
 
 
 def is_factor(ratio: float) -> bool:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.finding import Finding, Findings, about, in_order
 from multipos.logs.averages import Averages, RestAverage
 from multipos.logs.common_noise import settle_together
 from multipos.logs.faults import (
@@ -290,16 +291,21 @@ def _labelled(found: Sequence[StillLog]) -> list[Chosen]:
     return result
 
 
-def faults_of_means(chosen: Sequence[Chosen]) -> list[str]:
+def faults_of_means(chosen: Sequence[Chosen]) -> list[Finding]:
     """Return what makes means wrong, and the way out."""
     outputs = chosen[0].log.outputs
     found = [each.still.found for each in chosen]
     stuck = find_stuck(outputs, found, [each.log.survey for each in chosen])
-    said = []
+    said: list[Finding] = []
     for each, constant in zip(chosen, stuck, strict=True):
         said += [
-            f"rest '{each.label}' {each.where}: {fault}, so its mean is wrong; record it with a "
-            "larger range, leave the rest out with --only"
+            Finding(
+                "saturated",
+                "warning",
+                f"rest '{each.label}' {each.where}: {fault}, so its mean is wrong; record it with "
+                "a larger range, leave the rest out with --only",
+                rows=(each.label,),
+            )
             for fault in (*constant, *each.still.saturated)
         ]
     said += _other_unit(list(dict.fromkeys(each.log.log.source for each in chosen)), chosen)
@@ -307,14 +313,14 @@ def faults_of_means(chosen: Sequence[Chosen]) -> list[str]:
     return said if scale is None else [*said, scale]
 
 
-def _other_unit(sources: Sequence[str], chosen: Sequence[Chosen]) -> list[str]:
+def _other_unit(sources: Sequence[str], chosen: Sequence[Chosen]) -> list[Finding]:
     surveys = {each.log.log.source: each.log.survey for each in chosen}
     other = differ_in_unit([surveys[source] for source in sources])
     if other is None:
         return []
     which, ratio = other
-    said = f"{sources[which]}: its readings are {ratio:.3g} times those of {sources[0]}"
-    return [f"{said}: two units? Convert one of them"]
+    text = f"{sources[which]}: its readings are {ratio:.3g} times those of {sources[0]}"
+    return [Finding("two-units", "warning", f"{text}: two units? Convert one of them")]
 
 
 def complete(
@@ -322,7 +328,7 @@ def complete(
     chosen: Sequence[Chosen],
     scheme: Scheme | None,
     convention: Convention,
-    wrong: Sequence[str],
+    wrong: Sequence[Finding],
 ) -> Averages:
     """Return the averages of the rests, matched to a scheme, with all that is to be said."""
     chosen = _settled(chosen)
@@ -331,10 +337,11 @@ def complete(
     faults, general = _faults(logs, stills, labels)
     timed = len(logs) == 1 or _times_follow(stills)
     if not timed:
-        unseen = [*unseen, "the times of the logs do not follow each other and are not used"]
+        text = "the times of the logs do not follow each other and are not used"
+        unseen = [*unseen, Finding("times-unused", "note", text)]
     distances = None if match is None else match.distance_deg.tolist()
     rests = _rests(chosen, labels, faults, distances, timed=timed)
-    left = _by_log(logs, lambda log: log.warnings)
+    left = _by_log(logs, lambda log: (*log.findings, *_find_short(log)))
     together = common_noise(logs[0].outputs, [still.found for still in stills])
     return Averages(
         source=", ".join(log.log.source for log in logs),
@@ -343,8 +350,7 @@ def complete(
         scheme_up=None if match is None or scheme is None else scheme.up[match.rows],
         sample_rate=_common([log.rate for log in logs]),
         threshold=_common([log.threshold for log in logs]),
-        warnings=(*left, *wrong, *unseen, *together, *_own(rests), *general),
-        notes=_by_log(logs, lambda log: (*log.notes, *_short_note(log))),
+        findings=in_order((*left, *wrong, *unseen, *together, *_of_rests(rests), *general)),
         short=_short(logs),
         unit=_unit(logs),
     )
@@ -364,7 +370,7 @@ def _settled(chosen: Sequence[Chosen]) -> list[Chosen]:
 
 def _faults(
     logs: Sequence[StillLog], stills: Sequence[Still], labels: Sequence[str]
-) -> tuple[list[list[str]], list[str]]:
+) -> tuple[list[list[Finding]], list[Finding]]:
     return find_faults(
         logs[0].outputs,
         [still.found for still in stills],
@@ -379,18 +385,29 @@ def _short(logs: Sequence[StillLog]) -> tuple[tuple[str, Rest], ...]:
     return tuple((_name(log), rest) for log in logs for rest in log.short)
 
 
-def _own(rests: Sequence[RestAverage]) -> list[str]:
-    """Return what is wrong with each rest, with where it is."""
-    return [
-        f"position '{rest.position}' (rows {rest.rows.start} to {rest.rows.end}): {note}"
-        for rest in rests
-        for note in rest.notes
-    ]
+def _of_rests(rests: Sequence[RestAverage]) -> list[Finding]:
+    """Return what was found about single rests, of each kind the first, and how many have it."""
+    every = [(rest, found) for rest in rests for found in rest.findings]
+    return [_of_kind([each for each in every if each[1].code == code]) for code in _codes(every)]
+
+
+def _codes(every: Sequence[tuple[RestAverage, Finding]]) -> dict[str, None]:
+    return dict.fromkeys(found.code for _, found in every)
+
+
+def _of_kind(every: Sequence[tuple[RestAverage, Finding]]) -> Finding:
+    """Return one finding about all rests that have one of a kind."""
+    rest, first = every[0]
+    labels = tuple(dict.fromkeys(rest.position for rest, _ in every))
+    outputs = tuple(dict.fromkeys(output for _, found in every for output in found.outputs))
+    more = f"; and {len(labels) - 1} more rests likewise" if len(labels) > 1 else ""
+    text = f"position '{rest.position}' (rows {rest.rows.start} to {rest.rows.end}): {first.text}"
+    return replace(first, text=f"{text}{more}", rows=labels, outputs=outputs)
 
 
 def _matched(
     chosen: Sequence[Chosen], scheme: Scheme | None, convention: Convention
-) -> tuple[Match | None, list[str], list[str]]:
+) -> tuple[Match | None, list[str], list[Finding]]:
     """Return which positions the rests are, what those are called, and which are missed."""
     labels = [each.label for each in chosen]
     if scheme is None:
@@ -405,14 +422,15 @@ def _matched(
     )
     known = scheme.names
     missed = sorted({*range(len(known))}.difference(match.rows))
-    said = f"no rest at position {', '.join(known[i] for i in missed)} of scheme '{scheme.name}'"
-    return match, [known[row] for row in match.rows], [said] if missed else []
+    text = f"no rest at position {', '.join(known[i] for i in missed)} of scheme '{scheme.name}'"
+    found = [Finding("missed-positions", "warning", text)] if missed else []
+    return match, [known[row] for row in match.rows], found
 
 
 def _rests(
     chosen: Sequence[Chosen],
     labels: Sequence[str],
-    faults: Sequence[Sequence[str]],
+    faults: Sequence[Sequence[Finding]],
     distances: Sequence[float] | None,
     *,
     timed: bool,
@@ -426,7 +444,7 @@ def _rests(
             found=each.still.found,
             environment={n: v for n, v in each.still.environment.items() if n in shared},
             distance_deg=None if distances is None else distances[i],
-            notes=tuple(faults[i]),
+            findings=tuple(faults[i]),
             log=_name(each.log),
         )
         for i, (each, label) in enumerate(zip(chosen, labels, strict=True))
@@ -453,24 +471,24 @@ def _would_take(found: StillLog) -> str:
     return f"; {len(found.short)} more {many} stood still for less than {long}"
 
 
-def _short_note(found: StillLog) -> tuple[str, ...]:
+def _find_short(found: StillLog) -> Findings:
     if not found.short:
         return ()
     rows = [f"rows {rest.start} to {rest.end}" for rest in found.short[:_SHOWN]]
     more = f" and {len(found.short) - _SHOWN} more" if len(found.short) > _SHOWN else ""
-    return (f"{_would_take(found).removeprefix('; ')}: {', '.join(rows)}{more}",)
+    text = f"{_would_take(found).removeprefix('; ')}: {', '.join(rows)}{more}"
+    return (Finding("short-rests", "note", text),)
 
 
 def _name(log: StillLog) -> str:
     return Path(log.log.source).name
 
 
-def _by_log(logs: Sequence[StillLog], said: Callable[[StillLog], Sequence[str]]) -> tuple[str, ...]:
-    """Return what is said of each log, with its name where there are several."""
-    begin = [f"{_name(log)}: " if len(logs) > 1 else "" for log in logs]
-    return tuple(
-        f"{name}{text}" for name, log in zip(begin, logs, strict=True) for text in said(log)
-    )
+def _by_log(logs: Sequence[StillLog], said: Callable[[StillLog], Findings]) -> Findings:
+    """Return the findings about each log, with its name where there are several."""
+    if len(logs) == 1:
+        return said(logs[0])
+    return tuple(found for log in logs for found in about(_name(log), said(log)))
 
 
 def _common(values: Sequence[float | None]) -> float | None:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.finding import Finding, Findings
 from multipos.positions.headers import split_unit, unit_of
 
 COMMENTS = ("#", "//", "%")
@@ -67,7 +68,7 @@ class Layout:
         Whether the first column goes up in the first rows, and not by ones.
     rate : float or None [Hz]
         Sample rate, where a line above the table tells one.
-    notes : tuple of str
+    notes : tuple of Finding
     """
 
     delimiter: str
@@ -81,7 +82,7 @@ class Layout:
     first: int
     rising: bool
     rate: float | None
-    notes: tuple[str, ...]
+    notes: Findings
 
 
 def find_layout(source: str, lines: Sequence[str]) -> Layout:
@@ -136,7 +137,7 @@ def _layout(
         first=begin,
         rising=_rises([row[0] for row in body], mark),
         rate=_stated_rate(above),
-        notes=_said(above, begin, header),
+        notes=_find_begin(above, begin, header),
     )
 
 
@@ -164,13 +165,13 @@ def _stated_rate(above: Sequence[Line]) -> float | None:
     return float(found[0][1] or found[0][2]) if found else None
 
 
-def _said(before: Sequence[Line], begin: int, header: "_Header") -> tuple[str, ...]:
+def _find_begin(before: Sequence[Line], begin: int, header: "_Header") -> Findings:
     """Return where the table is, if that is not where one looks for it."""
     skipped = [line for line in before if line.number != header.line]
     if not header.commented and all(is_comment(line.text) for line in skipped):
         return ()
     where = f"its header on line {header.line}" if header.cells else "without a header"
-    return (f"the table begins on line {begin}, {where}",)
+    return (Finding("table-begin", "note", f"the table begins on line {begin}, {where}"),)
 
 
 def is_comment(line: str) -> bool:

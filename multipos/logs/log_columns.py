@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
+from multipos.finding import Finding, Findings
 from multipos.logs.rests import LARGEST_SAMPLE
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median
@@ -125,7 +126,7 @@ class Outputs(NamedTuple):
     """The columns that are outputs, and what is to be said of the choice."""
 
     names: tuple[str, ...]
-    notes: tuple[str, ...]
+    findings: Findings
 
 
 def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str]) -> Outputs:
@@ -161,7 +162,7 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
             f"{log.source}: {len(chosen)} columns could be outputs: {', '.join(chosen)}; name "
             "them with --outputs."
         )
-    return Outputs(chosen, _said(chosen, names, by))
+    return Outputs(chosen, _find_choice(chosen, names, by))
 
 
 def _by_name(names: Sequence[str], kinds: dict[str, NameParts]) -> tuple[str, ...]:
@@ -187,14 +188,15 @@ def _refuse_text(log: Log, chosen: Sequence[str], kinds: dict[str, NameParts]) -
             )
 
 
-def _said(chosen: tuple[str, ...], names: Sequence[str], by: str) -> tuple[str, ...]:
-    notes = []
+def _find_choice(chosen: tuple[str, ...], names: Sequence[str], by: str) -> Findings:
     others = [name for name in names if name not in chosen]
     if others:
-        notes.append(
+        text = (
             f"outputs are {', '.join(chosen)}, by {by}; {', '.join(others)} beside them "
             f"{'is no output' if len(others) == 1 else 'are none'}"
         )
-    elif [name for name in names if name in chosen] != list(chosen):
-        notes.append(f"outputs are taken in the order {', '.join(chosen)}, by their names")
-    return tuple(notes)
+        return (Finding("outputs-by-name", "note", text),)
+    if [name for name in names if name in chosen] != list(chosen):
+        text = f"outputs are taken in the order {', '.join(chosen)}, by their names"
+        return (Finding("outputs-by-name", "note", text),)
+    return ()

@@ -19,6 +19,7 @@ from multipos.errors import MultiposError
 from multipos.files.pipes import rereadable
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, read_table
+from multipos.finding import Finding
 from multipos.logs.array_logs import log_of_columns
 from multipos.logs.extras import Noted
 from multipos.logs.readers import reader_of
@@ -63,7 +64,9 @@ def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
         return open_text(path, head, names)
     found = reader.columns(path)
     log = log_of_columns(str(path), found, names)
-    return replace(log, notes=found.notes) if isinstance(found, Noted) else log
+    if not isinstance(found, Noted):
+        return log
+    return replace(log, notes=tuple(Finding("log-source", "note", text) for text in found.notes))
 
 
 def read_log(log: Log) -> dict[str, Column]:

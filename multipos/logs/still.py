@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.finding import Finding, Findings
 from multipos.logs.clock import Clock, time_columns
 from multipos.logs.faults import find_saturated, find_second_unit, find_wrapped
 from multipos.logs.log_columns import choose_outputs
@@ -77,7 +78,7 @@ class StillLog:
     clock : Clock or None
     rate : float or None [Hz]
     threshold : float or None
-    notes, warnings : tuples of str
+    findings : tuple of Finding
     """
 
     log: Log
@@ -88,8 +89,7 @@ class StillLog:
     clock: Clock | None
     rate: float | None
     threshold: float | None
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
+    findings: Findings
 
 
 def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillLog:
@@ -114,7 +114,7 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
         wrong = [*find_wrapped(samples, survey), *find_second_unit(survey)]
         if wrong and not wish.accept_faults:
             raise MultiposError(
-                f"{log.source}: {wrong[0]}; correct the log, or go on with --accept-faults."
+                f"{log.source}: {wrong[0].text}; correct the log, or go on with --accept-faults."
             )
         known = _known(samples, wish)
         threshold = _threshold(log.source, survey, wish.threshold, needed=known is None)
@@ -132,8 +132,14 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
             clock=samples.clock,
             rate=samples.rate,
             threshold=threshold,
-            notes=(*log.notes, *_notes(samples), *outputs.notes),
-            warnings=(*log.left_out, *wrong, *_warnings(samples, grid, found=known[0][0] == "")),
+            findings=(
+                *log.notes,
+                *_find_clock(samples),
+                *outputs.findings,
+                *log.left_out,
+                *wrong,
+                *_find_left_out(samples, grid, found=known[0][0] == ""),
+            ),
         )
 
 
@@ -152,37 +158,42 @@ def _known(samples: Samples, wish: Wish) -> list[tuple[str, Rest]] | None:
     return None if samples.labels is None else samples.labels.rests()
 
 
-def _notes(samples: Samples) -> list[str]:
+def _find_clock(samples: Samples) -> list[Finding]:
     clock = samples.clock
     if clock is not None and (clock.column, clock.unit) != ("time", "s"):
-        return [f"the time is column '{clock.column}', in {clock.unit} by {clock.by}"]
+        text = f"the time is column '{clock.column}', in {clock.unit} by {clock.by}"
+        return [Finding("time-column", "note", text)]
     if clock is None and samples.rate is not None and samples.rate == samples.log.rate:
-        return [f"the log states a sample rate of {samples.rate:g} Hz"]
+        text = f"the log states a sample rate of {samples.rate:g} Hz"
+        return [Finding("stated-rate", "note", text)]
     return []
 
 
-def _warnings(samples: Samples, grid: Grid, *, found: bool) -> list[str]:
+def _find_left_out(samples: Samples, grid: Grid, *, found: bool) -> list[Finding]:
     """Return what was left out, and what is assumed."""
     said = _unused(samples)
     if samples.dropped:
         rows = "row is" if samples.dropped == 1 else "rows are"
-        said.append(f"{samples.dropped} bad {rows} left out of {samples.log_rows}")
+        text = f"{samples.dropped} bad {rows} left out of {samples.log_rows}"
+        said.append(Finding("dropped-rows", "note", text))
     if found and samples.rate is None:
-        said.append(
+        text = (
             f"nothing tells the time: a rest is at least {grid.shortest} samples, however long "
             "that is; give --rate or --time-column to say it in seconds"
         )
+        said.append(Finding("no-time", "warning", text))
     return said
 
 
-def _unused(samples: Samples) -> list[str]:
+def _unused(samples: Samples) -> list[Finding]:
     log = samples.log
     used = {*samples.outputs, *log.numeric}
     used |= {each.column for each in (samples.clock, samples.labels) if each is not None}
     texts = [name for name in log.columns if name not in used | log.nameless]
     nameless = [place for place, name in enumerate(log.columns, 1) if name in log.nameless]
     said = [f"column '{name}' holds text and is not used" for name in texts]
-    return said + [f"column {place} has no name and is not used" for place in nameless]
+    said += [f"column {place} has no name and is not used" for place in nameless]
+    return [Finding("unused-column", "note", text) for text in said]
 
 
 def _threshold(source: str, survey: Survey, given: float | None, *, needed: bool) -> float | None:

@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 from multipos.errors import MultiposError
 from multipos.files.spelling import near
 from multipos.files.tables import Table
+from multipos.finding import Findings
 
 
 class Piece(NamedTuple):
@@ -64,10 +65,10 @@ class Log:
         Columns of dates.
     rate : float or None [Hz]
         Sample rate that the log states of itself.
-    notes : tuple of str
-        How the table was found, in words.
-    left_out : tuple of str
-        What of it is not read, in words.
+    notes : tuple of Finding
+        How the table was found.
+    left_out : tuple of Finding
+        What of it is not read.
     """
 
     source: str
@@ -83,8 +84,8 @@ class Log:
     nameless: frozenset[str] = frozenset()
     dates: frozenset[str] = frozenset()
     rate: float | None = None
-    notes: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
+    notes: Findings = ()
+    left_out: Findings = ()
 
     def find(self, name: str) -> str:
         """Return the column of a name, given with or without its unit, in letters of any case.

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Table
+from multipos.finding import Finding, Findings
 from multipos.logs.clock import read_dates, require_dates
 from multipos.logs.layout import COMMENTS, Layout, cells_of, find_layout, is_comment, is_number
 from multipos.logs.log_columns import Named, name_header
@@ -323,7 +324,7 @@ def open_text(path: os.PathLike[str], head: bytes, given: Sequence[str] | None) 
     cut = _cut_row(path, layout)
     kept: list[Array | None] | None = [] if named.headless else None
     text = _Text(path, named.columns, layout, _begin(head, layout.first), cut.end, kept)
-    return _log(text, named, partial(_read_text, text), cut.said)
+    return _log(text, named, partial(_read_text, text), cut.found)
 
 
 def open_lines(source: str, lines: Sequence[str], given: Sequence[str] | None) -> "LiveText":
@@ -384,7 +385,7 @@ def _read_head(
     yield Piece(_parse(text, rows, 0, wanted), partial(list, rows.lines), 1.0)
 
 
-def _log(text: _Text, named: Named, read: ReadPieces, left_out: tuple[str, ...]) -> Log:
+def _log(text: _Text, named: Named, read: ReadPieces, left_out: Findings) -> Log:
     layout = text.layout
     numbers = zip(named.columns, layout.numeric, layout.dates, strict=True)
     told = zip(named.columns, layout.units, strict=True)
@@ -418,7 +419,7 @@ class _Cut(NamedTuple):
     """Where the last whole row ends, and what is said of the one after it."""
 
     end: int
-    said: tuple[str, ...]
+    found: Findings
 
 
 def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
@@ -433,7 +434,8 @@ def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
     if body.count(b"\n") < 2 or not is_row(line) or not _is_cut(line, layout, block == body):
         return _Cut(size, ())
     shown = line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"
-    return _Cut(begin + start, (f"the last row, '{shown}', is cut off and left out",))
+    text = f"the last row, '{shown}', is cut off and left out"
+    return _Cut(begin + start, (Finding("cut-row", "note", text),))
 
 
 def _is_cut(line: str, layout: Layout, unended: bool) -> bool:

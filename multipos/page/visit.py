@@ -12,7 +12,6 @@ import warnings
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from multipos.exports.targets import export
 from multipos.files.numbers import number
 from multipos.files.tables import write_table
 from multipos.files.whole import first_bytes
+from multipos.finding import Finding, errors_of, serious
 from multipos.fitting.calibrate_logs import calibrate
 from multipos.fitting.fit_readings import fit
 from multipos.logs.opening import open_log, read_log
@@ -100,11 +100,11 @@ class Visit:
         calibration = self._made()
         findings = [
             {
-                **finding,
-                "text": tr.message(finding["text"]),
-                "action": tr.message(finding["action"]),
+                **finding.to_dict(),
+                "text": tr.message(finding.text),
+                "action": tr.message(finding.action),
             }
-            for finding in _findings(calibration)
+            for finding in calibration.findings
         ]
         return {
             "kind": self.kind,
@@ -146,9 +146,7 @@ class Visit:
         else:
             path = _OUT / f"{self.name}{_SUFFIX[form]}"
             accepted = bool(asked.get("accept"))
-            force = "force" if "force" in signature(export).parameters else "accept_doubts"
-            exporting: Any = export
-            made = exporting(calibration, form, allow_lossy=accepted, **{force: accepted})
+            made = export(calibration, form, allow_lossy=accepted, force=accepted)
             made.save(path)
         return {"path": str(path), "name": path.name}
 
@@ -191,7 +189,7 @@ class Visit:
         write_table(path, found)
         rows = str(len(found["outside"]))
         said = tr("{rows} rows compensated.", rows=rows)
-        noted = [tr.message(text) for text in found.warnings]
+        noted = [tr.message(each.text) for each in serious(found.findings)]
         return {"sentence": " ".join([said, *noted]), "path": str(path), "name": path.name}
 
     def _made(self) -> Calibration:
@@ -270,8 +268,9 @@ def _with_unit(readings: Readings) -> Readings:
     whole = bool((readings.values == np.round(readings.values)).all())
     for unit, one in _ONE_G.items():
         if abs(size / one - 1.0) < _NEAR and not (whole and one != 1.0):
-            note = f"the unit is taken to be {unit}, since gravity reads {size:.3g}"
-            return replace(readings, unit=unit, notes=(*readings.notes, note))
+            text = f"the unit is taken to be {unit}, since gravity reads {size:.3g}"
+            findings = (*readings.findings, Finding("likely-unit", "note", text))
+            return replace(readings, unit=unit, findings=findings)
     return replace(readings, unit="count") if whole else readings
 
 
@@ -295,17 +294,6 @@ def _faces(readings: Readings) -> Array | None:
     return up if len(seen) == 6 else None
 
 
-def _findings(calibration: Calibration) -> list[dict[str, Any]]:
-    found: Any = calibration
-    if hasattr(found, "findings"):
-        return [plain(finding.to_dict()) for finding in found.findings]
-    levels = {"implausible": "error", "caution": "warning"}
-    return [
-        {"code": doubt.code, "level": levels[doubt.severity], "text": doubt.text, "action": ""}
-        for doubt in found.diagnostics.doubts
-    ]
-
-
 def _sentence(calibration: Calibration, kind: str, tr: Translator) -> str:
     """Return the answer in one sentence: from what, how well it fits, and whether to use it."""
     kinds = {
@@ -314,14 +302,13 @@ def _sentence(calibration: Calibration, kind: str, tr: Translator) -> str:
         "free": tr("hand-held positions"),
         "log": tr("rests of the log"),
     }
-    unfit = any(finding["level"] == "error" for finding in _findings(calibration))
     said = tr(
         "Calibrated from {count} {kind}: what is left after compensation is {rms} mg rms.",
         count=str(len(calibration.readings)),
         kind=kinds[kind],
         rms=number(1e3 * calibration.rms, 3),
     )
-    return f"{said} {tr('It is not fit for use.')}" if unfit else said
+    return f"{said} {tr('It is not fit for use.')}" if errors_of(calibration.findings) else said
 
 
 def _positions(calibration: Calibration) -> list[dict[str, Any]]:

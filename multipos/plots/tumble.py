@@ -83,7 +83,7 @@ def draw_harmonics(calibration: Calibration, axes: "Axes", *, output: str) -> No
 def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
     """Draw the amplitudes of what the model of a tumble leaves, named ones marked by a star."""
     width = 0.8 / max(len(found.rolls), 1)
-    named = " ".join(found.warnings)
+    named = " ".join(each.text for each in found.findings)
     for k, roll in enumerate(found.rolls):
         left = [h for h in found.residual_harmonics if h.plane == roll.plane]
         place = np.array([h.order for h in left]) + (k - (len(found.rolls) - 1) / 2.0) * width

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
+from multipos.finding import Finding
 from multipos.numerics.arrays import LARGEST, Array
 
 FORCE = ("f_x", "f_y", "f_z")
@@ -125,7 +126,7 @@ def _refuse_cells(table: Table, bad: NDArray[np.bool_], fault: str) -> None:
         raise MultiposError(f"{table.where(row, REFERENCE_U[i])}: {fault}.")
 
 
-def said_of_lengths(table: Table, names: Iterable[str]) -> tuple[str, ...]:
+def find_lengths(table: Table, names: Iterable[str]) -> tuple[Finding, ...]:
     """Say where up vectors have lengths that somebody may have meant as forces."""
     up = np.column_stack([table.number(name, empty=True) for name in names])
     size = np.linalg.norm(up, axis=1)
@@ -134,8 +135,8 @@ def said_of_lengths(table: Table, names: Iterable[str]) -> tuple[str, ...]:
         return ()
     low, high = (f"{end:.4g}" for end in (size.min(), size.max()))
     lengths = low if low == high else f"{low} to {high}"
-    said = (
+    text = (
         f"the up vectors have lengths of {lengths} and are taken as directions; a known force [g] "
         f"goes into {', '.join(FORCE)}"
     )
-    return (said,)
+    return (Finding("up-length", "warning", text),)

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import COMPONENTS
@@ -288,12 +289,17 @@ def residual_series(
     return tuple(result)
 
 
-def strange_harmonics(residual: Sequence[Harmonic]) -> list[str]:
+def strange_harmonics(residual: Sequence[Harmonic]) -> list[Finding]:
     """Name the residual harmonics beyond chance, of all those tested together."""
     tested = [h.p for h in residual if h.p is not None]
     return [
-        f"harmonic {h.order} in plane {h.plane} is left by the model with amplitude "
-        f"{h.amplitude:.3g} (p = {h.p:.1g}): the table or a missing term"
+        Finding(
+            "harmonic-left",
+            "warning",
+            f"harmonic {h.order} in plane {h.plane} is left by the model with amplitude "
+            f"{h.amplitude:.3g} (p = {h.p:.1g}): the table or a missing term",
+            p=h.p,
+        )
         for h in residual
         if h.p is not None and h.p < _SIGNIFICANT / len(tested)
     ]

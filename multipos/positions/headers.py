@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
+from multipos.finding import Finding
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions import attitudes
 from multipos.positions.forces import REFERENCE_U
@@ -244,12 +245,13 @@ def is_environment(name: str) -> bool:
     return name in surroundings or name.startswith("ambient") or name.endswith("_rate")
 
 
-def in_celsius(table: Table, units: Mapping[str, str], notes: list[str]) -> Table:
+def in_celsius(table: Table, units: Mapping[str, str], findings: list[Finding]) -> Table:
     """Return a table whose columns in kelvin, by their header, are in degrees Celsius; eq. (1)."""
     kelvin = [n for n, unit in units.items() if unit == _KELVIN and not table.is_text(n)]
     if not kelvin:
         return table
-    notes += [f"column '{name}' is in K by its header; 273.15 is subtracted" for name in kelvin]
+    texts = [f"column '{name}' is in K by its header; 273.15 is subtracted" for name in kelvin]
+    findings += [Finding("kelvin", "note", text) for text in texts]
     moved = {name: table.number(name, empty=True) - _ZERO for name in kelvin}
     return replace(table, columns={**table.columns, **moved})
 

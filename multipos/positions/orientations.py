@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.spelling import quoted
 from multipos.files.tables import Source, Table
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import rows_without_angle
@@ -83,16 +84,17 @@ def with_angles(table: Table) -> Table:
     return replace(table, columns={**table.columns, "angle_deg": [""] * table.rows})
 
 
-def read_open_rolls(table: Table, notes: list[str]) -> tuple[str, ...] | None:
+def read_open_rolls(table: Table, findings: list[Finding]) -> tuple[str, ...] | None:
     """Return the axis of each roll of open angle (n,), '' elsewhere; None without such rolls."""
     open_ = rows_without_angle(table)
     if not open_.any():
         return None
     rows = ", ".join(str(row + 1) for row in np.flatnonzero(open_)[:6].tolist())
-    notes.append(
+    text = (
         f"row {rows}{' and more' if open_.sum() > 6 else ''}: the angle of the roll is open and "
         "estimated; the axis is level, or rolls of one group share its inclination"
     )
+    findings.append(Finding("open-roll", "note", text))
     return tuple(
         axis if one else "" for axis, one in zip(table.text("roll_axis"), open_, strict=True)
     )
@@ -371,9 +373,10 @@ def orient(
         )
     given = read_scheme(scheme, order=order)
     rows = _match(readings, given)
-    notes = readings.notes
+    findings = readings.findings
     if oriented:
-        notes += (f"the orientation columns are ignored, scheme '{given.name}' is used",)
+        text = f"the orientation columns are ignored, scheme '{given.name}' is used"
+        findings += (Finding("orientation-ignored", "warning", text),)
     positions = readings.positions
     if positions is None and given.labels is not None:
         positions = tuple(given.labels[row] for row in rows)
@@ -384,7 +387,7 @@ def orient(
         force=None if given.force is None else given.force[rows],
         open_roll=None,
         positions=positions,
-        notes=notes,
+        findings=findings,
     )
 
 
@@ -407,13 +410,15 @@ def as_used(readings: Readings, orientation_sd: Array) -> Readings:
 
 def _without_orientation(readings: Readings, scheme: object) -> Readings:
     """Return readings of which no orientation is used, saying what is ignored."""
-    notes = readings.notes
+    findings = readings.findings
     _require_one_size(readings)
     given = (readings.up, readings.rotation, readings.orientation_sd, readings.group)
     if any(columns is not None for columns in given):
-        notes += ("the orientation columns are ignored, the orientation is taken as unknown",)
+        text = "the orientation columns are ignored, the orientation is taken as unknown"
+        findings += (Finding("orientation-ignored", "warning", text),)
     if scheme is not None:
-        notes += ("--scheme is ignored, the orientation is taken as unknown",)
+        text = "--scheme is ignored, the orientation is taken as unknown"
+        findings += (Finding("orientation-ignored", "warning", text),)
     return replace(
         readings,
         up=None,
@@ -422,7 +427,7 @@ def _without_orientation(readings: Readings, scheme: object) -> Readings:
         orientation_sd=np.full(len(readings), np.inf),
         group=None,
         open_roll=None,
-        notes=notes,
+        findings=findings,
     )
 
 

@@ -4,7 +4,7 @@ A CSV file, a mapping of columns or a data frame; its columns are listed in
 `docs/reference/formats`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.spelling import Names, quoted, require_columns, split_names
 from multipos.files.tables import Source, Table, read_table
+from multipos.finding import Finding
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions import attitudes
 from multipos.positions.forces import (
     FORCE,
+    find_lengths,
     known_rows,
     left_by_apply,
     read_forces,
     read_reference_u,
-    said_of_lengths,
     states_forces,
 )
 from multipos.positions.headers import (
@@ -84,27 +85,27 @@ def read_readings(
     if isinstance(source, Readings):
         return _named_otherwise(source, names, unit, environment)
     table, units = plain_names(read_table(source, what="readings"))
-    notes: list[str] = []
+    findings: list[Finding] = []
     names = None if names is None else tuple(find_column(table, name) for name in names)
-    beside = [*environment, *_of_surroundings(units, names or (), environment, notes)]
-    names = _outputs(table, names, beside, notes)
-    table = in_celsius(table, _used(units, names, environment), notes)
+    beside = [*environment, *_of_surroundings(units, names or (), environment, findings)]
+    names = _outputs(table, names, beside, findings)
+    table = in_celsius(table, _used(units, names, environment), findings)
     spread = _orientation_sd(table)
     # what is an output is no position, whatever its name
     others = {name: column for name, column in table.columns.items() if name not in names}
     free = with_angles(replace(table, columns=others))
-    rolls = read_open_rolls(free, notes)
-    oriented, force, reference_u = _where_it_stood(free, spread, rolls, notes)
-    columns = _environment(table, names, environment, notes)
+    rolls = read_open_rolls(free, findings)
+    oriented, force, reference_u = _where_it_stood(free, spread, rolls, findings)
+    columns = _environment(table, names, environment, findings)
     return Readings(
         values=np.column_stack([table.number(name, largest=LARGEST) for name in names]),
         outputs=names,
         positions=table.text("position") if "position" in table else None,
         up=None if oriented is None else oriented.up,
         rotation=None if oriented is None else oriented.rotation,
-        u=_beside(table, "u", names, notes),
-        dof=_beside(table, "dof", names, notes),
-        sd=_beside(table, "sd", names, notes),
+        u=_beside(table, "u", names, findings),
+        dof=_beside(table, "dof", names, findings),
+        sd=_beside(table, "sd", names, findings),
         samples=nonnegative_column(table, "n") if "n" in table else None,
         orientation_sd=spread,
         group=table.text("group") if "group" in table else None,
@@ -114,13 +115,13 @@ def read_readings(
         unit=unit_of_outputs(table, names, units, unit),
         source=None if table.sha256 is None else table.source,
         sha256=table.sha256,
-        notes=tuple(notes),
+        findings=tuple(findings),
         open_roll=rolls,
     )
 
 
 def _where_it_stood(
-    free: Table, spread: Array | None, rolls: tuple[str, ...] | None, notes: list[str]
+    free: Table, spread: Array | None, rolls: tuple[str, ...] | None, findings: list[Finding]
 ) -> tuple[attitudes.Attitudes | None, Array | None, Array | None]:
     """Return attitudes, known forces and the uncertainty of the reference, as far as given.
 
@@ -133,11 +134,12 @@ def _where_it_stood(
     force = read_forces(free, rows) if states_forces(free, rows) else None
     if force is None and all(name in free for name in FORCE):
         why = "were added by apply" if left_by_apply(free) else "stand beside an orientation"
-        notes.append(f"columns {quoted(FORCE)} {why} and are no positions")
+        text = f"columns {quoted(FORCE)} {why} and are no positions"
+        findings.append(Finding("unused-column", "note", text))
     oriented = attitudes.read_attitudes(free, _without_attitude(free, spread, rolls, force))
     up = attitudes.FORMS["up vector"]
     if oriented is not None and up[0] in free:
-        notes += said_of_lengths(free, up)
+        findings += find_lengths(free, up)
     return oriented, force, read_reference_u(free, force)
 
 
@@ -171,16 +173,16 @@ def _named_otherwise(
 
 
 def _outputs(
-    table: Table, names: tuple[str, ...] | None, environment: Sequence[str], notes: list[str]
+    table: Table, names: tuple[str, ...] | None, environment: Sequence[str], findings: list[Finding]
 ) -> tuple[str, ...]:
     """Return the columns that are outputs, noting what is not used."""
     candidates = _candidates(table, environment)
     if names is None:
-        return _numeric(table, candidates, notes)
+        return _numeric(table, candidates, findings)
     require_columns(names, table.columns, table.source)
     beside = _averaged_along(tuple(candidates), table)
     others = (name for name in candidates if name not in names and name not in beside)
-    notes += [f"column '{name}' is not among the outputs and is not used" for name in others]
+    findings += _unused(f"column '{name}' is not among the outputs and" for name in others)
     return names
 
 
@@ -196,12 +198,16 @@ def _candidates(table: Table, environment: Sequence[str]) -> list[str]:
 
 
 def _of_surroundings(
-    units: Mapping[str, str], outputs: Sequence[str], used: Sequence[str], notes: list[str]
+    units: Mapping[str, str], outputs: Sequence[str], used: Sequence[str], findings: list[Finding]
 ) -> list[str]:
     """Return columns that are no outputs by the unit in their header, said where it is news."""
     found = [n for n, unit in units.items() if unit in OF_SURROUNDINGS and n not in outputs]
-    notes += [
-        f"column '{name}' is in {units[name]} by its header, and no output"
+    findings += [
+        Finding(
+            "unused-column",
+            "note",
+            f"column '{name}' is in {units[name]} by its header, and no output",
+        )
         for name in found
         if name not in RESERVED and name not in used and not is_environment(name)
     ]
@@ -214,7 +220,7 @@ def _used(units: Mapping[str, str], outputs: Sequence[str], used: Sequence[str])
     return {name: unit for name, unit in kept if name in used or is_environment(name)}
 
 
-def _numeric(table: Table, candidates: list[str], notes: list[str]) -> tuple[str, ...]:
+def _numeric(table: Table, candidates: list[str], findings: list[Finding]) -> tuple[str, ...]:
     """Return the candidates that hold numbers and are no companions of an average."""
     text = [name for name in candidates if table.is_text(name)]
     numeric = tuple(name for name in candidates if name not in text)
@@ -228,18 +234,23 @@ def _numeric(table: Table, candidates: list[str], notes: list[str]) -> tuple[str
     kinds = {name: component(name) for name in candidates}
     chosen = _of_acceleration(left, kinds)
     _refuse_text(table, chosen, text, kinds)
-    notes += [f"column '{name}' holds text and is not used" for name in text]
-    notes += _said_of_others(chosen, [name for name in left if name not in chosen])
+    findings += _unused(f"column '{name}' holds text and" for name in text)
+    findings += _find_others(chosen, [name for name in left if name not in chosen])
     return chosen
 
 
-def _said_of_others(chosen: Sequence[str], others: Sequence[str]) -> list[str]:
+def _find_others(chosen: Sequence[str], others: Sequence[str]) -> list[Finding]:
     if not others:
         return []
     whose = "is of another sensor" if len(others) == 1 else "are of other sensors"
-    return [
+    text = (
         f"outputs are {', '.join(chosen)}, by their names; {', '.join(others)} beside them {whose}"
-    ]
+    )
+    return [Finding("outputs-by-name", "note", text)]
+
+
+def _unused(what: Iterable[str]) -> list[Finding]:
+    return [Finding("unused-column", "note", f"{each} is not used") for each in what]
 
 
 def _of_acceleration(names: tuple[str, ...], kinds: Mapping[str, NameParts]) -> tuple[str, ...]:
@@ -282,7 +293,7 @@ def _averaged_along(names: tuple[str, ...], table: Table) -> list[str]:
 
 
 def _environment(
-    table: Table, outputs: tuple[str, ...], used: Sequence[str], notes: list[str]
+    table: Table, outputs: tuple[str, ...], used: Sequence[str], findings: list[Finding]
 ) -> dict[str, Array]:
     columns = {}
     for name in table.columns:
@@ -294,19 +305,22 @@ def _environment(
         try:
             columns[name] = table.number(name, empty=True, largest=LARGEST)
         except MultiposError as error:  # a date in `time`, say: an error only if it is used
-            notes.append(f"column '{name}' is not used: {error}")
+            text = f"column '{name}' is not used: {error}"
+            findings.append(Finding("unused-column", "note", text))
     return columns
 
 
-def _beside(table: Table, prefix: str, outputs: tuple[str, ...], notes: list[str]) -> Array | None:
+def _beside(
+    table: Table, prefix: str, outputs: tuple[str, ...], findings: list[Finding]
+) -> Array | None:
     """Return what stands beside every output in columns of a prefix (n, M), or None."""
     names = [f"{prefix}_{output}" for output in outputs]
     known = {*names, *outputs}
-    notes += [
-        f"column '{name}' belongs to no output and is not used"
+    findings += _unused(
+        f"column '{name}' belongs to no output and"
         for name in table.columns
         if name not in known and _stands_beside(name, prefix, table)
-    ]
+    )
     present = [name for name in names if name in table and name not in outputs]
     if not present:
         return None

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import control_characters, numbered, require_columns, visible
+from multipos.finding import Findings
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
 from multipos.positions.forces import along_forces, known_rows
@@ -67,7 +68,7 @@ class Readings(Result, Tabular):
         Unit of the readings.
     source, sha256 : str or None
         The file they came from, and its digest.
-    notes : tuple of str
+    findings : tuple of Finding
         What was left out on reading, in words.
     dof : (n, M) array or None
         Degrees of freedom of `u`; infinite where None.
@@ -101,7 +102,7 @@ class Readings(Result, Tabular):
     unit: str = "reading"
     source: str | None = field(default=None, compare=False)
     sha256: str | None = None
-    notes: tuple[str, ...] = ()
+    findings: Findings = ()
     force: Array | None = None
     reference_u: Array | None = None
     dof: Array | None = None

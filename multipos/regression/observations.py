@@ -39,6 +39,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Table
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, median
 from multipos.regression.correlation import Noise, TimeOrder, time_order
 
@@ -270,8 +271,8 @@ class Observations:
     time: str | None
     rates: dict[str, float]
     dropped: int
-    notes: tuple[str, ...]
-    order: tuple[str, ...]
+    findings: Findings
+    order: Findings
 
 
 def read_observations(
@@ -311,7 +312,7 @@ def read_observations(
     MultiposError
         A column is missing, a cell is empty, no number or too large a one.
     """
-    said: tuple[str, ...] = ()
+    said: Findings = ()
     if time is None:
         time, said = _usual_time(table, (response, *wanted))
     formed = _rates_to_form(table, wanted)
@@ -323,7 +324,7 @@ def read_observations(
             f"{table.source}: no column '{next(iter(formed))}', and no time column to form it "
             "from; name one with --time."
         )
-    columns, kept, notes = _read_complete(table, needed, largest, drop_missing)
+    columns, kept, found = _read_complete(table, needed, largest, drop_missing)
     runs = None if run is None else _labelled(table, run, kept, "run")
     rates: dict[str, float] = {}
     if time is not None:
@@ -332,10 +333,10 @@ def read_observations(
     order = time_order(clock, runs)
     groups = None if cluster is None else _labelled(table, cluster, kept, "cluster")
     data = Data(columns, columns[response], order, groups, runs)
-    return Observations(data, time, rates, table.rows - len(kept), notes, said)
+    return Observations(data, time, rates, table.rows - len(kept), found, said)
 
 
-def _usual_time(table: Table, used: Sequence[str]) -> tuple[str | None, tuple[str, ...]]:
+def _usual_time(table: Table, used: Sequence[str]) -> tuple[str | None, Findings]:
     """Return the time column by its name, and what there is to say of it.
 
     `time` is one where it holds numbers; another name must be no variable, and never fall.
@@ -347,8 +348,9 @@ def _usual_time(table: Table, used: Sequence[str]) -> tuple[str | None, tuple[st
             return name, ()
         values = table.number(name, empty=True)
         if not (np.diff(values[np.isfinite(values)]) < 0.0).any():
-            return name, (f"time is column '{name}'",)
-    return None, ("no time column: neighbouring rows are taken in the order in which they stand",)
+            return name, (Finding("time-column", "note", f"time is column '{name}'"),)
+    text = "no time column: neighbouring rows are taken in the order in which they stand"
+    return None, (Finding("no-time-column", "note", text),)
 
 
 def _named(column: str | None) -> tuple[str, ...]:
@@ -373,15 +375,15 @@ def _require_columns(table: Table, names: Sequence[str]) -> None:
 
 def _read_complete(
     table: Table, names: Sequence[str], largest: Mapping[str, float], drop: bool
-) -> tuple[dict[str, Array], Rows, tuple[str, ...]]:
-    """Return columns as numbers in the rows without an empty cell, these rows, and notes."""
+) -> tuple[dict[str, Array], Rows, Findings]:
+    """Return columns as numbers in the rows without an empty cell, these rows, and findings."""
     columns = {
         name: table.number(name, empty=True, largest=largest.get(name, LARGEST)) for name in names
     }
-    kept, notes = _complete(table, columns, drop)
+    kept, found = _complete(table, columns, drop)
     if len(kept) < table.rows:
         columns = {name: column[kept] for name, column in columns.items()}
-    return columns, kept, notes
+    return columns, kept, found
 
 
 def _form_rates(
@@ -433,9 +435,7 @@ def number_labels(labels: NDArray[np.str_]) -> Rows:
     return np.argsort(np.argsort(first))[numbers]
 
 
-def _complete(
-    table: Table, columns: Mapping[str, Array], drop: bool
-) -> tuple[Rows, tuple[str, ...]]:
+def _complete(table: Table, columns: Mapping[str, Array], drop: bool) -> tuple[Rows, Findings]:
     """Return the rows without an empty cell; refuse the others unless they are to be dropped."""
     bad = {name: np.flatnonzero(~np.isfinite(column)) for name, column in columns.items()}
     rows = np.unique(np.concatenate(list(bad.values())))
@@ -451,11 +451,11 @@ def _complete(
         )
     if len(rows) == table.rows:
         raise MultiposError(f"{table.source}: every row has an empty cell ({counted}).")
-    note = (
+    text = (
         f"{len(rows)} of {table.rows} rows dropped for an empty cell ({counted}; rows "
         f"{_listed(rows)})"
     )
-    return np.setdiff1d(np.arange(table.rows), rows), (note,)
+    return np.setdiff1d(np.arange(table.rows), rows), (Finding("dropped-rows", "note", text),)
 
 
 def _listed(rows: Rows) -> str:

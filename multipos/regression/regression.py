@@ -9,16 +9,16 @@ Regressions of several responses, one for each axis, on the same columns.
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.doubt import Doubt
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
+from multipos.finding import Findings, about, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Tested
 from multipos.regression.hysteresis import branch_of
@@ -88,9 +88,7 @@ class Regression(Result, Tabular):
     confidence : float
     n, dropped : int
     hysteresis, cross_validation : mapping or None
-    warnings : tuple of str
-    doubts : tuple of Doubt
-        The texts of these are the first warnings.
+    findings : tuple of Finding
     source, sha256, created, version : str or None
 
     Examples
@@ -122,7 +120,6 @@ class Regression(Result, Tabular):
     dropped: int
     hysteresis: Mapping[str, Any] | None
     cross_validation: Mapping[str, Any] | None
-    warnings: tuple[str, ...]
     source: str | None = field(compare=False)
     sha256: str | None
     created: str = field(compare=False)
@@ -131,7 +128,7 @@ class Regression(Result, Tabular):
     causal: bool = False
     run: str | None = None
     junctions: tuple[Junction, ...] = ()
-    doubts: tuple[Doubt, ...] = ()
+    findings: Findings = ()
     balance: Balance | None = None
 
     def segment_of(
@@ -411,18 +408,9 @@ class Regressions(Result, Tabular, Mapping[str, Regression]):
         return len(self.responses)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What there is to say, each with its response."""
-        return tuple(f"{name}: {said}" for name, r in self.items() for said in r.warnings)
-
-    @property
-    def doubts(self) -> tuple[Doubt, ...]:
-        """The doubts about each, with its response before the text."""
-        return tuple(
-            replace(doubt, text=f"{name}: {doubt.text}")
-            for name, r in self.items()
-            for doubt in r.doubts
-        )
+    def findings(self) -> Findings:
+        """What was found about each, with its response before the text."""
+        return in_order(each for name, r in self.items() for each in about(name, r.findings))
 
     def columns(self) -> dict[str, Any]:
         """Return the terms of every regression: response, then as of one."""
@@ -433,7 +421,11 @@ class Regressions(Result, Tabular, Mapping[str, Regression]):
         # Imported here, for the file's module makes regressions and so imports this one.
         from multipos.regression.regression_file import SCHEMA
 
-        return {"schema": SCHEMA, "responses": {name: r.to_dict() for name, r in self.items()}}
+        return {
+            "schema": SCHEMA,
+            "responses": {name: r.to_dict() for name, r in self.items()},
+            "findings": [each.to_dict() for each in self.findings],
+        }
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the regressions as JSON, whole or not at all."""

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from multipos.doubt import DOUBTS, read_doubt
 from multipos.errors import MultiposError
 from multipos.files.records import (
     ANY_NUMBER,
@@ -42,6 +41,7 @@ from multipos.files.records import (
     restore,
 )
 from multipos.files.trees import read_json
+from multipos.finding import FINDINGS, read_findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Step, Subset, Tested
 from multipos.numerics.terms import CONSTANT, Term, factor_from_list, factor_to_list, linear_term
@@ -422,12 +422,11 @@ REGRESSION = Fields(
         "cross_validation": Maybe(
             Fields({"blocks": Whole(1), "rms": NOT_NEGATIVE, "r2": ANY_NUMBER})
         ),
-        "warnings": TEXTS,
         "segments": Listed(SEGMENT, 1),
     },
     {
         "causal": Flag(),
-        "doubts": DOUBTS,
+        **FINDINGS,
         "balance": Listed(Named(AnyOf((FIGURE, Flag()))), 1),
         "run": Maybe(NAME),
         "jumps": Listed(
@@ -475,8 +474,7 @@ def regression_dict(r: Regression) -> dict[str, Any]:
         "segments": [segment_to_dict(segment) for segment in r.segments],
         "hysteresis": r.hysteresis,
         "cross_validation": r.cross_validation,
-        "doubts": [doubt.to_dict() for doubt in r.doubts],
-        "warnings": r.warnings,
+        "findings": [finding.to_dict() for finding in r.findings],
     }
     if r.balance is not None:
         content["balance"] = r.balance.rows()
@@ -545,7 +543,6 @@ def _from_dict(c: Mapping[str, Any]) -> Regression:
         dropped=c["dropped"],
         hysteresis=c["hysteresis"],
         cross_validation=c["cross_validation"],
-        warnings=tuple(c["warnings"]),
         source=c["input"]["file"],
         sha256=c["input"]["sha256"],
         created=c["created"],
@@ -553,7 +550,7 @@ def _from_dict(c: Mapping[str, Any]) -> Regression:
         thresholds=c["thresholds"],
         causal=c.get("causal", False),
         run=c.get("run"),
-        doubts=tuple(map(read_doubt, c.get("doubts", ()))),
+        findings=read_findings(c),
         junctions=tuple(_junction(entry) for entry in c.get("jumps", ())),
         balance=_balance(c["balance"]) if "balance" in c else None,
     )

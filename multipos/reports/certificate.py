@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from multipos.doubt import NOT_FIT, implausible
 from multipos.errors import MultiposError
 from multipos.files.numbers import in_unit
 from multipos.files.trees import read_toml
+from multipos.finding import NOT_FIT, Findings, errors_of, in_order, serious
 from multipos.reports.evidence import (
     check_section,
     correlation_section,
@@ -84,7 +84,7 @@ LAB_FIELDS = {
 
 
 _WORDS = (
-    "Warnings",
+    "Findings",
     "Administrative data",
     "to be filled in by the laboratory",
     "Not stated",
@@ -104,8 +104,8 @@ class Content:
     language, title, subtitle : str
     verdict : str or None
         That the calibration is not fit for use, where it is not.
-    warnings : tuple of str
-        Doubts first.
+    findings : tuple of str
+        Errors and warnings.
     fields : tuple of (label, text or None)
         What only the laboratory knows; None where it has not said.
     sections : tuple of Section
@@ -119,7 +119,7 @@ class Content:
     title: str
     subtitle: str
     verdict: str | None
-    warnings: tuple[str, ...]
+    findings: tuple[str, ...]
     fields: tuple[tuple[str, str | None], ...]
     sections: tuple[Section, ...]
     lab: Mapping[str, str] = field(default_factory=dict)
@@ -222,9 +222,8 @@ def build_content(
     c = calibration
     budget = evaluate_budget(c)
     equipment = equipment_section(said, tr)
-    doubts = (*c.diagnostics.doubts, *(() if check is None else check.doubts))
-    said_first = (*(doubt.text for doubt in doubts), *c.diagnostics.said)
-    forces = math.isfinite(c.rms)  # else an output does not respond, as a doubt says
+    findings = in_order((*c.findings, *(() if check is None else check.findings)))
+    forces = math.isfinite(c.rms)  # else an output does not respond, as a finding says
     return Content(
         language=language,
         title=tr("Calibration report"),
@@ -233,8 +232,8 @@ def build_content(
             outputs=", ".join(c.outputs),
             model=c.model.text,
         ),
-        verdict=tr(NOT_FIT) if implausible(doubts) else None,
-        warnings=tuple(tr.message(text) for text in dict.fromkeys(said_first)),
+        verdict=tr(NOT_FIT) if errors_of(findings) else None,
+        findings=tuple(tr.message(found.text) for found in serious(findings)),
         fields=lab_fields(said, tr),
         result=result_section(c, budget, check, tr, forces=forces),
         sections=(
@@ -253,6 +252,7 @@ def build_content(
             checks_section(c, tr, simulated),
             _method(c, tr),
             *((equipment,) if equipment is not None else ()),
+            *_validity(findings, tr),
             _statements(c, check, tr),
             signature_section(said, tr),
         ),
@@ -286,6 +286,12 @@ def _method(c: Calibration, tr: Translator) -> Section:
         tr("Method and data"),
         tables=(PageTable(tr("How it was done"), header, tuple(rows), left=2),),
     )
+
+
+def _validity(findings: Findings, tr: Translator) -> tuple[Section, ...]:
+    """Return the notes: what holds of the method, the positions and the data, and is in U."""
+    notes = tuple(tr.message(found.text) for found in findings if found.level == "note")
+    return (Section(tr("Validity"), notes),) if notes else ()
 
 
 def _statements(c: Calibration, check: Check | None, tr: Translator) -> Section:

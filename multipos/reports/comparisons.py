@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from multipos.doubt import DOUBTS, NOT_FIT, implausible, read_doubt
 from multipos.errors import MultiposError
 from multipos.files.numbers import (
     chance,
@@ -27,7 +26,6 @@ from multipos.files.records import (
     ANY_TEXT,
     FIGURE,
     P_VALUE,
-    TEXTS,
     Fields,
     Flag,
     Listed,
@@ -36,6 +34,7 @@ from multipos.files.records import (
     require,
 )
 from multipos.files.trees import read_json_value
+from multipos.finding import FINDINGS, NOT_FIT, errors_of, read_findings, serious
 from multipos.numerics.arrays import Array
 from multipos.plots.runs import draw_values
 from multipos.reports.certificate import Content, lab_fields, read_lab
@@ -72,9 +71,8 @@ _CALIBRATIONS = Fields(
         "p": P_VALUE,
         "test": ANY_TEXT,
         "consistent": Flag(),
-        "warnings": TEXTS,
     },
-    {"doubts": DOUBTS},
+    FINDINGS,
 )
 _REGRESSIONS = Fields(
     {
@@ -92,9 +90,8 @@ _REGRESSIONS = Fields(
             1,
         ),
         "consistent": Flag(),
-        "warnings": TEXTS,
     },
-    {"doubts": DOUBTS},
+    FINDINGS,
 )
 _DENIED = "The runs are NOT consistent with what each claims."
 _KEYS = ("calibrations", "regressions")
@@ -144,6 +141,7 @@ def comparison_content(
     """
     tr = Translator(language)
     said = read_lab(lab)
+    findings = read_findings(found)
     of_regressions = "regressions" in found
     runs = found["regressions" if of_regressions else "calibrations"]
     sections = (
@@ -155,10 +153,10 @@ def comparison_content(
         language=language,
         title=tr("Report of repeated calibrations"),
         subtitle=tr("{count} runs of one unit", count=str(len(runs))),
-        verdict=tr(NOT_FIT) if implausible(map(read_doubt, found.get("doubts", ()))) else None,
-        warnings=(
+        verdict=tr(NOT_FIT) if errors_of(findings) else None,
+        findings=(
             *(() if found["consistent"] else (tr(_DENIED),)),
-            *map(tr.message, found["warnings"]),
+            *(tr.message(each.text) for each in serious(findings)),
         ),
         fields=lab_fields(said, tr),
         sections=(*sections, _origin(runs, tr)),

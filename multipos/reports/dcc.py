@@ -78,7 +78,7 @@ def dcc_report(calibration: Calibration, content: Content, page: str) -> str:
     ----------
     calibration : Calibration
     content : Content
-        Of the report, whose statements, warnings and words of the laboratory are taken over.
+        Of the report, whose statements, findings and words of the laboratory are taken over.
     page : str
         The HTML report, which goes inside.
 
@@ -251,7 +251,7 @@ def _statements(writer: _Writer, part: ElementTree.Element, content: Content, la
     said = [
         tr("This file is not signed; it holds as far as its source vouches for it."),
         *([content.verdict] if content.verdict else []),
-        *content.warnings,
+        *content.findings,
         *(
             f"{tr(words)}: {lab[field]}"
             for field, words in (

@@ -157,12 +157,12 @@ def markdown_report(content: Content) -> str:
     """Return a report as Markdown."""
     parts = [f"# {content.title}", markdown_line(content.subtitle)]
     parts += [f"**{content.verdict}**"] if content.verdict else []
-    warnings, administrative = (
+    findings, administrative = (
         f"## {title}\n\n{_bullets(entries, markdown_line, _MARKDOWN_BREAK)}"
         for title, entries in _front(content)
     )
     first = [] if content.result is None else _markdown_section(content.result)
-    parts += [warnings, *first, administrative]
+    parts += [findings, *first, administrative]
     for section in content.sections:
         parts += _markdown_section(section)
     return "\n\n".join(parts) + "\n"
@@ -172,12 +172,12 @@ def plain_report(content: Content) -> str:
     """Return a report as plain text."""
     parts = [_underlined(content.title, "="), visible(content.subtitle)]
     parts += [content.verdict] if content.verdict else []
-    warnings, administrative = (
+    findings, administrative = (
         f"{_underlined(title, '-')}\n{_bullets(entries, visible, _BREAK)}"
         for title, entries in _front(content)
     )
     first = [] if content.result is None else _plain_section(content.result)
-    parts += [warnings, *first, administrative]
+    parts += [findings, *first, administrative]
     for section in content.sections:
         parts += _plain_section(section)
     return "\n\n".join(parts) + "\n"
@@ -322,15 +322,15 @@ def _plain_section(section: Section) -> list[str]:
 
 
 def _front(content: Content) -> list[tuple[str, list[str]]]:
-    """Return warnings and administrative data as lines; what is not stated in one."""
+    """Return findings and administrative data as lines; what is not stated in one."""
     words = content.words
-    said = list(map(readable, content.warnings)) or [words["There is nothing to warn of."]]
+    said = list(map(readable, content.findings)) or [words["There is nothing to warn of."]]
     fields = [f"{label}: {text}" for label, text in content.fields if text]
     open_fields = [label for label, text in content.fields if not text]
     if open_fields:
         by_the_laboratory = words["to be filled in by the laboratory"]
         fields.append(f"[{by_the_laboratory}] {', '.join(open_fields)}")
-    return [(words["Warnings"], said), (words["Administrative data"], fields)]
+    return [(words["Findings"], said), (words["Administrative data"], fields)]
 
 
 def _bullets(entries: Sequence[str], show: Callable[[str], str], line_end: str) -> str:

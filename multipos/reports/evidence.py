@@ -327,8 +327,8 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
         paragraphs.append(
             tr(
                 "Verdict against {limit}: {verdict}. It is pass where error and U together "
-                "stay within the limit, fail where the error less U is beyond it, else undecided; "
-                "the worst position counts.",
+                "stay within the limit, fail where the error less U is beyond it, else "
+                "indeterminate; the worst position counts.",
                 limit=in_unit(found.limit, found.unit),
                 verdict=tr(found.verdict or "-"),
             )

@@ -1,6 +1,6 @@
 """The section of a report on tests of the fit: repeats, terms, influence, harmonics, Monte Carlo.
 
-Each doubt about a finished calibration is a table of it.
+Each finding about a finished calibration is a table of it.
 """
 
 from collections.abc import Sequence

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from multipos.files.numbers import uncertain
+from multipos.finding import read_findings, serious
 from multipos.fleets.fleet_text import (
     Rows,
     cause_rows,
@@ -70,7 +71,7 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
             **{key: percent(good[key]) for key in ("value", "low", "high")},
         ),
         verdict=None,
-        warnings=(),
+        findings=tuple(tr.message(each.text) for each in serious(read_findings(found))),
         fields=((tr("Units"), units), (tr("Computed"), found["created"])),
         sections=tuple(section for section in sections if section is not None),
     )

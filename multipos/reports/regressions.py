@@ -18,6 +18,7 @@ from multipos.errors import MultiposError
 from multipos.files.numbers import chance, number, uncertain
 from multipos.files.pipes import is_folder, is_there
 from multipos.files.tables import Table, read_table
+from multipos.finding import serious
 from multipos.numerics.arrays import Array
 from multipos.plots.style import COLOURS
 from multipos.plots.temperature import draw_path
@@ -80,18 +81,11 @@ def regression_content(
             variables=tr.listed(several[0].variables),
         ),
         verdict=None,
-        warnings=_warnings(several, tr),
+        findings=tuple(tr.message(each.text) for each in serious(regression.findings)),
         fields=lab_fields(said, tr),
         sections=(*sections, _method(several, tr)),
         lab=said,
     )
-
-
-def _warnings(several: Sequence[Regression], tr: Translator) -> tuple[str, ...]:
-    """Return the warnings, with the response before each where there are several."""
-    if len(several) == 1:
-        return tuple(map(tr.message, several[0].warnings))
-    return tuple(f"{r.response}: {tr.message(said)}" for r in several for said in r.warnings)
 
 
 def _titled(tr: Translator, response: str | None, title: str) -> str:

@@ -1,6 +1,6 @@
 """Results that show themselves: in a notebook as HTML, printed as a summary, drawn on axes.
 
-`show_html` is compact: doubts first, then a table or the summary, and one figure, as one piece of
+`show_html` is compact: findings first, then a table or the summary, and one figure, as one piece of
 HTML without styles or scripts of a page around it. `Result` finds this module by its name, for
 results stand above all reports and know none of them.
 """
@@ -19,10 +19,10 @@ from multipos.bias_stability.stability_result import Stability, stability_text
 from multipos.designs.assessment import Schemes, scheme_rows, schemes_text
 from multipos.designs.designing import Design, design_text
 from multipos.designs.prospects import Worth, worth_text
-from multipos.doubt import NOT_FIT, Doubt, implausible
 from multipos.errors import UsageError
 from multipos.files.numbers import number
 from multipos.files.spelling import visible
+from multipos.finding import NOT_FIT, Findings, errors_of
 from multipos.fleets.fleet import Fleet
 from multipos.fleets.fleet_text import fleet_text
 from multipos.logs.averages import Averages, averages_text
@@ -85,7 +85,7 @@ def show_html(found: Result | Columns) -> str:
     """Return a result as a notebook shows it."""
     if isinstance(found, Columns):
         return _columns(found)
-    parts = [f"<p><strong>{type(found).__name__}</strong></p>", *_doubts(found), _body(found)]
+    parts = [f"<p><strong>{type(found).__name__}</strong></p>", *_findings(found), _body(found)]
     panels = _panels(found)
     if panels:
         figure = to_svg(figure_of(panels))
@@ -160,14 +160,11 @@ _ONE_PANEL: dict[type, Callable[[Any, Any], None]] = {
 }
 
 
-def _doubts(found: Result) -> list[str]:
-    """Return doubts and warnings as a list, that it is not fit for use before."""
-    told = found.diagnostics if isinstance(found, Calibration) else found
-    doubts: Sequence[Doubt] = getattr(told, "doubts", ())
-    texts = [doubt.text for doubt in doubts]
-    said: Sequence[str] = getattr(told, "said", ()) or getattr(found, "warnings", ())
-    lines = "".join(f"<li>{_text(line)}</li>" for line in dict.fromkeys((*texts, *said)))
-    head = [f"<p><strong>{NOT_FIT}</strong></p>"] if implausible(doubts) else []
+def _findings(found: Result) -> list[str]:
+    """Return findings as a list, that it is not fit for use before."""
+    findings: Findings = getattr(found, "findings", ())
+    lines = "".join(f"<li>{_text(str(each))}</li>" for each in findings)
+    head = [f"<p><strong>{NOT_FIT}</strong></p>"] if errors_of(findings) else []
     return [*head, *([f"<ul>{lines}</ul>"] if lines else [])]
 
 

@@ -1,6 +1,6 @@
 """The summary that a fit prints; the whole report is `multipos.reports.documents`.
 
-Doubts first, then what was done, warnings, the parameters as value(u) with U, k and degrees of
+Findings first, then what was done, the parameters as value(u) with U, k and degrees of
 freedom, of one- and two-axis sensors how they are installed and what their rolls say of the
 turntable, the residuals of every position, and how the result was checked.
 """
@@ -8,8 +8,8 @@ turntable, the residuals of every position, and how the result was checked.
 import math
 from collections.abc import Iterable
 
-from multipos.doubt import NOT_FIT, implausible
 from multipos.files.numbers import largest_rows, number, table
+from multipos.finding import NOT_FIT, errors_of
 from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sheets import installation_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration, parameter_rows
@@ -26,14 +26,12 @@ def text_report(calibration: Calibration) -> str:
 
 
 def _sections(calibration: Calibration) -> list[tuple[str, str]]:
-    found = calibration.diagnostics
+    found = calibration.findings
     sections = []
-    if found.doubts:
-        title = NOT_FIT if implausible(found.doubts) else "Doubts"
-        sections.append((title, _bullets(doubt.text for doubt in found.doubts)))
+    if found:
+        title = NOT_FIT if errors_of(found) else "Findings"
+        sections.append((title, _bullets(map(str, found))))
     sections.append(("Calibration", _summary(calibration)))
-    if found.said:
-        sections.append(("Warnings", _bullets(found.said)))
     header, rows = parameter_rows(calibration)
     sections.append(("Parameters", table(header, rows)))
     if len(sensed_axes(calibration.model)) < len(COMPONENTS):

@@ -22,6 +22,7 @@ from multipos.errors import MultiposError
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
+from multipos.finding import Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.positions.attitudes import Convention
@@ -196,6 +197,11 @@ class Calibration(Result, Drawn):
     def dof_of_outputs(self) -> Array:
         """Degrees of freedom (p,) of the output of each parameter; of all, for what they share."""
         return np.asarray(np.append(self.dof, self.dof.sum())[self.model.output_of])
+
+    @property
+    def findings(self) -> Findings:
+        """What was found about the fit, the most serious first."""
+        return self.diagnostics.findings
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from multipos.doubt import DOUBTS, read_doubt
 from multipos.errors import MultiposError
 from multipos.files.records import (
     ANY_NUMBER,
@@ -47,6 +46,7 @@ from multipos.files.records import (
     require_covariance,
 )
 from multipos.files.trees import read_json
+from multipos.finding import FINDINGS, read_findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
@@ -82,8 +82,7 @@ _DIAGNOSTICS = (
     "lack_of_fit",
     "outliers",
     "unidentifiable",
-    "warnings",
-    "doubts",
+    "findings",
     "hidden",
     "leverage",
 )
@@ -160,9 +159,8 @@ CALIBRATION = Fields(
                 ),
                 "outliers": TEXTS,
                 "unidentifiable": TEXTS,
-                "warnings": TEXTS,
             },
-            {"doubts": DOUBTS, "model_tests": MODEL_TESTS, "hidden": TEXTS, "claim": _CLAIM},
+            {**FINDINGS, "model_tests": MODEL_TESTS, "hidden": TEXTS, "claim": _CLAIM},
         ),
         "cross_check": Maybe(Fields({"closed_form_max_difference": ANY_NUMBER})),
     },
@@ -282,6 +280,7 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         "installation_deg": c.installation_deg,
         **expression_dict(c.model),
         **_found_dict(c),
+        "findings": c.findings,
     }
     result: dict[str, Any] = plain(content)
     return result
@@ -475,8 +474,7 @@ def _diagnostics(found: Mapping[str, Any]) -> Diagnostics:
         },
         outliers=tuple(found["outliers"]),
         unidentifiable=tuple(found["unidentifiable"]),
-        warnings=tuple(found["warnings"]),
-        doubts=tuple(map(read_doubt, found.get("doubts", ()))),
+        findings=read_findings(found),
         model_tests=tuple(map(model_test_from_dict, found.get("model_tests", ()))),
         hidden=tuple(found.get("hidden", ())),
         claim=Claim(claim["chi2"], claim["dof"]) if (claim := found.get("claim")) else None,

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import Term
 from multipos.sensor.compiled import Compiled, Instruction, Values, compile_model
@@ -310,7 +311,7 @@ class ExpressionModel(Model):
         return known.index((output, str(term)))
 
 
-def at_bounds(model: Model, parameters: Array) -> tuple[str, ...]:
+def at_bounds(model: Model, parameters: Array) -> Findings:
     """Name the parameters of a model of one's own that ended at a bound."""
     if not isinstance(model, ExpressionModel):
         return ()
@@ -320,7 +321,6 @@ def at_bounds(model: Model, parameters: Array) -> tuple[str, ...]:
         reach = _INSIDE * (width if np.isfinite(width) else max(abs(value), 1.0))
         for word, end in (("low", q.low), ("high", q.high)):
             if abs(value - end) <= reach:
-                said.append(
-                    f"`{name}` ended at its bound, {word} = {end:g}: the readings ask for more"
-                )
+                text = f"`{name}` ended at its bound, {word} = {end:g}: the readings ask for more"
+                said.append(Finding("at-bound", "warning", text))
     return tuple(said)

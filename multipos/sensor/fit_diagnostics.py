@@ -61,8 +61,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.doubt import Doubt, besides
 from multipos.files.records import ANY_TEXT, NOT_NEGATIVE, P_VALUE, Fields, Listed, Named, Number
+from multipos.finding import Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile, f_tail, t_tail
 from multipos.numerics.terms import COMPONENTS
@@ -280,10 +280,9 @@ class Diagnostics(Result):
     leverage : (n, M) array
     lack_of_fit : mapping of output to {F, dof, p}
         Against the spread of repeated positions; empty where none repeats.
-    outliers, unidentifiable, warnings : tuples of str
-        The texts of the doubts are the first warnings.
-    doubts : tuple of Doubt
-        What does not look right, the worst first.
+    outliers, unidentifiable : tuples of str
+    findings : tuple of Finding
+        The most serious first.
     model_tests : tuple of ModelTest
         Of every standard term up to third order that the model lacks and the positions show.
     hidden : tuple of str
@@ -299,17 +298,10 @@ class Diagnostics(Result):
     lack_of_fit: dict[str, dict[str, object]] = field(default_factory=dict)
     outliers: tuple[str, ...] = ()
     unidentifiable: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    doubts: tuple[Doubt, ...] = ()
+    findings: Findings = ()
     model_tests: tuple[ModelTest, ...] = ()
     hidden: tuple[str, ...] = ()
     claim: Claim | None = None
-
-    @property
-    def said(self) -> tuple[str, ...]:
-        """Warnings and outliers beside the texts of the doubts."""
-        known = any(doubt.code == "outlier" for doubt in self.doubts)
-        return besides((*self.warnings, *(() if known else self.outliers)), self.doubts)
 
 
 def find_outliers(

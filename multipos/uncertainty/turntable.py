@@ -70,6 +70,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import RankError
 from multipos.estimation.known import FLOOR
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
@@ -371,22 +372,24 @@ def find_head(readings: Readings) -> tuple[Mounting, ...]:
     return () if _unused(mounted) else mounted
 
 
-def said_of_head(readings: Readings) -> list[str]:
+def find_in_head(readings: Readings) -> list[Finding]:
     """Say where the angle of the head is missing, or turns otherwise than the roll."""
     return _unused(_mounted(readings))
 
 
-def _unused(mounted: Iterable[Mounting]) -> list[str]:
+def _unused(mounted: Iterable[Mounting]) -> list[Finding]:
     said = []
     for one in mounted:
         row = int(one.roll.rows[0]) + 1
         if not np.isfinite(one.head).all():
-            said.append(f"some readings of the roll about {one.roll.axis} have no `{HEAD}`: unused")
+            text = f"some readings of the roll about {one.roll.axis} have no `{HEAD}`: unused"
+            said.append(Finding("head-unused", "warning", text))
         elif len(one.head) < _FEWEST:
-            said.append(
+            text = (
                 f"reading {row}: `{HEAD}` does not turn with the angle of the roll about "
                 f"{one.roll.axis}, one way or the other: unused"
             )
+            said.append(Finding("head-unused", "warning", text))
     return said
 
 
@@ -602,26 +605,31 @@ def _told_apart(
     return told, kept, np.column_stack([design, effect[:, kept]])
 
 
-def roll_warnings(calibration: Calibration) -> list[str]:
+def find_in_rolls(calibration: Calibration) -> list[Finding]:
     """Say which rolls leave much of the turn out, and which zeros shifted between rolls."""
     rolls = find_rolls(calibration.readings)
     said = [
-        f"the angles of the roll about {roll.axis} do not span a turn: "
-        f"{np.degrees(roll.gap):.4g} of 360 degrees are without a position, where zero, scale "
-        "factor and cross terms lean on each other"
+        Finding(
+            "part-of-a-turn",
+            "warning",
+            f"the angles of the roll about {roll.axis} do not span a turn: "
+            f"{np.degrees(roll.gap):.4g} of 360 degrees are without a position, where zero, scale "
+            "factor and cross terms lean on each other",
+        )
         for roll in rolls
         if not roll.spans_a_turn
     ]
-    said += said_of_head(calibration.readings)
+    said += find_in_head(calibration.readings)
     if len(rolls) < 2:
         return said
     for shift in table_errors(calibration).zero_shifts:
         if shift.p < _SHIFTED:
-            said.append(
+            text = (
                 f"the zero of {shift.output} shifted by {shift.value:.3g} {shift.unit} between the "
                 f"rolls in {rolls[0].plane} and {shift.plane}; the stated uncertainties leave that "
                 "out unless it is in the covariance of the readings (state_bench)"
             )
+            said.append(Finding("zero-shift", "warning", text, outputs=(shift.output,), p=shift.p))
     return said
 
 

@@ -27,7 +27,7 @@ What has moved is asked parameter by parameter: the step δ_j that takes most of
     δ_j = x_j'V⁻¹r / x_j'V⁻¹x_j,    Q − Q_j = δ_j² x_j'V⁻¹x_j,                               (3)
 
 is named while it is beyond chance among all of them (Bonferroni, 1 %), at most three. Against one
-such step (3) is sharper than (2), so either is a doubt.
+such step (3) is sharper than (2), so either is a finding.
 
 References
 ----------
@@ -39,7 +39,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multipos.doubt import Doubt, implausible
+from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.rotations import rotation_matrix
@@ -111,8 +111,8 @@ def no_agreement(why: str) -> Agreement:
 
 def judge_run(
     calibration: Calibration, data: Readings, known: Array, noise: Array, estimated: Array
-) -> tuple[Agreement, tuple[Doubt, ...]]:
-    """Return the test of a run, and the doubts about it; those about the calibration first.
+) -> tuple[Agreement, Findings]:
+    """Return the test of a run, and the findings about it; those about the calibration first.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def judge_run(
         The part of it that was estimated with the calibration, and is not stated.
     """
     c = calibration
-    carried = implausible(c.diagnostics.doubts)
+    carried = errors_of(c.diagnostics.findings)
     if not (np.isfinite(noise).all() and (noise > 0.0).all() and np.isfinite(c.covariance).all()):
         return no_agreement("the noise of the readings is not known"), carried
     if c.model.gauge is not None:
@@ -139,7 +139,7 @@ def judge_run(
     if not (found.p < level or moved):
         return found, carried
     text = _in_words(found, moved, whole=found.p < level)
-    return found, (*carried, Doubt("run-disagrees", "caution", text, outputs=c.outputs))
+    return found, (*carried, Finding("run-disagrees", "warning", text, outputs=c.outputs))
 
 
 def _turned(c: Calibration, data: Readings, known: Array) -> Array:

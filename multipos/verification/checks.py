@@ -5,7 +5,7 @@ The errors, of force or of tilt, are those of `multipos.verification.checks`, ve
 `multipos.verification.agreement`.
 
 Where a run is so far off that it may have been taken wrongly, it is fitted by itself, and what is
-implausible of it, such as rows interchanged or in another unit, is a doubt of the check.
+wrong of it, such as rows interchanged or in another unit, is a finding of the check.
 
 A regression is checked by `multipos.verification.regression_checks`.
 
@@ -35,9 +35,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.doubt import Doubt, implausible
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.tables import Source
+from multipos.finding import Findings, about, errors_of, in_order
 from multipos.fitting.fit_readings import fit
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_by_tenths
@@ -204,6 +204,7 @@ def line_departure(reference: Array, error: Array, counted: NDArray[np.bool_], t
     return result
 
 
+RUN = "the run"  # before the findings about a run that is fitted by itself
 _FAR_OFF = 0.25  # [g], which no sensor is off after its calibration
 
 
@@ -263,7 +264,7 @@ def check(
     >>> run = mp.simulate(cal, "faces-6", reading_sd=2e-4, seed=1)
     >>> found = mp.check(cal, run, limit_g=0.02)
     >>> sorted(set(found.verdicts.ravel().tolist()))
-    ['pass', 'undecided']
+    ['pass', 'indeterminate']
     """
     require(calibration, Calibration, Regression, Regressions)
     if isinstance(calibration, Regression | Regressions):
@@ -294,10 +295,10 @@ def check(
     known = known_force(calibration, data)
     limit = limit_deg if tilt else limit_g
     found = _check_run(calibration, data, known, noise, tilt, limit, within_deg, before)
-    agreement, doubts = judge_run(calibration, data, known, noise, estimated)
-    doubts = (*_of_the_run(calibration, data, known), *doubts)
-    said = (*(doubt.text for doubt in doubts), *found.warnings)
-    return replace(found, consistency=agreement, doubts=doubts, warnings=said)
+    agreement, findings = judge_run(calibration, data, known, noise, estimated)
+    findings = (*_of_the_run(calibration, data, known), *findings)
+    every = in_order((*findings, *found.findings))
+    return replace(found, consistency=agreement, findings=every)
 
 
 def _read_run(
@@ -379,7 +380,7 @@ def _check_run(
         confidence=calibration.confidence,
         source=data.source,
         sha256=data.sha256,
-        warnings=data.notes,
+        findings=data.findings,
         calibration=calibration.created,
     )
 
@@ -411,14 +412,14 @@ def _check_options(
             require_limit(name, value)
 
 
-def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> tuple[Doubt, ...]:
-    """Return what is implausible of a run that is far off, found by a fit of the run by itself."""
+def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> Findings:
+    """Return what is wrong with a run that is far off, found by a fit of the run by itself."""
     c = calibration
     left = data.values - c.model.predict(c.parameters, known, data.environment)
     response = np.linalg.norm(c.sensitivity, axis=1)
     if c.model.gauge is not None or not np.abs(left / response).max() > _FAR_OFF:
         return ()
-    run = replace(data, u=None, dof=None, covariance=None, orientation_sd=None, notes=())
+    run = replace(data, u=None, dof=None, covariance=None, orientation_sd=None, findings=())
     gravity = None if c.gravity is None else c.gravity.value
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CalibrationWarning)
@@ -432,7 +433,4 @@ def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> tuple
             )
         except MultiposError:  # too few positions to fit
             return ()
-    return tuple(
-        replace(doubt, text=f"the run: {doubt.text}")
-        for doubt in implausible(found.diagnostics.doubts)
-    )
+    return about(RUN, errors_of(found.findings))

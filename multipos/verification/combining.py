@@ -30,6 +30,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.estimation.gains import estimator_gain, gravity_effect
+from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.fit_readings import calibrate_at
 from multipos.fitting.options import Options
 from multipos.numerics.arrays import Array
@@ -43,9 +44,11 @@ from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.propagation import state_budget
 
 _IN_S = "stability"  # the table of a budget that sessions show by themselves
-_PLAIN = (
+_PLAIN = Finding(
+    "unequal-sessions",
+    "note",
     "the sessions do not all state their uncertainty, or state correlated readings: each was "
-    "fitted again with equal weights, and U follows from how they differ"
+    "fitted again with equal weights, and U follows from how they differ",
 )
 
 
@@ -176,18 +179,15 @@ def _groups(sessions: Sequence[Readings]) -> tuple[str, ...] | None:
     return tuple(found) if any(found) else None
 
 
-def _diagnosed(
-    found: Sequence[Calibration], pooled: Diagnostics, said: tuple[str, ...]
-) -> Diagnostics:
+def _diagnosed(found: Sequence[Calibration], pooled: Diagnostics, said: Findings) -> Diagnostics:
     """Return what is said of the sessions; the pooled residuals show how sessions differ."""
     each = [c.diagnostics for c in found]
-    doubts = {doubt.code: doubt for d in reversed(each) for doubt in d.doubts}
+    findings = {finding.code: finding for d in reversed(each) for finding in d.findings}
     return replace(
         pooled,
         lack_of_fit={},
         outliers=(),
-        doubts=tuple(sorted(doubts.values(), key=lambda doubt: not doubt.implausible)),
-        warnings=(*dict.fromkeys(doubt.text for doubt in doubts.values()), *said),
+        findings=in_order((*findings.values(), *said)),
         hidden=tuple(kind for kind in each[0].hidden if all(kind in d.hidden for d in each)),
         claim=None,
     )

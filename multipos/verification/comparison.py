@@ -29,11 +29,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multipos.doubt import Doubt, besides
 from multipos.errors import MultiposError, UsageError
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.spelling import spread
 from multipos.files.trees import read_schema
+from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence, t_tail
 from multipos.numerics.terms import CONSTANT
@@ -49,7 +49,7 @@ from multipos.verification.regression_comparison import (
     RegressionComparison,
     compare_regressions,
 )
-from multipos.verification.repeat_doubts import doubt_repeats
+from multipos.verification.repeat_findings import find_repeats
 
 ABSOLUTE, ORDERED, GIVEN = "absolute", "ordered", "as given"
 _EPOCH = 1e8  # s: three years, longer than any log; seconds since 1970 are beyond it
@@ -155,11 +155,9 @@ class Comparison(Result, Drawn):
         What drift is per: 'run', or 'time' in seconds.
     times : str
         Of the calibrations: 'absolute', 'ordered' or, per run, 'as given'.
-    warnings : tuple of str
     combined : Calibration or None
         That of all sessions, where it was asked for.
-    doubts : tuple of Doubt
-        The texts of these are the first warnings.
+    findings : tuple of Finding
     changes : tuple of Change
         Between the first and the last; empty for several methods on the same readings.
     """
@@ -186,9 +184,8 @@ class Comparison(Result, Drawn):
     moved: tuple[str, ...]
     per: str
     times: str
-    warnings: tuple[str, ...]
     combined: Calibration | None = None
-    doubts: tuple[Doubt, ...] = ()
+    findings: Findings = ()
     changes: tuple[Change, ...] = ()
 
     @property
@@ -262,8 +259,7 @@ class Comparison(Result, Drawn):
             "largest": self.largest and {"name": self.largest.name, "En": self.largest.En},
             "drift_per": self.per,
             "drift_times": self.times,
-            "doubts": [doubt.to_dict() for doubt in self.doubts],
-            "warnings": self.warnings,
+            "findings": [finding.to_dict() for finding in self.findings],
             **({} if self.combined is None else {"combined": self.combined.to_dict()}),
         }
 
@@ -344,12 +340,10 @@ def _compare(
         judged = Judgement.of_methods(found, values)
     else:
         judged = judge_repeats(found, values, 1.0 - confidence)
-    doubts = () if same else doubt_repeats(found)
-    warnings = [*(doubt.text for doubt in doubts), *judged.warnings]
+    findings = () if same else (*find_repeats(found), *judged.findings)
     if len(found) < _LEAST and not same:
-        warnings.append(
-            f"{len(found)} repeats say little about stability; calibrate at least {_LEAST} times"
-        )
+        text = f"{len(found)} repeats say little about stability; calibrate at least {_LEAST} times"
+        findings += (Finding("few-repeats", "note", text),)
     return Comparison(
         calibrations=found,
         files=files,
@@ -373,9 +367,8 @@ def _compare(
         moved=judged.moved,
         per=drift.per,
         times=drift.times,
-        warnings=tuple(warnings),
         combined=combined,
-        doubts=doubts,
+        findings=in_order(findings),
         changes=() if same else find_changes(found, since_1970(found), limits),
     )
 
@@ -447,14 +440,12 @@ def comparison_text(found: Comparison) -> str:
     stability = [[output, number(sd, 3)] for output, sd in found.bias_stability.items()]
     parts = [
         *_answer(found),
-        *(f"{doubt.severity}: {doubt.text}" for doubt in found.doubts),
         "\n".join(lines),
         _parameter_table(found),
         *([] if math.isnan(found.p_total) else [f"drift: {_TIMES[found.times]}"]),
         "bias stability\n" + table(["output", f"sd [{model.unit}]"], stability),
         _verdict(found),
         *([] if found.combined is None else [f"combined\n{found.combined}"]),
-        *(f"warning: {warning}" for warning in besides(found.warnings, found.doubts)),
     ]
     return "\n\n".join(parts) + "\n"
 

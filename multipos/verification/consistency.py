@@ -37,6 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.sensor.calibration import Calibration
@@ -76,7 +77,7 @@ class Judgement:
     consistent : bool
     moved : tuple of str
         Parameters that moved, by Holm's method at the same level.
-    warnings : tuple of str
+    findings : tuple of Finding
     """
 
     chi2: Array
@@ -89,7 +90,7 @@ class Judgement:
     test: str
     consistent: bool
     moved: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
+    findings: Findings = ()
 
     @classmethod
     def of_methods(cls, found: Sequence[Calibration], values: Array) -> "Judgement":
@@ -152,7 +153,7 @@ def judge_repeats(found: Sequence[Calibration], values: Array, level: float) -> 
     repeats, p = values.shape
     chi2, scatter_dof, tails = np.empty(p), np.empty(p), np.empty(p)
     outcome: list[tuple[float, float, float]] = []  # Q, its degrees of freedom, ν
-    warnings = []
+    unequal = []
     for family in families:
         factor, nu = family.scatter
         covariances = family.cofactors * factor[:, None, None]
@@ -164,12 +165,13 @@ def judge_repeats(found: Sequence[Calibration], values: Array, level: float) -> 
             chi2[member], scatter_dof[member] = single, nu
             tails[member] = f_tail(single / (repeats - 1.0), repeats - 1.0, nu)
         estimated = np.isfinite(family.dof)
-        unequal = bartlett((family.variances * family.dof)[estimated], family.dof[estimated])
-        if unequal < _UNEQUAL:
-            warnings.append(
+        p_equal = bartlett((family.variances * family.dof)[estimated], family.dof[estimated])
+        if p_equal < _UNEQUAL:
+            text = (
                 f"the scatter of {family.name} differs between the repeats (Bartlett's test at "
                 "1 %), so judging all by its mean is not supported by the data"
             )
+            unequal.append(Finding("unequal-repeats", "warning", text, p=p_equal))
     statistic, dof, p_total, test = judge_together(outcome, _WORDS)
     # Holm: the smallest p against level/p, the next against level/(p − 1), …
     order = np.argsort(tails)
@@ -187,7 +189,7 @@ def judge_repeats(found: Sequence[Calibration], values: Array, level: float) -> 
         test=test,
         consistent=not p_total < level,
         moved=moved,
-        warnings=tuple(warnings),
+        findings=tuple(unequal),
     )
 
 

@@ -24,6 +24,7 @@ from multipos.compensation.correction import (
 )
 from multipos.errors import MultiposError
 from multipos.files.tables import Source, read_table
+from multipos.finding import Finding, in_order
 from multipos.numerics.quantiles import coverage_factor
 from multipos.regression.prediction import place_rows
 from multipos.regression.regression import Regression, Regressions, format_span
@@ -81,7 +82,7 @@ def check_regression(
     )
     counted = ~outside[:, None]
     nothing = np.array([np.nan])
-    said = (
+    text = (
         f"{int(outside.sum())} of {table.rows} rows are outside what the regression was fitted to "
         "and are not counted"
     )
@@ -105,7 +106,7 @@ def check_regression(
         confidence=r.confidence,
         source=table.source,
         sha256=table.sha256,
-        warnings=(said,) if outside.any() else (),
+        findings=(Finding("outside", "warning", text),) if outside.any() else (),
         calibration=r.created,
         against=against,
         segments=_rows_by_segment(r, place),
@@ -156,7 +157,7 @@ def check_regressions(
         verdicts=stacked("verdicts"),
         counted=stacked("counted"),
         linearity_percent={"before": nothing, "after": nothing},
-        warnings=tuple(dict.fromkeys(said for one in found for said in one.warnings)),
+        findings=in_order(each for one in found for each in one.findings),
         segments=first.segments if same else {},
     )
 

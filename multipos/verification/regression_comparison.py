@@ -22,15 +22,15 @@ from typing import Any
 
 import numpy as np
 
-from multipos.doubt import Doubt
 from multipos.errors import MultiposError
 from multipos.files.numbers import number, table
+from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.regression.regression import Regression, format_span
 from multipos.regression.segment import Segment
 from multipos.results import Drawn, Result, Tabular, plain
-from multipos.verification.repeat_doubts import doubt_repeated_regressions
+from multipos.verification.repeat_findings import find_repeated_regressions
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,7 @@ class RegressionComparison(Result, Drawn, Tabular):
     terms : tuple of ComparedTerm
     confidence : float
     consistent : bool
-    warnings : tuple of str
-    doubts : tuple of Doubt
+    findings : tuple of Finding
         Those about each repeat, then ``repeated-runs``.
     """
 
@@ -76,8 +75,7 @@ class RegressionComparison(Result, Drawn, Tabular):
     terms: tuple[ComparedTerm, ...]
     confidence: float
     consistent: bool
-    warnings: tuple[str, ...]
-    doubts: tuple[Doubt, ...] = ()
+    findings: Findings = ()
 
     def columns(self) -> dict[str, Any]:
         """Return the terms: their values by run, sd, F and p."""
@@ -110,9 +108,8 @@ class RegressionComparison(Result, Drawn, Tabular):
                     }
                     for t in self.terms
                 ],
-                "doubts": [doubt.to_dict() for doubt in self.doubts],
+                "findings": [finding.to_dict() for finding in self.findings],
                 "consistent": self.consistent,
-                "warnings": self.warnings,
             }
         )
         return found
@@ -132,8 +129,7 @@ class RegressionComparison(Result, Drawn, Tabular):
         verdict = "agree" if self.consistent else "do not agree"
         named = [f"{i}: {file}" for i, file in enumerate(self.files, start=1)]
         closing = f"The repeats {verdict} at {100 * self.confidence:g} %, all terms together."
-        doubted = [line for d in self.doubts for line in (f"{d.severity}: {d.text}", "")]
-        shown = [*doubted, *named, "", table(header, rows, left=2), "", closing]
+        shown = [*named, "", table(header, rows, left=2), "", closing]
         return "\n".join(shown) + "\n"
 
 
@@ -164,27 +160,27 @@ def compare_regressions(
     ]
     tested = [t.p for t in terms if not math.isnan(t.p)]
     consistent = not tested or min(tested) * len(tested) >= 1.0 - confidence
-    doubts = doubt_repeated_regressions(runs)
-    said = [*(doubt.text for doubt in doubts), *_said_of_lonely(terms)]
+    findings = find_repeated_regressions(runs)
+    findings = (*findings, *_find_lonely(terms))
     if not consistent and not all(r.run for run in runs for r in run):
-        said.append(
-            "a regression of one switch-on does not know the zero of the next; fit several with "
-            "--run"
-        )
+        text = "a regression of one switch-on does not know the zero of the next; fit several with "
+        findings += (Finding("turn-on", "warning", f"{text}--run"),)
     return RegressionComparison(
         files=tuple(files),
         created=tuple(run[0].created for run in runs),
         terms=tuple(terms),
         confidence=confidence,
         consistent=consistent,
-        warnings=tuple(said),
-        doubts=doubts,
+        findings=in_order(findings),
     )
 
 
-def _said_of_lonely(terms: Sequence[ComparedTerm]) -> list[str]:
+def _find_lonely(terms: Sequence[ComparedTerm]) -> Findings:
     lonely = list(dict.fromkeys(t.term for t in terms if np.isnan(t.values).any()))
-    return [f"not in every repeat, and not judged: {', '.join(lonely)}"] if lonely else []
+    if not lonely:
+        return ()
+    text = f"not in every repeat, and not judged: {', '.join(lonely)}"
+    return (Finding("lonely-terms", "note", text),)
 
 
 def _check_alike(first: Sequence[Regression], other: Sequence[Regression], file: str) -> None:

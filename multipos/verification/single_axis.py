@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.doubt import Doubt, besides
 from multipos.errors import RankError
+from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.fit_readings import fit
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
@@ -142,11 +142,11 @@ class Tumble(Result, Drawn, Tabular):
         Largest difference of the coefficients by the Fourier view from least squares, as a
         reading over the largest reading; None where the points are not even.
     table_errors : TableErrors
-    unidentifiable, weak, warnings : tuples of str
+    unidentifiable, weak : tuples of str
     hysteresis : dict of plane to Hysteresis
         Of the rolls that were passed forward and backward.
-    doubts : tuple of Doubt
-        Of the calibration, and of the plane; their texts are the first warnings.
+    findings : tuple of Finding
+        Of the calibration, and of the tumble.
     beside_table : dict of str to TumbleCoefficient
         Those coefficients that no error of the table does the same as, estimated beside all.
 
@@ -174,10 +174,9 @@ class Tumble(Result, Drawn, Tabular):
     table_errors: TableErrors
     unidentifiable: tuple[str, ...]
     weak: tuple[str, ...]
-    warnings: tuple[str, ...]
     hysteresis: dict[str, Hysteresis]
     beside_table: dict[str, TumbleCoefficient]
-    doubts: tuple[Doubt, ...] = ()
+    findings: Findings = ()
 
     @property
     def taken_as_zero(self) -> tuple[str, ...]:
@@ -210,8 +209,7 @@ class Tumble(Result, Drawn, Tabular):
             "unidentifiable": self.unidentifiable,
             "taken_as_zero": self.taken_as_zero,
             "weak": self.weak,
-            "doubts": [doubt.to_dict() for doubt in self.doubts],
-            "warnings": self.warnings,
+            "findings": [finding.to_dict() for finding in self.findings],
             "calibration": self.calibration.to_dict(),
         }
 
@@ -238,7 +236,7 @@ def tumble_output(
     sign = -1.0 if convention == "gravity" else 1.0
     rolls = find_rolls(data, axis, sign)
     limited = _on_part_of_a_turn(data, rolls)
-    repeated = [*limited, *_said_of_repeats(rolls)]
+    repeated = [*limited, *_find_repeats(rolls)]
     names, unidentifiable = kept_coefficients(data, axis, sign, limited=bool(limited))
     calibration = fit(
         data,
@@ -259,7 +257,12 @@ def tumble_output(
     if table.beside is not None:
         beside = coefficients_beside(calibration, axis, table.beside)
     stated = calibration.readings.covariance is not None
-    doubts = (*calibration.diagnostics.doubts, *_of_plane(coefficients, calibration))
+    findings = (
+        *calibration.findings,
+        *_of_plane(coefficients, calibration),
+        *repeated,
+        *strange_harmonics(residual),
+    )
     return Tumble(
         coefficients=those_that_hold(coefficients, beside, table.beside, stated=stated),
         calibration=calibration,
@@ -270,13 +273,7 @@ def tumble_output(
         table_errors=table,
         unidentifiable=unidentifiable,
         weak=weakly_told(calibration, axis),
-        doubts=doubts,
-        warnings=(
-            *(doubt.text for doubt in doubts),
-            *besides(calibration.diagnostics.warnings, doubts),
-            *repeated,
-            *strange_harmonics(residual),
-        ),
+        findings=in_order(findings),
         hysteresis=find_hysteresis(
             _mounted_once(calibration.readings, rolls),
             signal / coefficients["K1"].value,
@@ -292,9 +289,9 @@ def _mounted_once(readings: Readings, rolls: tuple[Roll, ...]) -> tuple[Roll, ..
     return tuple(roll for roll in rolls if axes.count(roll.axis) < 2)
 
 
-def _of_plane(found: Mapping[str, TumbleCoefficient], c: Calibration) -> tuple[Doubt, ...]:
-    """Doubt the plane where the input axis leans too far for the coefficients to be its own."""
-    if {"no-signal", "turned"} & {doubt.code for doubt in c.diagnostics.doubts}:
+def _of_plane(found: Mapping[str, TumbleCoefficient], c: Calibration) -> Findings:
+    """Find a plane where the input axis leans too far for the coefficients to be its own."""
+    if {"no-signal", "turned"} & {finding.code for finding in c.findings}:
         return ()  # the same, said already
     sizes = [abs(found[name].value) for name in ("delta_o", "delta_p") if name in found]
     lean = math.hypot(*sizes)
@@ -306,23 +303,27 @@ def _of_plane(found: Mapping[str, TumbleCoefficient], c: Calibration) -> tuple[D
         f"terms of higher order are those along {axis} and not its own; look at roll_axis, at "
         "where the angle is zero, and at --axes"
     )
-    return (Doubt("wrong-plane", "caution", text, outputs=c.outputs),)
+    return (Finding("wrong-plane", "warning", text, outputs=c.outputs),)
 
 
-def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[str]:
+def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[Finding]:
     """Say that no roll spans a turn, and what can be told then; nothing where one does."""
     if not rolls or data.forced.any() or any(roll.spans_a_turn for roll in rolls):
         return []
     return [
-        f"the {len(roll.distinct)} angles in plane {roll.plane} do not span a turn, "
-        f"{np.degrees(roll.gap):.4g} of 360 degrees are without a point: there are no harmonics, "
-        "and the coefficients hold for these angles only; no gap wider than 180 degrees would "
-        "tell all"
+        Finding(
+            "part-of-a-turn",
+            "warning",
+            f"the {len(roll.distinct)} angles in plane {roll.plane} do not span a turn, "
+            f"{np.degrees(roll.gap):.4g} of 360 degrees are without a point: there are no "
+            "harmonics, and the coefficients hold for these angles only; no gap wider than 180 "
+            "degrees would tell all",
+        )
         for roll in rolls
     ]
 
 
-def _said_of_repeats(rolls: tuple[Roll, ...]) -> list[str]:
+def _find_repeats(rolls: tuple[Roll, ...]) -> list[Finding]:
     """Say which angles are there more than once."""
     said = []
     for roll in rolls:
@@ -330,10 +331,11 @@ def _said_of_repeats(rolls: tuple[Roll, ...]) -> list[str]:
         if twice and len(set(passes(roll.angle).tolist())) == 1:  # not one pass each way
             listed = ", ".join(f"{angle:g}" for angle in twice[:6])
             more = f" and {len(twice) - 6} more" if len(twice) > 6 else ""
-            said.append(
+            text = (
                 f"plane {roll.plane}: the angles {listed}{more} degrees are there more than once; "
                 "least squares takes every reading, the harmonics are of their means"
             )
+            said.append(Finding("repeated-angles", "note", text))
     return said
 
 

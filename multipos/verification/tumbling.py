@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multipos.doubt import Doubt
 from multipos.errors import UsageError
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
+from multipos.finding import Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
@@ -82,20 +82,15 @@ class Tumbles(Result, Drawn, Tabular):
         return self.outputs[output]
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What is to be said of any output, by its name where that is of one alone."""
-        every = [(name, text) for name, found in self.outputs.items() for text in found.warnings]
-        texts = [text for _, text in every]
-        named = (
-            text if texts.count(text) == len(self.outputs) else f"{name}: {text}"
-            for name, text in every
+    def findings(self) -> Findings:
+        """What was found about any output, by its name where that is of one alone."""
+        texts = [each.text for found in self.outputs.values() for each in found.findings]
+        common = {text for text in texts if texts.count(text) == len(self.outputs)}
+        return in_order(
+            each if each.text in common else replace(each, text=f"{name}: {each.text}")
+            for name, found in self.outputs.items()
+            for each in found.findings
         )
-        return tuple(dict.fromkeys(named))
-
-    @property
-    def doubts(self) -> tuple[Doubt, ...]:
-        """The doubts about every output."""
-        return tuple(doubt for found in self.outputs.values() for doubt in found.doubts)
 
     def columns(self) -> dict[str, Any]:
         """Return the coefficients of every output: output, then as of one."""
@@ -117,6 +112,7 @@ class Tumbles(Result, Drawn, Tabular):
                 output: {name: vars(entry) for name, entry in found.items()}
                 for output, found in self.beside_table.items()
             },
+            "findings": [each.to_dict() for each in self.findings],
         }
 
 

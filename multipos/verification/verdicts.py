@@ -3,13 +3,13 @@
 Errors e of K quantities at n rows before and after compensation, with the expanded uncertainty U of
 the latter. Against a limit L, U is the guard band:
 
-    pass where |e| + U <= L,    fail where |e| − U > L,    else undecided.                  (1)
+    pass where |e| + U <= L,    fail where |e| − U > L,    else indeterminate.                  (1)
 
 Each such verdict is about one error. Of m errors that are all within the limit, the larger ones
 come out beyond by more than U now and then, so that the worst verdict of a long run is no verdict
 of the run. For that,
 
-    pass where every error passes,    fail where |e| − U_m > L of any,    else undecided,   (2)
+    pass where every error passes,    fail where |e| − U_m > L of any,    else indeterminate,   (2)
 
 with U_m at the confidence 1 − (1 − c)/m (Bonferroni). A run whose true errors are all within the
 limit fails with at most the chance 1 − c, however the errors hang together; and one that passes
@@ -46,7 +46,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.compensation.correction import correct
-from multipos.doubt import DOUBTS, Doubt, read_doubt
 from multipos.errors import MultiposError, UsageError
 from multipos.files.records import (
     ANY_NUMBER,
@@ -58,7 +57,6 @@ from multipos.files.records import (
     P_VALUE,
     POSITIVE,
     SHARE,
-    TEXTS,
     AnyOf,
     Entries,
     Fields,
@@ -72,6 +70,7 @@ from multipos.files.records import (
 from multipos.files.tables import Column, Source, read_table
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text
+from multipos.finding import FINDINGS, Findings, read_findings
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.regression.regression import Regression, Regressions
@@ -79,7 +78,7 @@ from multipos.results import Columns, Drawn, Result, data_frame
 from multipos.sensor.calibration import Calibration
 from multipos.verification.agreement import Agreement
 
-VERDICTS = ("pass", "undecided", "fail")  # from best to worst
+VERDICTS = ("pass", "indeterminate", "fail")  # from best to worst
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +108,6 @@ class Check(Result, Drawn):
         The nominal conversion; a regression has none.
     confidence : float
     source, sha256 : str or None
-    warnings : tuple of str
     calibration : str or None
         When the calibration or regression was made, which tells it from others.
     against : str or None
@@ -119,7 +117,7 @@ class Check(Result, Drawn):
         U_m of eq. (2), where there is a limit.
     consistency : Agreement or None
         Of the run as a whole; None in a check that was written before there was one.
-    doubts : tuple of Doubt
+    findings : tuple of Finding
 
     Examples
     --------
@@ -151,13 +149,12 @@ class Check(Result, Drawn):
     confidence: float
     source: str | None = field(compare=False)
     sha256: str | None
-    warnings: tuple[str, ...]
     calibration: str | None = field(default=None, compare=False)
     against: str | None = None
     segments: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
     U_family: Array | None = None
     consistency: Agreement | None = None
-    doubts: tuple[Doubt, ...] = ()
+    findings: Findings = ()
 
     @property
     def En(self) -> Array:  # noqa: N802 (the name that ISO 13528 gives it)
@@ -176,7 +173,7 @@ class Check(Result, Drawn):
         if self.limit is None or self.U_family is None or self.verdict == "pass":
             return self.verdict
         beyond = (np.abs(self.after) - self.U_family > self.limit) | np.isnan(self.after)
-        return "fail" if bool((beyond & self.counted).any()) else "undecided"
+        return "fail" if bool((beyond & self.counted).any()) else "indeterminate"
 
     def summary(self, axis: str | None = None, segment: str | None = None) -> dict[str, Any]:
         """Return maximum, rms and linearity before and after, of one axis or segment or of all."""
@@ -236,11 +233,11 @@ def judge_errors(
     after: Array, U: Array, limit: float | None, counted: NDArray[np.bool_]
 ) -> NDArray[np.str_]:
     """Return the verdicts of eq. (1); empty without a limit and where nothing counts."""
-    verdicts = np.full(after.shape, "", dtype="<U9")
+    verdicts = np.full(after.shape, "", dtype="<U13")
     if limit is None:
         return verdicts
     error = np.abs(after)
-    verdicts[:] = "undecided"
+    verdicts[:] = "indeterminate"
     verdicts[error + U <= limit] = "pass"
     verdicts[(error - U > limit) | np.isnan(after)] = "fail"
     verdicts[~counted] = ""
@@ -338,7 +335,6 @@ CHECK = Fields(
             1,
         ),
         "by_axis": Named(Fields({"before": _LINEARITY, "after": _LINEARITY})),
-        "warnings": TEXTS,
     },
     {
         "consistency": Maybe(
@@ -351,7 +347,7 @@ CHECK = Fields(
                 }
             )
         ),
-        "doubts": DOUBTS,
+        **FINDINGS,
     },
 )
 
@@ -388,8 +384,7 @@ def check_dict(c: Check) -> dict[str, Any]:
             name: {"rows": int(rows.sum()), **c.summary(segment=name)}
             for name, rows in c.segments.items()
         },
-        "doubts": [doubt.to_dict() for doubt in c.doubts],
-        "warnings": c.warnings,
+        "findings": [finding.to_dict() for finding in c.findings],
     }
 
 
@@ -456,11 +451,10 @@ def _from_dict(c: Mapping[str, Any]) -> Check:
         confidence=c["confidence"],
         source=c["input"]["file"],
         sha256=c["input"]["sha256"],
-        warnings=tuple(c["warnings"]),
         calibration=c["calibration"],
         U_family=column("U_family") if all("U_family" in row for row in c["positions"]) else None,
         consistency=_agreement(c.get("consistency")),
-        doubts=tuple(map(read_doubt, c.get("doubts", ()))),
+        findings=read_findings(c),
     )
 
 

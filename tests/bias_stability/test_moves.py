@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from findings_bench import texts
 
 import multipos as mp
 from multipos.bias_stability.analysis import find_movement
@@ -47,8 +48,8 @@ def test_stability_says_what_was_moved():
     rng = np.random.default_rng(5)
     values = 1e-4 * rng.standard_normal(20_000)
     record = {"time": np.arange(20_000) / 100.0, "ax": values}
-    assert not any("moved" in text for text in mp.stability(record, unit="g").warnings)
+    assert not any("moved" in text for text in texts(mp.stability(record, unit="g")))
     values = values + 0.01 * (record["time"] > 120.0)
-    said = mp.stability({**record, "ax": values}, unit="g").warnings
+    said = texts(mp.stability({**record, "ax": values}, unit="g"))
     (text,) = (text for text in said if "moved or knocked" in text)
     assert "ax jumps by 0.01 near 120 s" in text

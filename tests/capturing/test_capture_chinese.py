@@ -126,15 +126,15 @@ def state_after(path, scheme=None, target=(), limit=None):
 def test_all_of_a_state_is_there_in_chinese(folder):
     path = log_bench.write_csv(folder / "log.csv", log_bench.columns_of(scheme="all-26+faces-6"))
     session, state = state_after(path, target=["bias=1e-7"])
-    assert "out of reach" in state["doubts"][0]["text"]
+    assert "out of reach" in state["findings"][0]["text"]
     session.undo()
     state = state_of(session)
     reasons = [pose for pose in state["taken"] if pose["reason"]]
     assert len({pose["reason"].split()[0] for pose in reasons}) == 2  # repeats, taken back
     for pose in reasons:
         require_chinese(pose["reason"], pose["reason_zh"])
-    for doubt in state["doubts"]:
-        require_chinese(doubt["text"], doubt["text_zh"])
+    for finding in state["findings"]:
+        require_chinese(finding["text"], finding["text_zh"])
     require_chinese(state["live"]["refused"], state["live"]["refused_zh"])
     _, few = state_after(
         log_bench.write_csv(folder / "few.csv", log_bench.columns_of(scheme="faces-6"))
@@ -162,7 +162,7 @@ def test_a_target_in_reach_is_not_denied(folder):
     U = {entry["name"]: entry["U"] for entry in state["parameters"]}
     for share, said in ((0.5, False), (0.1, True)):
         _, state = state_after(path, target=[f"bias_ax={share * U['bias_ax']}"], limit=20)
-        assert any("out of reach" in doubt["text"] for doubt in state["doubts"]) is said
+        assert any("out of reach" in finding["text"] for finding in state["findings"]) is said
 
 
 def test_a_scheme_that_is_too_short_for_a_target_says_so(folder):
@@ -173,4 +173,4 @@ def test_a_scheme_that_is_too_short_for_a_target_says_so(folder):
             session.finish()
             state = state_of(session)
         assert len(session.accepted) == limit
-        assert said in state["doubts"][0]["text"]
+        assert said in state["findings"][0]["text"]

@@ -79,7 +79,7 @@ def test_a_column_chooses_the_uncertain_estimator(here, capsys):
     assert found["orientation_error_deg"][22:] == [None, None]
     ignored, _ = fitted(capsys, "--reading-sd", "1e-5", "--unknown-orientation")
     assert ignored["estimator"] == "unknown-orientation"
-    assert any("ignored" in text for text in ignored["diagnostics"]["warnings"])
+    assert any("ignored" in text for text in map(str, ignored["diagnostics"]["findings"]))
 
 
 def test_a_group_in_the_file(here, capsys):
@@ -91,9 +91,10 @@ def test_a_group_in_the_file(here, capsys):
 
 def test_the_options_that_have_no_effect_are_said(here, capsys):
     (here / "r.csv").write_text(table(columns=ups()))
-    _, err = fitted(capsys, "--gauge", "symmetric")
+    _, _, err = run(capsys, "fit", "r.csv", "--gauge", "symmetric")
     assert "--gauge symmetric has no effect" in err
-    _, err = fitted(capsys, "--unknown-orientation", "--scheme", "fibonacci-24")
+    options = ("--unknown-orientation", "--scheme", "fibonacci-24")
+    _, _, err = run(capsys, "fit", "r.csv", *options)
     assert "the orientation columns are ignored" in err
     assert "--scheme is ignored" in err
 

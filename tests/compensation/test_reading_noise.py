@@ -6,6 +6,7 @@ import pickle
 import numpy as np
 import pytest
 from cli_bench import run
+from findings_bench import texts
 
 import multipos as mp
 from multipos.errors import MultiposError, UsageError
@@ -147,7 +148,7 @@ def test_a_calibration_without_residuals_tells_no_noise():
     one = {"ax": [0.05], "ay": [0.02], "az": [0.99]}
     found = mp.apply(bare, one, uncertainty=True)
     assert np.isnan(found["u_f_x"]).all()
-    assert any("state it with --reading-sd" in text for text in found.warnings)
+    assert any("state it with --reading-sd" in text for text in texts(found))
 
 
 def still(rng, n, sd):
@@ -158,9 +159,9 @@ def still(rng, n, sd):
 def test_single_samples_are_told_from_means(cal):
     rng = np.random.default_rng(6)
     samples = still(rng, 400, 20 * SD)
-    says = mp.apply(cal, samples, uncertainty=True).warnings
-    assert "look like single samples" in says[-1]
-    said = float(says[-1].split("scatter by ")[1].split(",")[0])
+    says = texts(mp.apply(cal, samples, uncertainty=True))
+    assert "look like single samples" in says[0]
+    said = float(says[0].split("scatter by ")[1].split(",")[0])
     assert said == pytest.approx(20 * SD, rel=0.15)  # of 400 differences
     quiet = (
         mp.apply(cal, still(rng, 400, SD), uncertainty=True),  # as averaged readings scatter
@@ -168,7 +169,7 @@ def test_single_samples_are_told_from_means(cal):
         mp.apply(cal, samples | {"n": np.full(400, 9)}, uncertainty=True),
         mp.apply(cal, samples, uncertainty=True, reading_sd=SD),
     )
-    assert not any("single samples" in text for each in quiet for text in each.warnings)
+    assert not any("single samples" in text for each in quiet for text in texts(each))
 
 
 def test_the_command_says_which_noise(cal, tmp_path, capsys, monkeypatch):
@@ -177,16 +178,17 @@ def test_the_command_says_which_noise(cal, tmp_path, capsys, monkeypatch):
     rng = np.random.default_rng(6)
     rows = np.column_stack(list(still(rng, 50, 20 * SD).values()))
     np.savetxt("log.csv", rows, delimiter=",", header="ax,ay,az", comments="")
-    status, out, err = run(capsys, "apply", "cal.json", "log.csv", "--uncertainty", "--json")
+    status, out, _ = run(capsys, "apply", "cal.json", "log.csv", "--uncertainty", "--json")
     assert status == 0
     assert json.loads(out)["noise"] == "that of an averaged reading of the calibration"
-    assert "hold the noise of one reading: that of an averaged reading" in err
-    assert "look like single samples" in err
+    said = " ".join(each["text"] for each in json.loads(out)["findings"])
+    assert "hold the noise of one reading: that of an averaged reading" in said
+    assert "look like single samples" in said
     options = ["--uncertainty", "--reading-sd", "0.04", "--json"]
-    status, out, err = run(capsys, "apply", "cal.json", "log.csv", *options)
+    status, out, _ = run(capsys, "apply", "cal.json", "log.csv", *options)
     assert (status, json.loads(out)["noise"]) == (0, "--reading-sd")
-    assert "single samples" not in err
-    status, out, err = run(capsys, "apply", "cal.json", "log.csv", "--parameters-only")
+    assert "single samples" not in " ".join(each["text"] for each in json.loads(out)["findings"])
+    status, out, _ = run(capsys, "apply", "cal.json", "log.csv", "--parameters-only")
     assert (status, out) == (2, "")
 
 
@@ -210,7 +212,7 @@ def test_a_regression_has_the_noise_of_its_rows():
     assert found.to_dict()["noise"] == found.noise == "what the regression left of its own rows"
     new = mp.correct(fitted, {"t": [1.0, 2.0]}, uncertainty=True)
     assert list(new) == ["t", "predicted", "u_predicted", "U_predicted", "outside"]
-    assert "no column 'y' to correct: predicted only" in new.warnings[0]
+    assert "no column 'y' to correct: predicted only" in texts(new)[0]
 
 
 def test_rows_of_samples_are_told_of_models_of_ones_own_too():
@@ -222,4 +224,4 @@ def test_rows_of_samples_are_told_of_models_of_ones_own_too():
     samples = np.array([0.01, 0.01, 1.0]) + 5e-3 * rng.standard_normal((40, 3))
     columns = dict(zip(("ax", "ay", "az"), samples.T, strict=True))
     found = mp.apply(cal, columns, uncertainty=True)
-    assert any("look like single samples" in text for text in found.warnings)
+    assert any("look like single samples" in text for text in texts(found))

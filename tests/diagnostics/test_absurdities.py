@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from findings_bench import texts
 
 import multipos as mp
 from multipos.diagnostics.columns import resolution
@@ -16,15 +17,15 @@ def sense(up, seed=5, noise=1e-3):
     return np.array([0.02, -0.03, 0.05]) + up @ MATRIX.T + noise * rng.standard_normal(up.shape)
 
 
-def codes(values, up, severity="implausible", **options):
+def codes(values, up, level="error", **options):
     unit = options.pop("unit", "reading")
     cal = mp.fit(mp.Readings(values, up=up, unit=unit), **options)
-    return [d.code for d in cal.diagnostics.doubts if d.severity == severity], cal
+    return [d.code for d in cal.diagnostics.findings if d.level == level], cal
 
 
-def doubt(values, up, **options):
+def finding(values, up, **options):
     (_, cal) = codes(values, up, **options)
-    (found,) = [d for d in cal.diagnostics.doubts if d.severity == "implausible"]
+    (found,) = [d for d in cal.diagnostics.findings if d.level == "error"]
     return found
 
 
@@ -135,7 +136,7 @@ def test_a_repair_names_rows_and_the_rms_before_and_after():
     up = mp.read_scheme("song-qin-6").up
     values = sense(up)
     values[[0, 1]] = values[[1, 0]]
-    found = doubt(values, up)
+    found = finding(values, up)
     before = mp.fit(mp.Readings(values, up=up)).rms
     assert found.rows == ("1", "2")
     assert f"the rms falls from {before:.3g} g to 0.000" in found.text
@@ -145,7 +146,7 @@ def test_wrapping_tells_the_step():
     up = mp.read_scheme("all-26").up
     values = np.round(1000.0 * sense(up))
     values[values > 900.0] -= 2048.0
-    found = doubt(values, up)
+    found = finding(values, up)
     assert found.outputs == ("ax", "ay", "az")
     step = float(found.text.split("with ")[1].split(" ")[0])
     # one reading an output wrapped: its noise of 1 is that of the step, times sqrt(1/(1 - h))
@@ -155,7 +156,7 @@ def test_wrapping_tells_the_step():
 @pytest.mark.parametrize(("factor", "named"), [(G, "--unit m/s^2"), (1000.0, "--unit mg")])
 def test_another_unit_is_named(factor, named):
     up = mp.read_scheme("all-26").up
-    found = doubt(factor * sense(up), up, unit="g")
+    found = finding(factor * sense(up), up, unit="g")
     assert (found.code, named in found.text) == ("unit", True)
     assert codes(sense(up), up, unit="g")[0] == []
     assert codes(factor * sense(up), up)[0] == []  # no unit was stated
@@ -168,10 +169,10 @@ def test_angles_in_radians_are_named():
         [np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)]
     )
     columns = {"roll_deg": roll, "pitch_deg": pitch, **dict(zip("xyz", sense(up).T, strict=True))}
-    found = [d.code for d in mp.fit(columns).diagnostics.doubts]
+    found = [d.code for d in mp.fit(columns).diagnostics.findings]
     assert found == ["angles-in-radians"]
     columns |= {"roll_deg": np.degrees(roll), "pitch_deg": np.degrees(pitch)}
-    assert mp.fit(columns).diagnostics.doubts == ()
+    assert mp.fit(columns).diagnostics.findings == ()
 
 
 @pytest.mark.parametrize(("gravity", "said"), [(32.17, True), (9.79, False), (1.0, True)])
@@ -183,9 +184,9 @@ def test_gravity_of_another_world(gravity, said):
 def test_a_chip_turned_in_its_case_is_no_absurdity():
     up = mp.read_scheme("faces-6").up
     turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # ax along y, ay along -x
-    found, cal = codes(sense(up @ turn.T), up, severity="caution")
+    found, cal = codes(sense(up @ turn.T), up, level="warning")
     assert found[0] == "turned"
-    said = cal.diagnostics.doubts[0]
+    said = cal.diagnostics.findings[0]
     assert "by 90 degrees about (0.00, 0.00, 1.00): ax senses y, ay senses -x, az senses z" in (
         said.text
     )
@@ -196,7 +197,7 @@ def test_the_other_convention_is_a_warning_and_no_absurdity():
     up = mp.read_scheme("faces-6").up
     found, cal = codes(sense(-up), up)
     assert found == []
-    assert any("--convention gravity" in said for said in cal.diagnostics.warnings)
+    assert any("--convention gravity" in said for said in texts(cal))
 
 
 def test_one_outlier_is_no_absurdity():
@@ -209,12 +210,12 @@ def test_one_outlier_is_no_absurdity():
 def test_copies_are_told_from_repeats():
     up = np.tile(mp.read_scheme("faces-6").up, (4, 1))
     once = sense(up[:6])
-    copied, _ = codes(np.tile(once, (4, 1)), up, "caution")
+    copied, _ = codes(np.tile(once, (4, 1)), up, "warning")
     assert copied[0] == "repeated-rows"
     assert "lack-of-fit" not in copied
-    assert "repeated-rows" not in codes(sense(up), up, "caution")[0]
+    assert "repeated-rows" not in codes(sense(up), up, "warning")[0]
     # repeats of a converter so coarse that noise does not show are repeats all the same
-    coarse, _ = codes(np.round(sense(up, noise=1e-4), 2), up, "caution")
+    coarse, _ = codes(np.round(sense(up, noise=1e-4), 2), up, "warning")
     assert not {"repeated-rows", "lack-of-fit"} & set(coarse)
 
 
@@ -246,7 +247,7 @@ def test_an_interchange_is_found_under_a_formula_that_is_nearly_linear():
     values = sense(up / (1.0 + 0.05 * up**2))
     assert codes(values, up, model="each = a + p*x + q*y + r*z + c*own^3")[0] == []
     swap(values, up)
-    found = doubt(values, up, model="each = a + p*x + q*y + r*z + c*own^3")
+    found = finding(values, up, model="each = a + p*x + q*y + r*z + c*own^3")
     assert (found.code, found.rows) == ("interchanged-rows", ("1", "2"))
 
 

@@ -17,12 +17,12 @@ def absurd():
 
 @pytest.mark.parametrize("to", ["c", "px4", "ros-imu-calib", "ardupilot"])
 def test_an_export_is_refused_and_says_what_was_accepted(absurd, to):
-    with pytest.raises(mp.MultiposError, match=r"not fit for use: 'ax' falls.*--accept-doubts"):
+    with pytest.raises(mp.MultiposError, match=r"not fit for use: 'ax' falls.*--force"):
         mp.export(absurd, to)
-    made = mp.export(absurd, to, accept_doubts=True, allow_lossy=True)
-    assert "ACCEPTED IN SPITE OF DOUBTS" in made.text
+    made = mp.export(absurd, to, force=True, allow_lossy=True)
+    assert "EXPORTED WITH --force" in made.text
     assert "sign: 'ax' falls" in made.text
-    assert "ACCEPTED" not in mp.export(good(), to, accept_doubts=True, allow_lossy=True).text
+    assert "ACCEPTED" not in mp.export(good(), to, force=True, allow_lossy=True).text
 
 
 def good():
@@ -31,7 +31,7 @@ def good():
 
 
 def test_what_was_accepted_is_read_back(absurd, tmp_path):
-    (file,) = mp.export(absurd, "px4", accept_doubts=True, allow_lossy=True).save(tmp_path / "p")
+    (file,) = mp.export(absurd, "px4", force=True, allow_lossy=True).save(tmp_path / "p")
     assert mp.verify_export(file, absurd).rms < 0.1
 
 
@@ -40,11 +40,11 @@ def test_the_command_refuses_and_accepts(tmp_path, capsys):
     rows = [row.split(",") for row in SIX.splitlines()]
     path.write_text("\n".join(",".join([*r[:2], r[3], r[2], r[4]]) for r in rows[1:]))
     path.write_text("position,direction,ax,ay,az\n" + path.read_text())
-    assert run(capsys, "fit", path, "-o", cal)[0] == 0
+    assert run(capsys, "fit", path, "-o", cal)[0] == 3
     status, said, err = run(capsys, "export", cal, "--to", "c", "-o", out)
     assert (status, said, out.exists()) == (1, "", False)
     assert err.splitlines()[-1].startswith("multipos: error: the export to c is refused")
-    assert run(capsys, "export", cal, "--to", "c", "--accept-doubts", "-o", out)[0] == 0
+    assert run(capsys, "export", cal, "--to", "c", "--force", "-o", out)[0] == 0
     assert "permuted-outputs: outputs are interchanged" in out.read_text()
 
 
@@ -58,6 +58,6 @@ def test_calibrate_writes_the_calibration_and_refuses_the_export(tmp_path, capsy
     options += ("--unit", "g", "-o", cal)
     status, _, err = run(capsys, *options)
     assert (status, cal.exists(), (tmp_path / "cal_px4.params").exists()) == (1, True, False)
-    assert "--accept-doubts" in err
-    assert run(capsys, *options, "--accept-doubts")[0] == 0
-    assert "IN SPITE OF DOUBTS" in (tmp_path / "cal_px4.params").read_text()
+    assert "--force" in err
+    assert run(capsys, *options, "--force")[0] == 3
+    assert "EXPORTED WITH --force" in (tmp_path / "cal_px4.params").read_text()

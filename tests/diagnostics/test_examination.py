@@ -1,10 +1,11 @@
-"""Doubts: what they are, where they stand, and how they reach the user."""
+"""Findings: what they are, where they stand, and how they reach the user."""
 
 import json
 import warnings
 
 import numpy as np
 import pytest
+from findings_bench import texts
 
 import multipos as mp
 from multipos.reports.certificate import build_content
@@ -22,31 +23,31 @@ DEAD = {
 
 def test_a_doubt_is_named_and_read_back(tmp_path):
     cal = mp.fit(DEAD)
-    (doubt,) = cal.diagnostics.doubts
-    assert (doubt.code, doubt.severity, doubt.outputs) == ("dead-output", "implausible", ("ay",))
-    assert cal.diagnostics.warnings[0] == doubt.text
+    (finding,) = cal.diagnostics.findings
+    assert (finding.code, finding.level, finding.outputs) == ("dead-output", "error", ("ay",))
+    assert texts(cal)[0] == finding.text
     cal.save(tmp_path / "cal.json")
-    assert mp.load(tmp_path / "cal.json").diagnostics.doubts == (doubt,)
-    (said,) = cal.to_dict()["diagnostics"]["doubts"]
-    assert said == {**doubt, "rows": [], "outputs": ["ay"]}
+    assert mp.load(tmp_path / "cal.json").diagnostics.findings == (finding,)
+    (said,) = cal.to_dict()["diagnostics"]["findings"]
+    assert said == {**finding, "rows": [], "outputs": ["ay"]}
 
 
 def test_a_file_from_before_there_were_doubts_is_read():
     content = mp.fit(DEAD).to_dict()
-    del content["diagnostics"]["doubts"]
-    assert from_dict(json.loads(json.dumps(content))).diagnostics.doubts == ()
+    del content["diagnostics"]["findings"]
+    assert from_dict(json.loads(json.dumps(content))).diagnostics.findings == ()
 
 
 def test_doubts_come_first_wherever_a_calibration_is_shown():
     cal = mp.fit(DEAD)
-    text = cal.diagnostics.doubts[0].text
+    text = cal.diagnostics.findings[0].text
     assert text_report(cal).startswith(
         f"This calibration is not fit for use.\n{36 * '-'}\n- {text}"
     )
     content = build_content(cal)
     for page in (plain_report(content), markdown_report(content), html_report(content)):
-        verdict, doubt, first = map(page.index, ("not fit for use", "read the same", "Results"))
-        assert verdict < doubt < first
+        verdict, finding, first = map(page.index, ("not fit for use", "read the same", "Results"))
+        assert verdict < finding < first
     assert "本校准结果不可使用" in plain_report(build_content(cal, language="zh"))
 
 
@@ -56,7 +57,7 @@ def test_warnings_of_a_fit_are_warnings_of_python():
     assert {warning.filename for warning in caught} == {__file__}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        assert mp.fit(DEAD).diagnostics.warnings
+        assert texts(mp.fit(DEAD))
 
 
 def test_on_the_command_line_each_is_said_once(tmp_path, capsys):
@@ -66,8 +67,8 @@ def test_on_the_command_line_each_is_said_once(tmp_path, capsys):
     lines = [f"{row.rpartition(',')[0]},0.25" for row in path.read_text().splitlines()[1:]]
     path.write_text("\n".join([",".join(table.columns), *lines]))
     status, out, err = run(capsys, "fit", path)
-    assert status == 0
-    assert err.count("'az' read the same number at all 6 positions") == 1
+    assert status == 3
+    assert err.count("multipos: not fit for use: 'az' read the same number at all 6 positions") == 1
     assert out.startswith("This calibration is not fit for use.")
 
 
@@ -82,4 +83,4 @@ def test_kelvin_is_told_from_celsius(shift, codes):
         environment={"temperature": temperature + shift},
     )
     cal = mp.fit(readings, model="1 + x + y + z + temperature")
-    assert [d.code for d in cal.diagnostics.doubts if d.code == "temperature-kelvin"] == codes
+    assert [d.code for d in cal.diagnostics.findings if d.code == "temperature-kelvin"] == codes

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from numpy.testing import assert_allclose
 
 import multipos as mp
@@ -32,7 +33,7 @@ def readings(scheme, truth, seed, size=2e-3, sd=1e-4, **columns):
 
 
 def codes(c):
-    return [doubt.code for doubt in c.diagnostics.doubts]
+    return [finding.code for finding in c.diagnostics.findings]
 
 
 def test_at_known_positions_it_is_the_f_test_of_nested_models():
@@ -74,16 +75,16 @@ def test_a_stated_noise_makes_one_test_of_all_outputs():
 @pytest.mark.parametrize("truth", ["own^2", "own^3", "own*other"])
 def test_a_missing_term_is_named_in_every_estimator(how, truth):
     c = mp.fit(readings("fibonacci-24", truth, 3), **how)
-    doubt = next(d for d in c.diagnostics.doubts if d.code == "missing-term")
-    assert doubt.severity == "caution"
-    assert truth in doubt.text  # turned by hand, own*|own| explains nearly as much as own^3
-    assert "fit --model '1 + x + y + z + own" in doubt.text
-    assert doubt.text in c.diagnostics.warnings
+    finding = next(d for d in c.diagnostics.findings if d.code == "missing-term")
+    assert finding.level == "warning"
+    assert truth in finding.text  # turned by hand, own*|own| explains nearly as much as own^3
+    assert "fit --model '1 + x + y + z + own" in finding.text
+    assert finding.text in texts(c)
 
 
 def test_the_formula_that_is_printed_mends_the_fit():
     data = readings("fibonacci-24", "own*other", 4)
-    told = next(d.text for d in mp.fit(data).diagnostics.doubts if d.code == "missing-term")
+    told = next(d.text for d in mp.fit(data).diagnostics.findings if d.code == "missing-term")
     formula = told.split("--model '")[1].split("'")[0]
     mended = mp.fit(data, model=formula)
     assert codes(mended) == []
@@ -93,7 +94,7 @@ def test_the_formula_that_is_printed_mends_the_fit():
 def test_two_missing_terms_are_named_together():
     data = readings("fibonacci-24", "own^3", 5)
     data = mp.Readings(data.values + 1e-3 * data.up**2, outputs=data.outputs, up=data.up, unit="g")
-    told = next(d.text for d in mp.fit(data).diagnostics.doubts if d.code == "missing-term")
+    told = next(d.text for d in mp.fit(data).diagnostics.findings if d.code == "missing-term")
     assert "own^3 and own^2" in told
 
 
@@ -136,7 +137,7 @@ def test_what_a_budget_states_is_not_hidden():
     assert "hidden-terms" not in codes(mp.fit(data, budget={"unseen": unseen}))
     only = mp.fit(data, budget={"unseen": {"own^3": 2e-3, "own*|own|": 0.0}})
     assert only.diagnostics.hidden == ("own*|own|", "own^3", "own*other")
-    assert "cannot show own*other, and" in next(d.text for d in only.diagnostics.doubts)
+    assert "cannot show own*other, and" in next(d.text for d in only.diagnostics.findings)
 
 
 def test_tests_and_hidden_terms_go_through_files():
@@ -159,7 +160,7 @@ def test_a_temperature_that_the_model_leaves_out_is_asked_of():
     assert {"temperature", "temperature*own"} <= {t.term for t in plain.diagnostics.model_tests}
     assert "missing-term" not in codes(plain)
     drifting = mp.fit(mp.Readings(data.values + 1e-4 * (warm[:, None] - 25.0), **columns))
-    told = next(d.text for d in drifting.diagnostics.doubts if d.code == "missing-term")
+    told = next(d.text for d in drifting.diagnostics.findings if d.code == "missing-term")
     assert "ask for temperature" in told
 
 

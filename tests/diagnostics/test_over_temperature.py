@@ -28,7 +28,7 @@ def over_temperature(seed, *, zero=0.0, curve=0.0, sd=1e-4):
 
 
 def found(c):
-    return [doubt.code for doubt in c.diagnostics.doubts if doubt.code != "hidden-terms"]
+    return [finding.code for finding in c.diagnostics.findings if finding.code != "hidden-terms"]
 
 
 def test_soaks_are_levels_or_stays_in_order():
@@ -55,12 +55,12 @@ def test_a_zero_of_each_soak_is_named_with_its_size():
 def test_a_curve_fitted_straight_is_a_missing_term():
     c = mp.fit(over_temperature(2, curve=5e-4), model=MODEL)
     assert found(c) == ["missing-term"]
-    told = next(d.text for d in c.diagnostics.doubts if d.code == "missing-term")
+    told = next(d.text for d in c.diagnostics.findings if d.code == "missing-term")
     assert f"fit --model '{MODEL} + temperature^2'" in told
     assert found(mp.fit(over_temperature(2, curve=5e-4), model=f"{MODEL} + temperature^2")) == []
 
 
 def test_good_soaks_are_not_doubted():
-    """1 % of 40 for each of two doubts; more than 4 has a chance of one in 1,000."""
+    """1 % of 40 for each of two findings; more than 4 has a chance of one in 1,000."""
     named = [found(mp.fit(over_temperature(seed), model=MODEL)) for seed in range(40)]
     assert sum(map(bool, named)) <= 4

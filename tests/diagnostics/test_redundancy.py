@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from findings_bench import texts
 
 import multipos as mp
 from multipos.diagnostics.repairs import rows_in_another_unit
@@ -19,7 +20,7 @@ def readings(factor=1.0, rows=()):
 
 
 def codes(cal):
-    return [doubt.code for doubt in cal.diagnostics.doubts]
+    return [finding.code for finding in cal.diagnostics.findings]
 
 
 @pytest.mark.parametrize("factor", [STANDARD_GRAVITY, 1 / STANDARD_GRAVITY, 1e3, 1e-3])
@@ -67,15 +68,13 @@ def test_positions_much_alike_are_said():
     cal = mp.fit(mp.Readings(values, up=up))
     assert cal.diagnostics.condition > 1e4
     assert "no-redundancy" in codes(cal)
-    assert "badly (condition" in cal.diagnostics.warnings[0]
+    assert "badly (condition" in texts(cal)[0]
 
 
 def test_a_scale_factor_that_u_leaves_open_is_said():
     rng = np.random.default_rng(4)
     noisy = mp.Readings(UP + 0.15 * rng.standard_normal(UP.shape), up=UP)
-    assert "U leaves scale factors open: scale_az to 27 %" in " ".join(
-        mp.fit(noisy).diagnostics.warnings
-    )
+    assert "U leaves scale factors open: scale_az to 27 %" in " ".join(texts(mp.fit(noisy)))
     assert "no-redundancy" not in codes(mp.fit(mp.Readings(readings().values, up=UP)))
 
 

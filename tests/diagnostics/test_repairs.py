@@ -15,9 +15,9 @@ def sense(up, rng, noise=1e-3):
     return BIAS + up @ MATRIX.T + noise * rng.standard_normal(up.shape)
 
 
-def implausible(values, up, **options):
+def errors_of(values, up, **options):
     cal = mp.fit(mp.Readings(values, up=up), **options)
-    return [doubt.code for doubt in cal.diagnostics.doubts if doubt.implausible]
+    return [finding.code for finding in cal.diagnostics.findings if finding.level == "error"]
 
 
 def beside_placement(up, rng):
@@ -48,7 +48,7 @@ HALF = [
 def test_rows_in_another_unit_on_six_faces(values):
     """Three steps of a converter put one row right as well as one factor; half was not found."""
     up = np.kron(np.eye(3), [[1.0], [-1.0]])
-    assert implausible(np.array(values), up) == ["row-unit"]
+    assert errors_of(np.array(values), up) == ["row-unit"]
 
 
 @pytest.mark.parametrize("n", [6, 26])
@@ -61,7 +61,7 @@ def test_radians_are_named_though_other_repairs_leave_as_little_of_a_response_to
             r, p = factor * r, factor * p
             return np.column_stack([np.sin(p), -np.sin(r) * np.cos(p), -np.cos(r) * np.cos(p)])
 
-        assert implausible(sense(up(1.0), rng), up(np.pi / 180.0)) == ["angles-in-radians"]
+        assert errors_of(sense(up(1.0), rng), up(np.pi / 180.0)) == ["angles-in-radians"]
 
 
 def test_many_rows_are_repaired_though_placement_makes_one_of_them_stick_out():
@@ -70,7 +70,7 @@ def test_many_rows_are_repaired_though_placement_makes_one_of_them_stick_out():
         rng = np.random.default_rng(seed)
         listed = up.copy()
         listed[1::2] *= -1.0
-        assert implausible(beside_placement(up, rng), listed) == ["flipped-row"]
+        assert errors_of(beside_placement(up, rng), listed) == ["flipped-row"]
 
 
 def test_an_output_that_wrapped_at_both_ends_beside_one_that_did_at_one():
@@ -79,7 +79,7 @@ def test_an_output_that_wrapped_at_both_ends_beside_one_that_did_at_one():
     values = sense(up, np.random.default_rng(1))
     values[0, 0] -= 2.0
     values[2:4, 1] -= [2.0, -2.0]
-    assert implausible(values, up) == ["wrapped"]
+    assert errors_of(values, up) == ["wrapped"]
 
 
 def test_rows_near_the_horizon_are_not_upside_down_for_an_outlier_among_them():
@@ -87,7 +87,7 @@ def test_rows_near_the_horizon_are_not_upside_down_for_an_outlier_among_them():
     up = mp.read_scheme("dual-axis-48").up
     values = sense(up, np.random.default_rng(1))[:, 1:2]
     values[42] += 0.42
-    assert implausible(values, up, axes="y") == []
+    assert errors_of(values, up, axes="y") == []
 
 
 @pytest.mark.parametrize("error", [-0.5, 0.5])
@@ -96,7 +96,7 @@ def test_an_outlier_of_half_a_g_on_six_faces_leaves_an_output_its_signal(face, e
     up = mp.read_scheme("faces-6").up
     values = 0.5 * sense(up, np.random.default_rng(0))
     values[face, 2] += error
-    assert implausible(values, up) == []
+    assert errors_of(values, up) == []
 
 
 def test_readings_so_coarse_that_nothing_is_left_raise_no_warning_of_numpy():

@@ -97,20 +97,20 @@ def test_how_many_rows_they_are_worth_is_said_and_kept(tmp_path):
     rows = cal.effective_rows
     # a correlation ρ leaves (1 − ρ)/(1 + ρ) of the rows: 400 of 1200, to a quarter
     assert rows == pytest.approx(dict.fromkeys(cal.outputs, 400.0), rel=0.25)
-    doubt = next(d for d in cal.diagnostics.doubts if d.code == "time-correlated")
-    assert doubt.outputs == cal.outputs
+    finding = next(d for d in cal.diagnostics.findings if d.code == "time-correlated")
+    assert finding.outputs == cal.outputs
     said = f"the mean of 1200 is worth that of fewer independent ones, ax {rows['ax']:.2g}"
-    assert said in doubt.text
+    assert said in finding.text
     cal.save(tmp_path / "cal.json")
     again = mp.load(tmp_path / "cal.json")
     assert again.variance_components == cal.variance_components
-    assert again.diagnostics.doubts == cal.diagnostics.doubts
+    assert again.diagnostics.findings == cal.diagnostics.findings
 
 
 def test_no_term_is_asked_for_because_rows_are_alike():
     rng = np.random.default_rng(13)
     data = record(rng, 0.9, up=mp.read_scheme("icosahedron-12").up, rows=40)
-    codes = {doubt.code for doubt in mp.fit(data).diagnostics.doubts}
+    codes = {finding.code for finding in mp.fit(data).diagnostics.findings}
     assert "time-correlated" in codes
     assert not codes & {"missing-term", "lack-of-fit"}
 
@@ -122,7 +122,7 @@ def test_a_misplaced_position_is_no_correlation():
     off = np.repeat(3e-3 * rng.standard_normal((6, 3)), 30, axis=0)
     cal = mp.fit(mp.Readings(data.values + off, up=data.up))
     assert not cal.effective_rows
-    assert "lack-of-fit" in {doubt.code for doubt in cal.diagnostics.doubts}
+    assert "lack-of-fit" in {finding.code for finding in cal.diagnostics.findings}
 
 
 def test_unknown_orientation_is_judged_by_its_misfit():

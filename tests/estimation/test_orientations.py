@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import log_bench
 import numpy as np
 import pytest
+from findings_bench import texts
 from numpy.testing import assert_allclose
 from orientation_bench import (
     BIAS,
@@ -98,11 +99,11 @@ def test_as_many_equations_as_unknowns_leave_no_uncertainty(orientation_sd):
     cal = mp.fit(four, orientation_sd=orientation_sd)
     assert_allclose(cal.residuals, 0.0, atol=1e-12)
     assert np.isnan(cal.u).all()
-    assert any("nothing is left to estimate the uncertainty" in w for w in cal.diagnostics.warnings)
+    assert any("nothing is left to estimate the uncertainty" in w for w in texts(cal))
     if orientation_sd == "auto":
         cal = mp.fit(four, orientation_sd="auto", reading_sd=1e-5)
         assert np.isnan(cal.u).all()
-        assert any("estimate the orientation sd from" in w for w in cal.diagnostics.warnings)
+        assert any("estimate the orientation sd from" in w for w in texts(cal))
 
 
 def test_a_tilt_that_explains_all_residuals_leaves_finite_uncertainties():
@@ -111,7 +112,7 @@ def test_a_tilt_that_explains_all_residuals_leaves_finite_uncertainties():
     cal = mp.fit(one, model="own-quadratic", scheme="song-qin-6", level_sd=0.5)
     assert np.isfinite(cal.u).all()
     # What is left is rounding, and how well its size is determined hangs on the kernel.
-    assert any(said.startswith("estimated") for said in cal.diagnostics.warnings)
+    assert any(said.startswith("estimated") for said in texts(cal))
 
 
 def test_a_model_that_feels_no_force_is_not_moved_by_a_level():
@@ -306,7 +307,7 @@ def test_denied_noise_is_added_to_and_said(mode):
     how = {"unknown_orientation": True} if mode == "unknown" else {"orientation_sd": 0.005}
     cal = mp.fit(mp.Readings(readings.values, up=readings.up), reading_sd=1e-6, **how)
     honest = mp.fit(mp.Readings(readings.values, up=readings.up), **how)
-    said = [w for w in cal.diagnostics.warnings if "deny the stated reading noise" in w]
+    said = [w for w in texts(cal) if "deny the stated reading noise" in w]
     assert len(said) == 1
     assert "scatter from rest to rest" in said[0]
     assert "--orientation-sd" not in said[0]  # it is given, or nothing is known of orientations
@@ -322,7 +323,7 @@ def test_denied_noise_is_added_to_and_said(mode):
 def test_nothing_left_is_said():
     cal = mp.fit(mp.Readings(SENSOR.read(UP[::2][:9])), unknown_orientation=True)
     assert np.isnan(cal.u).all()
-    assert any("nothing is left to estimate" in w for w in cal.diagnostics.warnings)
+    assert any("nothing is left to estimate" in w for w in texts(cal))
     stated = mp.fit(
         mp.Readings(SENSOR.read(UP[::2][:9])), unknown_orientation=True, reading_sd=1e-5
     )
@@ -336,7 +337,7 @@ def test_both_standard_deviations_are_estimated_and_how_well():
     for name, truth in (("reading_sd", 2e-5), ("orientation_sd_deg", 0.02)):
         assert abs(found[name]["value"] - truth) < 3.0 * found[name]["u"]
         assert 0.05 < found[name]["u"] / found[name]["value"] < 0.35
-    said = [w for w in cal.diagnostics.warnings if w.startswith("estimated together")]
+    said = [w for w in texts(cal) if w.startswith("estimated together")]
     assert "reading noise" in said[0]
     assert "orientation error" in said[0]
     assert "%" in said[0]
@@ -367,14 +368,14 @@ def test_beside_a_stated_noise_scatter_and_orientation_are_estimated():
     assert placed.determined
     assert placed.value == pytest.approx(0.02, rel=0.5)
     assert list(cal.to_dict()["variance_components"]) == ["rest_to_rest", "orientation_sd_deg"]
-    (said,) = (w for w in cal.diagnostics.warnings if "estimated together" in w)
+    (said,) = (w for w in texts(cal) if "estimated together" in w)
     assert f"orientation error {placed.value:.2g} degrees" in said
     twelve = mp.fit(
         readings_of(SENSOR, UP[::2], rng(), sd=2e-5, off_deg=0.02),
         orientation_sd="auto",
         reading_sd=2e-5,
     )
-    assert any("cannot tell placement from scatter" in w for w in twelve.diagnostics.warnings)
+    assert any("cannot tell placement from scatter" in w for w in texts(twelve))
     assert twelve.variance_components.orientation_sd_deg is None
 
 
@@ -395,11 +396,11 @@ def test_noise_beside_a_tilt_of_the_table_has_the_right_size():
 def test_bias_of_second_order_is_stated_where_it_matters():
     noisy = readings_of(Sensor(matrix=np.eye(3)), "fibonacci-200", rng(), sd=0.03)
     cal = mp.fit(mp.Readings(noisy.values), unknown_orientation=True)
-    said = [w for w in cal.diagnostics.warnings if "sigma^2/g^2" in w]
+    said = [w for w in texts(cal) if "sigma^2/g^2" in w]
     assert len(said) == 3
     assert float(said[0].split("about ")[1].split(" ")[0]) == pytest.approx(0.03**2, rel=0.3)
     quiet = mp.fit(mp.Readings(readings_of(SENSOR, UP, rng()).values), unknown_orientation=True)
-    assert not any("sigma^2" in w for w in quiet.diagnostics.warnings)
+    assert not any("sigma^2" in w for w in texts(quiet))
 
 
 def test_bias_of_second_order_by_hand():
@@ -546,7 +547,7 @@ def test_groups_with_a_roll_about_an_unknown_direction():
 def test_a_group_tells_the_convention():
     values = SENSOR.read(UP @ TURN.T) + 1e-5 * rng().standard_normal(UP.shape)
     cal = mp.fit(mp.Readings(values, up=UP, group=("g",) * 24), convention="gravity")
-    assert any("look like --convention specific-force" in w for w in cal.diagnostics.warnings)
+    assert any("look like --convention specific-force" in w for w in texts(cal))
 
 
 def test_level_sd_needs_whole_attitudes():
@@ -592,7 +593,7 @@ def test_one_bad_reading_of_24_moves_nothing_and_is_named(loss, mode, stated, of
     found = mp.fit(bad, robust=loss, **how)
     assert (np.abs(found.parameters - good.parameters) < found.u).all()
     assert close(found, sensor.truth(found.model))
-    named = [w for w in found.diagnostics.warnings if "is set aside" in w]
+    named = [w for w in texts(found) if "is set aside" in w]
     assert any(f"position {worst + 1} is set aside" in w for w in named)
     assert any(f"position {worst + 1}" in w for w in found.diagnostics.outliers)
     weight = np.asarray(found.robust_weight)
@@ -612,7 +613,7 @@ def test_a_position_is_set_aside_at_one_in_a_million(off, aside):
     values[4] += 1e-3 * off
     readings = mp.Readings(values, outputs=("ax",), up=up)
     cal = mp.fit(readings, model="1 + x", robust="huber", reading_sd=1e-3)
-    named = [text for text in cal.diagnostics.warnings if "position 5 is set aside" in text]
+    named = [text for text in texts(cal) if "position 5 is set aside" in text]
     assert bool(named) == aside
 
 
@@ -628,7 +629,7 @@ def test_robust_noise_makes_the_median_misfit_normal():
     off = 1e-3 * np.array([*even, 20.0, *even[:8], 1.0, 1.0, -2.0])  # either side without mean
     readings = mp.Readings(up[:, :1] + off[:, None], outputs=("ax",), up=up)
     cal = mp.fit(readings, model="1 + x", robust="huber")
-    said = [text for text in cal.diagnostics.warnings if "position 11 is set aside" in text]
+    said = [text for text in texts(cal) if "position 11 is set aside" in text]
     assert "by 12.7 times the noise" in said[0]
 
 
@@ -784,7 +785,7 @@ def test_an_expression_without_cross_terms_says_itself_where_its_axes_lie():
     values = saturating(UP, None, None, None, 0.02, 1.01, 0.03)
     cal = mp.fit(mp.Readings(values), model=saturating, unknown_orientation=True)
     assert_allclose(cal.parameters, np.tile((0.02, 1.01, 0.03), 3), rtol=0, atol=1e-7)
-    assert any("no rotation of the case is free" in said for said in cal.diagnostics.warnings)
+    assert any("no rotation of the case is free" in said for said in texts(cal))
 
 
 # --- what positions cannot tell
@@ -899,7 +900,7 @@ def test_estimated_standard_deviations_are_said_in_words():
     readings = readings_of(SENSOR, UP, rng(), sd=1e-4, off_deg=0.01)
     cal = mp.fit(readings, orientation_sd=0.01)
     found = cal.variance_components.reading_sd
-    (said,) = (w for w in cal.diagnostics.warnings if w.startswith("estimated"))
+    (said,) = (w for w in texts(cal) if w.startswith("estimated"))
     assert said == (
         f"estimated: reading noise {found.value:.3g} (to {100 * found.u / found.value:.0f} %)"
     )
@@ -911,7 +912,7 @@ def test_estimated_standard_deviations_are_said_in_words():
 def test_bad_condition_is_a_warning():
     cal = mp.fit(readings_of(SENSOR, UP, rng()), reading_sd=1e-6, orientation_sd=60.0)
     assert cal.diagnostics.condition > 1e4
-    assert any("separate the parameters badly (condition" in w for w in cal.diagnostics.warnings)
+    assert any("separate the parameters badly (condition" in w for w in texts(cal))
 
 
 def test_convergence_is_reported():

@@ -11,8 +11,8 @@ from multipos.positions.scheme import read_scheme
 
 
 @pytest.fixture(autouse=True)
-def without_doubts(monkeypatch):
-    """Doubts change no number, and thousands of fits need not be looked at."""
+def without_findings(monkeypatch):
+    """Findings change no number, and thousands of fits need not be looked at."""
     monkeypatch.setattr(fit_readings, "examine", lambda calibration: calibration)
 
 

@@ -41,9 +41,9 @@ def test_rows_that_hide_each_other_are_named_all_at_once(unknown, off, size):
     labels = tuple(str(row + 1) for row in off)
     with pytest.warns(mp.CalibrationWarning):
         plain = mp.fit(given, unknown_orientation=unknown)
-    (doubt,) = (each for each in plain.diagnostics.doubts if each.code == "outlier")
-    assert doubt.rows == labels
-    assert f"--exclude {','.join(labels)}" in doubt.text
+    (finding,) = (each for each in plain.diagnostics.findings if each.code == "outlier")
+    assert finding.rows == labels
+    assert f"--exclude {','.join(labels)}" in finding.text
     with pytest.warns(mp.CalibrationWarning, match=f"{len(off)} of 24 positions set aside"):
         cal = mp.fit(given, unknown_orientation=unknown, exclude="auto")
     assert tuple(each.label for each in cal.excluded) == labels
@@ -87,9 +87,9 @@ def test_a_lost_sign_is_named_and_is_unfit():
         values[row, 2] *= -1.0
         with pytest.warns(mp.CalibrationWarning):
             cal = mp.fit(mp.Readings(values, outputs=given.outputs, up=given.up, unit="g"))
-        (doubt, *_) = cal.diagnostics.doubts
-        assert (doubt.code, doubt.severity) == ("flipped-row", "implausible")
-        assert (doubt.rows, doubt.outputs) == ((str(row + 1),), ("az",))
+        (finding, *_) = cal.diagnostics.findings
+        assert (finding.code, finding.level) == ("flipped-row", "error")
+        assert (finding.rows, finding.outputs) == ((str(row + 1),), ("az",))
 
 
 def test_rows_are_set_aside_by_label():

@@ -155,7 +155,7 @@ def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst, monk
     """
     monkeypatch.setattr(
         fit_readings, "examine", lambda c: c
-    )  # doubts take long and change no number
+    )  # findings take long and change no number
     rng = np.random.default_rng(n)
     up = sphere(n)
     outputs = 3 if pool else 1

@@ -110,12 +110,12 @@ def scaled(factor, unit="m/s^2", model="linear"):
 def test_single_precision_refuses_by_name(factor, message, tmp_path, capsys):
     scaled(factor).save(tmp_path / "cal.json")
     argv = ["export", str(tmp_path / "cal.json"), "--to", "c", "-o", str(tmp_path / "f.c")]
-    assert main([*argv, "--float", "--accept-doubts"]) == 1
+    assert main([*argv, "--float", "--force"]) == 1
     out, err = capsys.readouterr()
     assert out == ""
     assert re.search(message, err.splitlines()[-1])
     assert [path.name for path in tmp_path.iterdir()] == ["cal.json"]
-    assert main([*argv, "--accept-doubts"]) == 0
+    assert main([*argv, "--force"]) == 0
     assert "inf" not in re.sub("calibrated.*", "", (tmp_path / "f.c").read_text())
 
 
@@ -125,10 +125,7 @@ def test_a_coefficient_that_does_not_matter_may_vanish():
     own = list(cal.model.own_scales)
     tiny[own] = cal.parameters[own]
     assert (
-        "f;"
-        in export(
-            dataclasses.replace(cal, parameters=tiny), "c", float=True, accept_doubts=True
-        ).text
+        "f;" in export(dataclasses.replace(cal, parameters=tiny), "c", float=True, force=True).text
     )
 
 
@@ -137,7 +134,7 @@ def test_a_double_that_is_not_finite_is_refused(model):
     cal = scaled(1.0, model=model)
     flat = dataclasses.replace(cal, parameters=cal.parameters * 1e-310)
     with pytest.raises(mp.MultiposError, match=r"'bias_ax' = .* vanishes in double precision"):
-        export(flat, "c", accept_doubts=True)
+        export(flat, "c", force=True)
 
 
 @pytest.mark.parametrize(("value", "single"), [(1e39, True), (np.inf, False), (np.nan, True)])
@@ -155,7 +152,7 @@ def test_no_number_of_c_is_infinite(value, single):
 )
 def test_parameters_beyond_the_consumers_precision_are_named(target, message):
     with pytest.raises(mp.MultiposError, match=message):
-        export(scaled(1e-39), target, allow_lossy=True, accept_doubts=True)
+        export(scaled(1e-39), target, allow_lossy=True, force=True)
 
 
 def test_the_inverse_in_c_is_rounded_once_and_the_same_everywhere():

@@ -7,6 +7,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from log_bench import sensor, shared
 
 import multipos as mp
@@ -296,15 +297,15 @@ def test_autopilots_by_their_law(target, offset, scale, unit):
         assert s[i] == pytest.approx(9.80665 / slope, rel=1e-10)
     left = (readings.values - o) * s / 9.80665 - up
     rms = np.sqrt(np.mean((left**2).sum(axis=1)))
-    assert f"to {1e3 * rms:.3g} mg" in exported.notes[0]
-    assert "cannot express cross_ax_y" in exported.notes[0]
+    assert f"to {1e3 * rms:.3g} mg" in texts(exported)[0]
+    assert "cannot express cross_ax_y" in texts(exported)[0]
 
 
 def test_a_diagonal_calibration_loses_nothing():
     readings, _ = session()
     cal = mp.fit(readings, model="1 + own")
     exported = export(cal, "px4", device_id=1310988)
-    assert exported.notes == ()
+    assert texts(exported) == ()
     found = parameters(exported.text)
     assert found["CAL_ACC0_XOFF"] == pytest.approx(cal["ax", "1"].value)
     assert found["CAL_ACC0_ZSCALE"] == pytest.approx(9.80665 / cal["az", "z"].value)
@@ -315,7 +316,7 @@ def test_force_is_turned_for_consumers():
     gravity = mp.fit(mp.Readings(readings.values, up=-up, unit="m/s^2"), convention="gravity")
     same = mp.fit(mp.Readings(readings.values, up=-up, unit="m/s^2"))
     one, two = (export(cal, "ros-imu-calib") for cal in (gravity, same))
-    assert "turned from gravity" in one.notes[0]
+    assert "turned from gravity" in texts(one)[0]
     lines = [line for line in one.text.splitlines() if line.startswith("SM")]
     other = [line for line in two.text.splitlines() if line.startswith("SM")]
     np.testing.assert_allclose(json.loads(lines[0][4:]), json.loads(other[0][4:]), rtol=1e-9)
@@ -324,7 +325,7 @@ def test_force_is_turned_for_consumers():
 def test_arducopter_limits_are_named():
     up = mp.read_scheme("faces-6").up
     cal = mp.fit(mp.Readings(9.8 * up + 5.0, up=up, unit="m/s^2"), model="1 + own")
-    (note,) = export(cal, "ardupilot", device_id=2753036).notes
+    (note,) = texts(export(cal, "ardupilot", device_id=2753036))
     assert "INS_ACCOFFS_X, INS_ACCOFFS_Y, INS_ACCOFFS_Z beyond what ArduPilot accepts" in note
 
 
@@ -351,10 +352,7 @@ def test_verify_finds_a_foreign_file(tmp_path, capsys):
     readings, _ = session()
     cal = mp.fit(readings)
     cal.save(tmp_path / "cal.json")
-    text = export(cal, "ros-imu-calib").text
-    (tmp_path / "file").write_text(re.sub(r"SM: \[[^,]+", "SM: [1.5", text))
     for name, content, message in (
-        ("file", None, "so it was exported from another or changed since"),
         ("text", "hello", "neither C nor parameters"),
         ("part", "CAL_ACC0_XOFF\t1", "parameter CAL_ACC0_YOFF is missing"),
         ("none", None, "no such file"),
@@ -366,6 +364,18 @@ def test_verify_finds_a_foreign_file(tmp_path, capsys):
         out, error = capsys.readouterr()
         assert out == ""
         assert message in error.splitlines()[-1]
+
+
+def test_a_file_that_differs_is_a_negative_verdict(tmp_path, capsys):
+    cal = mp.fit(session()[0])
+    cal.save(tmp_path / "cal.json")
+    text = export(cal, "ros-imu-calib").text
+    (tmp_path / "file").write_text(re.sub(r"SM: \[[^,]+", "SM: [1.5", text))
+    assert main(["verify-export", str(tmp_path / "file"), str(tmp_path / "cal.json")]) == 3
+    out, error = capsys.readouterr()
+    assert out
+    assert error.startswith("multipos: not fit for use: ")
+    assert "so it was exported from another or changed since. Export again." in error
 
 
 def test_verify_without_a_compiler(tmp_path, monkeypatch):

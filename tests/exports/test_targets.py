@@ -13,6 +13,7 @@ from multipos.cli import main
 from multipos.exports import targets
 from multipos.exports.laws import LINEAR, Correction
 from multipos.exports.parameters import parameter_target
+from multipos.finding import Finding
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "exports.md"
 
@@ -36,7 +37,7 @@ PLAIN = parameter_target(
     raw_in_metres=False,
     write=lambda cal, law, wish: (
         json.dumps({"plain T": law.matrix.tolist(), "o": law.offset.tolist()}),
-        ["as plain as can be"],
+        [Finding("plain", "warning", "as plain as can be")],
     ),
     recognises=lambda text: '"plain T"' in text,
     read=read_plain,

@@ -82,7 +82,7 @@ def same(found, whole, *, alone=False):
     for name, column in whole.items():
         if column.dtype.kind == "f":
             assert_allclose(found[name], column, rtol=1e-10, atol=1e-13)
-        elif name != "reason" and not (alone and name == "doubts"):
+        elif name != "reason" and not (alone and name == "findings"):
             assert_array_equal(found[name], column)
     # which names file and line
     assert [bool(text) for text in found["reason"]] == [bool(text) for text in whole["reason"]]
@@ -131,7 +131,7 @@ def test_rows_in_any_order_give_every_unit_its_numbers(tmp_path_factory, seed, r
     for name, column in whole.items():
         if column.dtype.kind == "f":  # positions in another order are summed in another order
             assert_allclose(found[name], column[places], rtol=1e-9, atol=1e-12)
-        elif name != "doubts":  # every unit with its own order of positions is fitted alone
+        elif name != "findings":  # every unit with its own order of positions is fitted alone
             assert_array_equal(found[name], column[places])
 
 

@@ -100,7 +100,7 @@ def test_units_whose_rows_are_correlated_have_the_u_of_fit(options):
     found = mp.fit_many(table, unit_column="unit", station_column="station", **options)
     assert worst_difference(found, table, **options) < 1e-10
     codes = [
-        [doubt.code for doubt in mp.fit(rows_of(table, unit), **options).diagnostics.doubts]
+        [finding.code for finding in mp.fit(rows_of(table, unit), **options).diagnostics.findings]
         for unit in ("U0000", "U0001")
     ]
     assert ["time-correlated" in each for each in codes] == [False, True]

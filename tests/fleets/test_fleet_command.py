@@ -53,7 +53,7 @@ def test_the_files_have_what_they_promise(tmp_path, table, limits, capsys):
         assert rows[f"u_{parameter.name}"][place] == pytest.approx(parameter.u, rel=1e-10)
         assert rows[f"dof_{parameter.name}"][place] == parameter.dof
     assert rows["rms"][place] == pytest.approx(cal.rms, rel=1e-10)
-    assert rows["doubts"][place] == ""
+    assert rows["findings"][place] == ""
 
     with (out / "units.csv").open(encoding="utf-8") as stream:
         verdicts = {row["unit"]: row for row in csv.DictReader(stream)}
@@ -81,7 +81,9 @@ def test_without_parquet_the_table_is_csv_and_that_is_said(tmp_path, table, caps
     with (out / "calibrations.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == 30
-    assert {"unit", "station", "bias_ax", "u_bias_ax", "dof_bias_ax", "rms", "doubts"} <= {*rows[0]}
+    assert {"unit", "station", "bias_ax", "u_bias_ax", "dof_bias_ax", "rms", "findings"} <= {
+        *rows[0]
+    }
 
 
 def test_parquet_folders_and_patterns_are_read_as_the_same(tmp_path):

@@ -267,9 +267,9 @@ def test_a_claim_that_residuals_deny_is_said_unit_by_unit(low, high, options):
     found = mp.fit_many(table, **APART, **options)
     said = []
     for unit in found["unit"].tolist():
-        doubts = mp.fit(rows_of(table, unit), **options).diagnostics.doubts
-        said.append("denied-noise" in {doubt.code for doubt in doubts})
-    assert [("denied-noise" in each.split()) for each in found["doubts"]] == said
+        findings = mp.fit(rows_of(table, unit), **options).diagnostics.findings
+        said.append("denied-noise" in {finding.code for finding in findings})
+    assert [("denied-noise" in each.split()) for each in found["findings"]] == said
     assert 0 < sum(said) < len(said)
 
 
@@ -327,9 +327,9 @@ def test_what_the_positions_hardly_tell_is_said_unit_by_unit(options):
     found = mp.fit_many(table, **options, **APART)
     said = []
     for unit in found["unit"].tolist():
-        doubts = mp.fit(rows_of(table, unit), **options).diagnostics.doubts
-        said.append("no-redundancy" in {doubt.code for doubt in doubts})
-    assert [("no-redundancy" in each.split()) for each in found["doubts"]] == said
+        findings = mp.fit(rows_of(table, unit), **options).diagnostics.findings
+        said.append("no-redundancy" in {finding.code for finding in findings})
+    assert [("no-redundancy" in each.split()) for each in found["findings"]] == said
     assert 0 < sum(said) < len(said)
 
 
@@ -339,4 +339,4 @@ def test_a_line_that_is_all_in_another_unit_is_doubted(options):
     for axis in "xyz":
         table[f"a{axis}"] = 9.8 * table[f"a{axis}"]
     found = mp.fit_many(table, unit="g", **APART, **options)
-    assert [doubts.split()[0] for doubts in found["doubts"]] == ["unit"] * 5
+    assert [findings.split()[0] for findings in found["findings"]] == ["unit"] * 5

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from log_bench import columns_of, sensor, shared, write_csv
 
 import multipos as mp
@@ -100,7 +101,7 @@ def test_other_columns_are_averaged_along(tmp_path, capsys):
     ]
     path.write_text("\n".join([f"{text[0]},status", *rows]) + "\n")
     out = tmp_path / "readings.csv"
-    assert main(["average", str(path), "--outputs", "ax,ay,az", "-o", str(out)]) == 0
+    assert main(["average", str(path), "--outputs", "ax,ay,az", "-v", "-o", str(out)]) == 0
     assert "column 'status' holds text and is not used" in capsys.readouterr().err
     readings = mp.read_readings(out)
     assert readings.outputs == ("ax", "ay", "az")  # wx has no sd_… and is no output
@@ -154,7 +155,7 @@ def test_sections_of_the_real_session():
         np.testing.assert_allclose(
             rest.found.mean, samples[slice(*rest.rows)].mean(axis=0), rtol=1e-12
         )
-    moving = [rest.position for rest in known.rests if any("motion" in n for n in rest.notes)]
+    moving = [rest.position for rest in known.rests if any("motion" in n for n in texts(rest))]
     assert moving == ["x_rot", "y_rot", "z_rot"]
     found = average(path, outputs=FERRARIS, rate=102.4, scheme="faces-6")
     order = ["x_p", "x_a", "y_p", "y_a", "z_p", "z_a"]
@@ -284,7 +285,7 @@ def test_readings_of_a_matched_log_need_no_scheme(log, tmp_path, capsys):
 def test_twins_are_named(log):
     twice = {name: np.concatenate([c, c[:400]]) for name, c in log.items() if name != "time"}
     found = average(twice, rate=100.0)
-    assert any("nearly the same position" in text and "1 and 7" in text for text in found.warnings)
+    assert any("nearly the same position" in text and "1 and 7" in text for text in texts(found))
 
 
 def test_drift_motion_and_gaps_are_named(log):
@@ -292,11 +293,11 @@ def test_drift_motion_and_gaps_are_named(log):
     changed["ax"][600:1000] += np.linspace(0.0, 5e-3, 400)
     changed["time"][1500:] += 0.5
     found = average(changed)
-    assert any("'ax' drifts by" in note for note in found.rests[1].notes)
-    assert any("a gap in the time" in note for note in found.rests[2].notes)
+    assert any("'ax' drifts by" in note for note in texts(found.rests[1]))
+    assert any("a gap in the time" in note for note in texts(found.rests[2]))
     moved = average(log, sections={"a": {"start": 0, "end": 400}, "b": {"start": 300, "end": 700}})
-    assert any("in motion during" in note for note in moved.rests[1].notes)
-    assert moved.rests[0].notes == ()
+    assert any("in motion during" in note for note in texts(moved.rests[1]))
+    assert texts(moved.rests[0]) == ()
 
 
 def a_rest(**changes):
@@ -337,21 +338,23 @@ def test_faults_of_a_rest_begin_where_they_are_said_to(below, above, said):
     for changes, notes in ((below, []), (above, [said])):
         rests = [a_rest(**changes), a_rest(mean=-0.5), a_rest(mean=0.0)]
         faults, twins = find_faults(("a",), rests, np.array([1e-6]), [0] * 3, [None] * 3, "123")
-        assert faults == [notes, [], []]
+        assert [[each.text for each in one] for one in faults] == [notes, [], []]
         assert twins == []
 
 
 def test_sections_that_are_all_in_motion_have_no_twins():
     rests = [a_rest(mean=0.5), a_rest(mean=0.5)]
     faults, twins = find_faults(("a",), rests, np.array([1e-6]), [0] * 2, [0.5, 0.5], "12")
-    assert faults == [["in motion during 50 % of the time"]] * 2
+    assert [[each.text for each in one] for one in faults] == [
+        ["in motion during 50 % of the time"]
+    ] * 2
     assert twins == []
 
 
 def test_motion_of_a_section_and_twins_begin_where_they_are_said_to():
     rests = [a_rest(mean=0.5), a_rest(mean=-0.5), a_rest(mean=0.0), a_rest(mean=0.0)]
     still = find_faults(("a",), rests, np.array([1e-6]), [0] * 4, [0.09, 0.11, 0.0, 0.0], "1234")
-    assert still[0][:2] == [
+    assert [[each.text for each in one] for one in still[0][:2]] == [
         ["motion at its edges; give fewer rows"],
         ["in motion during 11 % of the time"],
     ]
@@ -367,7 +370,7 @@ def test_a_gap_is_more_than_three_steps_of_the_time(log):
         time = log["time"].copy()
         time[1500:] += more  # beside the usual step of 0.01 s
         found = average(log | {"time": time})
-        assert [text for text in found.rests[2].notes if "gap" in text] == notes
+        assert [text for text in texts(found.rests[2]) if "gap" in text] == notes
 
 
 def test_units_are_told_by_the_semi_axes_of_what_was_seen():
@@ -379,7 +382,7 @@ def test_units_are_told_by_the_semi_axes_of_what_was_seen():
         np.testing.assert_allclose(_semi_axes(means), [1.0, 1.0, axis], rtol=1e-9)
         said = compare_scales(("a", "b", "c"), means)
         assert (said is None) == (axis < 3.0)
-        assert said is None or re.match(r"1 g moves 'c' 3\.1 times as far as '[ab]'", said)
+        assert said is None or re.match(r"1 g moves 'c' 3\.1 times as far as '[ab]'", said.text)
 
 
 # --- bad input: clear words, nothing written
@@ -585,7 +588,7 @@ def test_two_outputs_are_matched_in_order(log, tmp_path, capsys):
     found = average(path, scheme="faces-6")
     assert [rest.position for rest in found.rests] == list("123456")
     assert max(rest.distance_deg for rest in found.rests) < 3.0
-    assert not any("nearly the same" in text for text in found.warnings)  # ±z read the same
+    assert not any("nearly the same" in text for text in texts(found))  # ±z read the same
     _, error = failing(capsys, "average", path, "--scheme", "corners-8")
     assert "6 rests were found and scheme 'corners-8' has 8 positions" in error
     _, error = failing(capsys, "average", path, "--scheme", "roll-y-6")
@@ -614,7 +617,7 @@ def test_a_log_of_rolls_is_matched_by_two_outputs():
     scheme = mp.read_scheme("dual-axis-48")
     assert [rest.position for rest in found.rests] == list(scheme.labels)
     np.testing.assert_array_equal(found.scheme_up, scheme.up)
-    assert not any("nearly the same" in text for text in found.warnings)
+    assert not any("nearly the same" in text for text in texts(found))
 
 
 # --- length

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from log_bench import columns_of, sensor
 
 import multipos as mp
@@ -44,7 +45,7 @@ def test_an_extreme_is_compared_with_what_stands_beside_it(counts, saturated):
 def test_a_few_codes_are_not_saturated(log):
     """Noise of 1.6 counts: six codes in a rest, each of them many times, the extreme too."""
     found = mp.average(in_counts(log, 320.0))
-    assert found.warnings == ()
+    assert texts(found) == ()
     assert len(found.rests) == 14
 
 
@@ -58,7 +59,7 @@ def test_half_of_the_noise_cut_off_is_saturated(per_g, log):
         mp.average(cut)
     found = mp.average(cut, accept_faults=True)
     assert len(found.rests) == 14
-    assert any("'az' is saturated" in text for text in found.warnings)
+    assert any("'az' is saturated" in text for text in texts(found))
 
 
 # --- wrap-around
@@ -78,9 +79,9 @@ def test_numbers_that_wrap_around_are_named(offset, log):
     with pytest.raises(mp.MultiposError, match=r"across all of 16 bits, from .* first at row \d+;"):
         mp.average(wrapped)
     row = int(np.argmax(np.abs(np.diff(wrapped["ax"])) > 60000)) + 1
-    said = mp.average(wrapped, accept_faults=True).warnings
+    said = texts(mp.average(wrapped, accept_faults=True))
     assert any("'ax' wraps around: " in t and t.endswith(f"first at row {row}") for t in said)
-    assert not any("wraps" in text for text in mp.average(in_counts(log, 25000.0)).warnings)
+    assert not any("wraps" in text for text in texts(mp.average(in_counts(log, 25000.0))))
 
 
 # --- units
@@ -113,7 +114,7 @@ def test_factors_between_units(ratio, units):
 def test_motion_and_a_large_bias_are_no_second_unit(log):
     for bias in (0.5, 3.0, 30.0):
         shifted = {n: c + (bias if n != "time" else 0.0) for n, c in log.items()}
-        assert not any("two units" in text for text in mp.average(shifted).warnings)
+        assert not any("two units" in text for text in texts(mp.average(shifted)))
     survey, windows = Survey(3, Grid(4, 64)), Windows(4)
     rng = np.random.default_rng(0)
     samples = rng.normal(size=(3, 4000)) * np.repeat([1.0, 9.8], 2000)  # motion, without gravity
@@ -133,4 +134,4 @@ def test_sizes_are_of_windows_without_samples_in_common():
 def test_a_sensor_of_any_unit_is_fine():
     for size in (1e-3, 1.0, 9.8, 1e3, 2.0**14):
         log = {n: c * (size if n != "time" else 1.0) for n, c in columns_of(sensor()).items()}
-        assert mp.average(log).warnings == ()
+        assert texts(mp.average(log)) == ()

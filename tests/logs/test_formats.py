@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from log_bench import columns_of
 from log_files import (
     archive,
@@ -135,7 +136,7 @@ def test_excel(preamble, log, tmp_path, capsys):
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.sample_rate == pytest.approx(100.0, rel=1e-4)
     assert found.unit == "m/s^2"
-    assert bool(preamble) == any("the table begins on line" in note for note in found.notes)
+    assert bool(preamble) == any("the table begins on line" in note for note in texts(found))
 
 
 # --- autopilots
@@ -161,12 +162,12 @@ def test_px4(log, expected, tmp_path, capsys):
         np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.outputs == ("accel_x", "accel_y", "accel_z")
     assert found.readings.environment["temperature"][0] == 24.5
-    assert found.notes[0] == "taken from sensor_accel, instance 0 of 2"
+    assert texts(found)[0] == "taken from sensor_accel, instance 0 of 2"
     assert calibrates(path, tmp_path)
     alone = write_ulog(tmp_path / "combined.ulg", topics[2:])
     found = mp.average(alone)
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
-    assert "sensor_combined, instance 0 of 1, which PX4 had corrected" in found.notes[0]
+    assert "sensor_combined, instance 0 of 1, which PX4 had corrected" in texts(found)[0]
     other = write_ulog(tmp_path / "other.ulg", [("vehicle_status", 0, {"timestamp": stamps[:9]})])
     with pytest.raises(mp.MultiposError, match="no sensor_accel or sensor_combined in it"):
         mp.average(other)
@@ -190,12 +191,12 @@ def test_ardupilot(log, expected, tmp_path, capsys):
     np.testing.assert_allclose(found.readings.values, expected, rtol=0.0, atol=1e-6)
     assert found.outputs == ("AccX", "AccY", "AccZ")
     assert found.sample_rate == pytest.approx(100.0)
-    assert "which were applied to it, are undone" in found.notes[0]
+    assert "which were applied to it, are undone" in texts(found)[0]
     assert calibrates(path, tmp_path)
     turned = write("turned.bin", force(log), AHRS_ORIENTATION=4.0)
-    assert mp.average(turned).notes[0].endswith("were applied to it and are not undone")
+    assert texts(mp.average(turned))[0].endswith("were applied to it and are not undone")
     plain = write("plain.bin", force(log), **dict(zip(names, [0.0] * 3 + [1.0] * 3, strict=True)))
-    assert mp.average(plain).notes[0] == "taken from IMU, the first of the log"
+    assert texts(mp.average(plain))[0] == "taken from IMU, the first of the log"
     np.testing.assert_allclose(mp.average(plain).readings.values, expected, rtol=1e-12)
 
 
@@ -210,7 +211,7 @@ def test_ros(form, log, expected, tmp_path, capsys):
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.outputs == tuple(f"linear_acceleration.{axis}" for axis in "xyz")
     assert found.rests[0].time[0] == pytest.approx(5.0)
-    assert found.notes[0] == "taken from topic /imu, of 2"
+    assert texts(found)[0] == "taken from topic /imu, of 2"
     assert calibrates(path, tmp_path)
 
 
@@ -266,7 +267,7 @@ def test_actigraph(header, log, tmp_path):
     plain = mp.average({name: log[name] / G for name in OUTPUTS}, rate=100.0)
     np.testing.assert_array_equal(found.readings.values, plain.readings.values)
     assert found.sample_rate == 100.0
-    assert found.notes[0].startswith("the table begins on line ")
+    assert texts(found)[0].startswith("the table begins on line ")
 
 
 def test_geneactiv(log, expected, tmp_path):
@@ -336,7 +337,7 @@ def test_every_extra_is_one_of_the_package():
 def test_the_found_is_in_the_json_of_any_kind(log, tmp_path, capsys):
     np.savez(tmp_path / "log.npz", **log)
     assert main(["average", str(tmp_path / "log.npz"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["found"] == []
+    assert json.loads(capsys.readouterr().out)["findings"] == []
 
 
 def test_bytes_of_an_array_are_texts(tmp_path):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from log_bench import sensor, shared
 
 import multipos as mp
@@ -73,15 +74,15 @@ def test_the_table_is_found(case, log, expected, tmp_path):
 
 def test_where_the_table_begins_is_said(log, tmp_path):
     path = written(tmp_path, "My logger\nrate 100\n\n# time,ax,ay,az\n" + rows_of(log))
-    assert mp.average(path).notes == ("the table begins on line 5, its header on line 4",)
+    assert texts(mp.average(path)) == ("the table begins on line 5, its header on line 4",)
     path = written(tmp_path, "My logger\nby hand\n" + rows_of(log))
     found = mp.average(path)
     assert found.outputs == ("2", "3", "4")
-    assert found.notes == (
+    assert texts(found) == (
         "the table begins on line 3, without a header",
         "the time is column '1', in s by its steps",
     )
-    assert mp.average(written(tmp_path, "# c\ntime,ax,ay,az\n" + rows_of(log))).notes == ()
+    assert texts(mp.average(written(tmp_path, "# c\ntime,ax,ay,az\n" + rows_of(log)))) == ()
 
 
 @pytest.mark.parametrize(
@@ -107,7 +108,7 @@ def test_a_column_without_a_name_is_not_used(log, expected, tmp_path):
     text = ",time,ax,ay,az\n" + "\n".join(f"{i},{row}" for i, row in enumerate(rows))
     found = mp.average(written(tmp_path, text))
     np.testing.assert_array_equal(found.readings.values, expected)
-    assert found.warnings == ("column 1 has no name and is not used",)
+    assert texts(found) == ("column 1 has no name and is not used",)
 
 
 def test_an_empty_column_with_a_name_is_a_column(tmp_path):
@@ -123,7 +124,7 @@ def test_units_leave_the_names(log, tmp_path):
     assert found.outputs == OUTPUTS
     assert found.readings.unit == "m/s^2"
     assert found.sample_rate == pytest.approx(100.0)
-    assert found.notes == ("the time is column 'Time', in ms by its name",)
+    assert texts(found) == ("the time is column 'Time', in ms by its name",)
     assert mp.average(path, outputs="ax (m/s²), AY", time_column="time [MS]").outputs == (
         "ax",
         "ay",
@@ -172,7 +173,7 @@ def test_the_unit_of_time_is_recognised(name, log, tmp_path):
     found = mp.average(written(tmp_path, f"{name},ax,ay,az\n{rows_of(scaled)}"))
     assert found.sample_rate == pytest.approx(100.0)
     column = name.partition(" (")[0]
-    assert found.notes == (f"the time is column '{column}', in {said}",)
+    assert texts(found) == (f"the time is column '{column}', in {said}",)
 
 
 @pytest.mark.parametrize(("power", "unit"), [(0, "s"), (3, "ms"), (6, "us"), (9, "ns")])
@@ -183,7 +184,7 @@ def test_a_time_since_1970_tells_its_unit_by_its_size(power, unit, log, tmp_path
     found = mp.average(path, min_duration=2000.0)
     assert found.sample_rate == pytest.approx(0.1)
     assert found.rests[0].time[0] == pytest.approx(1.7e9)
-    assert unit == "s" or "by its size, since 1970" in found.notes[0]
+    assert unit == "s" or "by its size, since 1970" in texts(found)[0]
 
 
 @pytest.mark.parametrize(
@@ -221,7 +222,7 @@ def test_a_bad_date_is_an_error_or_left_out(bad, log, tmp_path):
     path = written(tmp_path, f"time,ax,ay,az\n{text}\n")
     with pytest.raises(mp.MultiposError, match=r"row 701 \(line 702\), column 'time'"):
         mp.average(path)
-    assert mp.average(path, drop_bad=True).warnings == (f"1 bad row is left out of {len(rows)}",)
+    assert texts(mp.average(path, drop_bad=True)) == (f"1 bad row is left out of {len(rows)}",)
 
 
 def test_a_log_without_a_whole_row_is_refused(tmp_path):
@@ -242,13 +243,13 @@ def test_time_unit_decides(log, tmp_path):
 
 def test_an_unknown_rate_is_said_and_a_stated_one_taken(log, expected, tmp_path):
     path = written(tmp_path, "ax,ay,az\n" + rows_of(log, OUTPUTS))
-    (warning,) = [text for text in mp.average(path).warnings if "nothing tells the time" in text]
+    (warning,) = [text for text in texts(mp.average(path)) if "nothing tells the time" in text]
     assert "a rest is at least 192 samples" in warning
     path = written(tmp_path, "Device at 100 Hz\nax,ay,az\n" + rows_of(log, OUTPUTS))
     found = mp.average(path)
     assert found.sample_rate == 100.0
-    assert "the log states a sample rate of 100 Hz" in found.notes
-    assert found.warnings == ()
+    assert "the log states a sample rate of 100 Hz" in texts(found)
+    assert not any("nothing tells" in text for text in texts(found))
     assert mp.average(path, rate=50.0).sample_rate == 50.0
 
 
@@ -260,13 +261,15 @@ def test_a_last_row_that_is_cut_off_is_left_out(log, tmp_path, capsys):
     whole = mp.average(written(tmp_path, text))
     for end in ("34.0,0.1", "34.0,0.1,0.2,-", "34.0,0.1\n"):
         found = mp.average(written(tmp_path, text + end))
-        assert found.warnings[0] == f"the last row, '{end.strip()}', is cut off and left out"
+        assert texts(found)[0] == f"the last row, '{end.strip()}', is cut off and left out"
         assert found.rests[-1].rows == whole.rests[-1].rows
     for end in ("", "\n\n", "   \n", "# the end\n"):
-        assert mp.average(written(tmp_path, text + end)).warnings == ()
+        assert texts(mp.average(written(tmp_path, text + end))) == ()
     written(tmp_path, text + "34.0,0.1")
     sensor().save(tmp_path / "cal.json")
-    assert main(["apply", str(tmp_path / "cal.json"), str(tmp_path / "log.txt"), "-o", "-"]) == 0
+    assert (
+        main(["apply", str(tmp_path / "cal.json"), str(tmp_path / "log.txt"), "-o", "-", "-v"]) == 0
+    )
     out, err = capsys.readouterr()
     assert len(out.splitlines()) == len(log["time"]) + 1
     assert "is cut off and left out" in err
@@ -282,7 +285,7 @@ def test_bad_rows_are_an_error_or_left_out_and_counted(bad, log, tmp_path, capsy
         assert main(["average", str(path)]) == 1
         assert "row 700 (line 701)" in capsys.readouterr().err
     found = mp.average(path, drop_bad=True)
-    assert found.warnings == (f"1 bad row is left out of {len(log['time'])}",)
+    assert texts(found) == (f"1 bad row is left out of {len(log['time'])}",)
     rows = found.rests[1].rows
     assert rows.start < 699 < rows.end
     assert found.rests[1].found.n == rows.end - rows.start - 1
@@ -303,7 +306,7 @@ def test_a_bad_first_row_is_a_row_all_the_same(bad, log, tmp_path, capsys):
     assert main(["average", str(path)]) == 1
     assert "row 1 (line 2), column 'ax'" in capsys.readouterr().err
     found = mp.average(path, drop_bad=True)
-    assert found.warnings == (f"1 bad row is left out of {len(rows)}",)
+    assert texts(found) == (f"1 bad row is left out of {len(rows)}",)
     assert found.rests[0].rows.start == 1
 
 
@@ -338,7 +341,7 @@ def test_acceleration_is_told_by_its_name(beside, outputs, order, log, tmp_path)
     found = mp.average(written(tmp_path, ",".join(many) + "\n" + rows_of(many, tuple(many))))
     assert found.outputs == tuple(outputs.format(x=x, X=x.upper()) for x in "xyz")
     assert found.sample_rate == pytest.approx(100.0)
-    assert "by their names" in found.notes[-1]
+    assert "by their names" in texts(found)[-1]
 
 
 def test_two_accelerometers_are_not_chosen_between(log, tmp_path):
@@ -360,14 +363,14 @@ def test_gravity_tells_the_outputs_of_a_log_without_names(tmp_path):
         np.savetxt(path, np.column_stack(columns), fmt="%.6f")
         found = mp.average(path)
         assert found.outputs == tuple(outputs)
-        assert "by what they show of gravity" in found.notes[-1]
+        assert "by what they show of gravity" in texts(found)[-1]
 
 
 def test_the_real_log_needs_no_option():
     assert mp.average(shared("mpu9150_imu0.log")).outputs == ("1", "2", "3")
     session = mp.average(shared("ferraris_session.csv"))
     assert session.outputs == ("acc_x", "acc_y", "acc_z")
-    assert any("n_samples, gyr_x, gyr_y, gyr_z beside them are none" in n for n in session.notes)
+    assert any("n_samples, gyr_x, gyr_y, gyr_z beside them are none" in n for n in texts(session))
 
 
 # --- packed
@@ -389,7 +392,7 @@ def test_what_was_found_is_in_the_json(log, tmp_path, capsys):
     path = written(tmp_path, f"logger\ntimestamp,ax (g),ay (g),az (g)\n{rows_of(log)}")
     assert main(["average", str(path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["found"][0] == "the table begins on line 3, its header on line 2"
+    assert found["findings"][0]["text"] == "the table begins on line 3, its header on line 2"
     assert found["unit"] == "g"
     assert found["positions"][0]["log"] == "log.txt"
     assert found["short"] == []

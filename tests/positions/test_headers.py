@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from numpy.testing import assert_allclose
 
 import multipos as mp
@@ -59,8 +60,8 @@ def test_a_temperature_in_kelvin_is_read_in_celsius():
     plain = mp.fit(HEADED | LISTED | {"temperature (degC)": celsius}, model=model)
     assert_allclose(cold.readings.environment["temperature"], celsius, rtol=0, atol=1e-12)
     assert_allclose(cold.parameters, plain.parameters, rtol=0, atol=1e-10)
-    assert "273.15 is subtracted" in " ".join(cold.diagnostics.warnings)
-    assert "temperature-kelvin" not in {doubt.code for doubt in cold.diagnostics.doubts}
+    assert "273.15 is subtracted" in " ".join(texts(cold))
+    assert "temperature-kelvin" not in {finding.code for finding in cold.diagnostics.findings}
     with pytest.raises(MultiposError, match=r"in K, and the calibration takes degrees Celsius"):
         mp.apply(cold, HEADED | {"temperature (K)": celsius + 273.15})
 
@@ -70,11 +71,11 @@ def test_a_column_of_the_surroundings_is_no_output(name):
     values = np.linspace(290.0, 300.0, len(UP))
     found = mp.fit(HEADED | LISTED | {name: values})
     assert found.outputs == ("ax", "ay", "az")
-    assert f"'{name.partition(' ')[0]}' is in" in " ".join(found.diagnostics.warnings)
+    assert f"'{name.partition(' ')[0]}' is in" in " ".join(texts(found))
 
 
 def test_such_a_column_serves_a_model_that_names_it():
     values = np.linspace(290.0, 300.0, len(UP))
     found = mp.fit(HEADED | LISTED | {"temp (K)": values}, model="1 + x + y + z + temp")
     assert_allclose(found.readings.environment["temp"], values - 273.15)
-    assert not any("no output" in text for text in found.diagnostics.warnings)
+    assert not any("no output" in text for text in texts(found))

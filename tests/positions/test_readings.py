@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from findings_bench import texts
 from numpy.testing import assert_allclose, assert_array_equal
 
 from multipos import Readings, fit, read_readings
@@ -43,7 +44,7 @@ def test_every_column_has_its_meaning():
     assert found.group == ("g", "g", "")
     assert set(found.environment) == {"temperature", "time", "ambient_pressure", "yaw_rate"}
     assert_array_equal(found.up, [[0, 0, 1], [0, 1, 0], [1, 0, 0]])
-    assert found.notes == ()
+    assert texts(found) == ()
     assert len(found) == 3
     for array in (found.values, found.u, found.up, found.environment["time"]):
         assert not array.flags.writeable
@@ -80,12 +81,12 @@ def test_outputs_may_be_named_and_the_rest_is_said():
         found = read_readings(columns, outputs=outputs)
         assert found.outputs == ("ay",)
         assert_array_equal(found.u, [[0.1]])
-    assert found.notes == (
+    assert texts(found) == (
         "column 'ax' is not among the outputs and is not used",
         "column 'note' is not among the outputs and is not used",
         "column 'u_ax' belongs to no output and is not used",
     )
-    assert read_readings(columns).notes == ("column 'note' holds text and is not used",)
+    assert texts(read_readings(columns)) == ("column 'note' holds text and is not used",)
 
 
 def test_a_column_of_the_formula_is_no_output():
@@ -102,9 +103,9 @@ def test_a_bad_cell_hurts_only_where_it_is_used():
     columns = {"ax": [1.0, 2.0], "time": ["9:00", "9:05"], "temperature": ["", "20"]}
     found = read_readings(columns)
     assert list(found.environment) == ["temperature"]
-    assert found.notes[0].startswith("column 'time' is not used: ")
+    assert texts(found)[0].startswith("column 'time' is not used: ")
     broken = {"ax": [1.0, 2.0], "ambient_pressure": [1e200, 1.0]}
-    assert "1e+200 is no number that is measured" in read_readings(broken).notes[0]
+    assert "1e+200 is no number that is measured" in texts(read_readings(broken))[0]
     with pytest.raises(MultiposError, match="row 1, column 'time': '9:00' is not a number"):
         read_readings(columns, environment=["time"])
     with pytest.raises(MultiposError, match="row 1, column 'temperature': the cell is empty"):
@@ -230,7 +231,7 @@ def test_labels_that_match_no_position_are_named(readings, scheme, message):
 def test_a_scheme_overrules_orientation_columns_and_says_so():
     found = orient(read_readings({**UP, "ax": [1, 2, 3]}), "tumble-3")
     assert_array_equal(found.up, read_scheme("tumble-3").up)
-    assert "the orientation columns are ignored, scheme 'tumble-3' is used" in found.notes
+    assert "the orientation columns are ignored, scheme 'tumble-3' is used" in texts(found)
 
 
 def test_a_data_frame_works_wherever_a_file_does():

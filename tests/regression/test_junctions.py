@@ -19,7 +19,7 @@ def test_a_jump_is_found():
     assert (junction.edge, junction.branch) == (0.0, None)
     assert junction.jump == pytest.approx(0.5)
     assert junction.clear
-    assert "jump" in [doubt.code for doubt in r.doubts]
+    assert "jump" in [finding.code for finding in r.findings]
     assert "jump       at x = 0: up to 0.5" in str(r)
 
 
@@ -33,7 +33,7 @@ def test_u_of_a_jump_is_that_of_both_lines():
     assert junction.u == pytest.approx(np.sqrt(variance))
     assert pytest.approx(coverage_factor(0.95, 38) * junction.u) == junction.U
     assert not junction.clear
-    assert "jump" not in [doubt.code for doubt in r.doubts]
+    assert "jump" not in [finding.code for finding in r.findings]
 
 
 def test_pieces_that_meet_have_none_and_files_keep_them(tmp_path):

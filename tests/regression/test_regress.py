@@ -7,6 +7,7 @@ import nist
 import numpy as np
 import pytest
 from cli_bench import run
+from findings_bench import texts
 from nist import digits
 from numpy.testing import assert_allclose
 
@@ -122,7 +123,8 @@ def test_hald_through_the_command(hald_csv, tmp_path, capsys):
     assert segment["dof"] == [2, 10]
     assert segment["n"] == 13
     assert segment["range"] == [1, 21]
-    assert "optimistic" in err
+    assert any("optimistic" in each["text"] for each in found["findings"])
+    assert err == ""
     for entry in segment["terms"]:
         assert entry["t"] == pytest.approx(entry["value"] / entry["u"])
     F = (2715.76308 - 57.90448) / 2 / (57.90448 / 10)
@@ -166,7 +168,7 @@ def test_no_intercept_is_uncentred():
     rss = ((y - segment.values[0] * x) ** 2).sum()
     assert segment.r2 == pytest.approx(1 - rss / (y @ y), rel=1e-12)
     assert pytest.approx((y @ y - rss) / (rss / 7), rel=1e-9) == segment.F
-    assert any("no intercept" in said for said in found.warnings)
+    assert any("no intercept" in said for said in texts(found))
 
 
 def test_four_rows_by_hand():
@@ -275,7 +277,7 @@ def test_branches_where_they_differ_and_not_where_they_do_not():
     assert_allclose([s.values[0] for s in apart.segments], (0.05, -0.05), atol=0.005)
     together = mp.regress(hysteresis(0.0), response="y", variables="t", branches="t_rate")
     assert [s.branch for s in together.segments] == [None]
-    assert any("do not differ" in said for said in together.warnings)
+    assert any("do not differ" in said for said in texts(together))
 
 
 def test_branches_are_compared_by_hand():
@@ -342,14 +344,14 @@ def test_f_robust_stands_where_rows_are_correlated():
     assert segment["F_robust"] < segment["F"]
     assert segment["n_effective"] < 100
     assert segment["terms"][1]["u_robust"] > 2 * segment["terms"][1]["u"]
-    assert any("worth about" in said for said in found.warnings)
+    assert any("worth about" in said for said in texts(found))
     effective = mp.regress(columns, response="y", variables="x", robust="effective")
     assert effective.segments[0].robust.dof[1] < 100
     assert segment["F"] > effective.segments[0].robust.F
     without = {name: column for name, column in columns.items() if name != "time"}
     by_row = mp.regress(without, response="y", variables="x")
     assert by_row.segments[0].robust == found.segments[0].robust
-    assert any("in the order in which they stand" in said for said in by_row.warnings)
+    assert any("in the order in which they stand" in said for said in texts(by_row))
     named = without | {"timestamp": columns["time"]}
     assert mp.regress(named, response="y", variables="x").time == "timestamp"
     white = columns | {"y": rng.standard_normal(n)}
@@ -395,7 +397,7 @@ def test_empty_model_is_said():
     assert found.segments[0].dof == (0, 49)
     assert not found.segments[0].significant
     assert found.to_dict()["segments"][0]["F"] is None
-    assert any("mean alone" in said for said in found.warnings)
+    assert any("mean alone" in said for said in texts(found))
 
 
 def test_an_f_near_one_means_nothing():
@@ -403,7 +405,7 @@ def test_an_f_near_one_means_nothing():
     columns = {"a": a, "y": a**2}  # nothing in it is odd, so nothing follows a
     found = mp.regress(columns, response="y", variables="a")
     assert not found.segments[0].significant
-    assert any("means nothing" in said for said in found.warnings)
+    assert any("means nothing" in said for said in texts(found))
 
 
 # --- apply
@@ -592,7 +594,7 @@ def test_missing_cells_are_named_counted_and_dropped_on_request(tmp_path, capsys
     assert status == 0
     found = json.loads(out)
     assert (found["n"], found["dropped"]) == (58, 2)
-    assert "2 of 60 rows dropped" in err
+    assert any("2 of 60 rows dropped" in each["text"] for each in found["findings"])
     columns["t"][:] = np.nan
     with pytest.raises(MultiposError, match="every row has an empty cell"):
         mp.regress(columns, response="y", variables="t,v", drop_missing=True)
@@ -651,7 +653,7 @@ def test_a_regression_of_a_file_called_anything_is_read_back(tmp_path):
 
 
 def test_rows_that_are_not_apart_are_a_doubt_first_of_what_is_said(tmp_path):
-    """Rows with AR(.9) noise, no time column: their doubt is kept by the file, and by several."""
+    """Rows with AR(.9) noise, no time column: their finding is kept by the file, and by several."""
     rng = np.random.default_rng(4)
     noise = np.empty(200)
     noise[0] = rng.standard_normal()
@@ -659,22 +661,22 @@ def test_rows_that_are_not_apart_are_a_doubt_first_of_what_is_said(tmp_path):
         noise[i] = 0.9 * noise[i - 1] + rng.standard_normal()
     table = {"T": np.linspace(0.0, 50.0, 200), "y": noise, "z": noise + 1.0}
     found = mp.regress(table, response="y", variables="T")
-    doubt, switch_on = found.doubts
+    finding, switch_on = found.findings
     assert switch_on.code == "turn-on"
-    assert (doubt.code, doubt.severity) == ("time-correlated", "caution")
-    assert found.warnings[0] == doubt.text
-    assert found.warnings.count(doubt.text) == 1
+    assert (finding.code, finding.level) == ("time-correlated", "warning")
+    assert texts(found)[0] == finding.text
+    assert found.warnings.count(finding.text) == 1
     found.save(tmp_path / "reg.json")
-    assert mp.load_regression(tmp_path / "reg.json").doubts == found.doubts
+    assert mp.load_regression(tmp_path / "reg.json").findings == found.findings
     both = mp.regress(table, response="y,z", variables="T")
-    assert both.doubts[0].text == f"y: {doubt.text}"
+    assert both.findings[0].text == f"y: {finding.text}"
     white = {"T": table["T"], "y": rng.standard_normal(200)}
-    assert mp.regress(white, response="y", variables="T").doubts == (switch_on,)
+    assert mp.regress(white, response="y", variables="T").findings == (switch_on,)
 
 
-def test_as_many_terms_as_rows_is_a_doubt():
+def test_as_many_terms_as_rows_is_a_finding():
     table = {"T": [0.0, 1.0], "y": [1.0, 3.0]}
-    assert [d.code for d in mp.regress(table, response="y", variables="T").doubts] == [
+    assert [d.code for d in mp.regress(table, response="y", variables="T").findings] == [
         "no-redundancy",
         "turn-on",
     ]

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from findings_bench import texts
 
 import multipos as mp
 from multipos.numerics.quantiles import f_tail, normal_quantile
@@ -125,17 +126,17 @@ def test_what_few_rows_leave_open_is_said():
     assert segment.significant
     assert segment.robust.p > 0.05
     assert segment.robust.n_effective == n
-    assert any("cannot tell slow noise" in said for said in found.warnings)
+    assert any("cannot tell slow noise" in said for said in texts(found))
     # clusters speak for themselves, also where by them nothing is significant
     table["day"] = np.repeat(np.arange(2.0), 30)
     by_day = mp.regress(table, response="y", variables="T", cluster="day")
     assert by_day.segments[0].robust.p > 0.05
-    assert not any("cannot tell slow noise" in said for said in by_day.warnings)
-    # ten times the slope is no such doubt, and nothing is said
+    assert not any("cannot tell slow noise" in said for said in texts(by_day))
+    # ten times the slope is no such finding, and nothing is said
     clear = mp.regress(table | {"y": table["y"] + 5.0 * ramp}, response="y", variables="T")
     assert clear.segments[0].robust is None
-    assert [doubt.code for doubt in clear.doubts] == ["turn-on"]
-    assert len(clear.warnings) == 1
+    assert [finding.code for finding in clear.findings] == ["turn-on"]
+    assert len(texts(clear)) == 1
 
 
 def test_long_records_take_the_likeliest_law_alone():

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from matplotlib.figure import Figure
 
 import multipos as mp
@@ -47,7 +48,7 @@ def test_the_result_comes_before_what_the_laboratory_says(cal):
         order = ["the run as a whole: pass", "rms: ", "Offset of ax", "Administrative data"]
         places = [text.index(said) for said in order]
         assert places == sorted(places)
-        assert places[0] > text.index("Warnings")
+        assert places[0] > text.index("Findings")
     rows = {row[0]: row[1:] for row in content.result.tables[0].rows}
     assert rows["Offset of ay"][2] == "mg"
     offset = cal.intrinsic["offset"]["ay"]["value"]
@@ -64,9 +65,9 @@ def test_a_check_that_denies_u_is_a_doubt_of_the_report(cal):
     off = values(2) + np.array([0.002, 0.0, 0.0])
     found = mp.check(cal, mp.Readings(off, outputs=cal.outputs, up=UP))
     content = build_content(cal, check=found)
-    assert any("bias_ax" in text for text in content.warnings)
+    assert any("bias_ax" in text for text in texts(content))
     assert any(
-        "参数发生了变化" in text for text in build_content(cal, check=found, language="zh").warnings
+        "参数发生了变化" in text for text in texts(build_content(cal, check=found, language="zh"))
     )
 
 

@@ -8,11 +8,13 @@ from dataclasses import replace
 import browser
 import numpy as np
 import pytest
+from findings_bench import texts
 
 import multipos as mp
 from multipos import plots
 from multipos.cli import main
 from multipos.files.numbers import in_unit, markdown_text, plain_number, uncertain
+from multipos.finding import Finding
 from multipos.positions.scheme import read_scheme
 from multipos.reports.certificate import LAB_FIELDS, build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report, readable
@@ -86,7 +88,7 @@ def test_the_page_stands_alone(pages, language):
     inside = ("#", "data:,", "data:image/png;base64,")  # the colours of a map are an image
     assert all(link.startswith(inside) for link in outline.links)
     assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"|base64,[^"]*', "", page)
-    assert page.index('id="warnings"') < page.index('id="administrative"')
+    assert page.index('id="findings"') < page.index('id="administrative"')
     assert page.count("<figure tabindex") == page.count("<figcaption>") == page.count("<svg ") == 9
     assert f'lang="{"zh-Hans" if language == "zh" else "en"}"' in page
 
@@ -179,11 +181,11 @@ def test_before_of_an_unknown_orientation_is_the_error_of_the_size():
 
 def test_warnings_stand_on_top(calibration, pages):
     content = build_content(calibration)
-    assert any("position 8" in text for text in content.warnings)
+    assert any("position 8" in text for text in texts(content))
     page = pages["en"]
     assert page.index("position 8 (") < page.index("Administrative data")
     chinese = build_content(calibration, language="zh")
-    assert any("偏离其余位置的拟合" in text for text in chinese.warnings)
+    assert any("偏离其余位置的拟合" in text for text in texts(chinese))
 
 
 def test_beyond_one_g_is_marked(calibration, six):
@@ -271,7 +273,7 @@ def test_chinese_has_every_sentence(calibration, six):
     """Whatever is said in English has its Chinese, but for names, numbers and formulas."""
     for c in (calibration, six):
         english, chinese = (build_content(c, language=language) for language in ("en", "zh"))
-        pairs = list(zip(english.warnings, chinese.warnings, strict=True))
+        pairs = list(zip(texts(english), texts(chinese), strict=True))
         pairs += [(a[0], b[0]) for a, b in zip(english.fields, chinese.fields, strict=True)]
         parts = [(content.result, *content.sections) for content in (english, chinese)]
         for one, two in zip(*parts, strict=True):
@@ -624,7 +626,7 @@ def test_no_text_from_outside_acts_in_a_report(six, language):
         created=HOSTILE,
         criterion=HOSTILE,
         model=replace(six.model, unit=MARKS),
-        diagnostics=replace(six.diagnostics, warnings=(HOSTILE,), outliers=(f"# {HOSTILE}",)),
+        diagnostics=replace(six.diagnostics, findings=(Finding("hostile", "warning", HOSTILE),)),
     )
     lab = {
         "report": {"number": HOSTILE},

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from findings_bench import texts
 
 import multipos as mp
 from multipos.cli import main
@@ -72,9 +73,9 @@ def test_the_report_of_repeats_names_the_combined_one(compared, tmp_path):
 
 def test_repeats_that_disagree_are_a_warning(compared):
     content = comparison_content(plain(compared.to_dict()))
-    assert content.warnings[0] == "The runs are NOT consistent with what each claims."
+    assert texts(content)[0] == "The runs are NOT consistent with what each claims."
     alike = mp.compare([compared.calibrations[0]] * 2)
-    assert not any("NOT" in text for text in comparison_content(plain(alike.to_dict())).warnings)
+    assert not any("NOT" in text for text in texts(comparison_content(plain(alike.to_dict()))))
 
 
 def test_the_scatter_within_a_session_is_named_so(compared):
@@ -93,7 +94,7 @@ def test_the_scatter_within_a_session_is_named_so(compared):
 def english_words(content):
     """Return what of a report are two words of English, in tables and figures."""
     parts = [part for part in (content.result, *content.sections) if part is not None]
-    said = [*content.warnings]
+    said = [*texts(content)]
     for part in parts:
         for table in part.tables:
             said += [*table.header, *(cell for row in table.rows for cell in row)]

@@ -70,8 +70,8 @@ def test_doubts_come_first_and_nothing_is_markup():
     names = ("<b>x", "<b>y", "<b>z")
     cal = mp.fit(mp.Readings(up * [1.0, 0.0, 1.0] + 1e-3, outputs=names, up=up, unit="g"))
     words = seen(cal)
-    doubt = cal.diagnostics.doubts[0].text[:20]
-    assert words.index("not fit for use") < words.index(doubt) < words.index("bias_")
+    finding = cal.diagnostics.findings[0].text[:20]
+    assert words.index("not fit for use") < words.index(finding) < words.index("bias_")
     assert "<b>" not in cal._repr_html_()
     assert seen(checked()).startswith("Check")
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from numpy.testing import assert_allclose
 
 import multipos as mp
@@ -102,7 +103,7 @@ def test_zero_shift_is_seen_and_warned_of():
     cal = mp.fit(rolls(T, sd=1e-5, shift=3e-4), scheme="dual-axis-48", unit="V")
     for shift in mp.table_errors(cal).zero_shifts:
         assert abs(shift.value - 3e-4) < 4 * shift.u
-    assert sum("shifted by" in warning for warning in cal.diagnostics.warnings) == 2
+    assert sum("shifted by" in warning for warning in texts(cal)) == 2
 
 
 @pytest.mark.parametrize("scheme", ["edges-12", "all-26"])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from numpy.testing import assert_allclose
 
 import multipos as mp
@@ -65,12 +66,12 @@ def test_a_zero_that_moved_is_told_where_every_position_passes():
     moved = 7.0 * cal["bias_ax"].U
     found = mp.check(cal, run(1, moved), limit_g=0.02)
     assert found.verdict == found.run_verdict == "pass"
-    (doubt,) = found.doubts
-    assert (doubt.code, doubt.severity) == ("run-disagrees", "caution")
-    assert "moved: bias_ax +0.0" in doubt.text
-    assert found.warnings[0] == doubt.text
+    (finding,) = found.findings
+    assert (finding.code, finding.level) == ("run-disagrees", "warning")
+    assert "moved: bias_ax +0.0" in finding.text
+    assert texts(found)[0] == finding.text
     assert found.consistency.p < 0.05
-    assert mp.check(cal, run(1), limit_g=0.02).doubts == ()
+    assert mp.check(cal, run(1), limit_g=0.02).findings == ()
 
 
 def test_en_and_the_verdict_of_the_run_by_hand():
@@ -88,8 +89,8 @@ def test_en_and_the_verdict_of_the_run_by_hand():
     again = mp.Readings(off, outputs=cal.outputs, up=UP, unit="g")
     size = largest + 0.01
     for limit, verdicts in (
-        (size - 0.9 * U, ("undecided", "undecided")),
-        (size - 1.2 * U, ("fail", "undecided")),
+        (size - 0.9 * U, ("indeterminate", "indeterminate")),
+        (size - 1.2 * U, ("fail", "indeterminate")),
         (size - 1.1 * U_family, ("fail", "fail")),
     ):
         got = mp.check(cal, again, reading_sd=SD, limit_g=limit)
@@ -101,9 +102,9 @@ def test_a_run_taken_wrongly_is_named():
     values = run(1).values.copy()
     values[[2, 9]] = values[[9, 2]]
     found = mp.check(cal, mp.Readings(values, outputs=cal.outputs, up=UP, unit="g"))
-    assert found.doubts[0].code == "interchanged-rows"
-    assert found.doubts[0].text.startswith("the run: ")
-    assert found.doubts[-1].code == "run-disagrees"
+    assert found.findings[0].code == "interchanged-rows"
+    assert found.findings[0].text.startswith("the run: ")
+    assert found.findings[-1].code == "run-disagrees"
 
 
 def test_the_mounting_that_unknown_orientations_leave_free_is_no_disagreement():
@@ -138,18 +139,18 @@ def test_json_holds_and_gives_back_all_of_it(tmp_path, capsys):
     found.save(tmp_path / "check.json")
     content = json.loads((tmp_path / "check.json").read_text())
     assert set(content["consistency"]) == {"statistic", "dof", "p", "test"}
-    assert content["doubts"][0]["code"] == "run-disagrees"
+    assert content["findings"][0]["code"] == "run-disagrees"
     assert content["run_verdict"] == found.run_verdict
     assert_allclose(content["positions"][3]["En"]["y"], found.En[3, 1])
     again = mp.load_check(tmp_path / "check.json")
     assert again == found
-    for key in ("consistency", "doubts"):
+    for key in ("consistency", "findings"):
         del content[key]
     for row in content["positions"]:
         del row["En"], row["U_family"]
     (tmp_path / "old.json").write_text(json.dumps(content))
     old = mp.load_check(tmp_path / "old.json")
-    assert (old.consistency, old.doubts, old.run_verdict) == (None, (), old.verdict)
+    assert (old.consistency, old.findings, old.run_verdict) == (None, (), old.verdict)
     columns = dict(zip(cal.outputs, run(1).values.T, strict=True))
     mp.write_table(tmp_path / "run.csv", columns)
     given = ["check", str(tmp_path / "cal.json"), str(tmp_path / "run.csv")]

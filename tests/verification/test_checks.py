@@ -60,8 +60,8 @@ def test_verdict_has_the_uncertainty_as_guard_band(calibration):
     size = np.abs(worst.after)
     for limit, verdict in (
         (float((size + worst.U).max()) * 1.001, "pass"),
-        (float((size + worst.U).max()) * 0.999, "undecided"),
-        (float((size - worst.U).max()) * 1.001, "undecided"),
+        (float((size + worst.U).max()) * 0.999, "indeterminate"),
+        (float((size - worst.U).max()) * 1.001, "indeterminate"),
     ):
         if limit > 0:
             assert mp.check(calibration, columns, scheme=scheme, limit_g=limit).verdict == verdict
@@ -80,8 +80,8 @@ def test_coverage_factor_of_a_sum_by_hand():
     ("error", "U", "verdict"),
     [
         (0.6, 0.4, "pass"),
-        (-0.6, 0.41, "undecided"),
-        (-1.3, 0.3, "undecided"),
+        (-0.6, 0.41, "indeterminate"),
+        (-1.3, 0.3, "indeterminate"),
         (1.4, 0.3, "fail"),
         (math.nan, 0.1, "fail"),
     ],

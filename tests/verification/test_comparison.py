@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from findings_bench import texts
 from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
+from multipos.finding import serious
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.positions.scheme import read_scheme
 from multipos.verification.comparison import comparison_text
@@ -263,7 +265,7 @@ def test_a_noisier_run_is_warned_of():
     rng = np.random.default_rng(2)
     found = repeats(rng, 3, scheme="icosahedron-12")
     found += repeats(rng, 1, scheme="icosahedron-12", sd=30 * SD)
-    assert any("Bartlett" in text for text in mp.compare(*found).warnings)
+    assert any("Bartlett" in text for text in texts(mp.compare(*found)))
 
 
 def test_two_methods_on_the_same_readings():
@@ -324,7 +326,7 @@ def test_unequal_scatter_by_hand(ratio, said):
         )
         for factor in (1.0, math.sqrt(ratio))
     ]
-    assert any("Bartlett" in text for text in mp.compare(*found).warnings) == said
+    assert any("Bartlett" in text for text in texts(mp.compare(*found))) == said
 
 
 def test_the_same_calibration_twice():
@@ -377,7 +379,8 @@ def test_json_has_the_promised_keys(tmp_path, capsys):
 def test_few_repeats_are_said(capsys, tmp_path):
     for i, c in enumerate(repeats(np.random.default_rng(6), 2)):
         c.save(tmp_path / f"{i}.json")
-    assert main(["compare", str(tmp_path / "0.json"), str(tmp_path / "1.json")]) == 0
+    files = [str(tmp_path / "0.json"), str(tmp_path / "1.json")]
+    assert main(["compare", *files, "-v"]) == 0
     assert "calibrate at least 4 times" in capsys.readouterr().err
 
 
@@ -437,7 +440,7 @@ def run_of(zero, K, rng, scheme="faces-6"):
 
 
 def codes(found):
-    return [doubt.code for doubt in found.doubts]
+    return [finding.code for finding in serious(found.findings)]
 
 
 def test_two_units_of_a_line_are_told_from_one_that_drifts():
@@ -464,13 +467,13 @@ def test_what_differs_most_between_two_sensors_is_said_first_of_all():
     rng = np.random.default_rng(1)
     first = run_of(np.zeros(3), np.eye(3), rng)
     told = mp.compare(first, run_of(np.zeros(3), np.diag([1.0, 1.1, 1.0]), rng))
-    (doubt,) = told.doubts
-    assert (doubt.code, doubt.severity) == ("different-sensors", "caution")
-    assert "ay responds 1.099 times" in doubt.text
+    finding, _ = told.findings
+    assert (finding.code, finding.level) == ("different-sensors", "warning")
+    assert "ay responds 1.099 times" in finding.text
     assert "caution: runs 1 and 2 look like" in comparison_text(told)
-    assert comparison_text(told).count(doubt.text) == 1
-    assert told.to_dict()["doubts"] == [doubt.to_dict()]
-    assert told.warnings[0] == doubt.text
+    assert comparison_text(told).count(finding.text) == 1
+    assert told.to_dict()["findings"] == [finding.to_dict()]
+    assert texts(told)[0] == finding.text
 
 
 def test_a_run_given_twice_is_no_repeat():
@@ -479,7 +482,7 @@ def test_a_run_given_twice_is_no_repeat():
     assert codes(mp.compare(first, second)) == []
     told = mp.compare(first, second, first)
     assert codes(told) == ["repeated-runs"]
-    assert "runs 1 and 3" in told.doubts[0].text
+    assert "runs 1 and 3" in told.findings[0].text
 
 
 def test_what_makes_a_calibration_unfit_is_said_of_the_comparison(tmp_path):
@@ -487,7 +490,7 @@ def test_what_makes_a_calibration_unfit_is_said_of_the_comparison(tmp_path):
     good = run_of(np.zeros(3), np.eye(3), rng)
     told = mp.compare(good, run_of(np.zeros(3), np.diag([1.0, -1.0, 1.0]), rng))
     assert codes(told)[0] == "sign"
-    assert told.doubts[0].text.startswith("run 2: 'ay' falls")
+    assert told.findings[0].text.startswith("run 2: 'ay' falls")
     page = tmp_path / "compared.md"
     mp.report(told, page)
     assert "not fit for use" in page.read_text("utf-8")

@@ -223,7 +223,7 @@ def test_tilt_within_a_twentieth_of_a_degree_and_its_claim(monkeypatch):
     together, at every single reading, reaches less: 98.4 % of these and of 5,000 other benches, for
     at ±60° noise, zero and table are 0.016° in one standard deviation.
     """
-    # Doubts change no number, and take as long as the fit.
+    # Findings change no number, and take as long as the fit.
     monkeypatch.setattr("multipos.fitting.fit_readings.examine", lambda c: c)
     runs = 500
     before, after, systematic, together, covered, readings = [], [], [], [], 0, 0

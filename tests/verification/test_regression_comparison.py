@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from findings_bench import texts
 
 import multipos as mp
 from multipos.cli import main
@@ -55,38 +56,38 @@ def test_repeats_agree_and_a_moved_one_does_not(tmp_path, capsys):
         paths.append(str(tmp_path / f"{seed}.json"))
         fitted(seed, zero=zero).save(paths[-1])
     assert main(["compare", *paths, "--json"]) == 0
-    out, err = capsys.readouterr()
+    out, _ = capsys.readouterr()
     moved = json.loads(out)
     assert moved["consistent"] is False
     assert [entry["file"] for entry in moved["regressions"]] == paths
     assert set(moved["terms"][0]) >= {"segment", "term", "values", "sd", "p"}
-    assert "--run" in err
+    assert "--run" in moved["findings"][0]["text"]
     assert main(["compare", *paths, "-o", str(tmp_path / "terms.svg")]) == 0
     assert "do not agree" in capsys.readouterr().out
     assert "<svg" in (tmp_path / "terms.svg").read_text()
 
 
-def test_a_repeat_that_is_given_twice_is_doubted_and_repeats_keep_their_doubts():
+def test_a_repeat_that_is_given_twice_is_doubted_and_repeats_keep_their_findings():
     found = mp.compare(fitted(1), fitted(2), fitted(1))
-    assert [doubt.code for doubt in found.doubts] == ["repeated-runs"]
-    assert "runs 1 and 3" in found.doubts[0].text
-    assert str(found).startswith("caution: the coefficients of runs 1 and 3 are the same")
-    assert found.to_dict()["doubts"][0]["code"] == "repeated-runs"
-    assert mp.compare(fitted(1), fitted(2)).doubts == ()
+    assert [finding.code for finding in found.findings] == ["repeated-runs"]
+    assert "runs 1 and 3" in found.findings[0].text
+    assert found.findings[0].text.startswith("the coefficients of runs 1 and 3 are the same")
+    assert found.to_dict()["findings"][0]["code"] == "repeated-runs"
+    assert mp.compare(fitted(1), fitted(2)).findings == ()
     slow = table(5, n=200)
     slow["y"] += np.cumsum(np.random.default_rng(6).normal(0.0, 0.1, 200))
     drifting = mp.regress(slow, response="y", variables="x")
     found = mp.compare(fitted(1), drifting)
-    assert [doubt.code for doubt in found.doubts] == ["time-correlated"]
-    assert found.doubts[0].text == f"run 2: {drifting.doubts[0].text}"
-    assert found.warnings[0] == found.doubts[0].text
+    assert [finding.code for finding in found.findings] == ["time-correlated"]
+    assert found.findings[0].text == f"run 2: {drifting.findings[0].text}"
+    assert texts(found)[0] == found.findings[0].text
 
 
 def test_a_term_that_one_repeat_lacks_is_said():
     curved = table(1) | {"y": table(1)["y"] + table(1)["x"] ** 2}
     options = {"response": "y", "variables": "x", "degree": 2, "stepwise": True}
     found = mp.compare(mp.regress(curved, **options), mp.regress(table(2), **options))
-    assert "not in every repeat, and not judged: x^2" in found.warnings
+    assert "not in every repeat, and not judged: x^2" in texts(found)
     assert math.isnan(next(t.p for t in found.terms if t.term == "x^2"))
 
 

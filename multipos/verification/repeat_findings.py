@@ -1,4 +1,4 @@
-"""Doubts about repeats: two sensors taken for one, and one run taken twice.
+"""Findings about repeats: two sensors taken for one, and one run taken twice.
 
 A sensor drifts. Its zero moves by some hundredths of a g over years and its scale factors by a
 percent, but its axes, etched or glued, keep their angles to each other, and how it is mounted
@@ -20,7 +20,7 @@ from itertools import combinations
 
 import numpy as np
 
-from multipos.doubt import Doubt, implausible
+from multipos.finding import Finding, Findings, about, errors_of, serious
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
 from multipos.regression.regression import Regression
@@ -31,43 +31,41 @@ _ANGLE = math.radians(1.0)  # between outputs
 _ZERO = 0.1  # [g]
 
 
-def doubt_repeats(found: Sequence[Calibration]) -> tuple[Doubt, ...]:
-    """Return the doubts about repeats, those about the calibrations themselves first.
+def find_repeats(found: Sequence[Calibration]) -> Findings:
+    """Return the findings about repeats, those about the calibrations themselves first.
 
     Parameters
     ----------
     found : sequence of R Calibration
         Of one model, outputs and unit; told by their numbers, for files may be renamed.
     """
-    carried = _carried([implausible(c.diagnostics.doubts) for c in found])
+    carried = _carried([errors_of(c.diagnostics.findings) for c in found])
     own = (
         _repeated_run("readings", [c.readings.values for c in found]),
         _different_sensors(found),
     )
-    return (*carried, *(doubt for doubt in own if doubt is not None))
+    return (*carried, *(finding for finding in own if finding is not None))
 
 
-def doubt_repeated_regressions(runs: Sequence[Sequence[Regression]]) -> tuple[Doubt, ...]:
-    """Return the doubts about repeated regressions, those about each of them first.
+def find_repeated_regressions(runs: Sequence[Sequence[Regression]]) -> Findings:
+    """Return the findings about repeated regressions, those about each of them first.
 
-    Cautions are among these: correlated rows make u too small, by which repeats are compared.
+    Warnings are among these: correlated rows make u too small, by which repeats are compared.
 
     Parameters
     ----------
     runs : sequence of R sequences of Regression
         The responses of each repeat.
     """
-    carried = _carried([[doubt for r in run for doubt in r.doubts] for run in runs])
+    carried = _carried([serious(each for r in run for each in r.findings) for run in runs])
     repeated = _repeated_run("coefficients", [_coefficients(run) for run in runs])
     return carried if repeated is None else (*carried, repeated)
 
 
-def _carried(doubts: Sequence[Sequence[Doubt]]) -> tuple[Doubt, ...]:
-    """Return the doubts about each run, which is named before their text."""
+def _carried(findings: Sequence[Sequence[Finding]]) -> Findings:
+    """Return the findings about each run, which is named before their text."""
     return tuple(
-        Doubt(doubt.code, doubt.severity, f"run {i}: {doubt.text}", doubt.rows, doubt.outputs)
-        for i, each in enumerate(doubts, start=1)
-        for doubt in each
+        finding for i, each in enumerate(findings, start=1) for finding in about(f"run {i}", each)
     )
 
 
@@ -76,7 +74,7 @@ def _coefficients(run: Sequence[Regression]) -> Array:
     return np.array([(c.value, c.u) for segment in segments for c in segment.coefficients])
 
 
-def _repeated_run(what: str, found: Sequence[Array]) -> Doubt | None:
+def _repeated_run(what: str, found: Sequence[Array]) -> Finding | None:
     """Find runs whose readings or coefficients are those of another."""
     pairs = [
         (i, j)
@@ -86,15 +84,15 @@ def _repeated_run(what: str, found: Sequence[Array]) -> Doubt | None:
     if not pairs:
         return None
     first, second = pairs[0]
-    return Doubt(
+    return Finding(
         "repeated-runs",
-        "caution",
+        "warning",
         f"the {what} of runs {first} and {second} are the same to the last digit: a run that is "
         "given twice is no repeat, and makes runs agree that may not; leave it out",
     )
 
 
-def _different_sensors(found: Sequence[Calibration]) -> Doubt | None:
+def _different_sensors(found: Sequence[Calibration]) -> Finding | None:
     """Find the two runs that are least those of one sensor, by eq. (1)."""
     worst, said, pair = 1.0, "", (0, 0)
     for i, j in combinations(range(len(found)), 2):
@@ -103,9 +101,9 @@ def _different_sensors(found: Sequence[Calibration]) -> Doubt | None:
             worst, said, pair = by, what, (i, j)
     if not said:
         return None
-    return Doubt(
+    return Finding(
         "different-sensors",
-        "caution",
+        "warning",
         f"runs {pair[0] + 1} and {pair[1] + 1} look like two sensors and not one: {said}, which "
         "no sensor drifts; look at which unit each file is of, and at order and unit of its "
         "columns",

@@ -1,7 +1,7 @@
-"""The picture of a doubt: what two readings in each other's rows do to a fit of fourteen positions.
+"""The picture of a finding: two readings in each other's rows in a fit of fourteen positions.
 
-`python -m benchmarks.picture_doubts docs/doubts.svg` draws it, and prints the doubts before and
-after the readings are exchanged back.
+`python -m benchmarks.picture_findings docs/findings.svg` draws it, and prints the findings before
+and after the readings are exchanged back.
 """
 
 import argparse
@@ -23,7 +23,7 @@ NOISE = 1e-3  # [g]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.picture_doubts")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.picture_findings")
     parser.add_argument("picture", type=Path, metavar="PICTURE", help=".svg, .pdf or .png")
     target = parser.parse_args().picture
     warnings.simplefilter("ignore", mp.CalibrationWarning)
@@ -34,8 +34,8 @@ def main() -> None:
     wrong[list(SWAPPED)] = wrong[list(SWAPPED[::-1])]
     fits = [mp.fit(mp.Readings(values, up=up), unit="g") for values in (wrong, right)]
     for cal in fits:
-        codes = ", ".join(doubt.code for doubt in cal.diagnostics.doubts) or "none"
-        print(f"rms {1e3 * cal.rms:.1f} mg, doubts: {codes}")
+        codes = ", ".join(finding.code for finding in cal.diagnostics.findings) or "none"
+        print(f"rms {1e3 * cal.rms:.1f} mg, findings: {codes}")
     drawn = style.render(_draw(fits), target.suffix)
     target.write_bytes(on_white(drawn).encode() if isinstance(drawn, str) else drawn)
 

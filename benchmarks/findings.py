@@ -61,7 +61,7 @@ class Bench:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.doubts", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.findings", description=__doc__)
     parser.add_argument("--good", type=int, default=10000, help="good calibrations")
     parser.add_argument("--runs", type=int, default=200, help="of each absurdity")
     parser.add_argument("--seed", type=int, default=1)
@@ -81,17 +81,17 @@ def print_good(runs: int, seed: int) -> None:
         drawn += 1
         bench = good(np.random.default_rng([seed, drawn]))
         try:
-            doubts = bench.fit().diagnostics.doubts
+            findings = bench.fit().diagnostics.findings
         except mp.MultiposError:  # too few positions for the model, told as an error
             continue
         fitted += 1
-        codes = [doubt.code for doubt in doubts if doubt.severity == "implausible"]
+        codes = [finding.code for finding in findings if finding.level == "error"]
         if codes:
             implausible += 1
             print(f"draw {drawn} of seed {seed}: {', '.join(codes)}", flush=True)
-        said.update({f"{doubt.severity} {doubt.code}" for doubt in doubts})
+        said.update({f"{finding.level} {finding.code}" for finding in findings})
     print(f"{fitted} good calibrations, {implausible} called implausible\n")
-    print("| doubt | % of good calibrations |\n|---|---|")
+    print("| finding | % of good calibrations |\n|---|---|")
     for name, count in sorted(said.items()):
         print(f"| {name} | {100.0 * count / fitted:.2f} |")
     print(flush=True)
@@ -132,10 +132,10 @@ def print_absurd(runs: int, seed: int) -> None:
 def verdict(bench: Bench) -> str:
     """Return what a fit finds implausible, the first of it; nothing where it finds nothing."""
     try:
-        doubts = bench.fit().diagnostics.doubts
+        findings = bench.fit().diagnostics.findings
     except mp.MultiposError:
         return "an error"
-    return next((doubt.code for doubt in doubts if doubt.severity == "implausible"), "")
+    return next((finding.code for finding in findings if finding.level == "error"), "")
 
 
 def explanations(bench: Bench, noise: float) -> set[str]:

@@ -1,0 +1,164 @@
+"""A finding: what a result has to say about itself, and what to do about it.
+
+`error` means that nobody should use the result: no sensor gives such readings at such positions,
+or what is given contradicts itself. A `warning` is about these data: U may not hold, or something
+is to be decided. A `note` leaves nothing to decide: it is so of the method, the positions or the
+scheme, or it is in the data and already in U.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias
+
+from multipos.errors import MultiposError, warn_of
+from multipos.files.records import ANY_TEXT, P_VALUE, TEXTS, Fields, Listed, Text
+from multipos.results import Keyed
+
+NOT_FIT = "This calibration is not fit for use."
+Level = Literal["error", "warning", "note"]
+LEVELS: tuple[Level, ...] = ("error", "warning", "note")
+# Keys of a file; version 0.1 wrote doubts, and their texts among the warnings.
+FINDINGS = {
+    "findings": Listed(
+        Fields(
+            {
+                "code": ANY_TEXT,
+                "level": Text(LEVELS),
+                "text": ANY_TEXT,
+                "action": ANY_TEXT,
+                "rows": TEXTS,
+                "outputs": TEXTS,
+                "p": P_VALUE,
+            }
+        )
+    ),
+    "doubts": Listed(
+        Fields(
+            {
+                "code": ANY_TEXT,
+                "severity": Text(("implausible", "caution")),
+                "text": ANY_TEXT,
+                "rows": TEXTS,
+                "outputs": TEXTS,
+            }
+        )
+    ),
+    "warnings": TEXTS,
+}
+_OLD: dict[str, Level] = {"implausible": "error", "caution": "warning"}
+
+
+@dataclass(frozen=True, eq=False)
+class Finding(Keyed):
+    """One finding.
+
+    Attributes
+    ----------
+    code : str
+        As in `docs/findings.md`.
+    level : str
+        'error', 'warning' or 'note'.
+    text : str
+        The fact with its number, then the consequence.
+    action : str
+        What to do, in one imperative sentence; empty where nothing is.
+    rows, outputs : tuples of str
+        The positions and outputs that it is about; empty where it is about all.
+    p : float or None
+        How often chance alone does the same; None where there was no test.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> (finding,) = mp.demo().calibration.findings
+    >>> finding.code, finding.level
+    ('hidden-terms', 'note')
+    """
+
+    code: str
+    level: Level
+    text: str
+    action: str = ""
+    rows: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    p: float | None = None
+
+    def __str__(self) -> str:
+        if not self.action:
+            return self.text
+        return f"{self.text}{'' if self.text[-1] in '.?!' else '.'} {self.action}"
+
+
+Findings: TypeAlias = tuple[Finding, ...]
+
+
+def read_findings(content: Mapping[str, Any]) -> Findings:
+    """Return the findings that a file holds under the keys `FINDINGS`."""
+    if "findings" in content:
+        return tuple(
+            Finding(**{**said, "rows": tuple(said["rows"]), "outputs": tuple(said["outputs"])})
+            for said in content["findings"]
+        )
+    found = [
+        Finding(
+            said["code"],
+            _OLD[said["severity"]],
+            said["text"],
+            rows=tuple(said["rows"]),
+            outputs=tuple(said["outputs"]),
+        )
+        for said in content.get("doubts", ())
+    ]
+    known = {finding.text for finding in found}
+    texts = (text for text in content.get("warnings", ()) if text not in known)
+    return (*found, *(Finding("earlier-warning", "warning", text) for text in texts))
+
+
+def in_order(findings: Iterable[Finding]) -> Findings:
+    """Return findings, each once, the most serious first."""
+    each = {(found.code, found.text): found for found in findings}
+    return tuple(sorted(each.values(), key=lambda found: LEVELS.index(found.level)))
+
+
+def about(name: str, findings: Iterable[Finding]) -> Findings:
+    """Return findings with what they are about before their texts."""
+    return tuple(replace(found, text=f"{name}: {found.text}") for found in findings)
+
+
+def errors_of(findings: Iterable[Finding]) -> Findings:
+    """Return the findings that make a result unfit for use."""
+    return tuple(found for found in findings if found.level == "error")
+
+
+def serious(findings: Iterable[Finding]) -> Findings:
+    """Return errors and warnings."""
+    return tuple(found for found in findings if found.level != "note")
+
+
+def warn(findings: Iterable[Finding]) -> None:
+    """Raise errors and warnings as Python warnings of the line that called this package."""
+    warn_of(map(str, serious(findings)))
+
+
+def refuse_unfit(findings: Iterable[Finding], what: str) -> None:
+    """Refuse to pass on a calibration that is not fit for use.
+
+    Raises
+    ------
+    MultiposError
+        It has findings of level error; the first is named.
+    """
+    found = errors_of(findings)
+    if found:
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        raise MultiposError(
+            f"{what} is refused, as the calibration is not fit for use: {found[0].text}{more}; "
+            "or export it as it is with --force, and the file says so."
+        )
+
+
+def forced(findings: Iterable[Finding]) -> list[str]:
+    """Return what a file says that passes on a calibration in spite of its errors, as lines."""
+    found = errors_of(findings)
+    head = [f"EXPORTED WITH --force. {NOT_FIT}"] if found else []
+    return head + [f"{finding.code}: {finding.text}" for finding in found]
