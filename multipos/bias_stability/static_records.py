@@ -76,7 +76,7 @@ def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> R
         timing = timing._replace(column=log.find(timing.column))
     raw = _outputs(log, wanted, timing.column)
     with (
-        Samples(log, raw.names, timing, drop_bad=wanted.drop_bad) as samples,
+        Samples(log, raw.names, timing, drop_bad=wanted.drop_bad, as_they_are=True) as samples,
         ExitStack() as stack,
     ):
         samples.survey(None, progress)

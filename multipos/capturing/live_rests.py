@@ -26,7 +26,19 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.logs.clock import Clock, read_clock, sample_rate, time_columns
 from multipos.logs.log_columns import choose_outputs
-from multipos.logs.rests import BLOCKS, Finder, Rest, Survey, Windows, choose_grid
+from multipos.logs.rests import (
+    BLOCKS,
+    Finder,
+    Limits,
+    Rest,
+    Run,
+    Spikes,
+    Survey,
+    Windows,
+    choose_grid,
+    find_edges,
+    is_long,
+)
 from multipos.logs.samples import Timing, good_rows, small_pieces, usual_size
 from multipos.logs.still import Still, average_rests
 from multipos.logs.table import Log
@@ -59,6 +71,8 @@ class LiveRows:
     step : float [s]
     rows : int
         Good rows so far.
+    whole : int
+        Of them those in which spikes have been looked for, which are what `pieces` gives.
     gaps, bad : int
         Gaps in the time, and rows left out, so far.
     findings : tuple of Finding
@@ -68,7 +82,7 @@ class LiveRows:
         self, log: Log, head: Array, outputs: tuple[str, ...] | None, timing: Timing
     ) -> None:
         self.log = log
-        self.rows = self.gaps = self.bad = 0
+        self.rows = self.whole = self.gaps = self.bad = 0
         self._left_out: list[int] = []  # how many good rows came before each that was left out
         named = None if timing.column is None else log.find(timing.column)
         likely = time_columns(log) if timing.rate is None else []
@@ -87,6 +101,7 @@ class LiveRows:
         self._usual = usual_size(self._arranged(head))
         self._last = -np.inf
         self._store = _Store(len(names))
+        self._spikes = Spikes(len(self.outputs))
 
     def _read_clock(self, column: str, time: Array, timing: Timing) -> None:
         """Learn from the first times what their unit is, and how often rows come."""
@@ -107,7 +122,9 @@ class LiveRows:
         return data
 
     def take(self, columns: Array) -> tuple[Array, list[bool]]:
-        """Take up the numeric columns (k, n) of rows; return the outputs, and which are good.
+        """Take up the numeric columns (k, n) of rows; return outputs, and which rows are good.
+
+        The outputs are those of whole chunks in which spikes can be told, of earlier rows too.
 
         A time that runs backwards is that of a source that began anew: the row counts as a gap.
         """
@@ -125,8 +142,23 @@ class LiveRows:
             )
             self.gaps += int(((steps > _GAP * self.step) | (steps < 0.0)).sum())
             self._last = float(data[-1, -1])
+        return self._kept(self._spikes.feed(data)), good.tolist()
+
+    def finish(self) -> Array:
+        """Take up the rows that are left of a chunk; return their outputs (M, n)."""
+        return self._kept(self._spikes.finish()) if self.rows else np.empty((len(self.outputs), 0))
+
+    def _kept(self, data: Array) -> Array:
         self._store.add(np.ascontiguousarray(data))
-        return data[: len(self.outputs)], good.tolist()
+        self.whole += data.shape[1]
+        return data[: len(self.outputs)]
+
+    def read(self, stretches: list[Rest]) -> list[Array]:
+        """Return the outputs (M, n) of stretches of rows that are kept."""
+        pieces = list(self.pieces())
+        first = pieces[0][0] if pieces else 0
+        whole = np.concatenate([piece[: len(self.outputs)] for _, piece in pieces], axis=1)
+        return [whole[:, start - first : end - first] for start, end in stretches]
 
     def pieces(self) -> Iterator[tuple[int, Array]]:
         """Yield the first row and the numbers (columns, rows) of each piece that is kept."""
@@ -252,8 +284,9 @@ class LiveRests:
         self.threshold = threshold
         self.settled: list[Still] = []
         self._windows = Windows(self.grid.block)
-        self._finder = None if threshold is None else Finder(self.grid, threshold)
+        self._finder = None if threshold is None else Finder(self.grid, Limits(threshold))
         self._sizes: list[Array] = []  # of all windows, until the threshold is fixed
+        self._runs = self._last = 0  # that are settled, and the end of the last
         self._seen = self._looked = 0  # windows, and those at the last look
         self._pending: list[tuple[Array, Array, Array]] = []  # not in the survey yet
         self._provisional: Finder | None = None
@@ -261,23 +294,26 @@ class LiveRests:
 
     def feed(self, outputs: Array) -> bool:
         """Take up outputs (M, n) that the rows have taken; tell whether what is settled changed."""
-        for small in small_pieces(outputs):
-            mean, sd = self._windows.feed(small)
-            self._survey(small, mean, sd)
-            if not len(sd):
-                continue
-            self._newest = float(sd[-1])
-            self._seen += len(sd)
-            if self._finder is None:
-                self._sizes.append(sd)
-                if len(self._sizes) > _MANY:
-                    self._sizes = [np.concatenate(self._sizes)]
-            else:
-                self._finder.add(sd)
+        self._take(outputs)
         changed = self._settle() if self._finder is not None else self._look()
         if self._finder is not None:
             self._rows.forget(self._finder.open_since)
         return changed
+
+    def _take(self, outputs: Array) -> None:
+        for small in small_pieces(outputs):
+            mean, spread = self._windows.feed(small)
+            self._survey(small, mean, spread)
+            if not mean.shape[1]:
+                continue
+            self._newest = float(spread[0, -1])
+            self._seen += mean.shape[1]
+            if self._finder is None:
+                self._sizes.append(spread)
+                if len(self._sizes) > _MANY:
+                    self._sizes = [np.concatenate(self._sizes, axis=1)]
+            else:
+                self._finder.add(spread)
 
     def finish(self) -> bool:
         """Settle what is there when no more rows come; tell whether that changed anything.
@@ -288,15 +324,16 @@ class LiveRests:
             There is no rest, or nothing that shows what one is.
         """
         before = len(self.settled)
+        self._take(self._rows.finish())
         self._survey_pending()
         if self._finder is None:
-            self._fix(self.survey.threshold())
+            self._fix(self.survey.limits())
         assert self._finder is not None
-        self._append(self._finder.rests(self._rows.rows))
+        self._append(self._finder.runs())
         if not self.settled:
             raise MultiposError(
                 f"{self._rows.log.source}: no rest of {self.grid.shortest} samples in "
-                f"{self._rows.rows} rows at threshold {self._finder.threshold:.3g}; hold the "
+                f"{self._rows.rows} rows at threshold {self._finder.limits.size:.3g}; hold the "
                 "sensor still for longer, or lower --min-duration."
             )
         return len(self.settled) > before
@@ -305,7 +342,7 @@ class LiveRests:
     def limit(self) -> float | None:
         """The threshold, or what it would be by now."""
         if self._provisional is not None:
-            return self._provisional.threshold
+            return self._provisional.limits.size
         return self.threshold
 
     def motion(self) -> Motion:
@@ -324,21 +361,20 @@ class LiveRests:
         since = None if finder is None else finder.still_since
         if since is None or self.motion().samples_left:
             return None
-        return self._average([Rest(since, self._rows.rows)])[0]
+        return self._average([Rest(since, self._rows.whole)])[0]
 
-    def _survey(self, samples: Array, mean: Array, sd: Array) -> None:
+    def _survey(self, samples: Array, mean: Array, spread: Array) -> None:
         """Add to the survey, in pieces that show the steps between samples."""
-        self._pending.append((samples, mean, sd))
+        self._pending.append((samples, mean, spread))
         waiting = sum(piece[0].shape[1] for piece in self._pending)
         if waiting >= (_PIECE if self.survey.rows else _FIRST_PIECE):
             self._survey_pending()
 
     def _survey_pending(self) -> None:
         if self._pending:
-            samples, mean, sd = zip(*self._pending, strict=True)
+            pieces = [np.concatenate(each, axis=1) for each in zip(*self._pending, strict=True)]
             self._pending = []
-            joined = np.concatenate(samples, axis=1), np.concatenate(mean, axis=1)
-            self.survey.add(*joined, np.concatenate(sd))
+            self.survey.add(*pieces)
 
     def _settle(self) -> bool:
         assert self._finder is not None
@@ -346,15 +382,27 @@ class LiveRests:
         self._append(self._finder.settled())
         return len(self.settled) > before
 
-    def _append(self, found: list[Rest]) -> None:
-        new = found[len(self.settled) :]
-        if new:
-            self.settled += self._average(new)
+    def _append(self, runs: list[Run]) -> None:
+        """Add the rests of runs, of which the first are settled already."""
+        assert self._finder is not None
+        new = runs[self._runs :]
+        if not new:
+            return
+        self._survey_pending()
+        edges = self._edges(new, self._finder.limits)
+        self._runs, self._last = len(runs), edges[-1].end
+        self.settled += self._average([each for each in edges if self._is_long(each)])
+
+    def _edges(self, runs: list[Run], limits: Limits) -> list[Rest]:
+        rows = self._rows
+        return find_edges(runs, rows.whole, self.grid, limits, rows.read, self._last)
+
+    def _is_long(self, rest: Rest) -> bool:
+        return is_long(rest, self.grid.shortest, self.grid)
 
     def _average(self, found: list[Rest]) -> list[Still]:
         pairs = [("", rest) for rest in found]
-        limit = self.threshold if self.threshold is not None else np.inf
-        return average_rests(self._rows, pairs, self.grid, self.survey, limit)
+        return average_rests(self._rows, pairs, self.grid, self.survey, None)
 
     def _look(self) -> bool:
         """Find provisional rests; fix the threshold when there are enough of them."""
@@ -362,26 +410,26 @@ class LiveRests:
             return False
         self._looked = self._seen
         try:
-            threshold = self.survey.threshold()
+            limits = self.survey.limits()
         except MultiposError:  # nothing like a rest yet
             return False
-        finder = Finder(self.grid, threshold)
-        finder.add(np.concatenate(self._sizes))
+        finder = Finder(self.grid, limits)
+        finder.add(np.concatenate(self._sizes, axis=1))
         self._provisional = finder
-        found = finder.settled()
+        found = list(filter(self._is_long, self._edges(finder.settled(), limits)))
         if len(found) >= _ENOUGH:
-            self._fix(threshold)
+            self._fix(limits)
             return True
         if [self._rows.in_log(rest) for rest in found] == [each.rows for each in self.settled]:
             return False
         self.settled = self._average(found)
         return True
 
-    def _fix(self, threshold: float) -> None:
-        self.threshold = threshold
-        self._finder = Finder(self.grid, threshold)
+    def _fix(self, limits: Limits) -> None:
+        self.threshold = limits.size
+        self._finder = Finder(self.grid, limits)
         if self._sizes:
-            self._finder.add(np.concatenate(self._sizes))
+            self._finder.add(np.concatenate(self._sizes, axis=1))
         self._sizes = []
         self._provisional = None
         self.settled = []

@@ -384,6 +384,7 @@ class Session:
             outputs=rows.outputs,
             rests=tuple(rests.settled),
             short=(),
+            shortest=rests.grid.shortest,
             survey=rests.survey,
             clock=rows.clock,
             rate=rows.rate,

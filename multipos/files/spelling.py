@@ -87,8 +87,13 @@ def require_columns(names: Sequence[str], columns: Collection[str], where: str) 
 
 def quoted(names: Iterable[object]) -> str:
     """Return the first dozen names in quotes, separated by commas."""
-    texts = [f"'{name}'" for name in names]
-    return ", ".join(texts[:12]) + (f" and {len(texts) - 12} more" if len(texts) > 12 else "")
+    return listed([f"'{name}'" for name in names], 12)
+
+
+def listed(texts: Sequence[str], most: int = 4) -> str:
+    """Return the first texts, separated by commas, and how many more there are."""
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return ", ".join(texts[:most]) + more
 
 
 # Marks that turn the direction of the text after them, so that it reads as what it is not.

@@ -64,7 +64,8 @@ def average(
     rate : float, optional [Hz]
         Sample rate, where no column tells the time.
     min_duration : float, optional [s]
-        Shortest rest; two seconds, or 192 samples where the rate is not known.
+        Shortest rest; two seconds (192 samples where the rate is not known), or less where
+        the rests of the log are shorter.
     threshold : float, optional
         Standard deviation of a window above which it moves; learnt from the log otherwise.
     sections : path or mapping, optional

@@ -1,15 +1,20 @@
 """When the samples of a log were taken: the column that tells it, its unit, and the sample rate.
 
 A time is in the unit that its header or its name tells, ``Time (s)``, ``timestamp_us``,
-``seconds_elapsed``; else a number since 1970 tells by its size, and any other by its steps: below
-2 they are seconds, below 125 milliseconds, below 125,000 microseconds, since hardly a sensor is
-sampled less than eight times a second. ``--time-unit`` decides otherwise.
+``seconds_elapsed``; else by its steps: below 2 they are seconds, below 125 milliseconds, below
+125,000 microseconds, since hardly a sensor is sampled less than eight times a second. A number that
+in one of the units is a day of this century, with steps below two seconds, or a minute
+from 2015 to 2060, is since 1970; a counter since power was switched on is not, but for weeks of µs.
+``--time-unit`` decides otherwise.
+A column that goes up by ones counts rows and tells no time.
 
-Dates in the cells of a log.
+Counters that wrap around, after 16, 24, 31 or 32 bits, and clocks that pass midnight go on.
+
+Dates, and times of a day, in the cells of a log.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -33,6 +38,7 @@ _NAMES = [
         "time",
         "t",
         r"(time|timestamp|t)[ _](s|sec|ms|us|ns)|time(s|ms|us|ns)|timestamp(ms|us|ns)",
+        "(ms|us|ns)time",
         "seconds[ _]elapsed|elapsed([ _]time)?|time[ _]elapsed",
         "timestamp|time[ _]stamp|__time",
         "sampletimefine",
@@ -41,9 +47,14 @@ _NAMES = [
         "time[ _].*|.*[ _]time|.*timestamp.*",
     )
 ]
-_SINCE_1970 = 1e8  # seconds, in 1973: no log begins so late by its own clock
-_LAST = 1e11  # seconds, in 5138
+# Seconds from 1970 to 2000 and 2100, and to 2015 and 2060, and the largest steps of such times.
+_SINCE_1970 = ((946_684_800.0, 4_102_444_800.0, 2.0), (1_420_070_400.0, 2_840_140_800.0, 60.0))
+_DAY = 86400.0  # [s]
+# Where counters wrap around; the last two are of a 32-bit counter of µs that is shown in ms and s.
+_WRAPS = (2.0**16, 2.0**24, 2.0**31, 2.0**32, 2.0**32 / 1e3, 2.0**32 / 1e6)
+_AHEAD = 100.0  # usual steps that a counter may have gone on by when it wraps
 # The largest steps of each unit: of seconds a log may have one a row, of the others eight a second.
+_FEW = 50  # rows, of which some may go up by ones by chance
 _STEPS = {"s": 2.0, "ms": 125.0, "us": 125e3, "ns": np.inf}
 
 
@@ -94,12 +105,60 @@ def read_clock(log: Log, column: str, time: Array, given: TimeUnit | None) -> Cl
     unit = log.units.get(column) or _named_unit(column)
     if unit in _SECONDS:
         return Clock(column, unit, _SECONDS[unit], "its name")
-    first = abs(float(time[0])) if len(time) else 0.0
+    first, step = abs(float(time[0])) if len(time) else 0.0, usual_step(time)
     for unit in TIME_UNITS:
-        if _SINCE_1970 <= first * _SECONDS[unit] < _LAST and first >= _SINCE_1970:
-            return Clock(column, unit, _SECONDS[unit], "its size, since 1970")
-    unit = _unit_of_steps(time)
+        seconds = _SECONDS[unit]
+        since, usual = first * seconds, step * seconds
+        if any(begin <= since < end and usual < most for begin, end, most in _SINCE_1970):
+            return Clock(column, unit, seconds, "its size, since 1970")
+    # a step that is no number, of a corrupt time, is refused where the sample rate is formed
+    unit = next((unit for unit, largest in _STEPS.items() if step < largest), "s")
     return Clock(column, unit, _SECONDS[unit], "its steps")
+
+
+def counts_rows(log: Log, column: str, time: Array) -> bool:
+    """Tell whether a column (n,) whose unit nothing tells goes up by ones."""
+    told = column in log.dates or column in log.units or _named_unit(column) is not None
+    return not told and len(time) > _FEW and bool((np.diff(time) == 1.0).all())
+
+
+class Unwrapped(NamedTuple):
+    """A time that wraps around, made to go on."""
+
+    time: Array
+    size: float  # after which it wraps; 0 where it does not
+    wraps: int
+
+
+def unwrap(time: Array, last: float, size: float, step: float, wraps: Sequence[float]) -> Unwrapped:
+    """Return times (n,) that go on where they wrap around.
+
+    Parameters
+    ----------
+    time : (n,) array
+    last : float
+        The one before; NaN where there is none.
+    size : float
+        After which it wraps around, if that is known, else 0.
+    step : float
+        Usual step of the time.
+    wraps : sequence of float
+        Sizes that there are.
+    """
+    steps = np.diff(time, prepend=last if np.isfinite(last) else time[:1])
+    back = np.flatnonzero(steps < 0.0)
+    for each in (size,) if size else wraps:
+        on = steps[back] + each
+        if len(back) and ((on >= 0.0) & (on <= _AHEAD * max(step, 1e-12 * each))).all():
+            laps = np.zeros(len(time))
+            laps[back] = each
+            return Unwrapped(time + np.cumsum(laps), each, len(back))
+    return Unwrapped(time, 0.0, 0)
+
+
+def wraps_of(clock: Clock) -> tuple[float, ...]:
+    """Return after how many seconds a clock may wrap around."""
+    return (_DAY,) if clock.by == "its dates" else tuple(clock.seconds * each for each in _WRAPS)
 
 
 def _named_unit(column: str) -> str | None:
@@ -108,14 +167,10 @@ def _named_unit(column: str) -> str | None:
         return "100 us"
     if name in ("millis", "micros", "nanos") or name.startswith("seconds"):
         return unit_of(name.split("_")[0].split(" ")[0])
+    if name in ("mstime", "ustime", "nstime"):
+        return name[:2]
     found = re.fullmatch(r"(?:.*[ _]|time|timestamp)([a-zµμ]+)", name)
     return unit_of(found[1]) if found else None
-
-
-def _unit_of_steps(time: Array) -> str:
-    step = usual_step(time)
-    # a step that is no number, of a corrupt time, is refused where the sample rate is formed
-    return next((unit for unit, largest in _STEPS.items() if step < largest), "s")
 
 
 def usual_step(time: Array) -> float:
@@ -148,21 +203,43 @@ def sample_rate(source: str, column: str, time: Array) -> float:
     return 1.0 / usual
 
 
+_HOURS = 2  # characters in front of the first colon, of a time without a date
 _ZONE = re.compile(r"[ \t]*(?:Z|UTC|(?<=\d)[+-]\d\d:?\d\d)?$", re.MULTILINE)
-_MILLISECONDS = re.compile(r":(\d{3})$", re.MULTILINE)  # behind a colon, as a wearable writes them
+_MILLISECONDS = re.compile(r"(:\d\d):(\d{3})$", re.MULTILINE)  # as a wearable writes them
+_MONTH_FIRST = re.compile(r"^(\d\d?)-(\d\d?)-(\d{4})[T ]", re.MULTILINE)
+_DAY_FIRST = re.compile(r"^(\d\d?)\.(\d\d?)\.(\d{4})[T ]", re.MULTILINE)
 
 
 def read_dates(dates: Sequence[str]) -> Array:
-    """Return dates as seconds since 1970, NaN where a cell is none; zones are not looked at."""
-    told = [cell if DATE.fullmatch(cell) else "NaT" for cell in dates]
-    plain = _ZONE.sub("", "\n".join(told).replace(",", ".").replace("/", "-"))
-    plain = _MILLISECONDS.sub(r".\1", plain)
+    """Return dates as seconds since 1970, NaN where a cell is none; zones are not looked at.
+
+    Of times without a date the seconds since midnight; of 11/21/2026 the month comes first, of
+    21.11.2026 the day.
+    """
+    dated = [len(cell.partition(":")[0]) > _HOURS for cell in dates]
+    told = [
+        cell if DATE.fullmatch(cell) and has_date == any(dated) else "NaT"
+        for cell, has_date in zip(dates, dated, strict=True)
+    ]
+    plain = _ZONE.sub("", "\n".join(told))
+    plain = _DAY_FIRST.sub(_turned(3, 2, 1), plain)
+    plain = plain.replace(",", ".").replace("/", "-")
+    plain = _MONTH_FIRST.sub(_turned(3, 1, 2), plain)
+    plain = _MILLISECONDS.sub(r"\1.\2", plain)
+    plain = re.sub(r"^(\d):", r"0\1:", plain, flags=re.MULTILINE)
+    plain = re.sub(r"^(?=\d\d:)", "1970-01-01 ", plain, flags=re.MULTILINE)
     try:
         times = np.array(plain.split("\n"), dtype="datetime64[ns]")
     except ValueError:
         times = np.array([_date(each) for each in plain.split("\n")], dtype="datetime64[ns]")
     seconds = times.astype(np.int64) * 1e-9
     return np.where(np.isnat(times), np.nan, seconds)
+
+
+def _turned(*groups: int) -> Callable[[re.Match[str]], str]:
+    """Return what writes year, month and day that stand in these groups."""
+    year, month, day = groups
+    return lambda found: f"{found[year]}-{int(found[month]):02}-{int(found[day]):02} "
 
 
 def _date(cell: str) -> np.datetime64:

@@ -20,6 +20,7 @@ _BESIDE = 3  # values beside an extreme whose counts are compared with its own
 _HEAP = 1.5  # times as many samples as at the values beside it
 _NOISY = 1.5  # steps of resolution: with less noise many samples share one value anyway
 _STUCK = 20  # equal samples in a row
+_MOSTLY = 0.5  # of a rest: so many equal samples in a row are no chance
 _UNITS = 3.0  # times the scale factor of another output: no pair of one unit differs so much
 _SPREAD = 50.0  # condition of the ellipsoid: worse where the positions do not span the sphere
 _FEW = 30.0  # independent samples, below which u is itself uncertain
@@ -69,15 +70,17 @@ def find_stuck(
     usual = median([each.sd for each in found], axis=0)
     said = []
     for each, survey in zip(found, surveys, strict=True):
-        constant = (each.sd == 0.0) & (usual > 0.5 * np.nan_to_num(survey.resolution))
-        extreme = (each.low == survey.lowest) | (each.low == survey.highest)
+        noisy = usual > 0.5 * np.nan_to_num(survey.resolution)
+        constant = (each.longest >= _MOSTLY * each.n) & noisy
+        value = np.where(each.at_low >= each.at_high, each.low, each.high)
+        extreme = (value == survey.lowest) | (value == survey.highest)
         said.append(
             [
                 at_one_value(
                     outputs[j],
                     "saturated" if extreme[j] else "stuck",
-                    float(each.low[j]),
-                    each.n,
+                    float(value[j]),
+                    int(each.longest[j]),
                     each.n,
                 )
                 for j in np.flatnonzero(constant).tolist()
@@ -248,14 +251,17 @@ def find_wrapped(samples: Samples, survey: Survey) -> list[Finding]:
 
     A sample beyond the largest number comes out as the smallest.
     """
-    bits = [_bits(survey, j) for j in range(len(samples.outputs))]
+    ends = np.array([survey.lowest, survey.highest])
+    for _, j, value in samples.spikes.found:  # which jumps may have been taken for
+        ends[:, j] = min(ends[0, j], value), max(ends[1, j], value)
+    bits = [_bits(*ends[:, j], survey.resolution[j]) for j in range(len(samples.outputs))]
     if not any(bits):
         return []
     across = [_ACROSS * 2.0**each if each else np.inf for each in bits]
     jumps = np.zeros(len(bits), dtype=np.int64)
     first = np.full(len(bits), -1)
-    for begin, piece in samples.pieces():
-        steps = np.abs(np.diff(piece[: len(bits)], axis=1)) > np.array(across)[:, None]
+    for begin, outputs in samples.raw_outputs():
+        steps = np.abs(np.diff(outputs, axis=1)) > np.array(across)[:, None]
         for j in np.flatnonzero(steps.any(axis=1) & (first < 0)).tolist():
             first[j] = begin + int(np.argmax(steps[j])) + 1
         jumps += steps.sum(axis=1)
@@ -264,8 +270,7 @@ def find_wrapped(samples: Samples, survey: Survey) -> list[Finding]:
             "wrapped",
             "warning",
             f"output '{output}' wraps around: {jumps[j]} times it jumps across all of {bits[j]} "
-            f"bits, from {survey.lowest[j]:.10g} to {survey.highest[j]:.10g}, first at row "
-            f"{first[j]}",
+            f"bits, from {ends[0, j]:.10g} to {ends[1, j]:.10g}, first at row {first[j]}",
             outputs=(output,),
         )
         for j, output in enumerate(samples.outputs)
@@ -273,9 +278,8 @@ def find_wrapped(samples: Samples, survey: Survey) -> list[Finding]:
     ]
 
 
-def _bits(survey: Survey, j: int) -> int:
-    """Return how many bits an output fills, 0 where it does not."""
-    low, high, step = survey.lowest[j], survey.highest[j], survey.resolution[j]
+def _bits(low: float, high: float, step: float) -> int:
+    """Return how many bits an output between two ends fills, 0 where it does not."""
     if not float(low).is_integer() or not float(high).is_integer() or not step >= 1.0:
         return 0
     for bits in _BITS:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.spelling import listed
 from multipos.finding import Finding, Findings, about, in_order
 from multipos.logs.averages import Averages, RestAverage
 from multipos.logs.common_noise import settle_together
@@ -33,7 +34,7 @@ from multipos.logs.faults import (
     find_stuck,
 )
 from multipos.logs.rests import Rest
-from multipos.logs.still import Still, StillLog
+from multipos.logs.still import Still, StillLog, found_so_far, would_take
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention
 from multipos.positions.headers import named_axes
@@ -216,9 +217,6 @@ def _spread_over(rows: list[int], scheme: Scheme) -> list[int]:
     return result
 
 
-_SHOWN = 4  # short stretches that are listed in words
-
-
 class Chosen(NamedTuple):
     """A rest, what it is called, and the log it is in."""
 
@@ -258,7 +256,8 @@ def require_several(found: StillLog) -> None:
             f"{found.log.source}: one rest only, rows {rows.start} to {rows.end} of "
             f"{found.survey.rows}, at threshold {found.threshold:.3g}; a calibration needs several "
             "positions: record them in one log, give a log for each, lower --threshold, or give "
-            f"--sections{_would_take(found)}."
+            f"--sections{would_take(found.short, found.shortest, found.rate)}"
+            f"{found_so_far([each for each in found.findings if each.level == 'note'])}."
         )
 
 
@@ -456,28 +455,12 @@ def _unit(logs: Sequence[StillLog]) -> str | None:
     return next((unit for unit in units if unit), None)
 
 
-def _would_take(found: StillLog) -> str:
-    """Return what would take in the stretches that are too short, '' where there are none."""
-    if not found.short:
-        return ""
-    many = "stretch" if len(found.short) == 1 else "stretches"
-    samples = found.survey.grid.shortest
-    shortest = min(rest.end - rest.start for rest in found.short)
-    if found.rate is None:
-        long = f"{samples} samples; --rate HZ --min-duration S takes them in"
-    else:
-        seconds = np.floor(100.0 * shortest / found.rate) / 100.0
-        long = f"{samples / found.rate:.3g} s; --min-duration {seconds:.3g} takes them in"
-    return f"; {len(found.short)} more {many} stood still for less than {long}"
-
-
 def _find_short(found: StillLog) -> Findings:
     if not found.short:
         return ()
-    rows = [f"rows {rest.start} to {rest.end}" for rest in found.short[:_SHOWN]]
-    more = f" and {len(found.short) - _SHOWN} more" if len(found.short) > _SHOWN else ""
-    text = f"{_would_take(found).removeprefix('; ')}: {', '.join(rows)}{more}"
-    return (Finding("short-rests", "note", text),)
+    rows = listed([f"rows {rest.start} to {rest.end}" for rest in found.short])
+    said = would_take(found.short, found.shortest, found.rate)
+    return (Finding("short-rests", "note", f"{said.removeprefix('; ')}: {rows}"),)
 
 
 def _name(log: StillLog) -> str:

@@ -30,7 +30,8 @@ _RATE = re.compile(
     re.IGNORECASE,
 )
 DATE = re.compile(
-    r"\d{4}[-/]\d\d[-/]\d\d[T ]\d\d:\d\d(:\d\d([.,:]\d+)?)?\s*(Z|UTC|[+-]\d\d:?\d\d)?"
+    r"((\d{4}[-/]\d\d[-/]\d\d|\d\d?[/.]\d\d?[/.]\d{4})[T ])?"
+    r"\d\d?:\d\d(:\d\d([.,:]\d+)?)?\s*(Z|UTC|[+-]\d\d:?\d\d)?"
 )
 _UNITLESS = ("", "-", "none", "no_units", "n/a")
 _KNOWN = re.compile(r"(time.*|t|.*acc.*|[a-z_. ]*[xyz])", re.IGNORECASE)

@@ -1,45 +1,71 @@
 """Where a log stands still: the rests between the motions.
 
-Samples are taken in blocks, and `W` = 8 blocks make a window that slides by a block. The standard
-deviation of a window, the largest of all outputs,
+A single sample, or two, far from the fifteen around it, is a spike and takes their median. Samples
+are then taken in blocks, and `W` = 8 blocks make a window of half a second that slides by a block.
+The standard deviation of a window, and that of the means of its blocks, the largest of all outputs,
 
     s = max_j sqrt( sum_i (y_ij - mean_j)² / (8 B - 1) ),                                   (1)
+    v = max_j sqrt( sum_b (mean_bj - mean_j)² / 7 ),                                        (2)
 
-is the sensor's noise where nothing moves and much more where something does. Over a whole log
+are the sensor's noise where nothing moves and much more where something does. Over a whole log
 log s has a narrow peak at rest and a wide hill of motion, and the threshold lies where the log
 has the fewest windows between 2.5 and 4 times the peak; where many places are as good the middle
-is taken, 3.2 times. Nothing needs to be set. A run of windows below the threshold is a rest; its
-ends, where a window could hide the begin of a motion, are cut.
+is taken, 3.2 times. Noise or vibration above a twentieth of what the positions change hides a slow
+turn in s, but not in v, which then has its threshold too. Nothing needs to be set. A run of windows
+below the threshold is a rest. Where it ends is a change point: from its inside outward, with
+mean and standard deviation of the second before,
+
+    g_i = sum_j [ z_ij² (1 - 1/a) - ln a ] / 2,    z_ij = (y_ij - mean_j) / sd_j,  a = 6,   (3)
+
+tells motion from rest, and where its sum up to the first sample that is 8 sd off is lowest motion
+shows, if it has grown by 12 since [1]_. A turn begins slowly, below the noise, so the rest ends at
+the k up to there from which on
+
+    z_ij = c_j (i - k)²,                                                                    (4)
+
+by least squares with any c, explains the samples best. Noise with a memory ρ from sample to sample
+goes astray by chance: of places that are as good to 2 M ρ/(1 - ρ) the last is taken. Windows in
+which nothing changes at all, of a sensor that else has noise, are frozen and no rest.
+
+The shortest rest is two seconds, or .4 of the usual stretch at rest where that is less, never less
+than .75 s. Usual is the median, or what half of the time at rest is spent in longer stretches than,
+the longest aside, whichever is shorter.
 
 Every pass sees the samples piece by piece and keeps a histogram, a handful of blocks and the
 runs, so that a log can be of any length.
 
 Rests that the user knows: a file of the rows where each begins and ends.
+
+References
+----------
+.. [1] E. S. Page, Biometrika 41 (1954), 100–115.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import rereadable
 from multipos.files.tables import Source, Table, read_table
 from multipos.files.trees import read_json_value
 from multipos.files.whole import read_bytes
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, median
 from multipos.numerics.series import require_rate
 
 BLOCKS = 8  # of a window
 LARGEST_SAMPLE = 1e15  # no sensor counts so far, and sums of squares are far from overflow
 PIECE = 1 << 13  # samples at a time: what stays in the processor's cache is fast
-_WINDOW = 1.0  # [s]
-_WINDOW_SAMPLES = 96  # where the sample rate is not known
+_WINDOW = 0.5  # [s]
+_WINDOW_SAMPLES = 48  # where the sample rate is not known
 _SMALLEST_BLOCK = 2
-_SHORTEST = 2  # windows in a rest
+_SHORTEST = 4  # windows in a rest
+_LEAST = 12  # blocks in a rest, however short those of a log are
+_OF_USUAL = 0.4  # of the usual rest of a log: what is shorter was not meant to be one
 _LONGEST = 1e9  # [s], whose samples can still be counted at any rate
 _MANY = 1024  # arrays, each of which costs more than the few numbers in it
 
@@ -49,7 +75,23 @@ _LOWEST, _HIGHEST = -18, 18
 _SMOOTHING = 0.05  # [decades], standard deviation of the kernel
 _PEAK = 0.2  # of the highest density: a lower hill is no peak of its own
 _BETWEEN = (2.5, 4.0)  # times the peak
-_MOTION = 0.05  # of the log's half range: no sensor at rest is as noisy
+_MOTION = 0.05  # of the log's half range: above, only the slow part tells noise from motion
+_NOISE = 1.0  # steps of resolution: with more no window is constant by chance
+
+# Spikes.
+_CHUNK = 16  # samples
+_LONGEST_SPIKE = 2  # samples: longer is motion
+_LIKELY = 3.5  # times the mean deviation of a chunk: without spikes hardly a sample is so far
+_SPIKE = 12.0  # times what a quarter of the samples is beyond: 14 standard deviations
+
+# Edges of rests, eq. (3).
+_TIMES = 6.0  # the variance of motion that is looked for, in that of the rest
+_ALARM = 12.0
+_CLEAR = 8.0  # standard deviations: no noise
+_ASTRAY = 1.0  # per output, and time that noise remembers
+_ONSETS = 64  # places that are tried
+_AHEAD = 3  # blocks beyond the last still window that may still be rest
+_QUIETEST = 0.1  # of the threshold: no output is taken to be quieter
 
 
 class Rest(NamedTuple):
@@ -69,10 +111,13 @@ class Grid:
         Samples in a block; a window has eight blocks.
     shortest : int
         Samples in the shortest run that counts as a rest.
+    adapts : bool
+        Whether rests may be shorter where those of the log are.
     """
 
     block: int
     shortest: int
+    adapts: bool = False
 
     @property
     def window(self) -> int:
@@ -81,7 +126,7 @@ class Grid:
 
 
 def choose_grid(rate: float | None, min_duration: float | None) -> Grid:
-    """Return windows of one second, or of the shortest rest where that is shorter.
+    """Return windows of half a second, or of the shortest rest where that is shorter.
 
     Parameters
     ----------
@@ -100,7 +145,7 @@ def choose_grid(rate: float | None, min_duration: float | None) -> Grid:
     if min_duration is None:
         samples = _WINDOW_SAMPLES if rate is None else rate * _WINDOW
         block = max(_SMALLEST_BLOCK, round(samples / BLOCKS))
-        return Grid(block, _SHORTEST * BLOCKS * block)
+        return Grid(block, _SHORTEST * BLOCKS * block, adapts=True)
     if rate is None:
         raise UsageError("--min-duration is in seconds; give --rate or --time-column as well.")
     if not 0.0 < min_duration <= _LONGEST:
@@ -112,8 +157,95 @@ def choose_grid(rate: float | None, min_duration: float | None) -> Grid:
     return Grid(max(_SMALLEST_BLOCK, block), shortest)
 
 
+class Limits(NamedTuple):
+    """What tells rest from motion.
+
+    Attributes
+    ----------
+    size : float
+        Largest standard deviation of a window at rest, eq. (1).
+    slow : float
+        Largest standard deviation of the means of its blocks, eq. (2).
+    frozen : bool
+        Whether a window in which nothing changes is no rest.
+    """
+
+    size: float
+    slow: float = np.inf
+    frozen: bool = False
+
+
+class Spikes:
+    """Take single samples that are far from their neighbours out, from samples in pieces.
+
+    Attributes
+    ----------
+    found : list of (int, int, float)
+        Row, output and value of each.
+    """
+
+    def __init__(self, outputs: int) -> None:
+        self._outputs = outputs
+        self._left: Array | None = None  # rows short of a chunk and what is looked at behind it
+        self._before = np.full((outputs, _LONGEST_SPIKE), np.nan)  # samples before those
+        self._step = np.full(outputs, np.inf)  # between samples, the smallest so far
+        self._row = 0
+        self.found: list[tuple[int, int, float]] = []
+
+    def feed(self, data: Array) -> Array:
+        """Return the rows (k, n') of whole chunks that (k, n) completes, the outputs first."""
+        if self._left is not None and self._left.shape[1]:
+            data = np.concatenate([self._left, data], axis=1)
+        whole = max(data.shape[1] - _LONGEST_SPIKE, 0) // _CHUNK * _CHUNK
+        self._left = data[:, whole:].copy()
+        if not whole:
+            return data[:, :0]
+        samples = np.concatenate([self._before, data[: self._outputs]], axis=1)
+        self._before = samples[:, whole : whole + _LONGEST_SPIKE].copy()
+        kept = data[:, :whole].copy()
+        self._clean(samples, kept[: self._outputs])
+        self._row += whole
+        return kept
+
+    def finish(self) -> Array:
+        """Return the rows (k, n) that are left; some must have been fed."""
+        assert self._left is not None
+        left, self._left = self._left, self._left[:, :0]
+        return left
+
+    def _clean(self, samples: Array, kept: Array) -> None:
+        """Put medians for spikes of chunks (M, n), with two samples more before and behind."""
+        chunks = kept.reshape(self._outputs, -1, _CHUNK)
+        off = np.abs(chunks - chunks @ np.full((_CHUNK, 1), 1.0 / _CHUNK))
+        likely = off.max(axis=2) > _LIKELY * (off @ np.full(_CHUNK, 1.0 / _CHUNK))
+        for j, chunk in np.argwhere(likely).tolist():
+            at = chunk * _CHUNK
+            around = samples[j, at : at + _CHUNK + 2 * _LONGEST_SPIKE]
+            middle, places = self._spikes(around, j)
+            for i in places:
+                self.found.append((self._row + at + i, j, float(kept[j, at + i])))
+                kept[j, at + i] = middle
+
+    def _spikes(self, around: Array, j: int) -> tuple[float, list[int]]:
+        """Return the median of a chunk, and which of its samples are spikes."""
+        y = around[_LONGEST_SPIKE:-_LONGEST_SPIKE]
+        middle = float(np.sort(y)[_CHUNK // 2])  # a reading, as numbers of a converter are whole
+        steps = np.abs(np.diff(y))
+        steps = steps[steps > 4.0 * np.finfo(float).eps * np.abs(y).max()]
+        if len(steps):
+            self._step[j] = min(self._step[j], float(steps.min()))
+        limit = _SPIKE * max(float(np.sort(np.abs(y - middle))[3 * _CHUNK // 4]), self._step[j])
+        beyond = [False, *(np.abs(around - middle) > limit).tolist(), False]
+        edges = [i for i in range(1, len(beyond)) if beyond[i] != beyond[i - 1]]
+        short = [range(*run) for run in zip(edges[::2], edges[1::2], strict=True)]
+        places = [
+            i - 1 - _LONGEST_SPIKE for run in short if len(run) <= _LONGEST_SPIKE for i in run
+        ]
+        return middle, [i for i in places if 0 <= i < _CHUNK]
+
+
 class Windows:
-    """Mean and standard deviation, eq. (1), of windows, from samples that come in pieces."""
+    """Mean and spread, eqs. (1) and (2), of windows, from samples that come in pieces."""
 
     def __init__(self, block: int) -> None:
         self._block = block
@@ -122,7 +254,7 @@ class Windows:
         self._square: Array | None = None
 
     def feed(self, samples: Array) -> tuple[Array, Array]:
-        """Return means (M, k) and s (k,) of the windows that samples (M, n) complete."""
+        """Return means (M, k) and s, v (2, k) of the windows that samples (M, n) complete."""
         block, outputs = self._block, len(samples)
         if self._left is not None and self._left.shape[1]:
             samples = np.concatenate([self._left, samples], axis=1)
@@ -140,13 +272,14 @@ class Windows:
         keep = max(mean.shape[1] - BLOCKS + 1, 0)
         self._mean, self._square = mean[:, keep:].copy(), square[:, keep:].copy()
         if mean.shape[1] < BLOCKS:
-            return np.empty((outputs, 0)), np.empty(0)
+            return np.empty((outputs, 0)), np.empty((2, 0))
         middle = _slide(mean) / BLOCKS
         # About the first block, so that squares of a large offset do not cancel.
         offset = mean - mean[:, :1]
         between = _slide(offset**2) - BLOCKS * (middle - mean[:, :1]) ** 2
         variance = (_slide(square) + block * between) / (BLOCKS * block - 1)
-        return middle, np.sqrt(np.maximum(variance.max(axis=0), 0.0))
+        largest = np.array([variance.max(axis=0), between.max(axis=0) / (BLOCKS - 1)])
+        return middle, np.sqrt(np.maximum(largest, 0.0))
 
 
 def _slide(values: Array) -> Array:
@@ -176,12 +309,13 @@ class Survey:
         self.lowest = np.full(outputs, np.inf)
         self.highest = np.full(outputs, -np.inf)
         self.resolution = np.full(outputs, np.nan)
-        self._counts = np.zeros((_HIGHEST - _LOWEST) * _BINS_PER_DECADE, dtype=np.int64)
+        self._counts = np.zeros((2, (_HIGHEST - _LOWEST) * _BINS_PER_DECADE), dtype=np.int64)
+        self._constant = 0  # windows in which nothing changes
         self._mean_range = np.array([self.lowest, self.highest])
         self._sizes: list[Array] = []
 
-    def add(self, samples: Array, mean: Array, sd: Array) -> None:
-        """Add samples (M, n), and means (M, k) and s (k,) of the windows they completed."""
+    def add(self, samples: Array, mean: Array, spread: Array) -> None:
+        """Add samples (M, n), and means (M, k) and s, v (2, k) of the windows they completed."""
         if not samples.shape[1]:
             return
         self.rows += samples.shape[1]
@@ -191,18 +325,21 @@ class Survey:
             steps = np.abs(np.diff(samples[j]))
             steps = steps[steps > 4.0 * np.finfo(float).eps * np.abs(samples[j]).max()]
             self.resolution[j] = steps.min() if len(steps) else np.nan
-        if len(sd):
+        if mean.shape[1]:
             every = mean[:, -self.windows % BLOCKS :: BLOCKS]
             self._sizes.append(np.linalg.norm(every, axis=0))
             if len(self._sizes) > _MANY:
                 self._sizes = [np.concatenate(self._sizes)]
-            self.windows += len(sd)
+            self.windows += mean.shape[1]
             low, high = self._mean_range
             low, high = np.minimum(low, mean.min(axis=1)), np.maximum(high, mean.max(axis=1))
             self._mean_range = np.array([low, high])
-            size = np.maximum(sd, 10.0**_LOWEST)
+            changing = spread[0] > 0.0
+            self._constant += len(changing) - int(np.count_nonzero(changing))
+            size = np.maximum(spread[:, changing], 10.0**_LOWEST)
             place = ((np.log10(size) - _LOWEST) * _BINS_PER_DECADE).astype(np.intp)
-            self._counts += np.bincount(place, minlength=len(self._counts))
+            for counts, each in zip(self._counts, place, strict=True):
+                counts += np.bincount(each, minlength=len(counts))
 
     def sizes(self) -> Array:
         """Return the size of every eighth window's mean, of three outputs: no samples in two."""
@@ -210,17 +347,18 @@ class Survey:
             return np.empty(0)
         return np.concatenate(self._sizes)
 
-    def threshold(self) -> float:
-        """Return the standard deviation of a window above which it moves, from the log itself.
+    def limits(self) -> Limits:
+        """Return what tells rest from motion, from the log itself.
 
         Raises
         ------
         MultiposError
             The log is shorter than a rest, constant, or without anything like a rest.
         """
-        if self.rows < self.grid.shortest or not self.windows:
+        least = _LEAST * self.grid.block
+        if self.rows < least or not self.windows:
             raise MultiposError(
-                f"the log has {self.rows} rows, fewer than one rest ({self.grid.shortest}); "
+                f"the log has {self.rows} rows, fewer than one rest ({least}); "
                 "record longer, or give --sections."
             )
         if np.isnan(self.resolution).all():
@@ -228,31 +366,43 @@ class Survey:
                 "every sample of the log is the same; the sensor is stuck or not connected."
             )
         # A window can vary by less than the resolution by chance, but a sensor never is that good.
-        floor = max(float(np.nanmax(self.resolution)) / np.sqrt(12.0), 10.0**_LOWEST)
-        first = int((np.log10(floor) - _LOWEST) * _BINS_PER_DECADE)
-        counts = self._counts.astype(np.float64)
-        counts[first] += counts[:first].sum()
-        counts[:first] = 0.0
-        density = _smooth(counts)
-        peak = _first_peak(density)
-        low, high = (peak + round(np.log10(x) * _BINS_PER_DECADE) for x in _BETWEEN)
-        valley = density[low : high + 1]
-        middle = (len(valley) - 1) / 2.0
-        cost = valley / density[peak] + 1e-3 * np.abs(np.arange(len(valley)) - middle) / middle
-        threshold = 10.0 ** (_LOWEST + (low + int(np.argmin(cost)) + 0.5) / _BINS_PER_DECADE)
-        noise = 10.0 ** (_LOWEST + (peak + 0.5) / _BINS_PER_DECADE)
-        self._refuse_motion(noise)
-        return float(threshold)
-
-    def _refuse_motion(self, noise: float) -> None:
+        step = float(np.nanmax(self.resolution))
+        floor = max(step / np.sqrt(12.0), 10.0**_LOWEST)
+        noise = size = 0.0
+        if self._counts[0].any():
+            noise, size = _valley(self._counts[0], 0, floor)
+        frozen = noise > _NOISE * step
+        if not frozen:
+            noise, size = _valley(self._counts[0], self._constant, floor)
         half_range = float((self._mean_range[1] - self._mean_range[0]).max()) / 2.0
         # Where even the range is noise the log is one long rest, which is said elsewhere.
-        if half_range > 2.0 * noise and noise > _MOTION * half_range:
+        if not (half_range > 2.0 * noise and noise > _MOTION * half_range):
+            return Limits(size, np.inf, frozen)
+        noise, slow = _valley(self._counts[1], 0, floor)
+        if noise > _MOTION * half_range:
             raise MultiposError(
                 f"the log has no rest: even where it is quietest it varies by {noise:.3g} (one "
                 f"standard deviation), {100 * noise / half_range:.0f} % of what the positions "
                 "change; hold the sensor still, or give --threshold or --sections."
             )
+        return Limits(size, slow, frozen)
+
+
+def _valley(counts: Array, constant: int, floor: float) -> tuple[float, float]:
+    """Return the first peak of a histogram, and where it has the fewest windows above."""
+    first = int((np.log10(floor) - _LOWEST) * _BINS_PER_DECADE)
+    density = counts.astype(np.float64)
+    density[first] += density[:first].sum() + constant
+    density[:first] = 0.0
+    density = _smooth(density)
+    peak = _first_peak(density)
+    low, high = (peak + round(np.log10(x) * _BINS_PER_DECADE) for x in _BETWEEN)
+    valley = density[low : high + 1]
+    middle = (len(valley) - 1) / 2.0
+    cost = valley / density[peak] + 1e-3 * np.abs(np.arange(len(valley)) - middle) / middle
+    place = np.array([peak, low + int(np.argmin(cost))])
+    noise, limit = (10.0 ** (_LOWEST + (place + 0.5) / _BINS_PER_DECADE)).tolist()
+    return noise, limit
 
 
 def _smooth(counts: Array) -> Array:
@@ -268,88 +418,207 @@ def _first_peak(density: Array) -> int:
     return 1 + int(np.argmax(inner & high))
 
 
+class Run(NamedTuple):
+    """Rows of windows below the threshold, one after the other.
+
+    Attributes
+    ----------
+    start, end : int
+        First row of the first window, and the one after the last, without what is frozen.
+    begins, ends : bool
+        Whether the rest may begin before, and end behind: not where a frozen stretch does.
+    """
+
+    start: int
+    end: int
+    begins: bool = True
+    ends: bool = True
+
+
 class Finder:
     """Collect the runs of windows below a threshold, from windows that come in pieces.
 
     Attributes
     ----------
-    threshold : float
+    limits : Limits
     """
 
-    def __init__(self, grid: Grid, threshold: float) -> None:
+    def __init__(self, grid: Grid, limits: Limits) -> None:
         self._grid = grid
-        self.threshold = threshold
+        self.limits = limits
         self._count = 0
-        self._still = False
         # The first block of each run, and the one after its last. Runs that share blocks are one
         # rest with a window in between that was near the threshold; runs that only touch have a
         # step between them.
-        self._runs: list[list[int]] = []
+        self._still = _Runs()
+        self._frozen = _Runs()
         self._ended = 0  # runs that nothing which follows can change
-        self._settled: list[Rest] = []  # those of them that are rests
+        self._settled: list[Run] = []
 
-    def add(self, sd: Array) -> None:
-        """Add s (k,) of the windows that follow."""
-        if not len(sd):
+    def add(self, spread: Array) -> None:
+        """Add s and v (2, k) of the windows that follow."""
+        size, slow = spread
+        if not len(size):
             return
-        still = sd <= self.threshold
-        changes = np.flatnonzero(np.diff(still, prepend=self._still))
-        for edge in (self._count + changes).tolist():
-            if self._still:
-                self._runs[-1][1] = edge - 1 + BLOCKS
-            elif not self._runs or edge >= self._runs[-1][1]:
-                self._runs.append([edge, edge])
-            self._still = not self._still
-        self._count += len(still)
-        if self._still:
-            self._runs[-1][1] = self._count - 1 + BLOCKS
+        still = (size <= self.limits.size) & (slow <= self.limits.slow)
+        self._still.add(still, self._count)
+        if self.limits.frozen:
+            self._frozen.add(size == 0.0, self._count)
+        self._count += len(size)
 
-    def rests(self, rows: int) -> list[Rest]:
-        """Return the rests of a log of so many rows, their ends cut."""
-        return [
-            self._cut(first, last, rows) for first, last in self._runs if self._is_rest(first, last)
-        ]
+    def runs(self) -> list[Run]:
+        """Return the runs so far."""
+        return [run for ends in self._still.found for run in self._without_frozen(*ends)]
 
     @property
     def still_since(self) -> int | None:
         """First row of the stretch that is still as far as seen, None while something moves."""
-        return self._runs[-1][0] * self._grid.block if self._still else None
+        return self._still.found[-1][0] * self._grid.block if self._still.open else None
 
     @property
     def open_since(self) -> int:
-        """First row that a rest which is not settled yet may have."""
-        open_ = bool(self._runs) and self._runs[-1][1] > self._count
-        return (self._runs[-1][0] if open_ else self._count) * self._grid.block
+        """First row that the edge of a rest which is not settled yet may need."""
+        found = self._still.found
+        open_ = bool(found) and found[-1][1] > self._count
+        first = found[-1][0] if open_ else self._count
+        return max(0, first - _AHEAD) * self._grid.block
 
-    def settled(self) -> list[Rest]:
-        """Return the rests that nothing which follows can change: they have long ended."""
-        rows = (self._count + BLOCKS) * self._grid.block  # more than a block behind their ends
-        while self._ended < len(self._runs) and self._runs[self._ended][1] <= self._count:
-            first, last = self._runs[self._ended]
-            if self._is_rest(first, last):
-                self._settled.append(self._cut(first, last, rows))
+    def settled(self) -> list[Run]:
+        """Return the runs that nothing which follows can change: they have long ended."""
+        found = self._still.found
+        while self._ended < len(found) and found[self._ended][1] <= self._count:
+            self._settled += self._without_frozen(*found[self._ended])
             self._ended += 1
         return self._settled
 
-    def short(self) -> list[Rest]:
-        """Return the stretches that stood still, but not for so long as a rest does."""
+    def frozen(self) -> list[Rest]:
+        """Return the stretches in which nothing changes."""
         block = self._grid.block
-        return [
-            Rest(first * block, last * block)
-            for first, last in self._runs
-            if not self._is_rest(first, last)
-        ]
+        return [Rest(first * block, last * block) for first, last in self._frozen.found]
 
-    def _is_rest(self, first: int, last: int) -> bool:
-        return (last - first) * self._grid.block >= self._grid.shortest
+    def _without_frozen(self, first: int, last: int) -> list[Run]:
+        """Return what is left of a run, in rows."""
+        block, left, begins = self._grid.block, [], True
+        for from_, to in self._frozen.found:
+            if from_ < last and to > first:
+                left.append(Run(first * block, from_ * block, begins, ends=False))
+                first, begins = to, False
+        left.append(Run(first * block, last * block, begins))
+        return [run for run in left if run.end - run.start >= self._grid.window]
 
-    def _cut(self, first: int, last: int, rows: int) -> Rest:
-        """Cut half a window at each end, an eighth of a short rest; not where the log ends."""
-        block = self._grid.block
-        cut = max(1, min(BLOCKS // 2, (last - first) // 8))
-        start = first + (cut if first else 0)
-        end = last - (cut if (last + 1) * block <= rows else 0)
-        return Rest(start * block, end * block)
+
+class _Runs:
+    """Windows of a kind, one after the other, as their first block and the one after the last."""
+
+    def __init__(self) -> None:
+        self.found: list[list[int]] = []
+        self.open = False
+
+    def add(self, inside: NDArray[np.bool_], count: int) -> None:
+        """Add whether windows are of the kind; so many have come before."""
+        changes = np.flatnonzero(np.diff(inside, prepend=self.open))
+        for edge in (count + changes).tolist():
+            if self.open:
+                self.found[-1][1] = edge - 1 + BLOCKS
+            elif not self.found or edge >= self.found[-1][1]:
+                self.found.append([edge, edge])
+            self.open = not self.open
+        if self.open:
+            self.found[-1][1] = count + len(inside) - 1 + BLOCKS
+
+
+Reader = Callable[[list[Rest]], list[Array]]  # gives the outputs (M, n) of stretches of rows
+
+
+def find_edges(
+    runs: Sequence[Run], rows: int, grid: Grid, limits: Limits, read: Reader, after: int = 0
+) -> list[Rest]:
+    """Return where the rests begin and end that runs are, by eqs. (3) and (4).
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        In order.
+    rows : int
+        Of the log so far.
+    read : callable
+        Gives the outputs of stretches of rows.
+    after : int
+        Row before which none begins.
+    """
+    regions, places = [], []
+    for run in runs:
+        blocks = (run.end - run.start) // grid.block
+        cut = grid.block * max(1, min(BLOCKS, blocks // 4))
+        first, last = run.start + cut, run.end - cut  # surely at rest
+        reach = min(last - first, 2 * grid.window)
+        before = max(run.start - _AHEAD * grid.block, 0)
+        behind = min(run.end + _AHEAD * grid.block, rows)
+        regions += [Rest(before, first + reach), Rest(last - reach, behind)]
+        places.append((first, last, reach))
+    samples = read(regions)
+    rests: list[Rest] = []
+    for run, (first, last, reach), head, tail in zip(
+        runs, places, samples[::2], samples[1::2], strict=True
+    ):
+        start, end = run.start, run.end if rows - run.end >= grid.block else rows
+        if run.begins and (moved := _change(head[:, ::-1], reach, limits)) is not None:
+            start = first - moved
+        if run.ends and (moved := _change(tail, reach, limits)) is not None:
+            end = last + moved
+        start = max(start, rests[-1].end if rests else after)
+        rests.append(Rest(start, max(end, start)))
+    return rests
+
+
+def _change(samples: Array, reach: int, limits: Limits) -> int | None:
+    """Return how many of samples (M, n) behind the first `reach` are still at rest.
+
+    None where all of them are.
+    """
+    rest = samples[:, :reach]
+    mean = rest.mean(axis=1, keepdims=True)
+    sd = np.maximum(rest.std(axis=1, keepdims=True), _QUIETEST * limits.size)
+    z = (samples[:, reach:] - mean) / sd
+    gain = 0.5 * ((z**2).sum(axis=0) * (1.0 - 1.0 / _TIMES) - len(z) * np.log(_TIMES))
+    total = np.concatenate([[0.0], np.cumsum(gain)])
+    clear = np.flatnonzero(np.abs(z).max(axis=0) > _CLEAR)
+    seen = int(clear[0]) + 1 if len(clear) else z.shape[1]
+    # Noise that remembers goes astray for a while by chance.
+    lagged = (rest[:, 1:] - mean) * (rest[:, :-1] - mean)
+    memory = float(np.clip(lagged.mean(axis=1) / sd[:, 0] ** 2, 0.0, 0.95).mean())
+    astray = _ASTRAY * len(z) * 2.0 * memory / (1.0 - memory)
+    change = int(np.flatnonzero(total[: seen + 1] <= total[: seen + 1].min() + astray)[-1])
+    if total[seen] - total[: seen + 1].min() < _ALARM:
+        return None
+    return _onset(z[:, :seen], min(change, seen - 1), astray)
+
+
+def _onset(z: Array, change: int, astray: float) -> int:
+    """Return up to which of samples (M, n) nothing moves, no more than `change`, by eq. (4)."""
+    first = np.unique(np.linspace(0, change, min(change + 1, _ONSETS)).astype(int))
+    ramp = np.maximum(np.arange(1, z.shape[1] + 1) - first[:, None], 0.0) ** 2
+    explained = ((ramp @ z.T) ** 2).sum(axis=1) / (ramp**2).sum(axis=1)
+    return int(first[np.flatnonzero(explained >= explained.max() - astray)[-1]])
+
+
+def long_enough(rests: Sequence[Rest], grid: Grid) -> tuple[list[Rest], list[Rest], int]:
+    """Return the rests, the stretches too short for one, and the samples that the shortest has."""
+    lengths = np.sort([rest.end - rest.start for rest in rests])[:-1]
+    shortest = grid.shortest
+    if grid.adapts and not all(is_long(rest, shortest, grid) for rest in rests):
+        half = lengths[int(np.searchsorted(np.cumsum(lengths), lengths.sum() / 2.0))]
+        usual = min(half, median(lengths))
+        least = _LEAST * grid.block
+        shortest = min(shortest, max(least, int(_OF_USUAL * usual)))
+    kept = [is_long(rest, shortest, grid) for rest in rests]
+    long = [rest for rest, keep in zip(rests, kept, strict=True) if keep]
+    return long, [rest for rest, keep in zip(rests, kept, strict=True) if not keep], shortest
+
+
+def is_long(rest: Rest, shortest: int, grid: Grid) -> bool:
+    """Tell whether a rest is one: its ends are not known to two blocks."""
+    return rest.end - rest.start > shortest - 2 * grid.block
 
 
 def detect_static(
@@ -391,16 +660,23 @@ def detect_static(
             "leave the row out."
         )
     grid = choose_grid(rate, min_duration)
-    scan, survey, seen = Windows(grid.block), Survey(len(columns), grid), []
+    spikes, scan = Spikes(len(columns)), Windows(grid.block)
+    columns = np.concatenate([spikes.feed(columns), spikes.finish()], axis=1)
+    survey, seen = Survey(len(columns), grid), []
     for i in range(0, columns.shape[1], PIECE):
         piece = columns[:, i : i + PIECE]
-        mean, sd = scan.feed(piece)
-        survey.add(piece, mean, sd)
-        seen.append(sd)
-    threshold = survey.threshold() if threshold is None else threshold
-    finder = Finder(grid, threshold)
-    finder.add(np.concatenate(seen))
-    return finder.rests(columns.shape[1]), threshold
+        mean, spread = scan.feed(piece)
+        survey.add(piece, mean, spread)
+        seen.append(spread)
+    limits = survey.limits() if threshold is None else Limits(threshold)
+    finder = Finder(grid, limits)
+    finder.add(np.concatenate(seen, axis=1))
+
+    def read(stretches: list[Rest]) -> list[Array]:
+        return [columns[:, each.start : each.end] for each in stretches]
+
+    found = find_edges(finder.runs(), columns.shape[1], grid, limits, read)
+    return long_enough(found, grid)[0], limits.size
 
 
 @dataclass(frozen=True)

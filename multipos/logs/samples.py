@@ -13,8 +13,26 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
-from multipos.logs.clock import Clock, TimeUnit, read_clock, sample_rate, time_columns
-from multipos.logs.rests import LARGEST_SAMPLE, PIECE, Rest, Survey, Windows, choose_grid
+from multipos.logs.clock import (
+    Clock,
+    TimeUnit,
+    counts_rows,
+    read_clock,
+    sample_rate,
+    time_columns,
+    unwrap,
+    usual_step,
+    wraps_of,
+)
+from multipos.logs.rests import (
+    LARGEST_SAMPLE,
+    PIECE,
+    Rest,
+    Spikes,
+    Survey,
+    Windows,
+    choose_grid,
+)
 from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import Array, median
 
@@ -114,6 +132,7 @@ class Samples:
     """Outputs, other columns and time of a log, in pieces that can be gone through again.
 
     Rows are counted without those that were left out; `in_log` says where they stand in the log.
+    Spikes are taken out, unless samples are wanted as they are.
 
     Attributes
     ----------
@@ -128,8 +147,14 @@ class Samples:
     rows : int
     step : float [s]
         Usual step of the time.
+    wraps : (float, int)
+        After how many seconds the time wraps around, and how often it does; zeros where not.
+    counter : str or None
+        Column named as a time that counts rows.
     labels : Runs or None
         Where a label column has which label.
+    spikes : Spikes
+        Single samples that their neighbours' median stands for.
     """
 
     def __init__(
@@ -140,20 +165,24 @@ class Samples:
         *,
         label_column: str | None = None,
         drop_bad: bool = False,
+        as_they_are: bool = False,
     ) -> None:
         self.log, self.outputs = log, outputs
         self.clock: Clock | None = None
         self.rate = timing.rate
         self.rows = 0
         self.step = np.nan
+        self.wraps = 0.0, 0
+        self.counter: str | None = None
         self.labels = None if label_column is None else Runs(log.source, label_column)
-        self._timing, self._drop_bad = timing, drop_bad
+        self._timing, self._drop_bad, self._as_they_are = timing, drop_bad, as_they_are
         taken = {*outputs, label_column, *log.nameless}
         self.others = tuple(name for name in log.numeric if name not in taken)
         self._texts = () if label_column is None else (label_column,)
         self._seen = 0  # rows of the log
         self._dropped: list[int] = []
         self._last = -np.inf
+        self.spikes = Spikes(len(outputs))
         self._few: list[Array] = []  # pieces, while they are few
         self._sizes: list[int] = []  # of those in the file
         self._file: IO[bytes] | None = None
@@ -173,14 +202,22 @@ class Samples:
                 self._read_clock(piece.table)
                 survey = Survey(len(self.outputs), choose_grid(self.rate, min_duration))
                 windows = Windows(survey.grid.block)
-            data = self._take(piece.table)
-            for small in small_pieces(data[: len(self.outputs)]):
-                survey.add(small, *windows.feed(small))
+            taken = self._take(piece.table)
+            whole = taken if self._as_they_are else self.spikes.feed(taken)
+            self._look_at(whole, survey, windows)
             if progress is not None:
                 progress(piece.done)
         if survey is None or not self.rows:
             raise MultiposError(f"{self.log.source}: no rows; a log needs samples.")
+        if not self._as_they_are:
+            self._look_at(self.spikes.finish(), survey, windows)
         return survey
+
+    def _look_at(self, data: Array, survey: Survey, windows: Windows) -> None:
+        """Keep numbers (columns, rows), and add the outputs to the survey."""
+        self._keep(data)
+        for small in small_pieces(data[: len(self.outputs)]):
+            survey.add(small, *windows.feed(small))
 
     def _read(self) -> Iterator[Piece]:
         """Read the log: outputs and a clock that is sure must be numbers, unless rows may go."""
@@ -202,6 +239,24 @@ class Samples:
         for rows in self._sizes:
             numbers = np.frombuffer(self._file.read(8 * width * rows))
             yield numbers.reshape(width, rows)
+
+    def raw_outputs(self) -> Iterator[tuple[int, Array]]:
+        """Yield the first row and the outputs (M, rows) of each piece as the log has them."""
+        for first, piece in self.pieces():
+            outputs = piece[: len(self.outputs)].copy()
+            for row, j, value in self.spikes.found:
+                if first <= row < first + outputs.shape[1]:
+                    outputs[j, row - first] = value
+            yield first, outputs
+
+    def read(self, stretches: list[Rest]) -> list[Array]:
+        """Return the outputs (M, n) of stretches of rows."""
+        parts: list[list[Array]] = [[] for _ in stretches]
+        for first, piece in self.pieces():
+            for part, (start, end) in zip(parts, stretches, strict=True):
+                if start < first + piece.shape[1] and end > first:
+                    part.append(piece[: len(self.outputs), max(start - first, 0) : end - first])
+        return [np.concatenate(part, axis=1) for part in parts]
 
     def _keep(self, data: Array) -> None:
         """Keep a piece: in memory while they are few, all of them in a file when many."""
@@ -251,14 +306,19 @@ class Samples:
         likely = time_columns(self.log) if self._timing.rate is None else []
         rising = (name for name in likely if name in self.others and _rises(table, name))
         column = next(iter(self._named_clock()), None) or next(rising, None)
-        if column is None:
+        time = None if column is None else self._column(table, column, _LATEST)
+        if time is not None and self._timing.column is None and self._timing.unit is None:
+            self.counter = column if counts_rows(self.log, str(column), time) else None
+        if column is None or time is None or self.counter is not None:
             self.rate = self._timing.rate or self.log.rate
             return
-        time = self._column(table, column, _LATEST)
         time = time[np.isfinite(time)]
         self.clock = read_clock(self.log, column, time, self._timing.unit)
         self.others = tuple(name for name in self.others if name != column)
-        self.rate = sample_rate(self.log.source, column, time * self.clock.seconds)
+        seconds = time * self.clock.seconds
+        step = usual_step(seconds)
+        seconds = unwrap(seconds, np.nan, 0.0, step, wraps_of(self.clock)).time
+        self.rate = sample_rate(self.log.source, column, seconds)
         self.step = 1.0 / self.rate
 
     def _column(self, table: Table, name: str, largest: float, *, empty: bool = False) -> Array:
@@ -283,14 +343,23 @@ class Samples:
             self._dropped += (self._seen + np.flatnonzero(~good)).tolist()
             data = np.ascontiguousarray(data[:, kept])
         if self.clock is not None:
+            data[-1] = self._unwrapped(data[-1])
             self._check_time(table, data[-1], kept)
         if self.labels is not None:
             labels = table.text(self.labels.column)
             self.labels.feed([labels[i] for i in kept.tolist()])
-        self._keep(data)
         self._seen += table.rows
         self.rows += data.shape[1]
         return data
+
+    def _unwrapped(self, time: Array) -> Array:
+        """Return the times (n,) of a piece, those of a counter that wraps around made to go on."""
+        assert self.clock is not None
+        size, count = self.wraps
+        time = time + size * count
+        found = unwrap(time, self._last, size, self.step, wraps_of(self.clock))
+        self.wraps = found.size or size, count + found.wraps
+        return found.time
 
     def _check_time(self, table: Table, time: Array, rows: NDArray[np.intp]) -> None:
         assert self.clock is not None
@@ -299,7 +368,8 @@ class Samples:
             row = int(back[0])
             raise MultiposError(
                 f"{table.where(int(rows[row]), self.clock.column)}: the time runs backwards, to "
-                f"{time[row]:.10g} s; sort the rows, or give --rate instead."
+                f"{time[row]:.10g} s; rows are interchanged or missing: sort them, or give --rate "
+                "instead."
             )
         self._last = time[-1] if len(time) else self._last
 
@@ -343,7 +413,7 @@ def _rises(table: Table, name: str) -> bool:
     """Tell whether a column goes up, as a time does."""
     time = np.asarray(table.columns[name], dtype=np.float64)
     time = time[np.isfinite(time)]
-    return len(time) > 1 and bool((np.diff(time) >= 0.0).all()) and time[-1] > time[0]
+    return len(time) > 1 and bool((np.diff(time) >= 0.0).all()) and bool(time[-1] > time[0])
 
 
 def small_pieces(samples: Array) -> Iterator[Array]:

@@ -1,17 +1,29 @@
 """One log: its rests, found or given, and what their samples say."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.spelling import listed
 from multipos.finding import Finding, Findings
 from multipos.logs.clock import Clock, time_columns
 from multipos.logs.faults import find_saturated, find_second_unit, find_wrapped
 from multipos.logs.log_columns import choose_outputs
 from multipos.logs.rest_means import RestMean, RestSum, rest_means
-from multipos.logs.rests import Finder, Grid, Rest, Sections, Survey, Windows
+from multipos.logs.rests import (
+    Finder,
+    Grid,
+    Limits,
+    Rest,
+    Sections,
+    Survey,
+    Windows,
+    find_edges,
+    long_enough,
+)
 from multipos.logs.samples import Kept, Progress, Samples, Timing, small_pieces
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
@@ -74,6 +86,8 @@ class StillLog:
     rests : tuple of Still
     short : tuple of Rest
         Stretches that stood still, but for less than a rest.
+    shortest : int
+        Samples in the shortest rest.
     survey : Survey
     clock : Clock or None
     rate : float or None [Hz]
@@ -85,6 +99,7 @@ class StillLog:
     outputs: tuple[str, ...]
     rests: tuple[Still, ...]
     short: tuple[Rest, ...]
+    shortest: int
     survey: Survey
     clock: Clock | None
     rate: float | None
@@ -117,28 +132,30 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
                 f"{log.source}: {wrong[0].text}; correct the log, or go on with --accept-faults."
             )
         known = _known(samples, wish)
-        threshold = _threshold(log.source, survey, wish.threshold, needed=known is None)
-        short: list[Rest] = []
+        notes = [*log.notes, *_find_clock(samples), *outputs.findings]
+        limits = _limits(survey, wish.threshold, log.source if known is None else None, notes)
+        found = None
         if known is None:
-            assert threshold is not None
-            found, short = _detect(samples, grid, threshold)
-            known = [("", rest) for rest in found]
+            assert limits is not None
+            found = _detect(samples, grid, limits, notes)
+            known = [("", rest) for rest in found.rests]
+            notes += found.notes
         return StillLog(
             log=log,
             outputs=outputs.names,
-            rests=tuple(average_rests(samples, known, grid, survey, threshold)),
-            short=tuple(short),
+            rests=tuple(average_rests(samples, known, grid, survey, None if found else limits)),
+            short=() if found is None else tuple(map(samples.in_log, found.short)),
+            shortest=grid.shortest if found is None else found.shortest,
             survey=survey,
             clock=samples.clock,
             rate=samples.rate,
-            threshold=threshold,
+            threshold=None if limits is None else limits.size,
             findings=(
-                *log.notes,
-                *_find_clock(samples),
-                *outputs.findings,
+                *notes,
+                *_find_spikes(samples, [rest for _, rest in known]),
                 *log.left_out,
                 *wrong,
-                *_find_left_out(samples, grid, found=known[0][0] == ""),
+                *_find_left_out(samples, found),
             ),
         )
 
@@ -160,25 +177,54 @@ def _known(samples: Samples, wish: Wish) -> list[tuple[str, Rest]] | None:
 
 def _find_clock(samples: Samples) -> list[Finding]:
     clock = samples.clock
+    said = []
     if clock is not None and (clock.column, clock.unit) != ("time", "s"):
         text = f"the time is column '{clock.column}', in {clock.unit} by {clock.by}"
-        return [Finding("time-column", "note", text)]
+        said.append(Finding("time-column", "note", text))
+    size, count = samples.wraps
+    if clock is not None and count:
+        text = (
+            f"column '{clock.column}' wraps around {count} {'time' if count == 1 else 'times'}, "
+            f"after {size:.10g} s, and is taken to go on"
+        )
+        said.append(Finding("time-column", "note", text))
+    if samples.counter is not None:
+        text = f"column '{samples.counter}' goes up by ones: it counts rows, not time"
+        said.append(Finding("time-column", "note", text))
     if clock is None and samples.rate is not None and samples.rate == samples.log.rate:
         text = f"the log states a sample rate of {samples.rate:g} Hz"
-        return [Finding("stated-rate", "note", text)]
-    return []
+        said.append(Finding("stated-rate", "note", text))
+    return said
 
 
-def _find_left_out(samples: Samples, grid: Grid, *, found: bool) -> list[Finding]:
+def _find_spikes(samples: Samples, rests: list[Rest]) -> list[Finding]:
+    """Return how many single samples of the rests are far from their neighbours."""
+    rows = np.array([row for row, _, _ in samples.spikes.found])
+    count = sum(int(((rows >= start) & (rows < end)).sum()) for start, end in rests)
+    if not count:
+        return []
+    share = count / sum(end - start for start, end in rests) / len(samples.outputs)
+    far = f"{count} samples at rest ({100 * share:.2g} %) are far from those beside them"
+    return [Finding("spikes", "note", f"{far}, whose median stands for them")]
+
+
+def _find_left_out(samples: Samples, found: "_Found | None") -> list[Finding]:
     """Return what was left out, and what is assumed."""
     said = _unused(samples)
     if samples.dropped:
         rows = "row is" if samples.dropped == 1 else "rows are"
         text = f"{samples.dropped} bad {rows} left out of {samples.log_rows}"
         said.append(Finding("dropped-rows", "note", text))
-    if found and samples.rate is None:
+    if found is not None and found.frozen:
+        where = listed([f"{start} to {end}" for start, end in map(samples.in_log, found.frozen)])
         text = (
-            f"nothing tells the time: a rest is at least {grid.shortest} samples, however long "
+            f"rows {where}: nothing changes at all, of a sensor that else has noise; frozen or "
+            "erased, and no rest"
+        )
+        said.append(Finding("frozen", "warning", text, "Check the cable and the logger."))
+    if found is not None and samples.rate is None:
+        text = (
+            f"nothing tells the time: a rest is at least {found.shortest} samples, however long "
             "that is; give --rate or --time-column to say it in seconds"
         )
         said.append(Finding("no-time", "warning", text))
@@ -196,31 +242,76 @@ def _unused(samples: Samples) -> list[Finding]:
     return [Finding("unused-column", "note", text) for text in said]
 
 
-def _threshold(source: str, survey: Survey, given: float | None, *, needed: bool) -> float | None:
+def _limits(
+    survey: Survey, given: float | None, source: str | None, notes: Sequence[Finding]
+) -> Limits | None:
+    """Return what tells rest from motion; None where a log without `source` has no such."""
     if given is not None:
-        return given
+        return Limits(given)
     try:
-        return survey.threshold()
+        return survey.limits()
     except MultiposError as error:
-        if needed:
-            raise MultiposError(f"{source}: {error}") from None
+        if source:
+            raise MultiposError(f"{source}: {error}{found_so_far(notes)}") from None
         return None  # rests that are known need none; motion in them is then not looked for
 
 
-def _detect(samples: Samples, grid: Grid, threshold: float) -> tuple[list[Rest], list[Rest]]:
+class _Found(NamedTuple):
+    """What stands still in a log."""
+
+    rests: list[Rest]
+    short: list[Rest]
+    shortest: int  # samples in a rest
+    frozen: list[Rest]
+    notes: list[Finding]
+
+
+def _detect(samples: Samples, grid: Grid, limits: Limits, notes: Sequence[Finding]) -> _Found:
     """Return the rests, and the stretches that are too short for one."""
-    windows, finder = Windows(grid.block), Finder(grid, threshold)
+    windows, finder = Windows(grid.block), Finder(grid, limits)
     for _, piece in samples.pieces():
         for outputs in small_pieces(piece[: len(samples.outputs)]):
             finder.add(windows.feed(outputs)[1])
-    rests = finder.rests(samples.rows)
+    found = find_edges(finder.runs(), samples.rows, grid, limits, samples.read)
+    rests, short, shortest = long_enough(found, grid)
+    said = [] if shortest == grid.shortest else [_adapted(samples, shortest)]
+    if limits.slow < np.inf:
+        text = (
+            f"noise hides slow turns, so that means of {grid.block} samples are looked at too "
+            f"(threshold {limits.slow:.3g})"
+        )
+        said.append(Finding("vibration", "note", text))
     if not rests:
         raise MultiposError(
-            f"{samples.log.source}: no rest of {grid.shortest} samples in {samples.rows} rows at "
-            f"threshold {threshold:.3g}; hold the sensor still, lower --min-duration, or give "
-            "--sections."
+            f"{samples.log.source}: no rest of {shortest} samples in {samples.rows} rows at "
+            f"threshold {limits.size:.3g}{would_take(short, shortest, samples.rate)}; hold the "
+            f"sensor still, or give --sections{found_so_far([*notes, *said])}."
         )
-    return rests, [samples.in_log(rest) for rest in finder.short()]
+    return _Found(rests, short, shortest, finder.frozen(), said)
+
+
+def _adapted(samples: Samples, shortest: int) -> Finding:
+    long = f"{shortest} samples" if samples.rate is None else f"{shortest / samples.rate:.3g} s"
+    return Finding("short-rests", "note", f"rests are short: one lasts at least {long}")
+
+
+def would_take(short: Sequence[Rest], shortest: int, rate: float | None) -> str:
+    """Return what would take in the stretches that are too short, '' where there are none."""
+    if not short:
+        return ""
+    many = "stretch" if len(short) == 1 else "stretches"
+    least = min(rest.end - rest.start for rest in short)
+    if rate is None:
+        long = f"{shortest} samples; --rate HZ --min-duration S takes them in"
+    else:
+        seconds = np.floor(100.0 * least / rate) / 100.0
+        long = f"{shortest / rate:.3g} s; --min-duration {seconds:.3g} takes them in"
+    return f"; {len(short)} more {many} stood still for less than {long}"
+
+
+def found_so_far(notes: Sequence[Finding]) -> str:
+    """Return what was found and chosen on reading, for a message of failure."""
+    return f" ({'; '.join(each.text for each in notes)})" if notes else ""
 
 
 def average_rests(
@@ -228,9 +319,10 @@ def average_rests(
     rests: list[tuple[str, Rest]],
     grid: Grid,
     survey: Survey,
-    threshold: float | None,
+    limits: Limits | None,
 ) -> list[Still]:
-    """Average every rest, with the label that it has, in one pass."""
+    """Average every rest, with the label that it has, in one pass; look for motion by limits."""
+    threshold = None if limits is None else limits.size
     sums = [_Sum(samples, label, rest, grid, threshold) for label, rest in rests]
     for first, piece in samples.pieces():
         for each in sums:
@@ -265,7 +357,7 @@ class _Sum:
         for small in small_pieces(outputs):
             self.taken.feed(small)
             if self._threshold is not None:
-                sd = self._windows.feed(small)[1]
+                sd = self._windows.feed(small)[1][0]
                 self._seen += len(sd)
                 self._moved += int((sd > self._threshold).sum())
         others = inside[len(outputs) : len(outputs) + len(self._total)]

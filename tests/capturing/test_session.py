@@ -204,7 +204,9 @@ def test_saturated_moving_and_other_units_are_refused(folder):
         columns[name][scaled] *= 9.80665
     path = log_bench.write_csv(folder / "bad.csv", columns)
     taken = state_of(started(path, threshold=0.05))["taken"]
-    reasons = {pose["start"] // whole: pose["reason"] for pose in taken if not pose["accepted"]}
+    reasons = {
+        round(pose["start"] / whole): pose["reason"] for pose in taken if not pose["accepted"]
+    }
     told = {key: text.split(":")[0] for key, text in reasons.items()}
     assert told == {0: "saturated", 8: "moving", 10: "another unit"}
     assert "gravity 9.9" in reasons[10]  # 9.8, and what the clipping takes off

@@ -45,7 +45,7 @@ def test_an_extreme_is_compared_with_what_stands_beside_it(counts, saturated):
 def test_a_few_codes_are_not_saturated(log):
     """Noise of 1.6 counts: six codes in a rest, each of them many times, the extreme too."""
     found = mp.average(in_counts(log, 320.0))
-    assert texts(found) == ()
+    assert not any("saturated" in text for text in texts(found))
     assert len(found.rests) == 14
 
 
