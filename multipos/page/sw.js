@@ -34,7 +34,7 @@ async function fetched(file) {
   if (kept) return kept;
   let answer;
   try {
-    answer = await fetch(file.url, { cache: "no-cache", credentials: "omit", mode: "cors" });
+    answer = await fetch(file.url, { cache: "no-cache", credentials: "same-origin", mode: "cors" });
     if (!answer.ok) throw new Error(`${answer.status}`);
   } catch (error) {
     return refused(file.url, `cannot be fetched (${error.message})`);
