@@ -138,6 +138,7 @@ async function contents(files) {
 // Calibrate -------------------------------------------------------------------------------------
 
 const KINDS = { known: "known orientations", six: "six faces", free: "hand-held", log: "raw log" };
+const LEVELS = { error: () => T("Not fit for use"), warning: () => T("Warning"), note: () => T("Note") };
 const sphere = makeSphere($("positions"));
 let chosen = []; // the files of now; none where the rows count
 
@@ -178,12 +179,16 @@ function show(answer) {
   for (const name of ["kind", "unit"]) {
     $(name).options[0].textContent = `${T("what they show")}: ${T(KINDS[answer[name]] || answer[name])}`;
   }
-  const nothing = [element("li", T("There is nothing to warn of."), "note")];
-  $("findings").replaceChildren(...!answer.findings.length ? nothing : answer.findings.map(finding => {
-    const made = element("li", [finding.text, " ", element("b", finding.action)], finding.level);
+  const items = answer.findings.map(finding => {
+    const said = `${LEVELS[finding.level]()}: ${finding.text} `;
+    const made = element("li", [said, element("b", finding.action)], finding.level);
     made.dataset.code = finding.code;
     return made;
-  }));
+  });
+  if (answer.findings.every(finding => finding.level === "note")) {
+    items.unshift(element("li", T("There is nothing to warn of.")));
+  }
+  $("findings").replaceChildren(...items);
   $("parameters").tBodies[0].replaceChildren(...answer.parameters.map(each => {
     const digits = decimals(each.U), numbers = [each.value, each.U];
     return parameterRow(each, [...numbers.map(x => cell(x.toFixed(digits), true)), cell(each.unit)]);

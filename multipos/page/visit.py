@@ -308,7 +308,7 @@ def _sentence(calibration: Calibration, kind: str, tr: Translator) -> str:
         kind=kinds[kind],
         rms=number(1e3 * calibration.rms, 3),
     )
-    return f"{said} {tr('It is not fit for use.')}" if errors_of(calibration.findings) else said
+    return f"{tr('Not fit for use')}: {said}" if errors_of(calibration.findings) else said
 
 
 def _positions(calibration: Calibration) -> list[dict[str, Any]]:

@@ -92,6 +92,18 @@ def test_other_rows_are_hand_held(visit, tmp_path):
     assert len(answer["next"]) == 3
 
 
+def test_what_nobody_should_use_says_so_first(visit, tmp_path):
+    """Readings of which one has a sign wrong: no sensor gives them at these positions."""
+    bad = README.replace("0.9965,0.0073", "-0.9965,0.0073")
+    (tmp_path / "bad.csv").write_text(bad)
+    answer = calibrate(visit, "bad.csv", kind="known")
+    assert answer["findings"][0]["level"] == "error"
+    assert answer["sentence"].startswith("Not fit for use: Calibrated from 6 positions")
+    assert "is not fit for use" in visit("download", form="c")["error"]
+    made = visit("download", form="c", accept=True)["path"]
+    assert "NOT" in (tmp_path / made).read_text().upper()
+
+
 def test_outputs_may_be_named(visit):
     log = mp.simulate_log(mp.demo().calibration, "all-26", rate=50, rest=4, sample_sd=1e-3, seed=1)
     columns = {"p": log["time"], "q": log["ax"], "r": log["ay"], "s": log["az"]}
