@@ -72,6 +72,8 @@ def _guarded(argv: list[str]) -> int:
         return _complain(error, 2)
     except MultiposError as error:
         return _complain(error, 1)
+    except ModuleNotFoundError as error:
+        return _complain(_missing(error), 1)
     except MemoryError:
         return _complain("the data do not fit into memory; give fewer rows.", 1)
     except KeyboardInterrupt:
@@ -147,6 +149,24 @@ def _signals_raise() -> Iterator[list[int]]:
     finally:
         for number in ours:
             signal.signal(number, signal.SIG_DFL)
+
+
+# What the parts are for that a small installation leaves out.
+_PARTS = {
+    "scipy": "this",
+    "casadi": "a model of one's own",
+    "matplotlib": "a figure",
+    "jinja2": "an HTML report",
+    "markupsafe": "an HTML report",
+}
+
+
+def _missing(error: ModuleNotFoundError) -> str:
+    """Return one line on a library that is not installed."""
+    name = (error.name or "").partition(".")[0]
+    if name not in _PARTS:
+        return _unforeseen(error)
+    return f"{_PARTS[name]} needs {name}, which is not installed; pip install {name}."
 
 
 def _unforeseen(error: Exception) -> str:

@@ -53,6 +53,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from functools import cache, lru_cache
+from itertools import combinations
 from typing import IO, NamedTuple, Self
 
 import numpy as np
@@ -322,11 +323,22 @@ def _best(lengths: Sequence[int], variances: Array, records: Sequence[int], firs
     return four if four.chi2 < three.chi2 - _WORTH else three
 
 
+def _not_negative(A: Array, y: Array) -> Array:
+    """Return the least-squares solution of A x = y with x ≥ 0, over all sets of a few columns."""
+    best, least = np.zeros(A.shape[1]), float(y @ y)
+    for count in range(1, A.shape[1] + 1):
+        for chosen in combinations(range(A.shape[1]), count):
+            x = np.linalg.lstsq(A[:, chosen], y, rcond=None)[0]
+            left = y - A[:, chosen] @ x
+            if (x >= 0.0).all() and float(left @ left) < least:
+                best, least = np.zeros(A.shape[1]), float(left @ left)
+                best[list(chosen)] = x
+    return best
+
+
 def _fit(
     lengths: Sequence[int], variances: Array, records: Sequence[int], first: int, laws: int
 ) -> Laws:
-    from scipy.optimize import nnls
-
     used, curve = list(lengths[first:]), variances[first:]
     design = law_variances(np.array(used, dtype=np.float64))[:, :laws]
     number = np.array([sum(starts(n, m) for n in records) / m for m in used])
@@ -336,7 +348,7 @@ def _fit(
     for _ in range(_TOGETHER):
         rows = np.linalg.solve(factor, np.column_stack([design, curve]))
         scale = np.linalg.norm(rows[:, :-1], axis=0)
-        found = nnls(rows[:, :-1] / scale, rows[:, -1])[0] / scale
+        found = _not_negative(rows[:, :-1] / scale, rows[:, -1]) / scale
         if not found.any():  # a curve that no law is like; what was found before is nearer
             break
         squares, before, model = found, model, design @ found

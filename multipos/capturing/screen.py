@@ -6,20 +6,18 @@ changes the language, which at first is that of the terminal.
 """
 
 import os
+import shutil
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from multipos.capturing.session import Session
 from multipos.capturing.state import state_of
-from multipos.files.numbers import number
+from multipos.files.numbers import number, table
 from multipos.reports.page import Language, Translator
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
 
 _OFTEN = 0.25  # [s] from one picture to the next
 _SHOWN = 8  # poses
@@ -38,27 +36,36 @@ def text_screen(session: Session, *, commands: bool) -> Iterator[None]:
     if sys.stderr is None or not sys.stderr.isatty():
         yield
         return
-    from rich.console import Console
-    from rich.live import Live
-
     ended, chosen = threading.Event(), _Choice(_language_of_terminal())
     if commands and sys.stdin is not None and sys.stdin.isatty():
         threading.Thread(target=_obey, args=(session, chosen), daemon=True).start()
-    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
 
-        def show() -> None:
-            while not ended.wait(_OFTEN):
-                with session.changed:
-                    state = state_of(session)
-                live.update(picture_of(state, chosen.language), refresh=True)
+    def show() -> None:
+        height = 0
+        while not ended.wait(_OFTEN):
+            with session.changed:
+                state = state_of(session)
+            height = _draw(picture_of(state, chosen.language), height)
+        _draw([], height)
 
-        thread = threading.Thread(target=show)
-        thread.start()
-        try:
-            yield
-        finally:
-            ended.set()
-            thread.join()
+    thread = threading.Thread(target=show)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _draw(lines: Sequence[str], height: int) -> int:
+    """Write lines in place of so many written before; return how many there are now."""
+    wide = shutil.get_terminal_size().columns
+    back = f"\x1b[{height}F\x1b[J" if height else ""
+    text = "".join(f"{line[: wide - 1]}\n" for line in lines)
+    if sys.stderr is not None:
+        sys.stderr.write(back + text)
+        sys.stderr.flush()
+    return len(lines)
 
 
 @dataclass
@@ -95,28 +102,23 @@ def obey(session: Session, line: str) -> None:
         session.changed.notify_all()
 
 
-def picture_of(state: Mapping[str, Any], language: Language = "en") -> "RenderableType":
-    """Return what the terminal shows of a state."""
-    from rich.console import Group
-    from rich.text import Text
-
+def picture_of(state: Mapping[str, Any], language: Language = "en") -> list[str]:
+    """Return what the terminal shows of a state, as lines."""
     tr = Translator(language)
     next_ = state["next"]
-    lines = [Text(_status(state, tr), style="bold")]
+    lines = [_status(state, tr)]
     if next_ is not None:
         gain = ""
         if next_["gain"] is not None:
             gain = "  " + tr("(gain {size})", size=number(next_["gain"], 3))
         label = "" if next_["label"] is None else f"{next_['label']}: "
-        lines.append(
-            Text(f"{tr('next')}: {label}{next_['words'][language]}{gain}", style="magenta")
-        )
-    lines += [Text(_said(finding, "text", tr), style="yellow") for finding in state["findings"]]
+        lines.append(f"{tr('next')}: {label}{next_['words'][language]}{gain}")
+    lines += [_said(finding, "text", tr) for finding in state["findings"]]
     if state["problem"]:
-        lines.append(Text(_said(state, "problem", tr), style="dim"))
-    keys = Text(tr("u: undo   r LABEL: redo   f: finish   l: 中文   (then Enter)"), style="dim")
+        lines.append(_said(state, "problem", tr))
     poses = [_pose(pose, tr) for pose in state["taken"][-_SHOWN:]]
-    return Group(*lines, _parameters(state, tr), *poses, keys)
+    keys = tr("u: undo   r LABEL: redo   f: finish   l: 中文   (then Enter)")
+    return [*lines, *_parameters(state, tr), *poses, keys]
 
 
 def _said(entry: Mapping[str, Any], key: str, tr: Translator) -> str:
@@ -151,28 +153,23 @@ def _status(state: Mapping[str, Any], tr: Translator) -> str:
     return f"{said}   ({tr.listed(counts)})"
 
 
-def _parameters(state: Mapping[str, Any], tr: Translator) -> "RenderableType":
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for title in ("parameter", "value", "U", "target", ""):
-        table.add_column(tr(title), justify="left" if title in ("parameter", "") else "right")
-    for entry in state["parameters"]:
-        target = entry["target"]
-        table.add_row(
+def _parameters(state: Mapping[str, Any], tr: Translator) -> list[str]:
+    header = [tr(title) if title else "" for title in ("parameter", "value", "U", "target", "")]
+    rows = [
+        [
             entry["name"],
             number(entry["value"], 6),
             f"{number(entry['U'], 2)} {entry['unit']}",
-            "" if target is None else number(target, 3),
+            "" if entry["target"] is None else number(entry["target"], 3),
             tr("met") if entry["met"] else "",
-        )
-    return table
+        ]
+        for entry in state["parameters"]
+    ]
+    return table(header, rows).splitlines() if rows else []
 
 
-def _pose(pose: Mapping[str, Any], tr: Translator) -> "RenderableType":
-    from rich.text import Text
-
+def _pose(pose: Mapping[str, Any], tr: Translator) -> str:
     if pose["accepted"]:
         left = pose["residual"]
-        return Text(f"{pose['position']:>4}  " + ("" if left is None else f"{1e6 * left:+.0f} µg"))
-    return Text(f"{pose['position']:>4}  {_said(pose, 'reason', tr)}", style="yellow")
+        return f"{pose['position']:>4}  " + ("" if left is None else f"{1e6 * left:+.0f} µg")
+    return f"{pose['position']:>4}  {_said(pose, 'reason', tr)}"

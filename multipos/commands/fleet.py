@@ -21,12 +21,13 @@ from multipos.fleets.folder import (
     STATIONS,
     file_names,
     has_corrections,
+    has_page,
     has_parquet,
     progress_folder,
     write_fleet,
 )
 from multipos.fleets.workers import ENGINES
-from multipos.reports.documents import html_report
+from multipos.reports.documents import html_report, markdown_report
 from multipos.reports.fleets import fleet_content
 
 INPUTS = ("tables", "scheme", "budget", "limits")
@@ -73,10 +74,13 @@ def run(arguments: argparse.Namespace) -> Answer:
     options = {name: value for name, value in vars(arguments).items() if name not in _OWN}
     with progress_bar("units", 0) as told, _kept_if_stopped(folder) as kept:
         found = fleet(*arguments.tables, progress_folder=kept, progress=told, **options)
-        write_fleet(found, folder, html_report(fleet_content(found.to_dict())))
+        content = fleet_content(found.to_dict())
+        page = html_report(content) if has_page() else markdown_report(content)
+        write_fleet(found, folder, page)
     return Answer(
         text=lambda: (
             f"{fleet_text(found.to_dict())}\nWritten to {folder}: {', '.join(_names(found))}\n"
+            + ("" if has_page() else "For report.html: pip install jinja2 matplotlib\n")
         ),
         json=lambda: to_json(found.to_dict()),
         findings=lambda: (*read_findings(found.summary), *_without_parquet()),

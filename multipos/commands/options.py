@@ -4,6 +4,7 @@ import argparse
 import os
 import re
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +17,8 @@ from multipos.numerics.terms import NAMED
 
 T = TypeVar("T")
 
-_PATIENCE = 2.0  # [s] before a bar shows
+_PATIENCE = 2.0  # [s] before progress shows
+_OFTEN = 0.2  # [s] from one line of it to the next
 _LARGE = 1 << 24  # bytes; a smaller file is read before a bar could be seen
 
 
@@ -218,27 +220,32 @@ def asks_export(arguments: argparse.Namespace) -> bool:
 def progress_bar(what: str, total: int | None = None) -> Iterator[Callable[[int], object]]:
     """Show how much of a long task is done, on stderr, only on a terminal, and after two seconds.
 
-    Yields the function that is told how much is done; without a total the bar only moves.
+    Yields the function that is told how much is done; without a total the seconds are shown.
     """
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda done: None
         return
-    from threading import Timer
+    begun = shown = time.monotonic()
+    wide = 0
 
-    from rich.console import Console
-    from rich.progress import Progress
+    def tell(done: int) -> None:
+        nonlocal shown, wide
+        now = time.monotonic()
+        if now - begun < _PATIENCE or now - shown < _OFTEN or sys.stderr is None:
+            return
+        shown = now
+        share = f"{now - begun:.0f} s" if total is None else f"{100.0 * done / max(total, 1):.0f} %"
+        text = f"{what} … {share}"
+        sys.stderr.write(f"\r{text:<{wide}}")
+        sys.stderr.flush()
+        wide = max(wide, len(text))
 
-    progress = Progress(console=Console(stderr=True), transient=True)
-    task = progress.add_task(what, total=total)
-    patience = Timer(_PATIENCE, progress.start)
-    patience.daemon = True
-    patience.start()
     try:
-        yield lambda done: progress.update(task, completed=done)
+        yield tell
     finally:
-        patience.cancel()
-        patience.join()
-        progress.stop()
+        if wide:
+            sys.stderr.write(f"\r{'':<{wide}}\r")
+            sys.stderr.flush()
 
 
 @contextmanager

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array, median
-from multipos.numerics.quantiles import coverage_factor, coverage_factors
+from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf
 
 _BELIEF = 1.4  # what "the claim is right" weighs, in units of ln V, from six degrees of freedom on
 _FEW = 6.0  # degrees of freedom below which the claim must weigh more, or U is too long
@@ -47,7 +47,6 @@ _MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
 _SHAPES = 64  # steps of degrees of freedom, between which tails are nearly straight
 _SAME = 1e-9  # relative difference of mixtures that are one
 _ROOT = np.sqrt(2.0)
-_MANY = 20_000  # values from which on SciPy's error function is worth its import
 
 
 class Found(NamedTuple):
@@ -206,7 +205,7 @@ def _search_half(means: Array, sds: Array, weights: Array, share: float) -> Arra
     guess = coverage_factor(share, math.inf) * spread
     for _ in range(60):
         above, below = (guess[:, None] - means) / sds, (guess[:, None] + means) / sds
-        covered = _erf(above / _ROOT) + _erf(below / _ROOT)
+        covered = erf(above / _ROOT) + erf(below / _ROOT)
         inside = np.einsum("bg,bgp->bp", weights, covered) / 2.0
         low = np.where(inside < share, guess, low)
         high = np.where(inside < share, high, guess)
@@ -219,14 +218,6 @@ def _search_half(means: Array, sds: Array, weights: Array, share: float) -> Arra
             break
         guess = following
     return np.asarray(following)
-
-
-def _erf(z: Array) -> Array:
-    if z.size < _MANY:
-        return np.array([*map(math.erf, z.ravel().tolist())]).reshape(z.shape)
-    from scipy.special import erf
-
-    return np.asarray(erf(z))
 
 
 def _normal(z: Array) -> Array:

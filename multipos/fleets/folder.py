@@ -22,7 +22,8 @@ from multipos.files.whole import Content, Pieces, make_folder, written
 from multipos.fleets.fleet import SCHEMA, Fleet
 
 PARQUET, CSV = "calibrations.parquet", "calibrations.csv"
-UNITS, SUMMARY, PAGE = "units.csv", "fleet.json", "report.html"
+UNITS, SUMMARY = "units.csv", "fleet.json"
+PAGE, TEXT = "report.html", "report.md"  # the second where the page's libraries are missing
 STATIONS = "stations"
 _PROGRESS = ".progress"
 _UNNAMED = "all"  # files of the one station that has no name
@@ -34,7 +35,12 @@ Files = dict[str | os.PathLike[str], Pieces]
 
 def file_names() -> tuple[str, ...]:
     """Return the names of the files that are written on this machine."""
-    return (PARQUET if has_parquet() else CSV, UNITS, SUMMARY, PAGE)
+    return (PARQUET if has_parquet() else CSV, UNITS, SUMMARY, PAGE if has_page() else TEXT)
+
+
+def has_page() -> bool:
+    """Tell whether what makes an HTML report is installed."""
+    return all(find_spec(library) is not None for library in ("jinja2", "matplotlib"))
 
 
 def has_parquet() -> bool:
@@ -70,7 +76,7 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
         place / (PARQUET if has_parquet() else CSV): _table_of(fleet),
         place / UNITS: _csv_pieces(fleet.verdicts),
         place / SUMMARY: to_json(fleet.to_dict()),
-        place / PAGE: page,
+        place / (PAGE if has_page() else TEXT): page,
         **corrections,
     }
     try:

@@ -43,6 +43,7 @@ from multipos.fleets.pictures import line_order
 from multipos.fleets.stations import NORMAL, near_median
 from multipos.fleets.unit_results import Units
 from multipos.numerics.arrays import Array, median
+from multipos.numerics.quantiles import chi2_quantile, f_tail, normal_quantiles
 
 RATE = 0.01  # of false discoveries
 _KEPT = 0.975  # share of a normal law that S is taken from
@@ -106,11 +107,9 @@ def find_outliers(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, An
 
 def _concentrated(theta: Array) -> Array:
     """Return the covariance (p, p) of the bulk of (n, p) numbers about zero."""
-    from scipy.special import chdtri
-
     p = theta.shape[1]
-    limit = float(chdtri(p, 1.0 - _KEPT))
-    middle = float(chdtri(p, 0.5))
+    limit = chi2_quantile(_KEPT, float(p))
+    middle = chi2_quantile(0.5, float(p))
     kept = np.maximum(theta.max(axis=1), -theta.min(axis=1)) <= np.sqrt(limit)
     if kept.sum() <= 2 * p:
         kept = np.ones(len(theta), dtype=np.bool_)
@@ -151,9 +150,8 @@ def _blocks(count: int) -> Iterator[slice]:
 
 
 def _tail(distance: Array, n: int, p: int) -> Array:
-    from scipy.special import fdtrc
-
-    return np.asarray(fdtrc(p, n - p, distance * (n - p) / (p * (n - 1.0))))
+    ratios = distance * (n - p) / (p * (n - 1.0))
+    return np.array([f_tail(ratio, float(p), float(n - p)) for ratio in ratios.tolist()])
 
 
 def discoveries(p_values: Array) -> NDArray[np.intp]:
@@ -210,15 +208,13 @@ def find_drift(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, Any]]
 
 def normal_scores(values: Array) -> Array:
     """Return the normal scores of the ranks of values (n,), with variance one."""
-    from scipy.special import ndtri
-
     order = np.argsort(values, kind="stable")
     ranks = np.empty(len(values))
     ranks[order] = np.arange(1, len(values) + 1)
     same, place = np.unique(values, return_inverse=True)
     if len(same) < len(values):  # equal values share their mean rank
         ranks = (np.bincount(place, ranks) / np.bincount(place))[place]
-    scores = np.asarray(ndtri((ranks - 0.5) / len(values)))
+    scores = normal_quantiles((ranks - 0.5) / len(values))
     spread = float(scores.std())
     return scores / spread if spread > 0.0 else scores
 

@@ -46,7 +46,7 @@ from multipos.files.limits import Limit
 from multipos.files.spelling import near
 from multipos.fleets.unit_results import Texts, Units
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import coverage_factors, normal_quantile
+from multipos.numerics.quantiles import beta_quantile, coverage_factors, erf, normal_quantile
 
 QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 _GRID = 2001  # of eq. (3): its error is below 1e-6
@@ -67,12 +67,10 @@ class CoveredFigure(NamedTuple):
 
 def proportion(successes: int, trials: int, confidence: float = 0.95) -> CoveredFigure:
     """Return a proportion with the interval of Clopper and Pearson."""
-    from scipy.special import betaincinv
-
     tail = (1.0 - confidence) / 2.0
     left = trials - successes
-    low = float(betaincinv(successes, left + 1, tail)) if successes else 0.0
-    high = float(betaincinv(successes + 1, left, 1.0 - tail)) if left else 1.0
+    low = beta_quantile(tail, successes, left + 1.0) if successes else 0.0
+    high = beta_quantile(1.0 - tail, successes + 1.0, left) if left else 1.0
     return CoveredFigure(successes / trials, low, high)
 
 
@@ -135,13 +133,12 @@ def wrong_verdicts(spread: UnitSpread, u: float, lsl: float, usl: float) -> dict
     """Return consumer's and producer's risk, shares of all units, eq. (3)."""
     if not (spread.true > 0.0 and u > 0.0):
         return None
-    from scipy.special import ndtr
-
     t = np.linspace(-_REACH, _REACH, _GRID)
     weight = np.exp(-0.5 * t**2)
     weight /= weight.sum()
     true = spread.mean + spread.true * t
-    accepted = ndtr((usl - true) / u) - ndtr((lsl - true) / u)
+    root = u * np.sqrt(2.0)
+    accepted = 0.5 * (erf((usl - true) / root) - erf((lsl - true) / root))
     inside = (true >= lsl) & (true <= usl)
     return {
         "consumer": float(np.sum(weight * accepted * ~inside)),

@@ -20,14 +20,16 @@ the question has no answer, and nan is returned. Scalars in, float out: a fit as
 only `coverage_factors` is for those of many units.
 
 The short tail is used throughout: 1 − p keeps no digits below 1e-16, so a two-sided factor is
-computed from (1 − confidence)/2 and not from 1 − (1 − confidence)/2. Up to a thousand degrees of
-freedom the functions are those of `multipos.numerics.quantiles`, beyond SciPy's.
+computed from (1 − confidence)/2 and not from 1 − (1 − confidence)/2.
 
 Incomplete gamma and beta functions, by series and continued fractions.
 
 They are what the laws behind a stated confidence need, in the few values that a fit asks for:
 importing `scipy.special` takes longer than such a fit. With a and b up to `LARGEST` their
-logarithms of factorials keep twelve digits; beyond, SciPy's expansions are the better way.
+logarithms of factorials keep twelve digits; beyond, the factor before the series is written with
+the remainder δ of Stirling's formula and the deviance D, which lose none [2]_,
+
+    x^a e^−x/Γ(a + 1) = exp(−δ(a) − D(a, x))/√(2π a),     D(a, m) = a ln(a/m) + m − a.
 
     P(a, x) = γ(a, x)/Γ(a),   Q = 1 − P,   I_x(a, b) = B(x; a, b)/B(a, b)
 
@@ -46,6 +48,8 @@ than a fit takes.
 References
 ----------
 .. [1] M. Abramowitz, I. A. Stegun, *Handbook of Mathematical Functions*, 1964.
+.. [2] C. Loader, *Fast and accurate computation of binomial probabilities*, 2000.
+.. [3] M. J. Wichura, Algorithm AS 241, Applied Statistics 37, 1988.
 M. Abramowitz, I. A. Stegun, *Handbook of Mathematical Functions*, 6.3.5, 6.3.18, 6.4.6, 6.4.12.
 """
 
@@ -60,7 +64,9 @@ from multipos.errors import UsageError
 from multipos.numerics.arrays import SMALLEST, Array
 
 LARGEST = 500.0
-_STEPS = 10_000
+_STEPS = 100_000
+_NEARLY_NORMAL = 1e5  # degrees of freedom from which on t has its expansion
+_NORMAL = 1e9  # degrees of freedom from which on a law is taken as normal
 _EPS = 1e-16
 _TINY = 1e-300
 
@@ -69,7 +75,10 @@ def gamma_tails(a: float, x: float) -> tuple[float, float]:
     """Return P(a, x) and Q(a, x)."""
     if x <= 0.0:
         return 0.0, 1.0
-    scale = math.exp(a * math.log(x) - x - math.lgamma(a))
+    if a > LARGEST:
+        scale = math.exp(-_stirling(a) - _deviance(a, x)) * math.sqrt(a / (2.0 * math.pi))
+    else:
+        scale = math.exp(a * math.log(x) - x - math.lgamma(a))
     if x < a + 1.0:
         term = total = 1.0 / a
         step = a
@@ -96,8 +105,15 @@ def beta_tails(x: float, y: float, a: float, b: float) -> tuple[float, float]:
 
 
 def _beta_lower(x: float, y: float, a: float, b: float) -> float:
-    front = math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b)
-    scale = math.exp(front + a * math.log(x) + b * math.log(y)) / a
+    if max(a, b) > LARGEST:
+        n = a + b
+        size = (
+            _stirling(n) - _stirling(a) - _stirling(b) - _deviance(a, n * x) - _deviance(b, n * y)
+        )
+        scale = math.exp(size) * math.sqrt(b / (2.0 * math.pi * a * n))
+    else:
+        front = math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b)
+        scale = math.exp(front + a * math.log(x) + b * math.log(y)) / a
 
     def term(n: int) -> tuple[float, float]:
         m = n // 2
@@ -106,6 +122,28 @@ def _beta_lower(x: float, y: float, a: float, b: float) -> float:
         return m * (b - m) * x / ((a + 2 * m - 1.0) * (a + 2 * m)), 1.0
 
     return scale / _fraction(1.0, term)
+
+
+def _stirling(a: float) -> float:
+    """Return δ(a) = ln Γ(a + 1) − (a + ½) ln a + a − ½ ln 2π."""
+    if a < 20.0:
+        return math.lgamma(a + 1.0) - (a + 0.5) * math.log(a) + a - 0.5 * math.log(2.0 * math.pi)
+    s = 1.0 / a**2
+    return (1 / 12 - s * (1 / 360 - s * (1 / 1260 - s * (1 / 1680 - s / 1188)))) / a
+
+
+def _deviance(a: float, m: float) -> float:
+    """Return D(a, m) without the digits that its terms cancel where m is near a."""
+    v = (a - m) / (a + m)
+    if abs(v) > 0.1:
+        return a * math.log(a / m) + m - a
+    total, term, n = (a - m) * v, 2.0 * a * v, 1
+    while True:
+        term *= v * v
+        after = total + term / (2 * n + 1)
+        if after == total:
+            return total
+        total, n = after, n + 1
 
 
 def _fraction(first: float, term: Callable[[int], tuple[float, float]]) -> float:
@@ -160,6 +198,7 @@ def solve(function: Callable[[float], float], target: float, start: float) -> fl
 
 _KEPT = 256  # quantiles: a fit asks for the same one of each of its parameters
 _MANY = 100  # degrees of freedom from which on SciPy is worth its import
+_ARRAY = 20_000  # values from which on its error function is
 _KNOWN = 1e6  # beyond which the difference of two tails is rounding
 
 
@@ -186,12 +225,16 @@ def coverage_factor(confidence: float, dof: float) -> float:
 def coverage_factors(confidence: float, dof: Array) -> Array:
     """Return `coverage_factor` of degrees of freedom, an array of any shape.
 
-    Many different ones come from SciPy's quantiles, after a step of Newton's on its tails.
+    Many different ones come from SciPy's quantiles, where it is installed, after a step of Newton's
+    on its tails.
     """
     each = dof.ravel().tolist()
     if len(set(each)) < _MANY:  # `coverage_factor` keeps what it has found
         return np.array([coverage_factor(confidence, nu) for nu in each]).reshape(dof.shape)
-    from scipy.special import betainc, gammaln, ndtri, stdtrit
+    try:
+        from scipy.special import betainc, gammaln, ndtri, stdtrit
+    except ImportError:
+        return np.array([coverage_factor(confidence, nu) for nu in each]).reshape(dof.shape)
 
     different, place = np.unique(dof, return_inverse=True)
     nu = np.where(different > 0.0, different, np.nan)
@@ -212,10 +255,11 @@ def t_quantile(p: float, dof: float) -> float:
         return math.nan
     if math.isinf(dof):
         return normal_quantile(p)
-    if not 0.0 < p < 1.0 or dof > 2.0 * LARGEST:
-        from scipy.special import stdtrit
-
-        return float(stdtrit(dof, p))
+    if not 0.0 < p < 1.0:
+        return normal_quantile(p)
+    if dof > _NEARLY_NORMAL:  # [1]_ (26.7.5), whose next term is z⁷/384ν³
+        z = normal_quantile(p)
+        return z + (z**3 + z) / (4.0 * dof) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * dof**2)
     if p > 0.5:
         return -t_quantile(1.0 - p, dof)
     central = 1.0 - 2.0 * p
@@ -232,10 +276,8 @@ def t_tail(t: float, dof: float) -> float:
         return math.nan
     if math.isinf(dof):
         return math.erfc(abs(t) / math.sqrt(2.0))
-    if not math.isfinite(t) or dof > 2.0 * LARGEST:
-        from scipy.special import stdtr
-
-        return 2.0 * float(stdtr(dof, -abs(t)))
+    if not math.isfinite(t) or dof > _NORMAL:
+        return math.erfc(abs(t) / math.sqrt(2.0))
     return _t_tails(abs(float(t)), float(dof))[0]
 
 
@@ -257,6 +299,62 @@ def normal_quantile(p: float) -> float:
     return -solve(lambda z: math.erfc(z / math.sqrt(2.0)), 2.0 * p, 1.0)
 
 
+def normal_quantiles(p: Array) -> Array:
+    """Return `normal_quantile` of many, by the rational functions of [3]_."""
+    q = p - 0.5
+    tail = np.sqrt(-np.log(np.minimum(p, 1.0 - p)))
+    r = np.where(
+        np.abs(q) <= 0.425, 0.180625 - q * q, np.where(tail <= 5.0, tail - 1.6, tail - 5.0)
+    )
+    near, far, farthest = (np.polyval(above, r) / np.polyval(below, r) for above, below in _AS241)
+    outside = np.where(tail <= 5.0, far, farthest)
+    return np.where(np.abs(q) <= 0.425, q * near, np.sign(q) * outside)
+
+
+# Coefficients of [3]_, highest power first: near the middle, in the tails, far out.
+_RATIONAL = """
+2509.0809287301226727 33430.575583588128105 67265.770927008700853 45921.953931549871457
+13731.693765509461125 1971.5909503065514427 133.14166789178437745 3.3871328727963666080
+5226.495278852854561 28729.085735721942674 39307.89580009271061 21213.794301586595867
+5394.1960214247511077 687.1870074920579083 42.313330701600911252 1.0
+7.74545014278341407640e-4 0.0227238449892691845833 0.24178072517745061177 1.27045825245236838258
+3.64784832476320460504 5.7694972214606914055 4.6303378461565452959 1.42343711074968357734
+1.05075007164441684324e-9 5.475938084995344946e-4 0.0151986665636164571966
+0.14810397642748007459 0.68976733498510000455 1.6763848301838038494 2.05319162663775882187 1.0
+2.01033439929228813265e-7 2.71155556874348757815e-5 0.0012426609473880784386
+0.026532189526576123093 0.29656057182850489123 1.7848265399172913358 5.4637849111641143699
+6.6579046435011037772
+2.04426310338993978564e-15 1.4215117583164458887e-7 1.8463183175100546818e-5
+7.868691311456132591e-4 0.0148753612908506148525 0.13692988092273580531 0.59983220655588793769
+1.0
+"""
+_AS241 = np.array(_RATIONAL.split(), dtype=np.float64).reshape(3, 2, 8)
+
+
+def erf(z: Array) -> Array:
+    """Return the error function of each number."""
+    if z.size > _ARRAY:
+        try:
+            from scipy.special import erf as many
+        except ImportError:
+            pass
+        else:
+            return np.asarray(many(z))
+    return np.array([*map(math.erf, z.ravel().tolist())]).reshape(z.shape)
+
+
+def beta_quantile(p: float, a: float, b: float) -> float:
+    """Value that a variable of the beta law does not exceed with probability `p`."""
+
+    def lower(odds: float) -> float:
+        return beta_tails(odds / (1.0 + odds), 1.0 / (1.0 + odds), a, b)[0]
+
+    odds = solve(lower, p, a / b) if p < 0.5 else 0.0
+    if p >= 0.5:  # by the upper tail, which keeps its digits
+        odds = solve(lambda o: beta_tails(o / (1 + o), 1 / (1 + o), a, b)[1], 1.0 - p, a / b)
+    return odds / (1.0 + odds)
+
+
 @lru_cache(_KEPT)
 def f_quantile(p: float, k: float, dof: float) -> float:
     """Ratio of variances on `k` and `dof` degrees of freedom not exceeded with probability `p`."""
@@ -264,10 +362,10 @@ def f_quantile(p: float, k: float, dof: float) -> float:
         return math.nan
     if math.isinf(dof):
         return chi2_quantile(p, k) / k
-    if not 0.0 < p < 1.0 or max(k, dof) > 2.0 * LARGEST:
-        from scipy.special import fdtri
-
-        return float(fdtri(k, dof, p))
+    if not 0.0 < p < 1.0:
+        return {0.0: 0.0, 1.0: math.inf}.get(p, math.nan)
+    if dof > _NORMAL:
+        return chi2_quantile(p, k) / k
     if p < 0.5:
         return solve(lambda f: _f_tails(f, k, dof)[1], p, 1.0)
     return solve(lambda f: _f_tails(f, k, dof)[0], 1.0 - p, 1.0)
@@ -279,10 +377,10 @@ def f_tail(f: float, k: float, dof: float) -> float:
         return math.nan
     if math.isinf(dof):
         return chi2_tail(k * f, k)
-    if not math.isfinite(f) or max(k, dof) > 2.0 * LARGEST:
-        from scipy.special import fdtrc
-
-        return float(fdtrc(k, dof, f))
+    if not math.isfinite(f):
+        return math.nan if math.isnan(f) else float(f < 0.0)
+    if dof > _NORMAL:
+        return chi2_tail(k * f, k)
     return _f_tails(float(f), float(k), float(dof))[0]
 
 
@@ -297,10 +395,12 @@ def chi2_quantile(p: float, dof: float) -> float:
     """Sum of `dof` squared standard normals that is not exceeded with probability `p`."""
     if not dof > 0.0:
         return math.nan
-    if not 0.0 < p < 1.0 or dof > 2.0 * LARGEST:
-        from scipy.special import gammaincinv  # chdtri wants 1 − p, which loses a small p
-
-        return 2.0 * float(gammaincinv(dof / 2.0, p))
+    if not 0.0 < p < 1.0:
+        return {0.0: 0.0, 1.0: math.inf}.get(p, math.nan)
+    if dof > _NORMAL:  # Wilson and Hilferty
+        return (
+            dof * (1.0 - 2.0 / (9.0 * dof) + normal_quantile(p) * math.sqrt(2.0 / 9.0 / dof)) ** 3
+        )
     if p < 0.5:
         return 2.0 * solve(lambda x: gamma_tails(dof / 2.0, x)[0], p, dof / 2.0)
     return 2.0 * solve(lambda x: gamma_tails(dof / 2.0, x)[1], 1.0 - p, dof / 2.0)
@@ -310,10 +410,11 @@ def chi2_tail(x: float, dof: float) -> float:
     """Probability that the sum of `dof` squared standard normals exceeds `x`."""
     if not dof > 0.0:
         return math.nan
-    if not math.isfinite(x) or dof > 2.0 * LARGEST:
-        from scipy.special import chdtrc
-
-        return float(chdtrc(dof, x))
+    if not math.isfinite(x):
+        return math.nan if math.isnan(x) else float(x < 0.0)
+    if dof > _NORMAL:
+        z = ((x / dof) ** (1.0 / 3.0) - 1.0 + 2.0 / (9.0 * dof)) / math.sqrt(2.0 / 9.0 / dof)
+        return 0.5 * math.erfc(z / math.sqrt(2.0))
     return gamma_tails(float(dof) / 2.0, float(x) / 2.0)[1]
 
 

@@ -1,7 +1,7 @@
 """Recursions of the first order, z_k = w_k + a z_{k−1}, of any number of runs and columns at once.
 
-They are the forward substitution of a matrix with two diagonals, for which LAPACK has a routine;
-`scipy.signal`, which has them too, takes half a second to import.
+They are the forward substitution of a matrix with two diagonals, for which LAPACK has a routine,
+by SciPy where it is installed; `scipy.signal`, which has them too, takes half a second to import.
 
 Sample rates that a log may have.
 """
@@ -23,12 +23,22 @@ def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
     first : (n,) array of bool, optional
         Rows where a run begins, beside the first.
     """
-    from scipy.linalg.lapack import dtbtrs
-
+    try:
+        from scipy.linalg.lapack import dtbtrs
+    except ImportError:
+        return _recur_by_rows(w, a, first)
     bands = np.ones((2, len(w)))
     bands[1, :-1] = -a if first is None else np.where(first[1:], 0.0, -a)
     z, _ = dtbtrs(bands, w.reshape(len(w), -1), uplo="L", diag="U")
     return np.asarray(z.reshape(w.shape))
+
+
+def _recur_by_rows(w: Array, a: float, first: NDArray[np.bool_] | None) -> Array:
+    z = np.array(w, dtype=np.float64)
+    begins = np.zeros(len(w), dtype=np.bool_) if first is None else first
+    for k in (np.flatnonzero(~begins[1:]) + 1).tolist():
+        z[k] += a * z[k - 1]
+    return z
 
 
 SLOWEST, FASTEST = 1e-12, 1e7  # [Hz]

@@ -42,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import erf
 
 Instruction = tuple[Any, ...]
 
@@ -212,12 +213,6 @@ def _truth(compare: Callable[..., Any]) -> Callable[..., Any]:
     return as_number
 
 
-def _erf(x: Any) -> Any:
-    from scipy.special import erf
-
-    return erf(x)
-
-
 # CasADi's operations by NumPy, those of another name.
 _NAMED: dict[str, Callable[..., Any]] = {
     "neg": np.negative,
@@ -231,7 +226,7 @@ _NAMED: dict[str, Callable[..., Any]] = {
     "atanh": np.arctanh,
     "inv": lambda x: np.divide(1.0, x),
     "not": _truth(np.logical_not),
-    "erf": _erf,
+    "erf": lambda x: erf(np.asarray(x, dtype=np.float64)),
     "sub": np.subtract,
     "mul": np.multiply,
     "div": np.divide,

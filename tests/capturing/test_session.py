@@ -1,7 +1,6 @@
 """Guided capture: rests as they happen, poses, what is met, and what is kept."""
 
 import contextlib
-import io
 import json
 import sys
 import threading
@@ -495,13 +494,9 @@ def test_a_pose_in_words():
 
 
 def test_the_text_screen_shows_the_state(log):
-    from rich.console import Console
-
     session = started(log, positions=17, target=["bias=0.002"])
     state = state_of(session)
-    console = Console(width=120, record=True, file=io.StringIO())
-    console.print(picture_of(state))
-    text = console.export_text()
+    text = "\n".join(picture_of(state))
     assert f"next: {state['next']['words']['en']}" in text
     rows = [line.split() for line in text.splitlines()]
     for entry in state["parameters"]:
