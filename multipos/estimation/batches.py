@@ -129,7 +129,7 @@ def force_slopes(
         varying.append((column, axis, slope.reshape(count, n) if np.ndim(slope) else slope))
     result = np.empty((len(model.outputs), 3, count, n))
     result[:] = constant[..., None]
-    used = coefficients.any(axis=0).T.tolist()
+    used: list[list[bool]] = (coefficients != 0.0).any(axis=0).T.tolist()
     for column, axis, slope in varying:
         for output, present in enumerate(used[column]):
             if present:

@@ -354,7 +354,7 @@ def _least_noise(problem: Problem, optimum: Optimum) -> Problem:
     Where no orientation has an sd it is a small part of the residuals.
     """
     linear = linear_model(problem, optimum)
-    separated = np.array([separates(problem, optimum)])
+    separated = contrasts(linear) >= SEPARATING
     spreads, values = linear.spreads, problem.values
     if not spreads.any():
         spreads, separated = np.array([np.sum(optimum.point.residuals**2)]), np.array([True])

@@ -584,7 +584,7 @@ def _quadrics(points: Array, *, crossed: bool) -> _Quadrics:
     axes = np.linalg.eigvalsh(form)
     good = axes[:, 0] > _FLATTEST * axes[:, -1]
     form[~good] = np.eye(3)
-    inverse = np.linalg.inv(form)
+    inverse = np.asarray(np.linalg.inv(form), dtype=np.float64)
     bias = np.einsum("bij,jb->bi", inverse, c[2:5])
     radius = c[5] + np.einsum("jb,bj->b", c[2:5], bias)
     good &= radius > 0.0

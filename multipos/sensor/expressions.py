@@ -294,7 +294,7 @@ class ExpressionModel(Model):
         )
 
     def with_gauge(self, gauge: Gauge | RollGauge) -> "Model":
-        """Refuse: `multipos.estimation.free_rotations` finds what fixes such a model."""
+        """Refuse: `multipos.estimation.user_models` finds what fixes such a model."""
         raise UsageError(
             f"a model of one's own has no gauge '{gauge}'; what a rotation leaves free of it is "
             "held, parameter by parameter."
