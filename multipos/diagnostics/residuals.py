@@ -37,7 +37,7 @@ from multipos.diagnostics.noise_causes import (
     prefers_unequal,
 )
 from multipos.diagnostics.score_tests import significant
-from multipos.estimation.gains import told_by_solution
+from multipos.estimation.gains import information_at_solution
 from multipos.estimation.known import DENIED
 from multipos.estimation.likelihood import weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
@@ -355,7 +355,7 @@ def judge_equality(c: Calibration) -> tuple[float, Array]:
     n, m = c.residuals.shape
     if n * m > _MOST:
         return 1.0, np.full(m, np.nan)
-    problem, told = told_by_solution(c)
+    problem, told = information_at_solution(c)
     if float(problem.degrees.sum()) - problem.unknowns < _FEW:
         return 1.0, np.full(m, np.nan)
     P = told.projection()

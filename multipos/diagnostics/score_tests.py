@@ -40,7 +40,7 @@ from multipos.diagnostics.projections import (
     sphere,
     terms_of,
 )
-from multipos.estimation.gains import told_by_solution
+from multipos.estimation.gains import information_at_solution
 from multipos.estimation.likelihood import respond
 from multipos.estimation.problem import Problem
 from multipos.numerics.arrays import Array
@@ -286,9 +286,9 @@ def _sums_at_known(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
 
 def _sums_of_likelihood(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
     """Return the sums with the marginal weights of the likelihood."""
-    problem, told = told_by_solution(c)
+    problem, told = information_at_solution(c)
     Z, output_of, kind_of = terms_of(kinds, c.reference, c.readings.environment)
-    beside = told.beside(Z, output_of)
+    beside = told.with_slopes(Z, output_of)
     across = respond(told.information, beside.cross)
     return _Sums(
         gram=beside.gram - beside.cross.T @ across,

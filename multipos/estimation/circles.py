@@ -25,7 +25,7 @@ from multipos.numerics.rotations import align, directions
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.orientations import OpenRolls, across
 
-_TOLD = 0.02  # of the mean square: rolls that spread less about a circle do not tell its axis
+_DETERMINED = 0.02  # of the mean square: rolls that spread less about a circle do not tell its axis
 _WEAK = 1e-3  # weight of the case as it stands, beside what ties it
 _FAINT = 1e-24  # of the largest, below which a turn moves nothing
 
@@ -133,7 +133,7 @@ def _planes(rolls: OpenRolls, direction: Array) -> tuple[Array, Array]:
             mine = rolls.cone[rows] == cone
             within[mine] -= within[mine].mean(axis=0)
         sizes, vectors = np.linalg.eigh(within.T @ within / len(within))
-        if sizes[1] > _TOLD:
+        if sizes[1] > _DETERMINED:
             normal = vectors[:, 0]
             normals.append(normal * (np.sign(normal @ axis) or 1.0))
             axes.append(axis)

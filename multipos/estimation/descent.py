@@ -169,7 +169,7 @@ class _Exact(_General):
             weighted = slopes.T * weights[:, output]
             information[places[:, None], places] += weighted @ slopes
             gradient[places] += weighted @ point.residuals[:, output]
-        if problem.believed:
+        if problem.has_parameter_prior:
             excess, slope = problem.model.belief(theta)
             information.flat[:: len(theta) + 1] += slope**2
             gradient -= slope * excess
@@ -186,6 +186,6 @@ class _Exact(_General):
         q = np.einsum("nm,nm->n", residuals, problem.precision * residuals)
         total = q if problem.robust is None else loss(problem.robust, q, problem.degrees)
         objective = float(np.sum(total))
-        if problem.believed:
+        if problem.has_parameter_prior:
             objective += float(np.sum(problem.model.belief(theta)[0] ** 2))
         return _At(replace(state, theta=theta), Point(force, blocks, residuals, q, objective))

@@ -1,15 +1,14 @@
-"""What readings tell at a point of the likelihood, every position's own turn eliminated.
+"""The Fisher information at a point of the likelihood, every position's own angles eliminated.
 
-Once its search has ended, others ask the likelihood of `multipos.estimation.likelihood` what is
-told there: of the parameters, of terms that the model lacks, and by which reading. With W_k and S
-as there, A_k the slopes of the readings by all unknowns, and Z_k by anything else,
+Uncertainties, leverages and tests of terms that a model lacks are functions of a few sums at the
+solution. With W_k and S of `multipos.estimation.likelihood`, A_k the slopes of the readings by all
+unknowns, and Z_k those by anything else, they are
 
-    A'WA = S,   Z'WZ,   A'WZ,   A'Σ⁻¹r,   Z'Σ⁻¹r,   diag(W A C A'),   W − W A S⁻¹ A'W       (1)
+    A'WA = S,   Z'WZ,   A'WZ,   A'Σ⁻¹r,   Z'Σ⁻¹r,   diag(W A C A'),   W − W A S⁻¹ A'W.      (1)
 
-are all that is asked. Where nothing is known of any position of a triad (`UnknownSearch.fits`), W_k
-is m_k m_k' of `multipos.estimation.unknown_orientations`, and Σ_k⁻¹r_k is W_k r_k at the solution:
-each position is one row A_k'm_k then, and the sums are products of these rows. A test holds the two
-ways together.
+Where nothing is known of any position of a triad (`UnknownSearch.fits`), W_k is m_k m_k' of
+`multipos.estimation.unknown_orientations`, and Σ_k⁻¹r_k is W_k r_k at the solution: each position
+is one row A_k'm_k then, and the sums are products of these rows. A test compares the two ways.
 """
 
 from typing import NamedTuple, Protocol
@@ -25,7 +24,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.losses import loss_weight
 
 
-class Beside(NamedTuple):
+class OtherSlopes(NamedTuple):
     """The sums of eq. (1) with other slopes Z, q columns, in them."""
 
     gram: Array  # Z'WZ, (q, q)
@@ -34,13 +33,13 @@ class Beside(NamedTuple):
     score: Array  # Z'Σ⁻¹r, (q,)
 
 
-class Told(Protocol):
-    """What is told at a point, eq. (1)."""
+class FisherInformation(Protocol):
+    """The sums of eq. (1) at a point."""
 
     point: Point
-    information: Array  # S (p + shared, p + shared), with what is known of unknowns beforehand
+    information: Array  # S with priors, (p + shared, p + shared)
 
-    def beside(self, columns: Array, output_of: NDArray[np.intp]) -> Beside:
+    def with_slopes(self, columns: Array, output_of: NDArray[np.intp]) -> OtherSlopes:
         """Return the sums with slopes Z (q, n), each of one output."""
 
     def leverage(self, covariance: Array) -> Array:
@@ -49,21 +48,21 @@ class Told(Protocol):
     def projection(self) -> Array:
         """Return W − W A S⁻¹ A'W (n, M, n, M)."""
 
-    def allow_for_axes(self, inverse: Array, loose: Array) -> Array:
-        """Return S⁻¹ (p, p) as axes of unequal noise leave it, where nothing is known of positions.
+    def allow_for_axes(self, inverse: Array, unstated: Array) -> Array:
+        """Return S⁻¹ (p, p) widened for axes of unequal noise, where all positions are unknown.
 
-        `loose` (n, M) is the share of the variance of a reading that nobody has stated.
+        `unstated` (n, M) is the fraction of the variance of a reading that is not stated.
         """
 
 
-def told_at(problem: Problem, state: State, point: Point | None = None) -> Told:
-    """Return what is told at a state; the model is evaluated there unless its point is given."""
-    told = _AlongForce if UnknownSearch.fits(problem) else _Everywhere
-    return told(problem, state, point)
+def information_at(problem: Problem, state: State, point: Point | None = None) -> FisherInformation:
+    """Return the sums at a state; the model is evaluated there unless its point is given."""
+    kind = _OneRow if UnknownSearch.fits(problem) else _General
+    return kind(problem, state, point)
 
 
-class _AlongForce:
-    """Of a triad of unknown orientation, each position by its part along the normal m."""
+class _OneRow:
+    """The sums for a triad of unknown orientation, each position by its part along the normal m."""
 
     def __init__(self, problem: Problem, state: State, point: Point | None) -> None:
         sphere = UnknownSearch.of_problem(problem)
@@ -84,9 +83,9 @@ class _AlongForce:
                 root * each for each in (self.normal, self.rows, self.height)
             )
 
-    def beside(self, columns: Array, output_of: NDArray[np.intp]) -> Beside:
+    def with_slopes(self, columns: Array, output_of: NDArray[np.intp]) -> OtherSlopes:
         rows = self.normal.take(output_of, axis=0) * columns
-        return Beside(rows @ rows.T, self.rows @ rows.T, self.gradient, rows @ self.height)
+        return OtherSlopes(rows @ rows.T, self.rows @ rows.T, self.gradient, rows @ self.height)
 
     def leverage(self, covariance: Array) -> Array:
         moved = covariance @ self.rows
@@ -99,13 +98,13 @@ class _AlongForce:
         m = self.normal.T
         return np.asarray(m[:, :, None, None] * left[:, None, :, None] * m)
 
-    def allow_for_axes(self, inverse: Array, loose: Array) -> Array:
-        share = self.normal.T**2 / self.precision * loose
-        return _allow_for_axes(self.rows, self.height, share, inverse)
+    def allow_for_axes(self, inverse: Array, unstated: Array) -> Array:
+        fraction = self.normal.T**2 / self.precision * unstated
+        return _allow_for_axes(self.rows, self.height, fraction, inverse)
 
 
-class _Everywhere:
-    """Of any problem, by the marginal weights W of every position."""
+class _General:
+    """The sums for any problem, by the marginal weights W of every position."""
 
     def __init__(self, problem: Problem, state: State, point: Point | None) -> None:
         self.point = evaluate(problem, state) if point is None else point
@@ -113,25 +112,25 @@ class _Everywhere:
             normal = linearise(problem, state, self.point)
         self.information, self.shared = normal.information, normal.shared
         self.marginal = normal.marginal
-        self.push = weigh(problem.precision, self.point.residuals)
+        self.weighted_residuals = weigh(problem.precision, self.point.residuals)
         self.p = len(state.theta)
         self.along_force = is_along_force(problem)
         self.precision = problem.precision
 
-    def beside(self, columns: Array, output_of: NDArray[np.intp]) -> Beside:
+    def with_slopes(self, columns: Array, output_of: NDArray[np.intp]) -> OtherSlopes:
         p, end = self.p, self.p + len(columns)
         blocks = []
         for output, (places, slopes) in enumerate(self.point.blocks):
             mine = np.flatnonzero(output_of == output)
             both = np.concatenate([slopes.T, columns[mine]]).T
             blocks.append((np.concatenate([places, p + mine]), both))
-        whole, right = assemble(end, blocks, self.marginal, self.push, self.shared)
+        whole, right = assemble(end, blocks, self.marginal, self.weighted_residuals, self.shared)
         unknown = np.r_[:p, end : len(right)]
-        asked = slice(p, end)
-        return Beside(whole[asked, asked], whole[unknown, asked], right[unknown], right[asked])
+        other = slice(p, end)
+        return OtherSlopes(whole[other, other], whole[unknown, other], right[unknown], right[other])
 
     def leverage(self, covariance: Array) -> Array:
-        result = np.zeros(self.push.shape)
+        result = np.zeros(self.weighted_residuals.shape)
         for i, (places, mine) in enumerate(self.point.blocks):
             for j, (targets, other) in enumerate(self.point.blocks):
                 moved = other @ covariance[targets[:, None], places]
@@ -139,7 +138,7 @@ class _Everywhere:
         return result
 
     def projection(self) -> Array:
-        n, m = self.push.shape
+        n, m = self.weighted_residuals.shape
         A = np.zeros((n, m, len(self.information)))
         for output, (places, slopes) in enumerate(self.point.blocks):
             A[:, output, places] = slopes
@@ -149,7 +148,7 @@ class _Everywhere:
         result[np.arange(n), :, np.arange(n)] += self.marginal
         return result
 
-    def allow_for_axes(self, inverse: Array, loose: Array) -> Array:
+    def allow_for_axes(self, inverse: Array, unstated: Array) -> Array:
         if not self.along_force:
             return inverse
         # W = m m', and so each position is one row here too
@@ -160,11 +159,11 @@ class _Everywhere:
         for output, (places, slopes) in enumerate(self.point.blocks):
             rows[places] += m[:, output] * slopes.T
         height = np.einsum("nm,nm->n", m, self.point.residuals)
-        return _allow_for_axes(rows, height, m**2 / self.precision * loose, inverse)
+        return _allow_for_axes(rows, height, m**2 / self.precision * unstated, inverse)
 
 
-def _allow_for_axes(rows: Array, height: Array, loose: Array, inverse: Array) -> Array:
-    if not np.square(height).any():  # nothing is left that could differ
+def _allow_for_axes(rows: Array, height: Array, unstated: Array, inverse: Array) -> Array:
+    if not np.square(height).any():  # no residual that could differ
         return inverse
-    found = (rows, height, loose.T, inverse)
+    found = (rows, height, unstated.T, inverse)
     return np.asarray(allow_for_axes(*(np.asarray(each)[None] for each in found))[0])

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.estimation.closed_form import closed_form_gain
 from multipos.estimation.descent import maximise
-from multipos.estimation.fisher_information import Told, told_at
+from multipos.estimation.fisher_information import FisherInformation, information_at
 from multipos.estimation.likelihood import evaluate, linearise, respond
 from multipos.estimation.problem import (
     Optimum,
@@ -189,7 +189,7 @@ def about_solution(calibration: Calibration) -> tuple[Problem, State]:
     return problem, standing(problem, state, state.centre)
 
 
-def told_by_solution(calibration: Calibration) -> tuple[Problem, Told]:
+def information_at_solution(calibration: Calibration) -> tuple[Problem, FisherInformation]:
     """Return the problem of a calibration about its solution, and what is told there."""
     problem, state = about_solution(calibration)
-    return problem, told_at(problem, state)
+    return problem, information_at(problem, state)

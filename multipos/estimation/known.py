@@ -46,7 +46,7 @@ from multipos.estimation.batches import Estimates, join_estimates, rms_of
 from multipos.estimation.excess_variance import Scatter, find_scatter
 from multipos.estimation.identifiability import formal_only
 from multipos.estimation.problem import Solution
-from multipos.estimation.stated_uncertainty import Claims, carried_dof, take_claims
+from multipos.estimation.stated_uncertainty import StatedNoise, combined_dof, take_stated
 from multipos.files.records import LARGEST
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
@@ -479,11 +479,13 @@ def estimate_known(
     parts = []
     for first in range(0, count, step):
         y, u, u_dof = ([a[first : first + step] for a in each] for each in (values, stated, dof))
-        parts.append(_estimates(shared, np.stack(y), take_claims(u, u_dof), pool))
+        parts.append(_estimates(shared, np.stack(y), take_stated(u, u_dof), pool))
     return join_estimates(parts)
 
 
-def _estimates(shared: SharedDesign, values: Array, claims: Claims | None, pool: bool) -> Estimates:
+def _estimates(
+    shared: SharedDesign, values: Array, claims: StatedNoise | None, pool: bool
+) -> Estimates:
     model = shared.model
     variances = None if claims is None else np.moveaxis(claims.u, 2, 0) ** 2
     found = solve_units(shared, values, variances, pool=pool)
@@ -493,7 +495,7 @@ def _estimates(shared: SharedDesign, values: Array, claims: Claims | None, pool:
     if claims is not None:
         sound &= claims.sound
         if claims.dof is not None and found.excess is not None:
-            dof = carried_dof(dof, claims.u**2, claims.dof, found.excess.variance)
+            dof = combined_dof(dof, claims.u**2, claims.dof, found.excess.variance)
     rms, inverse, inverted = rms_of(
         model, shared.environment, shared.reference, found.parameters, values, found.residuals
     )

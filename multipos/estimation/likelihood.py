@@ -1,4 +1,4 @@
-"""One likelihood for orientations known, uncertain and unknown.
+"""The likelihood of readings whose orientations are known, uncertain or unknown.
 
 A reading at position k, and how the position may differ from where it should be:
 
@@ -7,9 +7,8 @@ A reading at position k, and how the position may differ from where it should be
 
 E(u, t) is a step t (two angles) on the sphere from the listed direction u
 (`multipos.numerics.rotations`); s_k = 0 is a position known exactly, s_k = inf one of which nothing
-is known. R_k is what positions share: the unknown rotation of the group they belong to, and the
-tilt tau ~ N(0, s_level² I_2) of a table that is not level, turned into case axes by the attitude
-C_k,
+is known. R_k is common to several positions: the unknown rotation of their group, and the tilt
+tau ~ N(0, s_level² I_2) of a table that is not level, rotated into case axes by the attitude C_k,
 
     R_k = Exp([rho_g]x) · C_k Exp([tau]x) C_k'.                                             (3)
 
@@ -71,7 +70,7 @@ def evaluate(problem: Problem, state: State) -> Point:
         q += problem.prior * np.einsum("ni,ni->n", state.step, state.step)
     total = q if problem.robust is None else loss(problem.robust, q, problem.degrees)
     objective = float(np.sum(total))
-    if problem.believed:
+    if problem.has_parameter_prior:
         objective += float(np.sum(problem.model.belief(state.theta)[0] ** 2))
     if problem.level_sd > 0.0:
         objective += float(state.tilt @ state.tilt) / problem.level_sd**2
@@ -79,7 +78,7 @@ def evaluate(problem: Problem, state: State) -> Point:
 
 
 def linearise(problem: Problem, state: State, point: Point) -> Normal:
-    """Return the normal equations of eqs. (5), (6), weighted by the loss."""
+    """Return the normal equations, eqs. (5) and (6), weighted by the loss."""
     by_force = problem.model.force_jacobian(state.theta, point.force, problem.environment)
     moves = np.einsum("nmi,nij->nmj", by_force, _force_by_step(problem, state))
     jacobian = moves
@@ -92,21 +91,21 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
     )
     gain, inverse, marginal = own.gain, own.inverse, own.marginal
     weighted_residuals = weigh(problem.precision, point.residuals)
-    pull = np.einsum("nmi,nm->ni", weighted, point.residuals)
-    pull -= problem.prior[:, None] * state.step
-    push = weighted_residuals - np.einsum("nmi,ni->nm", gain, pull)
-    # A reading far outside the sphere is pulled to it harder than its tangent plane says, and
-    # would be thrown from side to side: d²f/dt² = -f.
+    angle_gradient = np.einsum("nmi,nm->ni", weighted, point.residuals)
+    angle_gradient -= problem.prior[:, None] * state.step
+    reduced = weighted_residuals - np.einsum("nmi,ni->nm", gain, angle_gradient)
+    # For a reading far outside the sphere the tangent plane underestimates the curvature, and steps
+    # would oscillate: d²f/dt² = -f.
     outside = np.einsum("nm,nmi,ni->n", weighted_residuals, by_force, point.force)
     mean = np.einsum("nmi,nmi->n", jacobian, weighted) / 2.0 + problem.prior
     ease = mean / (mean + np.maximum(outside, 0.0) + 1e-300)
     if problem.robust is not None:
         weight = loss_weight(problem.robust, point.q, problem.degrees)
         marginal = weight[:, None, None] * marginal
-        push = weight[:, None] * push
+        reduced = weight[:, None] * reduced
     shared = _by_shared(problem, state, point, by_force, moves)
-    information, right = assemble(len(state.theta), point.blocks, marginal, push, shared)
-    if problem.believed:
+    information, right = assemble(len(state.theta), point.blocks, marginal, reduced, shared)
+    if problem.has_parameter_prior:
         excess, slope = problem.model.belief(state.theta)
         places = np.arange(len(slope))
         information[places, places] += slope**2
@@ -114,18 +113,20 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
     if problem.level_sd > 0.0:
         information[-2:, -2:] += np.eye(2) / problem.level_sd**2
         right[-2:] -= state.tilt / problem.level_sd**2
-    return Normal(information, right, shared, jacobian, weighted, inverse, ease, pull, marginal)
+    return Normal(
+        information, right, shared, jacobian, weighted, inverse, ease, angle_gradient, marginal
+    )
 
 
 def assemble(
-    p: int, blocks: Sequence[Block], marginal: Array, push: Array, shared: Array
+    p: int, blocks: Sequence[Block], marginal: Array, reduced: Array, shared: Array
 ) -> tuple[Array, Array]:
-    """Return sum A'WA and sum A'push, A = (dh/dtheta, shared), without forming A."""
+    """Return sum A'WA and A' times reduced residuals, without forming A = (dh/dtheta, shared)."""
     extra = shared.shape[2]
     information = np.zeros((p + extra, p + extra))
     right = np.zeros(p + extra)
     for i, (places, mine) in enumerate(blocks):
-        right[places] += mine.T @ push[:, i]
+        right[places] += mine.T @ reduced[:, i]
         for j, (targets, other) in enumerate(blocks[i:], start=i):
             block = (mine * marginal[:, i, j, None]).T @ other
             information[places[:, None], targets] += block
@@ -138,28 +139,28 @@ def assemble(
     if extra:
         weighted = np.einsum("nmk,nks->nms", marginal, shared)
         information[p:, p:] += np.einsum("nms,nmr->sr", shared, weighted)
-        right[p:] += np.einsum("nms,nm->s", shared, push)
+        right[p:] += np.einsum("nms,nm->s", shared, reduced)
     return information, right
 
 
-def respond(information: Array, push: Array) -> Array:
-    """Return how all unknowns follow a push (p + shared, k), the least where some are free.
+def respond(information: Array, right: Array) -> Array:
+    """Return the changes of all unknowns with right sides (p + shared, k), the least if singular.
 
-    Many groups of few positions leave directions of the information that rounding alone fills.
-    NaN where the information has no value, as of a file that was damaged.
+    Many groups of few positions leave directions of the information that are only rounding.
+    NaN where the information is no number, as of a file that was damaged.
     """
     scale = np.sqrt(np.diag(information))
     scale = np.where(scale > 0.0, scale, 1.0)[:, None]
     relative = information / (scale * scale.T)
-    if not (np.isfinite(relative).all() and np.isfinite(push).all()):
-        return np.full(push.shape, np.nan)
-    return np.asarray(np.linalg.lstsq(relative, push / scale, rcond=None)[0] / scale)
+    if not (np.isfinite(relative).all() and np.isfinite(right).all()):
+        return np.full(right.shape, np.nan)
+    return np.asarray(np.linalg.lstsq(relative, right / scale, rcond=None)[0] / scale)
 
 
 def moved(
     problem: Problem, state: State, point: Point, normal: Normal, step: Array, damping: float
 ) -> State:
-    """Return the state after a step of the shared unknowns, each t_k following it."""
+    """Return the state after a step of the shared unknowns, each t_k by back substitution."""
     p = len(state.theta)
     theta = state.theta + step[:p]
     outputs = np.array([slopes @ step[places] for places, slopes in point.blocks]).T
@@ -176,7 +177,7 @@ def moved(
             tilt = state.tilt + step[-2:]
         after = p + 3 * problem.groups
         inclination = inclination + step[after : after + problem.cones]
-    back = normal.pull - np.einsum("nmi,nm->ni", normal.weighted, outputs)
+    back = normal.angle_gradient - np.einsum("nmi,nm->ni", normal.weighted, outputs)
     own = np.einsum("nij,nj->ni", normal.inverse, back)
     # Damped like the rest, so that a rejected step shrinks as a whole; a quarter turn at most.
     length = np.sqrt(np.einsum("ni,ni->n", own, own))
@@ -202,8 +203,8 @@ def _steps(problem: Problem, state: State) -> Array:
     """Return the steps (n, 2) [rad] that lead from the centres to where positions are."""
     if not problem.cones or problem.rolls is None:
         return state.step
-    leaning = spread_inclinations(problem.rolls, state.inclination)
-    return state.step + leaning[:, None] * [0.0, 1.0]
+    inclined = spread_inclinations(problem.rolls, state.inclination)
+    return state.step + inclined[:, None] * [0.0, 1.0]
 
 
 def _shared_rotation(problem: Problem, state: State) -> Array | None:
@@ -235,9 +236,9 @@ def _force_by_step(problem: Problem, state: State) -> Array:
 def _by_shared(
     problem: Problem, state: State, point: Point, by_force: Array, moves: Array
 ) -> Array:
-    """Return dh/d(rho, beta, tau) (n, M, shared): a turn moves f by df = rho x f.
+    """Return dh/d(rho, beta, tau) (n, M, shared); a rotation has df = rho x f.
 
-    What a lean of the axis moves is what the second step of a roll moves, of `moves` (n, M, 2).
+    The slope by the inclination of an axis is that by the second angle of a roll, in `moves`.
     """
     n, m = problem.values.shape
     result = np.zeros((n, m, problem.shared))
@@ -280,7 +281,7 @@ def full(precision: Array) -> Array:
 
 
 class Eliminated(NamedTuple):
-    """What is left of a position when its own turn t_k is eliminated, eq. (5)."""
+    """Weights of a position with its own angles t_k eliminated, eq. (5)."""
 
     gain: Array  # Sigma^-1 J H^-1, (n, M, 2)
     inverse: Array  # H^-1, (n, 2, 2)
@@ -296,11 +297,11 @@ def eliminate(
     exact: NDArray[np.bool_],
     rolled: NDArray[np.bool_],
 ) -> Eliminated:
-    """Eliminate the turns t_k, in the axes that diagonalise J' Sigma^-1 J.
+    """Eliminate the angles t_k, in the axes that diagonalise J' Sigma^-1 J.
 
-    There H is diagonal. Elsewhere W would be a difference of numbers that are (s/sigma)² larger,
-    where noise is little beside the placement. Nothing is eliminated where a position is exact, nor
-    where H is singular, so that nothing is claimed.
+    There H is diagonal. In other axes W would be a difference of numbers that are (s/sigma)² larger
+    where noise is small against orientation errors. Nothing is eliminated where a position is
+    exact, nor where H is singular.
 
     Parameters
     ----------

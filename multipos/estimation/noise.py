@@ -70,8 +70,8 @@ _INSEPARABLE = Finding(
 
 
 @dataclass(frozen=True, eq=False)
-class Appraisal:
-    """What the covariance of the likelihood is to be multiplied by, and how well that is known."""
+class NoiseEstimate:
+    """The factor on the covariance of the likelihood, and how well it is known."""
 
     factor: float
     dof: float  # inf where the noise is known beforehand
@@ -81,16 +81,16 @@ class Appraisal:
     u: Array | None = None  # (p,), where it is not the root of the covariance times the factor
     weight: Array | None = None  # (n,) of each position under a robust loss
     claim: Claim | None = None  # of the stated noise, where there is one
-    loose: Array | None = None  # (n, M), share of variances in which axes may be unequal
+    unstated: Array | None = None  # (n, M), fraction of variances in which axes may be unequal
 
 
-Found = tuple[Problem, Optimum, Appraisal]
+Found = tuple[Problem, Optimum, NoiseEstimate]
 
 
-def judge_noise(
+def estimate_noise(
     problem: Problem, optimum: Optimum, nu: float, *, stated: bool, estimate_sd: bool
 ) -> Found:
-    """Return problem and optimum with the noise that was found, and what they are worth.
+    """Return problem and optimum with the estimated noise, and what it makes of the covariance.
 
     Parameters
     ----------
@@ -109,15 +109,15 @@ def judge_noise(
             if stated
             else "uncertainty from; give --reading-sd or more positions"
         )
-        return problem, optimum, Appraisal(np.nan, 0.0, findings=(_no_dof(words),))
+        return problem, optimum, NoiseEstimate(np.nan, 0.0, findings=(_no_dof(words),))
     if estimate_sd:
         return _both(problem, optimum, nu, stated)
     if stated:
         return _with_excess(problem, optimum, nu)
     if problem.has_prior:
         return _with_orientation_errors(problem, optimum, nu)
-    loose = np.ones(problem.values.shape)
-    return problem, optimum, Appraisal(optimum.point.objective / nu, nu, loose=loose)
+    unstated = np.ones(problem.values.shape)
+    return problem, optimum, NoiseEstimate(optimum.point.objective / nu, nu, unstated=unstated)
 
 
 def _no_dof(words: str) -> Finding:
@@ -126,9 +126,9 @@ def _no_dof(words: str) -> Finding:
 
 
 def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
-    """Add the excess variance to the stated noise."""
+    """Return the solution with the excess variance added to the stated noise."""
     if nu <= 0:
-        return first, start, Appraisal(1.0, np.inf)
+        return first, start, NoiseEstimate(1.0, np.inf)
     unit, found = _find(first, start, nu, both=False)
     claim = Claim(start.point.objective, nu)
     unexplained = unit.optimum.point.objective > chi2_quantile(STILL, nu)
@@ -139,42 +139,42 @@ def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
             "no scatter alone explains the residuals: positions were off by more than was stated, "
             f"some {_widest(unit.problem):.2g} degrees, see --orientation-sd auto"
         )
-        worth = _appraise(unit.problem, found, stated=True)
+        noise = _noise_of(unit.problem, found, stated=True)
         orientation_sd = unit.problem.orientation_sd
         findings = (Finding("placement", "warning", text),)
-        worth = replace(worth, findings=findings, orientation_sd=orientation_sd, claim=claim)
-        return unit.problem, unit.optimum, worth
-    worth = _appraise(unit.problem, found, stated=True)
-    loose = None
+        noise = replace(noise, findings=findings, orientation_sd=orientation_sd, claim=claim)
+        return unit.problem, unit.optimum, noise
+    noise = _noise_of(unit.problem, found, stated=True)
+    unstated = None
     if first.precision.ndim == 2 and claim.chi2 > chi2_quantile(DENIED, nu):
-        loose = np.maximum(1.0 - unit.problem.precision / first.precision, 0.0)
-    worth = replace(worth, findings=overstated(claim), claim=claim, loose=loose)
-    return unit.problem, unit.optimum, worth
+        unstated = np.maximum(1.0 - unit.problem.precision / first.precision, 0.0)
+    noise = replace(noise, findings=overstated(claim), claim=claim, unstated=unstated)
+    return unit.problem, unit.optimum, noise
 
 
 def _with_orientation_errors(problem: Problem, optimum: Optimum, nu: float) -> Found:
-    """Find a noise of which nothing is stated, where orientation sds are."""
+    """Return the solution with an estimated noise, given stated orientation sds."""
     first = _least_noise(problem, optimum)
     unit, found = _find(first, resume(first, optimum), nu, both=False, stated=False)
-    worth = _appraise(unit.problem, found, stated=False)
-    estimated = Finding("estimated-noise", "note", f"estimated: {_noise_in_words(worth)}")
-    worth = replace(worth, findings=(estimated,))
-    return unit.problem, unit.optimum, worth
+    noise = _noise_of(unit.problem, found, stated=False)
+    estimated = Finding("estimated-noise", "note", f"estimated: {_noise_in_words(noise)}")
+    noise = replace(noise, findings=(estimated,))
+    return unit.problem, unit.optimum, noise
 
 
 def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
-    """Find noise and orientation errors together, where readings separate them."""
+    """Return the solution with noise and orientation sd estimated, where readings separate them."""
     if not separates(first, optimum):
-        exact, exactly, worth = judge_noise(
+        exact, exactly, noise = estimate_noise(
             *_at_listed(first, optimum), nu, stated=stated, estimate_sd=False
         )
-        findings = (*worth.findings, _INSEPARABLE)
-        worth = replace(worth, orientation_sd=exact.orientation_sd, findings=findings)
-        return exact, exactly, worth
+        findings = (*noise.findings, _INSEPARABLE)
+        noise = replace(noise, orientation_sd=exact.orientation_sd, findings=findings)
+        return exact, exactly, noise
     if not stated:
         first = _least_noise(first, optimum)
     unit, found = _find(first, optimum, nu, both=True, stated=stated)
-    worth = _appraise(unit.problem, found, stated=stated)
+    noise = _noise_of(unit.problem, found, stated=stated)
     sd = _widest(unit.problem)
     ends = (found.low[0], found.high[0])
     low, high = (sd * float(np.sqrt(end / found.factor[0])) for end in ends)
@@ -184,17 +184,17 @@ def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
         if determined
         else f"orientation error not determined (68 %: {low:.2g} to {high:.2g} degrees)"
     )
-    assert worth.components is not None
-    text = f"estimated together: {_noise_in_words(worth)}, {words}"
-    worth = replace(
-        worth,
+    assert noise.components is not None
+    text = f"estimated together: {_noise_in_words(noise)}, {words}"
+    noise = replace(
+        noise,
         orientation_sd=unit.problem.orientation_sd,
         findings=(Finding("estimated-noise", "note", text),),
         components=replace(
-            worth.components, orientation_sd_deg=Placed(sd, (high - low) / 2.0, determined)
+            noise.components, orientation_sd_deg=Placed(sd, (high - low) / 2.0, determined)
         ),
     )
-    return unit.problem, unit.optimum, worth
+    return unit.problem, unit.optimum, noise
 
 
 def _find(
@@ -206,7 +206,7 @@ def _find(
     stated: bool = True,
     least: bool = False,
 ) -> "tuple[_Unit, Components]":
-    """Return the unit under the noise that is found, and its components."""
+    """Return the unit under the estimated noise, and its variance components."""
     unit, parameters = _Unit(first, first, optimum), len(first.model.keys)
     valid = np.ones(1, dtype=np.bool_)
     if both:
@@ -308,7 +308,7 @@ def _identifiable(problem: Problem, theta: Array, blocks: tuple[Block, ...]) -> 
     """
     p, P = len(theta), blocks[0].design.shape[3]
     prior, gradient, penalty = np.zeros(P), np.zeros(P), 0.0
-    if problem.believed:
+    if problem.has_parameter_prior:
         excess, slope = problem.model.belief(theta)
         prior[:p], gradient[:p], penalty = slope**2, -slope * excess, float(excess @ excess)
     if problem.level_sd > 0.0:
@@ -376,8 +376,8 @@ def _at_listed(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
     return exact, maximise(exact, state)
 
 
-def _appraise(problem: Problem, found: Components, *, stated: bool) -> Appraisal:
-    """Return what variance components make of the covariance."""
+def _noise_of(problem: Problem, found: Components, *, stated: bool) -> NoiseEstimate:
+    """Return the noise of variance components."""
     p, dof = len(problem.model.keys), float(found.dof[0])
     if stated:
         excess = RestToRest(float(np.sqrt(found.excess[0])), float(found.u[0]), dof)
@@ -387,16 +387,16 @@ def _appraise(problem: Problem, found: Components, *, stated: bool) -> Appraisal
         u_sd = max(float(found.u[0]), _ROUNDING * sd)
         components = VarianceComponents(reading_sd=Component(sd, u_sd))
     u = standard_uncertainty(found.U[0], np.full(p, dof))
-    return Appraisal(1.0, dof, components=components, u=u)
+    return NoiseEstimate(1.0, dof, components=components, u=u)
 
 
-def _noise_in_words(worth: Appraisal) -> str:
-    assert worth.components is not None
-    reading, scatter = worth.components.reading_sd, worth.components.rest_to_rest
+def _noise_in_words(noise: NoiseEstimate) -> str:
+    assert noise.components is not None
+    reading, excess = noise.components.reading_sd, noise.components.rest_to_rest
     if reading is not None:
         return f"reading noise {reading.value:.3g} (to {100.0 * reading.u / reading.value:.0f} %)"
-    assert scatter is not None
-    value = next(iter(scatter.values())).value
+    assert excess is not None
+    value = next(iter(excess.values())).value
     return f"scatter from position to position {value:.3g} beside the stated noise"
 
 
@@ -407,21 +407,23 @@ def _widest(problem: Problem) -> float:
 
 
 _ROUNDS = 50
-_SETTLED = 1e-6  # relative change of a variance: a thousandth of what is known of it
-_ROUNDING_BELIEVED = 1e-12  # of the largest reading: below it no noise is known
+_CONVERGED = 1e-6  # relative change of a variance: a thousandth of its uncertainty
+_LEAST_NOISE = 1e-12  # of the largest reading: below it no noise is known
 
 
-def judge_tied(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum, Appraisal, Array]:
-    """Return problem and optimum with the noise of eq. (1), its worth, and ν_i (M,)."""
+def estimate_tied_noise(
+    problem: Problem, optimum: Optimum
+) -> tuple[Problem, Optimum, NoiseEstimate, Array]:
+    """Return problem and optimum with the noise of eq. (1), and its degrees of freedom ν_i (M,)."""
     n, m = problem.values.shape
-    least = (_ROUNDING_BELIEVED * float(np.abs(problem.values).max())) ** 2
+    least = (_LEAST_NOISE * float(np.abs(problem.values).max())) ** 2
     dof = np.zeros(m)
     for _ in range(_ROUNDS):
         dof = _degrees(problem, optimum)
         if dof.min() <= 0.0:
             words = "uncertainty from; give --reading-sd or more positions"
-            worth = Appraisal(np.nan, 0.0, findings=(_no_dof(words),))
-            return problem, optimum, worth, np.zeros(m)
+            noise = NoiseEstimate(np.nan, 0.0, findings=(_no_dof(words),))
+            return problem, optimum, noise, np.zeros(m)
         square = np.sum(optimum.point.residuals**2, axis=0)
         if not problem.exact.all():
             square = np.full(m, square.sum())
@@ -429,9 +431,9 @@ def judge_tied(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum, Ap
         before = 1.0 / problem.precision[0]
         problem = replace(problem, precision=np.tile(1.0 / variance, (n, 1)))
         optimum = resume(problem, optimum)
-        if np.abs(variance / before - 1.0).max() <= _SETTLED:
+        if np.abs(variance / before - 1.0).max() <= _CONVERGED:
             break
-    return problem, optimum, Appraisal(1.0, float(dof.sum() if m > 1 else dof[0])), dof
+    return problem, optimum, NoiseEstimate(1.0, float(dof.sum() if m > 1 else dof[0])), dof
 
 
 def with_degrees(solution: Solution, problem: Problem, optimum: Optimum, dof: Array) -> Solution:
@@ -447,7 +449,7 @@ def with_degrees(solution: Solution, problem: Problem, optimum: Optimum, dof: Ar
     total = parts.sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.where(total > 0.0, total**2 / (parts**2 / dof).sum(axis=1), np.inf)
-        # what the prior says has no readings' noise in it
+        # information of the prior has no noise of readings in it
         own = own * (np.diag(solution.covariance) / total) ** 2
     return replace(solution, parameter_dof=np.where(np.isnan(own), np.inf, own), dof=dof)
 
@@ -462,8 +464,8 @@ def _degrees(problem: Problem, optimum: Optimum) -> Array:
     m = problem.values.shape[1]
     inverse = np.linalg.inv(_information(problem, optimum))
     if not problem.exact.all():
-        shares = float(np.diag(inverse) @ problem.model.beliefs)
-        return np.full(m, float(problem.degrees.sum()) - problem.unknowns + shares)
+        fractions = float(np.diag(inverse) @ problem.model.beliefs)
+        return np.full(m, float(problem.degrees.sum()) - problem.unknowns + fractions)
     slopes = parameter_jacobian(
         problem.model, optimum.state.theta, optimum.point.force, problem.environment
     )

@@ -40,8 +40,8 @@ from multipos.estimation.posteriors import Both, Found, Posterior, integrate, in
 from multipos.numerics.arrays import Array, Places
 
 ROUNDS = 8  # of noise and estimates
-SETTLED = 1e-4  # relative change of the noise far below its uncertainty
-SETTLED_BOTH = 0.02  # change of a logarithm, where both are known to a tenth of one at best
+CONVERGED = 1e-4  # relative change of the noise far below its uncertainty
+CONVERGED_BOTH = 0.02  # change of a logarithm, where both are known to a tenth of one at best
 _NOTHING = 1e-4  # of the stated noise, as a variance
 _AT_ONCE = 2000  # nodes of all units, so that what they need stays in the cache
 _TOUCHED = 1e-6  # of the largest slope, below which an angle moves nothing
@@ -136,7 +136,7 @@ class Units(Protocol):
         """Return the units under τ² and F (B,), searched on from here, and which have ended."""
 
 
-class Judged(NamedTuple):
+class Estimated(NamedTuple):
     """What is found of the noise of some units."""
 
     posterior: Posterior
@@ -170,14 +170,14 @@ class Components:
         self.dof, self.excess, self.u = np.full((3, len(valid)), np.nan)
         self.factor, self.low, self.high = np.ones((3, len(valid)))
 
-    def put(self, units: Places, judged: Judged, which: NDArray[np.bool_]) -> None:
+    def put(self, units: Places, estimated: Estimated, which: NDArray[np.bool_]) -> None:
         """Put what is found of `which` of some units in places of `units`."""
-        posterior = judged.posterior.of(which)
+        posterior = estimated.posterior.of(which)
         self.U[units], self.dof[units] = posterior.centred, posterior.shape
-        self.excess[units], self.u[units] = judged.excess[which], posterior.summary[1]
-        if judged.both is not None:
-            self.factor[units] = judged.both.factor[which]
-            self.low[units], self.high[units] = (each[which] for each in judged.both.span)
+        self.excess[units], self.u[units] = estimated.excess[which], posterior.summary[1]
+        if estimated.both is not None:
+            self.factor[units] = estimated.both.factor[which]
+            self.low[units], self.high[units] = (each[which] for each in estimated.both.span)
 
 
 def find_excess(
@@ -204,19 +204,19 @@ def find_excess(
     """
     before = np.zeros(len(valid))
 
-    def judge(here: Units, places: Places) -> Judged:
+    def estimate(here: Units, places: Places) -> Estimated:
         size, last = here.size, before[places]
         objective, squares = here.squares()
         evaluator = _Evaluator(here.linear(), size)
         posterior = integrate(
-            evaluator.at_excess, dof, size, (objective * (size + last), squares), believed=stated
+            evaluator.at_excess, dof, size, (objective * (size + last), squares), stated=stated
         )
         excess = posterior.summary[0]
         before[places] = excess
-        converged = np.abs(excess - last) <= SETTLED * (size + last)
-        return Judged(posterior, excess, None, converged)
+        converged = np.abs(excess - last) <= CONVERGED * (size + last)
+        return Estimated(posterior, excess, None, converged)
 
-    return _alternate(units, Components(valid, parameters), judge)
+    return _alternate(units, Components(valid, parameters), estimate)
 
 
 def find_both(
@@ -240,7 +240,7 @@ def find_both(
     """
     before = np.zeros((2, len(valid)))
 
-    def judge(here: Units, places: Places) -> Judged:
+    def estimate(here: Units, places: Places) -> Estimated:
         size, linear = here.size, here.linear()
         spreads = linear.spreads
         errors = [block.error for block in linear.blocks]
@@ -252,19 +252,19 @@ def find_both(
             sum_of_squares(*errors),
             spreads,
             least=None if least else _NOTHING * size * count / spreads,
-            believed=stated,
+            stated=stated,
         )
         excess = both.posterior.summary[0]
         now = np.log([size + excess, both.factor])
-        converged = np.abs(now - before[:, places]).max(axis=0) <= SETTLED_BOTH
+        converged = np.abs(now - before[:, places]).max(axis=0) <= CONVERGED_BOTH
         before[:, places] = now
-        return Judged(both.posterior, excess, both, converged)
+        return Estimated(both.posterior, excess, both, converged)
 
-    return _alternate(units, Components(valid, parameters), judge)
+    return _alternate(units, Components(valid, parameters), estimate)
 
 
 def _alternate(
-    units: UnitsT, found: Components, judge: Callable[[UnitsT, Places], Judged]
+    units: UnitsT, found: Components, estimate: Callable[[UnitsT, Places], Estimated]
 ) -> Components:
     """Alternate noise and estimates; a unit that has converged is left out of what follows."""
     going = np.flatnonzero(found.valid)
@@ -272,15 +272,15 @@ def _alternate(
         if not len(going):
             break
         here = units.of(going)
-        judged = judge(here, going)
+        estimated = estimate(here, going)
         following, ended = here.searched(
-            judged.excess, None if judged.both is None else judged.both.factor
+            estimated.excess, None if estimated.both is None else estimated.both.factor
         )
         units.put(going, following)
         found.valid[going] &= ended
-        on = ~judged.converged & ended & (turn < ROUNDS - 1)
+        on = ~estimated.converged & ended & (turn < ROUNDS - 1)
         if not on.all():
-            found.put(going[~on], judged, ~on)
+            found.put(going[~on], estimated, ~on)
         going = going[on]
     return found
 
@@ -308,7 +308,7 @@ def contrasts(linear: Linear) -> NDArray[np.intp]:
     They alone determine τ²: combinations along the normals of the sphere, less what the
     parameters take of them.
     """
-    turned = [_axes_of_turns(block.spread) for block in linear.blocks]
+    turned = [_axes_of_errors(block.spread) for block in linear.blocks]
     largest = np.max([moving.max(axis=(1, 2)) for _, moving in turned], axis=0)[:, None, None]
     rows, count = [], np.zeros(len(largest), dtype=np.intp)
     for block, (axes, moving) in zip(linear.blocks, turned, strict=True):
@@ -327,7 +327,7 @@ def _flat(rows: Array) -> Array:
     return rows.reshape(len(rows), -1, rows.shape[3])
 
 
-def _axes_of_turns(spread: Array) -> tuple[Array, Array]:
+def _axes_of_errors(spread: Array) -> tuple[Array, Array]:
     """Return the axes (B, k, r, r), as rows, and eigenvalues (B, k, r) of sJ (sJ)' (B, k, r, 2).
 
     Of three readings by the angle that makes the two columns orthogonal, so that small
@@ -358,7 +358,7 @@ def _axes_of_turns(spread: Array) -> tuple[Array, Array]:
 def _axes(block: Block) -> tuple[Array, Array, Array]:
     """Return the axes of eq. (2) of a block at F = 1, with a and c, (B, k, r) each."""
     if block.keeps_axes:
-        axes, moving = _axes_of_turns(block.spread)
+        axes, moving = _axes_of_errors(block.spread)
         return axes, block.variance, moving
     if block.variance.ndim == 3:
         root = np.sqrt(block.variance)[..., None] * np.eye(block.variance.shape[2])

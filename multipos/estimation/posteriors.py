@@ -1,24 +1,21 @@
-"""The posterior of a variance that nobody stated, at nodes, and what it leaves of parameters.
+"""Integrals over the posterior of an excess variance, alone or with that of orientation errors.
 
-With τ² a variance beside floors of a typical size, the posterior density of ln(τ² + size) is known
-at any nodes. It is integrated by the trapezoidal rule, after the range was narrowed to where
-something is probable; what a claim that τ² = 0 weighs stands at the first node. Parameters then
-are a mixture of normal laws with moves m_g and variances c_g at the nodes, and
+With τ² a variance in excess of stated ones of a typical size, the posterior density of
+ln(τ² + size) is known at any nodes. It is integrated by the trapezoidal rule, after the range was
+narrowed to where the density is not negligible; the stated noise may be all there is, so that
+τ² = 0 has a probability of its own, at the first node. Parameters then are a mixture of normal laws
+with shifts m_g and variances c_g at the nodes, and
 
     sum_g w_g [Φ((U − m_g)/√c_g) + Φ((U + m_g)/√c_g) − 1] = 95 %                            (1)
 
-gives U about an estimate. All of it is done for B units at once, which share nothing but the
-number of nodes; a single fit is a batch of one.
+gives U about an estimate.
 
-The posterior of scatter and placement together, over a grid of both, of B units at once.
-
-Readings have the variances Σ + τ² + F s² J J' with stated Σ, s and J, and two numbers that nobody
-stated: the scatter τ² and the factor F on the squares of the orientation sds
+With orientation errors the variances are Σ + τ² + F s² J J' with stated Σ, s and J, and two unknown
+numbers: τ² and the factor F on the squares of the orientation sds
 (`multipos.estimation.orientation_variance`). The posterior density of ln(τ² + size) and ln F is
-known at any nodes; it is integrated by the trapezoidal rule over a grid that was narrowed to where
-something is probable. What a claim that τ² = 0 weighs stands in the first row of the grid, and what
-one that F = 1 weighs in its first column. What is left of parameters is that of
-`multipos.estimation.posteriors`. A single fit is a batch of one.
+integrated over a grid of both in the same way; the probability of τ² = 0 stands in its first row,
+and that of F = 1, where the stated sds are a lower bound, in its first column. All of it is done
+for B units at once, which share nothing but the number of nodes; a single fit is a batch of one.
 """
 
 import math
@@ -33,8 +30,8 @@ from numpy.typing import NDArray
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf
 
-_BELIEF = 1.4  # what "the claim is right" weighs, in units of ln V, from six degrees of freedom on
-_FEW = 6.0  # degrees of freedom below which the claim must weigh more, or U is too long
+_STATED_WEIGHT = 1.4  # weight of τ² = 0, in units of ln V, from six degrees of freedom on
+_FEW = 6.0  # degrees of freedom below which that weight must be larger, or U is too long
 _RISE = 2.0  # power of 1/ν by which it does
 _COVERAGE = 0.95  # at which U and Student's t are made to agree
 _INNER = 0.68  # beside it, what tells how heavy the tails are
@@ -59,17 +56,17 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What is known of τ² of B units, and with it of their parameters.
+    """The posterior of τ² of B units, and of their parameters.
 
     Attributes
     ----------
     nodes, weights : (B, G) arrays
         Values of τ² and their probability.
     moves, variances : (B, G, p) arrays
-        By how much the parameters of all parts move with τ², and their variances c; those of one
-        output after those of another.
+        Shifts of the parameters of all parts at τ², and their variances c; those of one output
+        after those of another.
     size : (B,) array
-        Of the floors, their harmonic mean: the most precise readings are the first to feel τ.
+        Harmonic mean of the stated variances: the most precise readings are the first to show τ.
     """
 
     nodes: Array
@@ -119,9 +116,9 @@ class Posterior:
         return np.array([_dof_of_tails(each) for each in ratio.tolist()])
 
 
-def belief(dof: float) -> float:
-    """Return what "the claim is right" weighs at so many degrees of freedom, in units of ln V."""
-    return float(_BELIEF * max(_FEW / dof, 1.0) ** _RISE)
+def stated_weight(dof: float) -> float:
+    """Return the weight of τ² = 0 at so many degrees of freedom, in units of ln V."""
+    return float(_STATED_WEIGHT * max(_FEW / dof, 1.0) ** _RISE)
 
 
 def integrate(
@@ -130,9 +127,9 @@ def integrate(
     size: Array,
     squares: tuple[Array, Array],
     *,
-    believed: bool = True,
+    stated: bool = True,
 ) -> Posterior:
-    """Return the posterior of a scatter, and of parameters.
+    """Return the posterior of an excess variance, and of parameters.
 
     Parameters
     ----------
@@ -141,11 +138,11 @@ def integrate(
     dof : float
         Degrees of freedom, above 0.
     size : (B,) array
-        Of the floors.
+        Typical stated variance.
     squares : tuple of two (B,) arrays
         Sums of squared residuals that bracket how noisy readings can be.
-    believed : bool
-        The floor is a claim that may be right, and not only where the search ends.
+    stated : bool
+        The stated variance may be all there is, and is not only where the search ends.
     """
     least = np.minimum(*squares) / (dof + 10.0 * np.sqrt(dof) + 30.0)
     # Large V are unlikely as V^(−ν/2); a tail of 1e-6 is cut off.
@@ -157,10 +154,10 @@ def integrate(
     for _ in range(_NARROWED):
         x = np.linspace(low, high, count // 2, axis=1)
         log = evaluate(_nodes(x, size)).log
-        told = log > log.max(axis=1, keepdims=True) - NEGLIGIBLE / 2.0
-        first, last = _ends(x, told)
+        probable = log > log.max(axis=1, keepdims=True) - NEGLIGIBLE / 2.0
+        first, last = _ends(x, probable)
         low, high = np.where(searched, first, low), np.where(searched, last, high)
-        searched &= 4 * told.sum(axis=1) <= count // 2
+        searched &= 4 * probable.sum(axis=1) <= count // 2
         if not searched.any():
             break
     x = np.linspace(low, high, count, axis=1)
@@ -170,8 +167,8 @@ def integrate(
     top = log.max(axis=1, keepdims=True)
     weights = np.exp(log - top) * (x[:, 1:2] - x[:, :1])
     weights[:, [0, -1]] /= 2.0
-    claimed = believed * belief(dof) * np.exp(found.log[:, :1] - top)
-    weights = np.concatenate([claimed, weights], axis=1)
+    at_stated = stated * stated_weight(dof) * np.exp(found.log[:, :1] - top)
+    weights = np.concatenate([at_stated, weights], axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
     return Posterior(nodes, weights, found.moves, found.variances, size)
 
@@ -180,11 +177,11 @@ def _nodes(x: Array, size: Array) -> Array:
     return np.asarray(np.maximum(np.exp(x) - size[:, None], 0.0))
 
 
-def _ends(x: Array, told: Array) -> tuple[Array, Array]:
-    """Return the nodes (B,) outside of which nothing is told."""
+def _ends(x: Array, probable: Array) -> tuple[Array, Array]:
+    """Return the nodes (B,) outside of which the density is negligible."""
     rows, count = np.arange(len(x)), x.shape[1]
-    first = np.argmax(told, axis=1)
-    last = count - 1 - np.argmax(told[:, ::-1], axis=1)
+    first = np.argmax(probable, axis=1)
+    last = count - 1 - np.argmax(probable[:, ::-1], axis=1)
     return x[rows, np.maximum(first - 1, 0)], x[rows, np.minimum(last + 1, count - 1)]
 
 
@@ -193,7 +190,7 @@ def _half_interval(means: Array, sds: Array, weights: Array, share: float) -> Ar
     shape = sds / sds[:, :1]
     if np.ptp(shape, axis=2).max() > _SAME or (np.abs(means) > _SAME * sds).any():
         return _search_half(means, sds, weights, share)
-    # where all floors are alike, all mixtures are one but for their size
+    # where all stated variances are equal, all mixtures are one but for their size
     one = _search_half(means[:, :, :1], sds[:, :, :1], weights, share)
     return np.asarray(one * sds[:, 0] / sds[:, 0, :1])
 
@@ -250,7 +247,7 @@ _COARSE, _FINE = 16, 24  # nodes a side
 
 @dataclass(frozen=True, eq=False)
 class Both:
-    """The posterior of scatter and placement of B units.
+    """The posterior of excess variance and orientation errors of B units.
 
     Attributes
     ----------
@@ -297,9 +294,9 @@ def integrate_grid(
     slopes: Array,
     *,
     least: Array | None,
-    believed: bool,
+    stated: bool,
 ) -> Both:
-    """Return the posterior of scatter, placement and parameters.
+    """Return the posterior of excess variance, orientation errors and parameters.
 
     Parameters
     ----------
@@ -307,15 +304,15 @@ def integrate_grid(
     dof : float
         Degrees of freedom, above 0.
     size : (B,) array
-        Of the floors.
+        Typical stated variance.
     squares : (B,) array
         Sum of squared residuals at the listed positions.
     slopes : (B,) array
-        Sum of the squares of what a turn by its sd does to each position.
+        Sum of squared changes of the readings by orientation errors of one sd.
     least : (B,) array or None
-        The smallest factor that is looked at; None: the orientation sds are a floor and a claim,
-        as the noise is.
-    believed : bool
+        The smallest factor of the grid; None: the orientation sds are a lower bound, and may be
+        right, as the noise is.
+    stated : bool
         The stated noise may be all there is.
     """
     count, whole = len(size), squares + size
@@ -330,26 +327,26 @@ def integrate_grid(
         )
         found = evaluate(np.exp(y), tau2, whole=side == _FINE)
         log = found.log.reshape(count, side + 1, side)
-        x_ends = _told(x, log[:, 1:].max(axis=2))
-        y_ends = _told(y, log.max(axis=1))
+        x_ends = _probable(x, log[:, 1:].max(axis=2))
+        y_ends = _probable(y, log.max(axis=1))
     dx, dy = (each[:, 1] - each[:, 0] for each in (x, y))
     weights = np.exp(log - log.max(axis=(1, 2), keepdims=True)) * dx[:, None, None]
     weights[:, [1, -1]] /= 2.0
-    weights[:, 0] *= believed * belief(dof) / dx[:, None]
+    weights[:, 0] *= stated * stated_weight(dof) / dx[:, None]
     weights[:, :, [0, -1]] /= 2.0
     if least is None:
-        claimed = belief(dof) / dy[:, None] * weights[:, :, 0] * 2.0
-        weights[:, :, 0] += np.where(y[:, :1] == 0.0, claimed, 0.0)
+        at_stated = stated_weight(dof) / dy[:, None] * weights[:, :, 0] * 2.0
+        weights[:, :, 0] += np.where(y[:, :1] == 0.0, at_stated, 0.0)
     weights /= weights.sum(axis=(1, 2), keepdims=True)
     nodes = np.repeat(tau2, side, axis=1)
     posterior = Posterior(nodes, weights.reshape(count, -1), found.moves, found.variances, size)
     return Both(posterior, np.exp(y), weights.sum(axis=1))
 
 
-def _told(x: Array, log: Array) -> tuple[Array, Array]:
+def _probable(x: Array, log: Array) -> tuple[Array, Array]:
     """Return the ranges (B,) of nodes where something is probable, and one more to either side."""
-    told = log > log.max(axis=1, keepdims=True) - NEGLIGIBLE / 2.0
+    probable = log > log.max(axis=1, keepdims=True) - NEGLIGIBLE / 2.0
     rows, last = np.arange(len(x)), x.shape[1] - 1
-    first = np.maximum(np.argmax(told, axis=1) - 1, 0)
-    final = np.minimum(last - np.argmax(told[:, ::-1], axis=1) + 1, last)
+    first = np.maximum(np.argmax(probable, axis=1) - 1, 0)
+    final = np.minimum(last - np.argmax(probable[:, ::-1], axis=1) + 1, last)
     return x[rows, first], x[rows, final]

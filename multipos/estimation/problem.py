@@ -1,8 +1,8 @@
-"""The problem of uncertain and unknown orientations, a point of its search, and where it ended.
+"""The data of an estimation problem, a point of its search, its end, and what estimators return.
 
-The equations are those of `multipos.estimation.likelihood`; here is what they are about. Arrays
-have one row per position, but are laid out with positions running fastest, since a position is two
-or three numbers and there may be many of them.
+The equations are those of `multipos.estimation.likelihood`. Arrays have one row per position, but
+are laid out with positions running fastest in memory, since a position is two or three numbers and
+there may be many of them.
 """
 
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ RELATIVE_NOISE = 1e-3  # of the readings' spread: any value serves where only ra
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Readings and what is known of their positions, eqs. (1)–(3) of `likelihood`.
+    """Readings and the orientations of their positions, eqs. (1)–(3) of `likelihood`.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class Problem:
 
     @property
     def shared(self) -> int:
-        """Number of unknowns that positions share beside the parameters."""
+        """Number of unknowns that positions share, in addition to the parameters."""
         return 3 * self.groups + self.cones + (2 if self.level_sd > 0.0 else 0)
 
     @cached_property
@@ -154,8 +154,8 @@ class Problem:
         return len(self.model.keys) + 3 * self.groups + self.cones
 
     @cached_property
-    def believed(self) -> bool:
-        """Whether parameters have priors of their own."""
+    def has_parameter_prior(self) -> bool:
+        """Whether parameters have priors."""
         return bool(self.model.beliefs.any())
 
     @property
@@ -199,7 +199,7 @@ class Normal:
     weighted: Array  # Sigma^-1 J, (n, M, 2)
     inverse: Array  # H^-1, (n, 2, 2)
     ease: Array  # (n,), how much of its step a position takes
-    pull: Array  # m_k, (n, 2)
+    angle_gradient: Array  # m_k, (n, 2)
     marginal: Array  # W_k, (n, M, M)
 
 

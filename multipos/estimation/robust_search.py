@@ -190,7 +190,7 @@ def _step(linear: Linear, here: _Spot, damping: float, name: Loss) -> _Step:
 
 def fits(problem: Problem) -> bool:
     """Tell whether a problem is one output under a loss, linear and at exact positions."""
-    exact = bool(problem.exact.all()) and not problem.shared and not problem.believed
+    exact = bool(problem.exact.all()) and not problem.shared and not problem.has_parameter_prior
     alone = problem.values.shape[1] == 1 and problem.precision.ndim == 2
     return problem.robust is not None and exact and alone and type(problem.model) is Model
 

@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
 from multipos.estimation.descent import resume
 from multipos.estimation.known import DENIED, ROUNDING, Design, SharedDesign, fit_output
-from multipos.estimation.noise import Appraisal
+from multipos.estimation.noise import NoiseEstimate
 from multipos.estimation.problem import RELATIVE_NOISE, Optimum, Problem
 from multipos.estimation.robust_search import Ended, Linear, search_linear
 from multipos.files.records import LARGEST
@@ -62,7 +62,7 @@ FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits va
 
 def judge_robustly(
     problem: Problem, optimum: Optimum, loss: Loss, names: Sequence[str], *, stated: bool
-) -> tuple[Problem, Optimum, Appraisal]:
+) -> tuple[Problem, Optimum, NoiseEstimate]:
     """Return problem and optimum under a robust loss, and what they are worth.
 
     Parameters
@@ -104,15 +104,15 @@ def judge_robustly(
     if stated:
         chi2 = float(np.sum(q * weight**2))
         if not (nu > 0 and chi2 > chi2_quantile(DENIED, nu)):
-            worth = Appraisal(1.0 / EFFICIENCY, np.inf, findings=tuple(said), weight=weight)
-            return problem, optimum, worth
+            noise = NoiseEstimate(1.0 / EFFICIENCY, np.inf, findings=tuple(said), weight=weight)
+            return problem, optimum, noise
         claim = Claim(chi2, nu)
     counted = max(float(np.sum(weight * problem.degrees)) - problem.unknowns, 1.0)
     factor = _huber_factor(problem, optimum, counted)
     return (
         problem,
         optimum,
-        Appraisal(factor, counted, None, tuple(said), weight=weight, claim=claim),
+        NoiseEstimate(factor, counted, None, tuple(said), weight=weight, claim=claim),
     )
 
 

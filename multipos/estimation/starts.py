@@ -1,32 +1,18 @@
-"""The search for an uncertain or unknown orientation over its starts, and whether its end is sound.
-
-The second start of `multipos.estimation.starts` is tried where the first fails, or where
-positions may be further off than five degrees; the lower minimum wins.
-
-Where the search for an uncertain or unknown orientation starts.
+"""The start of a search where orientations are uncertain or unknown, and whether its end is valid.
 
 No guess is asked for. Least squares at the listed directions, where they are enough, is one start;
-the ellipsoid on which readings at rest lie (`multipos.estimation.starts`), turned to the listed
-directions where some are, is the other. Of a model of one's own the parameters at either of these
-directions are those of `multipos.estimation.user_models`.
+the ellipsoid on which readings at rest lie (`multipos.estimation.unknown_orientations`), turned to
+the listed directions where some are, is the other. It is tried where the first fails, or where
+positions may be off by more than five degrees; the lower minimum of the two is taken. The
+parameters of a user-defined model at either of these directions are those of
+`multipos.estimation.user_models`.
 
-The closed-form start for unknown orientations: readings at rest lie on an ellipsoid.
+The end of a search is refused, with positions that would help,
 
-With ``y = b + M d`` and |d| = g, the readings satisfy
-
-    (y - b)' (M M')^-1 (y - b) = g²,                                                        (1)
-
-a quadric. With S a symmetric matrix of trace zero, it is one that is linear in its unknowns,
-
-    |y|² = y' S y + 2 v'y + w,      A = I − S,    b = A^-1 v,    r² = w + v' A^-1 v,        (2)
-
-and (y − b)' A (y − b) = r². It is fitted to centred, scaled readings by least squares, so that
-neither a unit nor a guess is needed. M M' = (r²/g²) A^-1 then, and M is its lower-triangular
-(Cholesky) or symmetric square root: any other differs by a rotation, which no reading at rest
-can tell.
-
-What the positions do not show stays zero in S, as on a sphere. Noise can make the quadric
-something else than an ellipsoid; then cross terms are left out of S, and last all of it.
+- where the information of the parameters has no inverse (`multipos.estimation.identifiability`);
+- with all orientations unknown, where readings vary about their ellipsoid by a fifth of its size,
+  or where noise alone could explain the information about a parameter: n readings of nothing but
+  noise of variance σ² seem to have an information of up to 2 n/σ², from lever arms of length σ.
 """
 
 from collections.abc import Callable, Set
@@ -39,7 +25,7 @@ import numpy as np
 from multipos.errors import ConvergenceError, MultiposError, RankError
 from multipos.estimation.circles import turn_about, turn_to_axes
 from multipos.estimation.descent import maximise
-from multipos.estimation.fisher_information import Told, told_at
+from multipos.estimation.fisher_information import FisherInformation, information_at
 from multipos.estimation.identifiability import (
     CANDIDATES,
     condition,
@@ -97,11 +83,11 @@ def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[
     return found.bias[0], found.lower[0] / magnitude
 
 
-_PARTS = 50  # that a robust start leaves out in turn
+_PARTS = 50  # that a robust start omits one by one
 
 
 def ways(problem: Problem) -> list[Callable[[Problem], State | None]]:
-    """Return what makes a start, the most trusted first."""
+    """Return the functions that make a start, the most reliable first."""
     if not isinstance(problem.model, ExpressionModel):
         return [_listed_start, _ellipsoid_start]
     return [partial(_given, state) for state in own_starts(problem)]
@@ -112,7 +98,7 @@ def _given(state: State, problem: Problem) -> State:
 
 
 def own_starts(problem: Problem) -> list[State]:
-    """Return where the search for a model of one's own starts: `multipos.estimation.user_models`.
+    """Return where the search for a user-defined model starts (`multipos.estimation.user_models`).
 
     At the listed directions, or at those that the ellipsoid of the readings gives.
     """
@@ -121,7 +107,7 @@ def own_starts(problem: Problem) -> list[State]:
     if rows.any():
         here = {name: column[rows] for name, column in problem.environment.items()}
         guesses = first_guesses(model, problem.values[rows], problem.reference[rows], here)
-        return [_placed(problem, theta) for theta in guesses]
+        return [_listed_state(problem, theta) for theta in guesses]
     seen = _on_ellipsoid(problem)
     force = seen.direction * problem.magnitude[:, None]
     guesses = first_guesses(model, problem.values, force, problem.environment)
@@ -141,11 +127,11 @@ def _listed_start(problem: Problem) -> State | None:
     for output, (places, design) in enumerate(blocks):
         names = [model.names[i] for i in places]
         theta[places] = solve(design, values[:, output], names=names).coefficients
-    return _placed(problem, theta)
+    return _listed_state(problem, theta)
 
 
-def _placed(problem: Problem, theta: Array) -> State:
-    """Return the state at given parameters: unknown directions as the readings say, groups too."""
+def _listed_state(problem: Problem, theta: Array) -> State:
+    """Return the state at given parameters, with unknown directions and rotations from readings."""
     if problem.listed.all():
         return start_state(problem, theta)
     force = invert(problem.model, theta, problem.values, problem.environment)
@@ -172,14 +158,14 @@ def _ellipsoid_start(problem: Problem) -> State | None:
     return start_state(problem, theta, seen.direction, _turns(problem, seen.direction))
 
 
-class _Seen(NamedTuple):
-    """What an ellipsoid says: constant and linear terms (3, 4), and directions (n, 3)."""
+class _Ellipsoid(NamedTuple):
+    """The model on an ellipsoid: constant and linear terms (3, 4), and directions (n, 3)."""
 
     linear: Array
     direction: Array
 
 
-def _on_ellipsoid(problem: Problem) -> _Seen:
+def _on_ellipsoid(problem: Problem) -> _Ellipsoid:
     """Return the ellipsoid of a triad's readings, turned to the listed directions if any."""
     model = problem.model
     order = [model.axes.index(axis) for axis in ("x", "y", "z")]
@@ -200,14 +186,14 @@ def _on_ellipsoid(problem: Problem) -> _Seen:
         matrix, direction = matrix @ turn.T, direction @ turn.T
     linear = np.empty((3, 4))
     linear[order] = np.column_stack([bias, matrix])
-    return _Seen(linear, direction)
+    return _Ellipsoid(linear, direction)
 
 
 def _hand(problem: Problem, direction: Array) -> Array:
     """Return the rotation or reflection that brings directions nearest to those listed.
 
     The ellipsoid leaves both open. A reflection is that of a left-handed triad, or of a
-    convention which is not the readings' own; rows of a group can tell it as well.
+    convention which is not the readings' own; rows of a group determine it as well.
     """
     known = [problem.listed, *(problem.group == g for g in range(problem.groups))]
 
@@ -232,7 +218,7 @@ def _hand(problem: Problem, direction: Array) -> Array:
 def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tuple[Array, Array]:
     """Return the ellipsoid start, without one part of the readings, that most readings are near.
 
-    Each part is left out in turn, so that blunders in one of them do not bend the start.
+    Each part is omitted once, so that gross errors in one of them do not bend the start.
     """
     parts = min(len(values), _PARTS)
     best, least = ellipsoid_start(values, magnitude, crossed=crossed), np.inf
@@ -246,14 +232,14 @@ def _median_ellipsoid(values: Array, magnitude: float, *, crossed: bool) -> tupl
     return best
 
 
-_LEVER = 2.0  # how far above the information that noise pretends
-_FEWEST = 4  # parameters that any turn of the sensor shows: a bias for each output, one scale
+_LEVER = 2.0  # information per reading, in units of the noise, that noise alone can explain
+_FEWEST = 4  # parameters that any rotation determines: a bias for each output, one scale
 _MEDIAN = 0.6745  # of the modulus of a standard normal
-_SCATTER = 0.2  # of one g: a cloud of noise, not a sphere of positions
+_SPREAD = 0.2  # of one g: a cloud of noise, not a sphere of positions
 
 
-def search(problem: Problem) -> tuple[Optimum, Told]:
-    """Return the best optimum over the starts, and what is told there.
+def search(problem: Problem) -> tuple[Optimum, FisherInformation]:
+    """Return the best optimum over the starts, and the Fisher information there.
 
     The second start is tried where the first may be poor.
     """
@@ -265,7 +251,7 @@ def search(problem: Problem) -> tuple[Optimum, Told]:
             state = start(problem)
         except MultiposError as error:
             if problem.listed.all() and not wide:
-                raise  # the listed directions are near enough to say what they cannot tell
+                raise  # the listed directions are near enough to show what they cannot determine
             fault = fault or error
             continue
         if state is None:
@@ -282,10 +268,10 @@ def search(problem: Problem) -> tuple[Optimum, Told]:
     if not best[1].converged:
         raise fault or _why_not(problem, *best)
     _require_sphere(problem, best[1])
-    told = _require_information(problem, best[1])
+    fisher = _require_information(problem, best[1])
     if np.isinf(problem.orientation_sd).all():  # where lever arms come from the readings themselves
-        _require_told(problem, *best)
-    return best[1], told
+        _require_above_noise(problem, *best)
+    return best[1], fisher
 
 
 def _is_better(found: Optimum, best: Optimum) -> bool:
@@ -294,16 +280,16 @@ def _is_better(found: Optimum, best: Optimum) -> bool:
 
 
 def _several(problem: Problem) -> bool:
-    """Tell whether all starts are searched from: those of a model of one's own may end apart."""
+    """Tell whether all starts are tried: those of a user-defined model may have different ends."""
     return isinstance(problem.model, ExpressionModel)
 
 
 def _why_not(problem: Problem, start: State, optimum: Optimum) -> MultiposError:
-    """Return the error of a search that did not converge: what the positions do not tell."""
+    """Return the error of a search that did not converge, with what positions do not determine."""
     try:
         _require_sphere(problem, optimum)
         _require_information(problem, optimum)
-        _require_told(problem, start, optimum)
+        _require_above_noise(problem, start, optimum)
     except MultiposError as error:
         return error
     blunders = "Check the readings for blunders (--robust huber names them), or choose"
@@ -314,20 +300,20 @@ def _why_not(problem: Problem, start: State, optimum: Optimum) -> MultiposError:
     )
 
 
-def _require_told(problem: Problem, start: State, optimum: Optimum) -> None:
-    """Refuse what noise hides: combinations whose u is more than what is plausible of them.
+def _require_above_noise(problem: Problem, start: State, optimum: Optimum) -> None:
+    """Refuse combinations of parameters that noise alone could explain, by their plausible range.
 
-    A search wanders where the data say nothing, so that is judged where it began.
+    A search drifts along what the data do not determine, so its start is tested.
     """
     model, size = problem.model, float(problem.magnitude.mean())
     limit = plausible_range(model, start.theta, size)
     if limit is None:
         return
-    told = told_at(problem.plain, start)
-    information = reduced_information(told.information, len(limit))
+    fisher = information_at(problem.plain, start)
+    information = reduced_information(fisher.information, len(limit))
     nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
     relative = information * np.outer(limit, limit) * nu / optimum.point.objective
-    # Noise moves n positions by its own size, which passes for information of n and little more.
+    # Noise moves n positions by its own size, which seems an information of n and little more.
     rank = int((np.linalg.eigvalsh(relative) > _LEVER * len(problem.values)).sum())
     if rank == len(limit):
         return
@@ -350,18 +336,18 @@ def _require_told(problem: Problem, start: State, optimum: Optimum) -> None:
 
 
 def _require_sphere(problem: Problem, optimum: Optimum) -> None:
-    """Refuse readings that scatter about their ellipsoid by a good part of its size."""
+    """Refuse readings that vary about their ellipsoid by a good part of its size."""
     if not np.isinf(problem.orientation_sd).all():
         return
     scale = _own_scale(problem, optimum)
-    # by the median, so that a few bad positions of a robust fit do not condemn the others
+    # by the median, so that a few bad positions of a robust fit do not reject the others
     size = float(median(np.linalg.norm(optimum.point.residuals, axis=1)))
     nu = max(float(problem.degrees.sum()) - problem.unknowns, 1.0)
     spread = size / _MEDIAN * np.sqrt(len(problem.values) / nu)
-    scatter = spread / max(scale * float(np.linalg.norm(problem.reference[0])), 1e-300)
-    if scatter > _SCATTER:
+    relative = spread / max(scale * float(np.linalg.norm(problem.reference[0])), 1e-300)
+    if relative > _SPREAD:
         raise MultiposError(
-            f"the readings scatter by {100.0 * scatter:.0f} % about the ellipsoid that fits them "
+            f"the readings scatter by {100.0 * relative:.0f} % about the ellipsoid that fits them "
             "best; they do not come from positions at rest in one gravity. Turn the sensor to "
             "different positions and hold it still."
         )
@@ -380,7 +366,7 @@ def _own_scale(problem: Problem, optimum: Optimum) -> float:
 def _positive(problem: Problem, optimum: Optimum) -> Optimum:
     """Return the mirrored optimum whose own-axis scale factors are positive.
 
-    Rows of a group know left from right. Where they say that an odd number of axes is reversed,
+    Rows of a group determine the handedness. Where an odd number of axes is reversed by them,
     all three are made negative: then the readings follow the other convention.
     """
     model, state = problem.model, optimum.state
@@ -411,10 +397,10 @@ def _is_odd(term: Term, axes: Set[str]) -> bool:
     return sum(f.is_odd for f in term.factors if f.variable in axes) % 2 == 1
 
 
-def _require_information(problem: Problem, optimum: Optimum) -> Told:
-    """Return what is told at an optimum, where that is every parameter."""
-    told = told_at(problem, optimum.state, optimum.point)
-    information = reduced_information(told.information, len(problem.model.keys))
+def _require_information(problem: Problem, optimum: Optimum) -> FisherInformation:
+    """Return the information at an optimum, where it determines every parameter."""
+    fisher = information_at(problem, optimum.state, optimum.point)
+    information = reduced_information(fisher.information, len(problem.model.keys))
     if not np.isfinite(information).all():
         raise ConvergenceError(
             "the search ended where the model has no slopes that are numbers; start its "
@@ -428,7 +414,7 @@ def _require_information(problem: Problem, optimum: Optimum) -> Told:
             problem.model.names,
             f"add positions such as {position_words(best)}, or drop a term",
         )
-    return told
+    return fisher
 
 
 def reduced_information(full: Array, p: int) -> Array:
@@ -440,7 +426,7 @@ def reduced_information(full: Array, p: int) -> Array:
 
 
 def _candidate_gains(problem: Problem, theta: Array) -> Array:
-    """Return what each candidate position, placed as badly as the others, would tell (c, p, p)."""
+    """Return the information (c, p, p) of each candidate position, as uncertain as the others."""
     count = len(CANDIDATES)
     size = float(np.linalg.norm(problem.reference, axis=1).mean())
     spread = problem.orientation_sd[problem.group < 0]
@@ -484,7 +470,7 @@ def too_few(problem: Problem) -> RankError:
             rank=min(equations, p),
             parameters=p,
         )
-    # The readings themselves say about where the positions are: enough to see what they miss.
+    # The readings themselves show roughly where the positions are: enough to see what is missing.
     values = problem.values
     centre = (values.max(axis=0) + values.min(axis=0)) / 2.0
     half = np.maximum((values.max(axis=0) - values.min(axis=0)) / 2.0, 1e-300)

@@ -11,18 +11,18 @@ with e_k = ln u_k² − ψ(d_k/2) + ln(d_k/2). Where the u_k differ by no more t
 is infinite and all become one, Σ d_k u_k²/Σ d_k; where they truly differ, each stays what it is.
 
 Rests of a log that few effective samples tell (`dof` below 30 in most of them) are not what (1)
-takes them for: the memory of their noise is estimated too, from the same few, and their u scatter
+takes them for: the memory of their noise is estimated too, from the same few, and their u excess
 by factors where rests are alike. They are weighed by their numbers of samples N_k,
 
     ũ_k² = q/N_k,    q the lower quartile of N_k u_k²,                                      (1a)
 
-a floor, above which the residuals of the fit say how much they scatter.
+a variance, above which the residuals of the fit say how much they excess.
 
-The floors of a fit then have by Welch and Satterthwaite
+The variances of a fit then have by Welch and Satterthwaite
 
     ν_c = (Σ ũ_k²)²/Σ (ũ_k⁴/d_k),     1/ν' = 1/ν + w²/ν_c,                                  (3)
 
-where w is the part that floors are of the variance of the readings, the rest being scatter from
+where w is the part that variances are of the variance of the readings, the rest being excess from
 rest to rest with its own ν. Where ν is infinite, U grows by k(ν_c)/k(∞).
 
 An applied force that is known with an uncertainty: what it adds to the noise of the readings.
@@ -33,7 +33,7 @@ J = dh/df, so that the readings of position k have
     V_k = U_k + J_k diag(u_f²) J_kᵀ,                                                        (4)
 
 U_k what they state themselves. J is that of a first fit, which knows the scale factors well enough
-for a weight. Readings that state nothing get a floor far below what they scatter
+for a weight. Readings that state nothing get a variance far below what they excess
 (`multipos.estimation.excess_variance` finds the rest), so that their noise stays what the
 residuals say.
 
@@ -58,15 +58,15 @@ from multipos.positions.readings import Readings
 _KNOWN = 1000.0  # degrees of freedom from which on u is taken as known
 _FEW = 30.0  # below which it is said
 _LEAST, _MOST = 1e-140, 1e140  # of u, whose squares are numbers still
-_APART = 1e3  # times that uncertainties of a unit may differ, where weights have digits left
+_RATIO = 1e3  # times that uncertainties of a unit may differ, where weights have digits left
 _FEWEST = 3  # readings that tell what they have in common
 
 
-def steady_floors(readings: Readings) -> Readings:
+def shrink_variances(readings: Readings) -> Readings:
     """Return readings whose uncertainties are those of eq. (1), where they have few dof."""
     if readings.dof is None or readings.u is None:
         return readings
-    u = drawn_together(readings.u[None], readings.dof[None])[0]
+    u = shrunk(readings.u[None], readings.dof[None])[0]
     least = float(readings.dof.min())
     if least >= _FEW:
         return replace(readings, u=u)
@@ -97,17 +97,17 @@ def _by_samples(u: Array, dof: Array, samples: Array) -> Array:
     return found
 
 
-class Claims(NamedTuple):
+class StatedNoise(NamedTuple):
     """What many units state of their noise.
 
     Attributes
     ----------
     u : (B, n, M) array
         As it weighs readings: that of eq. (1) where it has degrees of freedom, and 1 of units whose
-        claims cannot be weights.
+        noise cannot be weights.
     dof : (B, n, M) array or None
     sound : (B,) array of bool
-        Units whose claims can be weights, and of which nothing is an error.
+        Units whose noise can be weights, and of which nothing is an error.
     """
 
     u: Array
@@ -115,28 +115,28 @@ class Claims(NamedTuple):
     sound: NDArray[np.bool_]
 
 
-def take_claims(stated: Sequence[Array], claimed: Sequence[Array]) -> Claims:
+def take_stated(stated: Sequence[Array], stated_dof: Sequence[Array]) -> StatedNoise:
     """Return what many units state of their noise.
 
     Parameters
     ----------
     stated : M arrays (B, n)
         Standard uncertainties of the readings.
-    claimed : M arrays (B, n), or none
+    stated_dof : M arrays (B, n), or none
         Their degrees of freedom.
     """
     u = np.stack(list(stated), axis=2)
     sound = ((u > _LEAST) & (u < _MOST)).all(axis=(1, 2))
-    sound &= u.max(axis=(1, 2)) < _APART * u.min(axis=(1, 2))
-    if not claimed:
-        return Claims(np.where(sound[:, None, None], u, 1.0), None, sound)
-    dof = np.stack(list(claimed), axis=2)
+    sound &= u.max(axis=(1, 2)) < _RATIO * u.min(axis=(1, 2))
+    if not stated_dof:
+        return StatedNoise(np.where(sound[:, None, None], u, 1.0), None, sound)
+    dof = np.stack(list(stated_dof), axis=2)
     sound &= ((dof >= 1.0) & np.isfinite(dof)).all(axis=(1, 2))
     u, dof = (np.where(sound[:, None, None], each, 1.0) for each in (u, dof))
-    return Claims(drawn_together(u, dof), dof, sound)
+    return StatedNoise(shrunk(u, dof), dof, sound)
 
 
-def drawn_together(u: Array, dof: Array) -> Array:
+def shrunk(u: Array, dof: Array) -> Array:
     """Return ũ of eq. (1), of B units, from u and their degrees of freedom, (B, n, M) each.
 
     Where fewer than three readings of an output tell what they have in common, u stays.
@@ -162,7 +162,7 @@ def drawn_together(u: Array, dof: Array) -> Array:
     return np.where(drawn, np.sqrt(together), u)
 
 
-def carry_dof(solution: Solution, readings: Readings, *, joint: bool) -> Solution:
+def with_stated_dof(solution: Solution, readings: Readings, *, joint: bool) -> Solution:
     """Return a solution with the degrees of freedom of the readings' uncertainties, eq. (3).
 
     Parameters
@@ -174,11 +174,11 @@ def carry_dof(solution: Solution, readings: Readings, *, joint: bool) -> Solutio
     """
     if readings.dof is None or readings.u is None:
         return solution
-    scatter = np.zeros(readings.dof.shape[1])
+    excess = np.zeros(readings.dof.shape[1])
     found = solution.variance_components
     if found is not None and found.rest_to_rest is not None:
-        scatter = np.array([found.rest_to_rest[o].value ** 2 for o in solution.model.outputs])
-    spread = _spread(readings.u[None] ** 2, readings.dof[None], scatter)[0]
+        excess = np.array([found.rest_to_rest[o].value ** 2 for o in solution.model.outputs])
+    spread = _spread(readings.u[None] ** 2, readings.dof[None], excess)[0]
     if joint:
         spread = np.full(len(spread), spread.max())
     each = np.repeat(spread, [len(terms) for terms in solution.model.terms])
@@ -189,42 +189,42 @@ def carry_dof(solution: Solution, readings: Readings, *, joint: bool) -> Solutio
     return replace(solution, dof=dof, parameter_dof=own)
 
 
-def carried_dof(dof: Array, floor: Array, claimed: Array, scatter: Array) -> Array:
-    """Return degrees of freedom (B, M) with those of the floors, eq. (3), of B units.
+def combined_dof(dof: Array, variance: Array, stated_dof: Array, excess: Array) -> Array:
+    """Return degrees of freedom (B, M) with those of the variances, eq. (3), of B units.
 
     Parameters
     ----------
-    dof, scatter : (B, M) arrays
+    dof, excess : (B, M) arrays
         Of the variance of a reading, and τ².
-    floor, claimed : (B, n, M) arrays
+    variance, stated_dof : (B, n, M) arrays
         Stated variances and their degrees of freedom.
     """
-    return np.asarray(1.0 / (1.0 / dof + _spread(floor, claimed, scatter)))
+    return np.asarray(1.0 / (1.0 / dof + _spread(variance, stated_dof, excess)))
 
 
-def carried_jointly(dof: Array, claims: Claims, scatter: Array) -> Array:
+def combined_jointly(dof: Array, noise: StatedNoise, excess: Array) -> Array:
     """Return degrees of freedom (B,) of parameters that rest on all outputs together, eq. (3).
 
     Parameters
     ----------
-    dof, scatter : (B,) arrays
+    dof, excess : (B,) arrays
         Of the variance of a reading, and τ².
-    claims : Claims
+    noise : StatedNoise
     """
-    if claims.dof is None:
+    if noise.dof is None:
         return dof
-    spread = _spread(claims.u**2, claims.dof, scatter[:, None]).max(axis=1)
+    spread = _spread(noise.u**2, noise.dof, excess[:, None]).max(axis=1)
     return np.asarray(1.0 / (1.0 / dof + spread))
 
 
-def _spread(floor: Array, dof: Array, scatter: Array) -> Array:
+def _spread(variance: Array, dof: Array, excess: Array) -> Array:
     """Return w²/ν_c of eq. (3), (B, M)."""
-    claimed = np.sum(floor, axis=1) ** 2 / np.sum(floor**2 / dof, axis=1)
-    share = floor.mean(axis=1) / (floor.mean(axis=1) + scatter)
-    return np.asarray(share**2 / claimed)
+    stated_dof = np.sum(variance, axis=1) ** 2 / np.sum(variance**2 / dof, axis=1)
+    share = variance.mean(axis=1) / (variance.mean(axis=1) + excess)
+    return np.asarray(share**2 / stated_dof)
 
 
-_FLOOR = 1e-3  # of a residual standard deviation: nothing beside the scatter that is found
+_LEAST_SD = 1e-3  # of a residual standard deviation: nothing beside the excess that is found
 _CORRELATED = 0.01  # below which outputs of one reading count as independent
 
 
@@ -245,8 +245,8 @@ def add_reference_noise(readings: Readings, solution: Solution) -> Readings:
     moved = slopes * readings.reference_u[:, None, :]
     blocks = moved @ moved.transpose(0, 2, 1)
     if stated is None:
-        floor = np.maximum(_FLOOR * solution.residual_sd, np.finfo(float).tiny ** 0.5)
-        stated = np.tile(floor**2, n)
+        variance = np.maximum(_LEAST_SD * solution.residual_sd, np.finfo(float).tiny ** 0.5)
+        stated = np.tile(variance**2, n)
     variances = np.einsum("nmm->nm", blocks)
     apart = blocks - variances[:, :, None] * np.eye(m)
     if stated.ndim == 1:

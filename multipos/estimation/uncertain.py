@@ -1,19 +1,19 @@
-"""Orientations known badly, or not at all: from readings to a solution of the one likelihood.
+"""Uncertain, unknown and other partly known orientations: from readings to a solution.
 
 `solve_uncertain` states the problem of `multipos.estimation.likelihood`, starts it without a guess
-(`multipos.estimation.starts`), finds the reading noise where it is not given
+(`multipos.estimation.starts`), estimates the reading noise where it is not given
 (`multipos.estimation.noise`, `multipos.estimation.robustness`), and completes the solution. Where
 nothing ties the readings to the directions of the world (every position unknown, or in a group of
 unknown rotation), the rotation of the case is a convention: a gauge fixes it, lower triangular or
 symmetric.
 
-Maximum likelihood has a bias of second order. Noise across the direction moves the estimated
-position along the sphere, which curves away, so that a triad of scale factors k_i with noise
-sigma_i in units of g puts own-axis scale factors too high by
+Maximum likelihood has a bias of second order. Noise perpendicular to the direction moves the
+estimated position along the sphere, which curves away, so that a triad of scale factors k_i with
+noise σ_i in units of g has own-axis scale factors too large by
 
-    (k_i/g²) (sum over the others of sigma_j²/k_j²)/2 · s²/(s² + sigma²),                   (1)
+    (k_i/g²) (sum over the others of σ_j²/k_j²)/2 · s²/(s² + σ²),                           (1)
 
-nothing for exact positions, and the whole for unknown ones (s infinite). It is stated where it
+nothing for exact positions, and the whole for unknown ones (s infinite). It is reported where it
 is more than a tenth of u; the theory page derives it.
 
 References
@@ -27,9 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.estimation.fisher_information import Told, told_at
+from multipos.estimation.fisher_information import FisherInformation, information_at
 from multipos.estimation.identifiability import condition, formal_only
-from multipos.estimation.noise import Appraisal, judge_noise, judge_tied, with_degrees
+from multipos.estimation.noise import (
+    NoiseEstimate,
+    estimate_noise,
+    estimate_tied_noise,
+    with_degrees,
+)
 from multipos.estimation.problem import Optimum, Problem, Solution, State, state_problem
 from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.starts import own_starts, reduced_information, search, too_few
@@ -47,7 +52,7 @@ from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.model import ROLL_GAUGES, Gauge, Model
 from multipos.sensor.own_models import hold
 
-_STATED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is stated
+_REPORTED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is reported
 
 
 def solve_uncertain(
@@ -67,7 +72,7 @@ def solve_uncertain(
     model : Model
     readings : Readings
     placement : Placement
-        What is known of the positions.
+        Orientations and what is known of them.
     gauge : str
         'lower' or 'symmetric', where nothing ties the readings to the directions of the world.
     robust : str, optional
@@ -76,7 +81,7 @@ def solve_uncertain(
         One residual variance for all outputs where orientations are exact, and so fitted one
         by one; elsewhere there is one anyway.
     parts : int
-        How many outputs are fitted one by one, of which this is one.
+        Number of outputs that are fitted one by one, of which this is one.
 
     Raises
     ------
@@ -98,35 +103,35 @@ def solve_uncertain(
     if isinstance(model, ExpressionModel) and problem.adrift:
         problem, held = _without_free_rotations(problem, gauge)
     nu = _degrees(problem, model)
-    optimum, told = search(problem)
+    optimum, fisher = search(problem)
     searched, reached = problem, optimum
     stated = readings.noise is not None
-    loose = not (stated or placement.estimated or problem.has_prior or robust is not None)
+    unstated = not (stated or placement.estimated or problem.has_prior or robust is not None)
     dof: Array | None = None
-    if loose and (problem.believed or (tied and not pool)):
-        problem, optimum, worth, dof = judge_tied(problem, optimum)
+    if unstated and (problem.has_parameter_prior or (tied and not pool)):
+        problem, optimum, noise, dof = estimate_tied_noise(problem, optimum)
     elif robust is not None:
-        problem, optimum, worth = judge_robustly(
+        problem, optimum, noise = judge_robustly(
             problem, optimum, robust, readings.labels, stated=stated
         )
     else:
-        problem, optimum, worth = judge_noise(
+        problem, optimum, noise = estimate_noise(
             problem, optimum, nu, stated=stated, estimate_sd=placement.estimated
         )
-    worth = replace(worth, findings=(*held, *worth.findings))
+    noise = replace(noise, findings=(*held, *noise.findings))
     if problem is not searched or optimum is not reached or problem.robust is not None:
-        told = told_at(problem.plain, optimum.state, optimum.point)
-    found = _solution(problem, optimum, told, readings, nu, worth, parts)
+        fisher = information_at(problem.plain, optimum.state, optimum.point)
+    found = _solution(problem, optimum, fisher, readings, nu, noise, parts)
     return found if dof is None else with_degrees(found, problem, optimum, dof)
 
 
 def _degrees(problem: Problem, model: Model) -> float:
-    """Return the degrees of freedom: what readings and beliefs say more than is unknown."""
+    """Return the degrees of freedom: readings and priors less what is unknown."""
     return float(problem.degrees.sum()) - problem.unknowns + int(np.count_nonzero(model.beliefs))
 
 
 def _with_gauge(model: Model, placement: Placement, gauge: Gauge) -> Model:
-    """Return the model without what the rotations fix that positions leave free.
+    """Return the model without the parameters that free rotations of the case fix.
 
     Raises
     ------
@@ -147,7 +152,7 @@ def _with_gauge(model: Model, placement: Placement, gauge: Gauge) -> Model:
 
 
 def _without_free_rotations(problem: Problem, gauge: Gauge) -> tuple[Problem, Findings]:
-    """Return the problem with what a rotation of the case leaves free held, and say so."""
+    """Return the problem with parameters held that fix the rotation of the case, and the note."""
     model = problem.model
     assert isinstance(model, ExpressionModel)
     fixed = rotations_to_hold(problem, own_starts(problem)[0], gauge)
@@ -225,7 +230,7 @@ def _block_diagonal(model: Model, covariances: list[Array]) -> Array:
 
 
 def _joined(parts: list[VarianceComponents | None]) -> VarianceComponents | None:
-    """Return what was found of the noise of outputs that were fitted one by one."""
+    """Return the noise of outputs that were fitted one by one."""
     found = [part.rest_to_rest for part in parts if part is not None and part.rest_to_rest]
     if len(found) < len(parts):
         return parts[0]
@@ -233,7 +238,7 @@ def _joined(parts: list[VarianceComponents | None]) -> VarianceComponents | None
 
 
 def _together(claims: list[Claim]) -> Claim | None:
-    """Return the claim of outputs that were fitted one by one."""
+    """Return the test of the stated noise of outputs that were fitted one by one."""
     if not claims:
         return None
     return Claim(sum(claim.chi2 for claim in claims), sum(claim.dof for claim in claims))
@@ -255,25 +260,27 @@ def _require_triad(model: Model) -> None:
 def _solution(
     problem: Problem,
     optimum: Optimum,
-    told: Told,
+    fisher: FisherInformation,
     readings: Readings,
     nu: float,
-    worth: Appraisal,
+    noise: NoiseEstimate,
     parts: int,
 ) -> Solution:
     model, state, point = problem.model, optimum.state, optimum.point
     p, m = len(model.keys), problem.values.shape[1]
-    information = reduced_information(told.information, p)
+    information = reduced_information(fisher.information, p)
     inverse = np.asarray(np.linalg.inv(information))
     inverse = (inverse + inverse.T) / 2.0
     formal = np.sqrt(np.diag(inverse))
-    covariance = inverse if worth.loose is None else told.allow_for_axes(inverse, worth.loose)
+    covariance = (
+        inverse if noise.unstated is None else fisher.allow_for_axes(inverse, noise.unstated)
+    )
     own = np.sqrt(np.diag(covariance))
-    u = np.sqrt(worth.factor) * own if worth.u is None else worth.u * (own / formal)
+    u = np.sqrt(noise.factor) * own if noise.u is None else noise.u * (own / formal)
     covariance = covariance * np.outer(u / own, u / own)
     magnitude = float(problem.magnitude.mean())
-    sized = np.isfinite(worth.factor) and worth.factor > 0.0  # 0 where every residual is
-    misfit = point.q / problem.weight / (worth.factor if sized else 1.0)
+    sized = np.isfinite(noise.factor) and noise.factor > 0.0  # 0 where every residual is
+    misfit = point.q / problem.weight / (noise.factor if sized else 1.0)
     robust = problem.robust is not None
     precision = (
         problem.precision
@@ -282,25 +289,25 @@ def _solution(
     )
     kept = problem.weight == 1.0
     residual_sd = np.sqrt(
-        np.mean(1.0 / precision[kept], axis=0) * (1.0 if robust else worth.factor)
+        np.mean(1.0 / precision[kept], axis=0) * (1.0 if robust else noise.factor)
     )
-    if not robust and np.isinf(worth.dof) and nu > 0:
+    if not robust and np.isinf(noise.dof) and nu > 0:
         residual_sd = residual_sd * np.sqrt(point.objective / nu)
     return Solution(
         model=model,
         reference=point.force,
         parameters=state.theta,
         covariance=covariance,
-        parameter_dof=np.full(p, worth.dof),
+        parameter_dof=np.full(p, noise.dof),
         inflation=u / formal,
-        dof=np.full(m, worth.dof),
+        dof=np.full(m, noise.dof),
         residuals=point.residuals,
         residual_sd=residual_sd,
-        leverage=told.leverage(inverse),
+        leverage=fisher.leverage(inverse),
         outliers=find_outlying_positions(
             misfit,
             problem.degrees,
-            worth.dof if robust else nu,
+            noise.dof if robust else nu,
             readings.labels,
             robust=robust,
             parts=parts,
@@ -308,21 +315,21 @@ def _solution(
         condition=condition(information),
         unidentifiable=formal_only(model, state.theta, u, magnitude),
         findings=(
-            *worth.findings,
+            *noise.findings,
             *at_bounds(model, state.theta),
             *_scale_bias(problem, state.theta, u, residual_sd, magnitude),
         ),
         status=_status(optimum),
-        orientation_sd=worth.orientation_sd,
-        variance_components=worth.components,
+        orientation_sd=noise.orientation_sd,
+        variance_components=noise.components,
         orientations=_found_orientations(problem, optimum, readings),
-        robust_weight=worth.weight,
-        claim=worth.claim,
+        robust_weight=noise.weight,
+        claim=noise.claim,
     )
 
 
 def _scale_bias(problem: Problem, theta: Array, u: Array, sd: Array, magnitude: float) -> Findings:
-    """State the second-order bias of the scale factors, eq. (1), where it matters."""
+    """Return findings on the second-order bias of scale factors, eq. (1), where it matters."""
     model = problem.model
     own = list(model.own_scales)
     if not problem.orientation_sd.any() or len(own) != 3 or len(model.outputs) != 3:
@@ -330,8 +337,8 @@ def _scale_bias(problem: Problem, theta: Array, u: Array, sd: Array, magnitude: 
     relative = (sd / (np.abs(theta[own]) * magnitude)) ** 2  # (3,), variances in g² per g²
     across = (relative.sum() - relative) / 2.0
     # s²/(s² + sigma²), 1 where s is infinite
-    share = 1.0 - relative.mean() / (problem.orientation_sd**2 + relative.mean())
-    bias = across * float(share.mean()) * np.abs(theta[own])
+    fraction = 1.0 - relative.mean() / (problem.orientation_sd**2 + relative.mean())
+    bias = across * float(fraction.mean()) * np.abs(theta[own])
     return tuple(
         Finding(
             "scale-bias",
@@ -340,14 +347,14 @@ def _scale_bias(problem: Problem, theta: Array, u: Array, sd: Array, magnitude: 
             "moves the estimated positions along the sphere (sigma^2/g^2); average longer",
         )
         for i, size in zip(own, bias.tolist(), strict=True)
-        if size > _STATED_BIAS * u[i]
+        if size > _REPORTED_BIAS * u[i]
     )
 
 
 def _found_orientations(
     problem: Problem, optimum: Optimum, readings: Readings
 ) -> FoundOrientations | None:
-    """Return what was found of orientations; None where all were exact."""
+    """Return the estimated orientations; None where all were exact."""
     if (problem.orientation_sd == 0.0).all() and not problem.shared:
         return None
     state = optimum.state
@@ -369,8 +376,8 @@ def _inclinations(problem: Problem, state: State, readings: Readings) -> dict[st
     if problem.rolls is None:
         return {}
     sign = np.sign(np.sum(problem.reference * across(problem.rolls.vectors)))
-    leans = np.degrees(sign * state.inclination).tolist()
-    return dict(zip(_labels(readings, problem.rolls.cone), leans, strict=True))
+    tilts = np.degrees(sign * state.inclination).tolist()
+    return dict(zip(_labels(readings, problem.rolls.cone), tilts, strict=True))
 
 
 def _labels(readings: Readings, number: NDArray[np.intp]) -> list[str]:

@@ -45,7 +45,7 @@ from multipos.estimation.orientation_variance import (
 )
 from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import RELATIVE_NOISE, Point, Problem, State
-from multipos.estimation.stated_uncertainty import Claims, carried_jointly, take_claims
+from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, take_stated
 from multipos.estimation.unknown_orientations import combined
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array, Places
@@ -136,7 +136,7 @@ class Place(NamedTuple):
 class _Equations(NamedTuple):
     information: Array  # (B, p, p)
     gradient: Array  # (B, p)
-    pull: Array  # m of `likelihood`, (B n, 2)
+    angle_gradient: Array  # m of `likelihood`, (B n, 2)
     weighted: Array  # Σ⁻¹J, (B n, M, 2)
     inverse: Array  # H⁻¹, (B n, 2, 2)
 
@@ -245,21 +245,21 @@ class UncertainSearch:
         prior, exact = self._prior.ravel(), self.orientation_sd.ravel() == 0.0
         own = eliminate(full(precision), jacobian, weighted, prior, exact, np.zeros_like(exact))
         residuals = place.residuals.reshape(m, -1).T
-        pull = np.einsum("nmi,nm->ni", weighted, residuals)
-        pull -= prior[:, None] * place.step.reshape(2, -1).T
-        push = precision * residuals - np.einsum("nmi,ni->nm", own.gain, pull)
+        angle_gradient = np.einsum("nmi,nm->ni", weighted, residuals)
+        angle_gradient -= prior[:, None] * place.step.reshape(2, -1).T
+        reduced = precision * residuals - np.einsum("nmi,ni->nm", own.gain, angle_gradient)
         marginal = own.marginal.transpose(1, 2, 0).reshape(m, *shape)
-        found = self._assembled(place, marginal, push.T.reshape(shape))
-        return _Equations(*found, pull, weighted, own.inverse)
+        found = self._assembled(place, marginal, reduced.T.reshape(shape))
+        return _Equations(*found, angle_gradient, weighted, own.inverse)
 
-    def _assembled(self, place: Place, marginal: Array, push: Array) -> tuple[Array, Array]:
+    def _assembled(self, place: Place, marginal: Array, reduced: Array) -> tuple[Array, Array]:
         """Return S and g of W (M, M, B, n) and what pushes the outputs (M, B, n)."""
         count, p = place.theta.shape
         information, gradient = np.zeros((count, p, p)), np.zeros((count, p))
         phi = np.ascontiguousarray(place.phi.transpose(1, 0, 2))
         slopes = [phi.take(columns, axis=1) for columns, _ in self.model.contributions]
         for i, (_, places) in enumerate(self.model.contributions):
-            gradient[:, places] += (slopes[i] @ push[i][:, :, None])[:, :, 0]
+            gradient[:, places] += (slopes[i] @ reduced[i][:, :, None])[:, :, 0]
             for j, (_, others) in enumerate(self.model.contributions[i:], start=i):
                 block = (slopes[i] * marginal[i, j][:, None]) @ slopes[j].transpose(0, 2, 1)
                 information[:, places[:, None], others] += block
@@ -271,7 +271,7 @@ class UncertainSearch:
         """Return places after steps (B, p) of the parameters, each position following."""
         change = model_coefficients(self.model, step)
         follows = combined(change, place.phi).reshape(len(self.values), -1).T
-        back = equations.pull - np.einsum("nmi,nm->ni", equations.weighted, follows)
+        back = equations.angle_gradient - np.einsum("nmi,nm->ni", equations.weighted, follows)
         own = np.einsum("nij,nj->in", equations.inverse, back).reshape(place.step.shape)
         return self.at(place.theta + step, place.step + own / (1.0 + damping)[:, None])
 
@@ -358,7 +358,7 @@ _NOISY = 0.01  # of a scale factor: noise or U from which on a unit is fitted si
 
 
 @dataclass(frozen=True, eq=False)
-class SharedPlacement:
+class SharedOrientations:
     """What units at uncertain orientations share.
 
     Attributes
@@ -393,14 +393,14 @@ class SharedPlacement:
         return Positions.listed(self.reference, self.environment)
 
 
-def share_placement(
+def share_orientations(
     model: Model,
     reference: Array,
     orientation_sd: Array,
     environment: Mapping[str, Array],
     *,
     estimated: bool,
-) -> SharedPlacement | None:
+) -> SharedOrientations | None:
     """Return what units share, or None where a batch does not do what the fit of one does.
 
     Parameters
@@ -427,27 +427,27 @@ def share_placement(
     spare = len(reference) - len(model.keys)
     if not design.well_posed or (spare < SEPARATING and not orientation_sd.all()):
         return None
-    return SharedPlacement(
+    return SharedOrientations(
         model, reference, orientation_sd, design.environment, estimated, tuple(design.inverses)
     )
 
 
-def estimate_placed(
-    shared: SharedPlacement,
+def estimate_uncertain(
+    shared: SharedOrientations,
     values: Sequence[Array],
     stated: Sequence[Array],
-    claimed: Sequence[Array],
+    stated_dof: Sequence[Array],
 ) -> Estimates:
     """Fit B units at uncertain orientations.
 
     Parameters
     ----------
-    shared : SharedPlacement
+    shared : SharedOrientations
     values : sequence of 3 arrays (B, n)
         Readings of each output.
     stated : sequence of 3 arrays (B, n), or of none
         Their standard uncertainties.
-    claimed : sequence of 3 arrays (B, n), or of none
+    stated_dof : sequence of 3 arrays (B, n), or of none
         Degrees of freedom of those.
     """
     count, n = values[0].shape
@@ -455,12 +455,12 @@ def estimate_placed(
     parts, carried = [], []
     for first in range(0, count, step):
         rows = slice(first, first + step)
-        y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, claimed))
-        claims = take_claims(u, dof) if u else None
+        y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, stated_dof))
+        noise = take_stated(u, dof) if u else None
         with np.errstate(all="ignore"):  # a unit may run away, and is then left out
-            part, scatter = _estimate(shared, np.stack(y), claims)
+            part, scatter = _estimate(shared, np.stack(y), noise)
             own = part.dof[:, 0]
-            carried.append(own if claims is None else carried_jointly(own, claims, scatter))
+            carried.append(own if noise is None else combined_jointly(own, noise, scatter))
         parts.append(part)
     found = join_estimates(parts)
     each = np.broadcast_to(np.concatenate(carried)[:, None], found.u.shape)
@@ -468,15 +468,15 @@ def estimate_placed(
 
 
 def _estimate(
-    shared: SharedPlacement, values: Array, claims: Claims | None
+    shared: SharedOrientations, values: Array, noise: StatedNoise | None
 ) -> tuple[Estimates, Array]:
     """Return estimates, whose u are yet U at 95 %, and the excess variance, τ² (B,)."""
     model = shared.model
     _, count, n = values.shape
     valid = (np.ptp(values, axis=2) > 0.0).all(axis=0)
-    if claims is not None:
-        valid &= claims.sound
-    variance = _any_noise(values) if claims is None else np.moveaxis(claims.u**2, 2, 0).copy()
+    if noise is not None:
+        valid &= noise.sound
+    variance = _any_noise(values) if noise is None else np.moveaxis(noise.u**2, 2, 0).copy()
     sd = np.tile(shared.orientation_sd, (count, 1))
     start = UncertainSearch(model, shared.listed, values, variance, sd)
     theta = np.concatenate(
@@ -487,9 +487,9 @@ def _estimate(
     valid &= np.einsum("mbn,mbn->b", *[place.residuals] * 2) > least
     place, ended = search(start, place)
     valid &= ended
-    chi2 = None if claims is None else place.objective.copy()  # under the stated noise alone
+    chi2 = None if noise is None else place.objective.copy()  # under the stated noise alone
     try:
-        units, found = _with_noise(shared, start, place, valid, stated=claims is not None)
+        units, found = _with_noise(shared, start, place, valid, stated=noise is not None)
         valid, U, tail, excess = found.valid, found.U, found.dof, found.excess
     except np.linalg.LinAlgError:  # some unit is as good as singular
         units, valid = _Units.under_stated(start, place), np.zeros_like(valid)
@@ -522,7 +522,7 @@ def _any_noise(values: Array) -> Array:
 
 
 def _with_noise(
-    shared: SharedPlacement,
+    shared: SharedOrientations,
     start: UncertainSearch,
     place: Place,
     valid: NDArray[np.bool_],
@@ -554,7 +554,7 @@ def _with_noise(
     return units, found
 
 
-def _are_clear(shared: SharedPlacement, units: _Units, U: Array) -> NDArray[np.bool_]:
+def _are_clear(shared: SharedOrientations, units: _Units, U: Array) -> NDArray[np.bool_]:
     """Tell of which units nothing need be doubted that residuals and U (B, p) show."""
     place, variance = units.found, units.search.variance
     information = units.search.linearise(place).information

@@ -1,4 +1,4 @@
-"""Axes of unequal noise, of which nothing is stated: what unknown orientations are then worth.
+"""Uncertainty with unknown orientations where the noise of the three axes may be unequal.
 
 Where nothing is known of any position of a triad, a position is one number r, what is left along
 the normal m of `multipos.estimation.unknown_orientations`, and the noise e of that number is made
@@ -9,16 +9,17 @@ S = sum a a',
     Var e_k = sum_j s_j c_kj,     p − p₀ = S⁻¹ sum a e,     Cov p = sum_j s_j K_j,          (1)
     K_j = S⁻¹ (sum c_kj a a') S⁻¹,     V_kj = (1 − 2h_k) c_kj + a_k'K_j a_k,                (2)
 
-h = a'S⁻¹a, and sum_j s_j V_kj is the variance of r_k. Readings tell the ratios of the s_j badly:
-that axes are alike is seldom refuted, and U that believes it holds too few of the parameters that
-hang on one axis. So ratios are integrated over. With v_k = sum_j s_j V_kj, the weights w = 1 − h,
-whose sum is the degrees of freedom ν, and q = sum w r²/v / ν, their likelihood is
+h = a'S⁻¹a, and sum_j s_j V_kj is the variance of r_k. Readings determine the ratios of the s_j
+poorly: that axes are equal is seldom rejected, and U that assumes it covers too few of the
+parameters that depend on one axis. So ratios are integrated over. With v_k = sum_j s_j V_kj, the
+weights w = 1 − h, whose sum is the degrees of freedom ν, and q = sum w r²/v / ν, their likelihood
+is
 
     ln L = −½ sum w ln v − ½ ν ln q,                                                         (3)
 
 that of residuals taken for independent, and of a size common to all axes integrated over. Given
 the ratios, a parameter is Student's t_ν of variance q Cov p, and U is that of their mixture at
-95 %: S⁻¹ F/ν and t_ν where axes are alike. The logarithms of the s_j are normal about each other
+95 %: S⁻¹ F/ν and t_ν where axes are equal. The logarithms of the s_j are normal about each other
 beforehand, by a factor e² of a standard deviation, and the mixture is a sum over a lattice about
 the most likely ratios, to some 3 % of U. docs/theory/orientations.md has what it covers.
 
@@ -34,20 +35,20 @@ from multipos.numerics.arrays import Array
 
 _SPREAD = 4.0  # sd of ln s beforehand, a factor of 7 in noise
 _STEPS = 12  # of scoring
-_NEAR = 0.03  # a step of ln s after which it ends: nodes are weighed, wherever they stand
+_NEAR = 0.03  # a step of ln s after which it ends: nodes are weighted, wherever they are
 _LONGEST = 2.0  # step of ln s
-_NOTHING = 1e-9  # a share that is rounding: of what is stated, and 1 − h of a position that its
-# own parameter holds, which says nothing
+_NOTHING = 1e-9  # a fraction that is rounding: of what is stated, and 1 − h of a position that one
+# parameter fits alone, which has no information
 _COVERAGE = 0.95  # at which U is taken
 _MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
 _STEPS_OF_TABLE = 4096
-_SETTLED = 1e-6  # relative change of U; the next one is a thousandth of it
+_CONVERGED = 1e-6  # relative change of U; the next one is a thousandth of it
 
 # Coordinates x of the ratios, ln s = x AXES: that of what is stated is 0, and so is the sum.
 _AXES = np.array([[0.0, 1.0, -1.0, 0.0], [0.0, 1.0, 1.0, -2.0]]) / np.sqrt([[2.0], [6.0]])
 # A hexagonal lattice in units of their standard deviations, whose sums are integrals: 19 nodes.
-_APART, _RADIUS = 1.5, 3.0
-_SIDES = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]]) * _APART
+_SPACING, _RADIUS = 1.5, 3.0
+_SIDES = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]]) * _SPACING
 _LATTICE = np.array([[i, j] for i in range(-2, 3) for j in range(-2, 3)]) @ _SIDES
 _NODES = _LATTICE[np.linalg.norm(_LATTICE, axis=1) < _RADIUS + 0.1]
 
@@ -62,8 +63,8 @@ class _Parts(NamedTuple):
     dof: float
 
 
-def allow_for_axes(rows: Array, height: Array, loose: Array, inverse: Array) -> Array:
-    """Return S⁻¹ as it is with axes of unequal noise, (B, p, p): times F/ν a covariance.
+def allow_for_axes(rows: Array, height: Array, unstated: Array, inverse: Array) -> Array:
+    """Return S⁻¹ widened for axes of unequal noise, (B, p, p): times F/ν a covariance.
 
     Its diagonal is (U/k)² over F/ν, with k of Student's t at ν = n − p degrees of freedom.
 
@@ -73,12 +74,12 @@ def allow_for_axes(rows: Array, height: Array, loose: Array, inverse: Array) -> 
         a of each position.
     height : (B, n) array
         r.
-    loose : (B, 3, n) array
-        c of the axes: what is not stated of the variance of e, which is 1 in all.
+    unstated : (B, 3, n) array
+        c of the axes: fractions of the variance of e, which is 1 in all, that are not stated.
     inverse : (B, p, p) array
         S⁻¹.
     """
-    parts = _divide(rows, height, loose, inverse)
+    parts = _divide(rows, height, unstated, inverse)
     weights, s = _mixture(parts)
     variances = s @ np.einsum("bjpp->bjp", parts.K)
     u = _half_interval(weights, variances, min(parts.dof, _MOST_DOF))
@@ -87,21 +88,21 @@ def allow_for_axes(rows: Array, height: Array, loose: Array, inverse: Array) -> 
     return np.asarray(mean * scale[:, :, None] * scale[:, None])
 
 
-def _divide(rows: Array, height: Array, loose: Array, inverse: Array) -> _Parts:
+def _divide(rows: Array, height: Array, unstated: Array, inverse: Array) -> _Parts:
     """Return eq. (2), r with a mean square of 1 over ν."""
     _, p, n = rows.shape
     moved = inverse @ rows
     left = 1.0 - (rows * moved).sum(axis=1)
-    told = left > _NOTHING
-    stated = 1.0 - loose.sum(axis=1, keepdims=True)
-    # any(), as a unit that is no number must not tell for the others
-    c = np.concatenate([stated, loose], axis=1) if (stated > _NOTHING).any() else loose
+    informative = left > _NOTHING
+    stated = 1.0 - unstated.sum(axis=1, keepdims=True)
+    # any(), as a unit that is no number must not decide for the others
+    c = np.concatenate([stated, unstated], axis=1) if (stated > _NOTHING).any() else unstated
     K = (moved[:, None] * c[:, :, None]) @ np.swapaxes(moved, 1, 2)[:, None]
     V = (2.0 * left - 1.0)[:, None] * c + (rows[:, None] * (K @ rows[:, None])).sum(axis=2)
-    V = np.where(told[:, None], np.maximum(V, 0.0), 1.0)
+    V = np.where(informative[:, None], np.maximum(V, 0.0), 1.0)
     squares = height**2
     squares *= (n - p) / squares.sum(axis=1, keepdims=True)
-    return _Parts(K, V, squares, np.where(told, left, 0.0), float(n - p))
+    return _Parts(K, V, squares, np.where(informative, left, 0.0), float(n - p))
 
 
 def _axes(parts: _Parts) -> Array:
@@ -173,7 +174,7 @@ def _half_interval(weights: Array, variances: Array, dof: float) -> Array:
         slope = chance @ (rise * scale / whole**2) * _STEPS_OF_TABLE
         move = ((_COVERAGE - inside) / slope)[:, 0]
         U = np.maximum(U + move, 0.5 * U)
-        if not (np.abs(move) > _SETTLED * U).any():  # nan has no end
+        if not (np.abs(move) > _CONVERGED * U).any():  # nan has no end
             break
     return np.asarray(U / table.k)
 

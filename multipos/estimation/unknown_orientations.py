@@ -32,7 +32,7 @@ Where nothing is stated of the noise, cov θ = S⁻¹ F/ν with ν = n − p, an
 unequal noise (`multipos.estimation.unequal_axes`). Stated noise is a lower bound: the excess
 variance is integrated over (`multipos.estimation.orientation_variance`).
 
-`estimate_spheres` leaves a unit to the fit of one where the ellipsoid needs more care than least
+`estimate_unknown` leaves a unit to the fit of one where the ellipsoid needs more care than least
 squares, where a search has not ended, where S is badly conditioned, where noise might hide a
 parameter, or where stated uncertainties cannot be weights.
 """
@@ -56,7 +56,7 @@ from multipos.estimation.known import DENIED, ROUNDING
 from multipos.estimation.orientation_variance import Block, Linear, find_excess, harmonic_mean
 from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import Point, Problem, State
-from multipos.estimation.stated_uncertainty import Claims, carried_jointly, take_claims
+from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, take_stated
 from multipos.estimation.unequal_axes import allow_for_axes
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array, Places, median
@@ -374,11 +374,11 @@ def share_sphere(
     return SharedSphere(model, size, {name: environment[name] for name in model.environment})
 
 
-def estimate_spheres(
+def estimate_unknown(
     shared: SharedSphere,
     values: Sequence[Array],
     stated: Sequence[Array] = (),
-    claimed: Sequence[Array] = (),
+    stated_dof: Sequence[Array] = (),
 ) -> Estimates:
     """Fit B units of unknown orientation.
 
@@ -387,7 +387,7 @@ def estimate_spheres(
     shared : SharedSphere
     values : 3 arrays (B, n)
         Readings of each output.
-    stated, claimed : 3 arrays (B, n), or none
+    stated, stated_dof : 3 arrays (B, n), or none
         Their standard uncertainties, and the degrees of freedom of those.
     """
     count, n = values[0].shape
@@ -395,9 +395,9 @@ def estimate_spheres(
     parts = []
     for first in range(0, count, step):
         rows = slice(first, first + step)
-        y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, claimed))
+        y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, stated_dof))
         with np.errstate(all="ignore"):  # a trial may run away, and is then left out
-            parts.append(_estimate(shared, np.stack(y), take_claims(u, dof) if u else None))
+            parts.append(_estimate(shared, np.stack(y), take_stated(u, dof) if u else None))
     return join_estimates(parts)
 
 
@@ -410,10 +410,10 @@ class _Found(NamedTuple):
     valid: NDArray[np.bool_]
 
 
-def _estimate(shared: SharedSphere, values: Array, claims: Claims | None) -> Estimates:
+def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) -> Estimates:
     model = shared.model
     n, p = values.shape[2], len(model.keys)
-    variance = np.ones_like(values) if claims is None else np.moveaxis(claims.u**2, 2, 0).copy()
+    variance = np.ones_like(values) if noise is None else np.moveaxis(noise.u**2, 2, 0).copy()
     valid, theta, force = _start(shared, values)
     start = UnknownSearch(shared, values, variance)
     place, ended = search(start, start.at(theta, force))
@@ -422,15 +422,15 @@ def _estimate(shared: SharedSphere, values: Array, claims: Claims | None) -> Est
     factor = place.objective / nu
     valid &= ended & _is_identifiable(shared, place, surface.information, factor)
     chi2 = None
-    if claims is None:
+    if noise is None:
         inverse = _inverse(surface.information)
-        loose = np.moveaxis(surface.normal**2, 0, 1)
-        matrix = allow_for_axes(surface.rows, surface.height, loose, inverse.matrix)
+        unstated = np.moveaxis(surface.normal**2, 0, 1)
+        matrix = allow_for_axes(surface.rows, surface.height, unstated, inverse.matrix)
         u = np.sqrt(np.einsum("bpp->bp", matrix) * factor[:, None])
         found = _Found(place, u, np.full(len(u), nu), valid & inverse.valid)
     else:
         chi2 = place.objective.copy()
-        found = _with_excess(start, place, claims, valid)
+        found = _with_excess(start, place, noise, valid)
     place, valid = found.place, found.valid & (np.abs(found.place.theta).max(axis=1) <= LARGEST)
     valid &= (place.theta[:, list(model.own_scales)] > 0.0).all(axis=1)
     squares = np.einsum("mbn,mbn->b", place.residuals, place.residuals)
@@ -454,7 +454,7 @@ def _estimate(shared: SharedSphere, values: Array, claims: Claims | None) -> Est
 
 
 def _with_excess(
-    start: UnknownSearch, place: Place, claims: Claims, valid: NDArray[np.bool_]
+    start: UnknownSearch, place: Place, noise: StatedNoise, valid: NDArray[np.bool_]
 ) -> _Found:
     """Return the solutions with the excess variance of readings whose noise is stated."""
     stated = start.variance.copy()
@@ -462,7 +462,7 @@ def _with_excess(
     rejected = np.flatnonzero(place.objective > chi2_quantile(DENIED, float(n - p)))
     units = _Units(start, stated, place)
     try:
-        found = find_excess(units, valid & claims.sound, p, float(n - p))
+        found = find_excess(units, valid & noise.sound, p, float(n - p))
     except np.linalg.LinAlgError:  # some unit is as good as singular
         nothing = np.full(place.theta.shape, np.nan)
         return _Found(place, nothing, nothing[:, 0], np.zeros_like(valid))
@@ -471,12 +471,12 @@ def _with_excess(
     u = standard_uncertainty(found.U, np.broadcast_to(found.dof[:, None], found.U.shape))
     if rejected.size:
         excess = np.maximum(units.search.variance - stated, 0.0)
-        loose = np.moveaxis(surface.normal**2 * excess, 0, 1)
-        known = (surface.rows, surface.height, loose, inverse.matrix)
+        unstated = np.moveaxis(surface.normal**2 * excess, 0, 1)
+        known = (surface.rows, surface.height, unstated, inverse.matrix)
         wider = allow_for_axes(*(each[rejected] for each in known))
         formal = np.einsum("bpp->bp", inverse.matrix[rejected])
         u[rejected] *= np.sqrt(np.einsum("bpp->bp", wider) / formal)
-    dof = carried_jointly(found.dof, claims, found.excess)
+    dof = combined_jointly(found.dof, noise, found.excess)
     return _Found(units.found, u, dof, found.valid & inverse.valid)
 
 

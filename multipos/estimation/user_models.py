@@ -208,7 +208,7 @@ def _misfit(model: ExpressionModel, theta: Array, readings: _Weighted) -> float:
 
 
 _ROUNDS = 8  # of excess variance and solution
-_SETTLED = 1e-4  # of u
+_CONVERGED = 1e-4  # of u
 _MANY = 200  # readings from which on the bias (3) is not computed
 _STATED = 0.1  # of u
 _EQUAL = 5.0  # of ln: residuals that differ by so much leave each output its digits in one search
@@ -255,7 +255,7 @@ def solve_own_known(
             best = resume(replace(problem, precision=1.0 / variance), best)
             solution = _about(model, best, reference, readings, how)
             moved = np.abs(best.state.theta - before)
-            if (moved <= _SETTLED * np.sqrt(np.diag(solution.covariance))).all():
+            if (moved <= _CONVERGED * np.sqrt(np.diag(solution.covariance))).all():
                 break
     status = Status(
         best.converged,

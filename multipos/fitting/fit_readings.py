@@ -24,18 +24,22 @@ from multipos.diagnostics.examination import examine
 from multipos.diagnostics.repairs import explain_breakdown, explain_failure
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.closed_form import solve_closed_form
-from multipos.estimation.completion import complete
 from multipos.estimation.correlated_rows import spread_correlation
 from multipos.estimation.known import solve_known
-from multipos.estimation.model_selection import select_terms, with_selection
 from multipos.estimation.outliers import find_outlying_rows
 from multipos.estimation.problem import Solution
-from multipos.estimation.stated_uncertainty import add_reference_noise, carry_dof, steady_floors
+from multipos.estimation.stated_uncertainty import (
+    add_reference_noise,
+    shrink_variances,
+    with_stated_dof,
+)
 from multipos.estimation.uncertain import solve_uncertain
 from multipos.estimation.user_models import is_untied, solve_own_known
 from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
 from multipos.finding import Finding, warn
+from multipos.fitting.completion import complete
+from multipos.fitting.model_selection import select_terms, with_selection
 from multipos.fitting.options import (
     Options,
     check_options,
@@ -357,7 +361,9 @@ def find_apart(
         known = None if placement.unknown else placement.reference
         if known is not None and (placement.groups or placement.rolls is not None):
             return apart  # directions of some positions follow from the others
-        found = find_outlying_rows(model, steady_floors(readings), known, placement.orientation_sd)
+        found = find_outlying_rows(
+            model, shrink_variances(readings), known, placement.orientation_sd
+        )
         if found is not None:
             apart[found.rows] = True
         return apart
@@ -426,7 +432,7 @@ def calibrate_at(
     estimator = choose_estimator(options, placement)
     if options.robust is not None and placement.exact:
         _require_spare(model, len(readings))
-    readings = steady_floors(readings)
+    readings = shrink_variances(readings)
     solve = _solver(estimator, readings, placement, options)
     chosen = None
     if options.stepwise:
@@ -436,7 +442,7 @@ def calibrate_at(
         tested = readings.noise is not None
         readings = add_reference_noise(readings, solution)
         solution = _solver(estimator, readings, placement, options, tested=tested)(model)
-    solution = carry_dof(solution, readings, joint=not estimator.exact)
+    solution = with_stated_dof(solution, readings, joint=not estimator.exact)
     if ordered:
         solution = spread_correlation(solution, readings, placement, estimator)
     found = solution.orientation_sd

@@ -45,11 +45,11 @@ from multipos.estimation.correlated_rows import are_asked, find_correlated
 from multipos.estimation.known import DENIED, SharedDesign, estimate_known, share_design
 from multipos.estimation.robustness import estimate_robust
 from multipos.estimation.uncertain_orientations import (
-    SharedPlacement,
-    estimate_placed,
-    share_placement,
+    SharedOrientations,
+    estimate_uncertain,
+    share_orientations,
 )
-from multipos.estimation.unknown_orientations import SharedSphere, estimate_spheres, share_sphere
+from multipos.estimation.unknown_orientations import SharedSphere, estimate_unknown, share_sphere
 from multipos.files.tables import Table
 from multipos.finding import errors_of, serious
 from multipos.fitting.fit_readings import fit
@@ -131,7 +131,7 @@ def _repeats(values: tuple[Array, ...]) -> NDArray[np.bool_]:
     return np.asarray((np.diff(number, axis=1) == 0.0).any(axis=1))
 
 
-Shared = SharedDesign | SharedSphere | SharedPlacement
+Shared = SharedDesign | SharedSphere | SharedOrientations
 
 
 class Solved(NamedTuple):
@@ -167,7 +167,7 @@ class Pattern:
 
     Attributes
     ----------
-    shared : SharedDesign, SharedSphere or SharedPlacement
+    shared : SharedDesign, SharedSphere or SharedOrientations
         Known orientations, unknown ones, or uncertain ones.
     nest : Nest or None
         Where the angles of the positions can be told from residuals.
@@ -278,7 +278,7 @@ def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared |
 
 def _share_uncertain(
     c: Calibration, table: Table, options: Mapping[str, Any]
-) -> SharedPlacement | None:
+) -> SharedOrientations | None:
     """Return what units at uncertain orientations share, before anything was found of them."""
     readings = read_readings(table, outputs=c.outputs, environment=c.model.environment)
     sd = options.get("orientation_sd")
@@ -294,7 +294,7 @@ def _share_uncertain(
     if apart or options.get("level_sd", 0.0):
         return None
     columns = {name: c.readings.environment[name] for name in c.model.environment}
-    return share_placement(
+    return share_orientations(
         c.model, placement.reference, placement.orientation_sd, columns, estimated=estimated
     )
 
@@ -348,7 +348,7 @@ def solve_task(task: Task) -> Solved:
     nests: tuple[NestSums, ...] = ()
     if task.pattern.nest is not None:
         nests = sum_nests(task.pattern.nest, found, task.stations)
-    placed = isinstance(shared, SharedPlacement)
+    placed = isinstance(shared, SharedOrientations)
     looked_at = ~found.sound | find_suspects(shared.model, task.values, found, placed=placed)
     if task.pattern.asked and isinstance(shared, SharedDesign):
         looked_at |= find_correlated(shared.reference, task.values, found.residuals)
@@ -369,9 +369,9 @@ def solve_task(task: Task) -> Solved:
 
 def _estimate(shared: Shared, task: Task) -> Estimates:
     if isinstance(shared, SharedSphere):
-        return estimate_spheres(shared, task.values, task.stated, task.claimed)
-    if isinstance(shared, SharedPlacement):
-        return estimate_placed(shared, task.values, task.stated, task.claimed)
+        return estimate_unknown(shared, task.values, task.stated, task.claimed)
+    if isinstance(shared, SharedOrientations):
+        return estimate_uncertain(shared, task.values, task.stated, task.claimed)
     loss = task.options.get("robust")
     if loss is not None:
         return estimate_robust(shared, task.values, loss)

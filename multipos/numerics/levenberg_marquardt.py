@@ -176,7 +176,7 @@ def descend(
             equations = None
         going = going[on]
     if stuck.any():
-        _judge_stuck(steps, place, np.flatnonzero(stuck), held, (converged, decrement, last_step))
+        _test_stuck(steps, place, np.flatnonzero(stuck), held, (converged, decrement, last_step))
     settling = np.flatnonzero(converged & refused & (last_step <= _SMALL))
     if len(settling):
         place = _settled(steps, place, settling, largest, held)
@@ -191,7 +191,7 @@ def _put(place: PlaceT, units: Places, other: PlaceT, *, some: bool) -> PlaceT:
     return place
 
 
-def _judge_stuck(
+def _test_stuck(
     steps: Steps[PlaceT, EquationsT],
     place: PlaceT,
     units: Places,

@@ -62,7 +62,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.estimation.excess_variance import Scatter, find_scatter
 from multipos.estimation.gains import gravity_effect
-from multipos.estimation.stated_uncertainty import carried_dof
+from multipos.estimation.stated_uncertainty import combined_dof
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, kind_terms
 from multipos.positions.readings import diagonal
@@ -399,7 +399,7 @@ def _beside_stated(c: Calibration, shown: _Shown) -> _Found:
     dof = after.dof * (left / shown.nu)
     if c.readings.dof is not None:
         claimed = c.readings.dof[None, :, shown.outputs]
-        dof = carried_dof(dof, floor[None], claimed, after.variance)
+        dof = combined_dof(dof, floor[None], claimed, after.variance)
     before = (c.sd_of_readings**2)[:, shown.outputs]  # by which the readings were weighed
     now = np.sum((floor + after.variance[0]) / before**2, axis=0)
     return _Found(now / np.sum(1.0 / before, axis=0), dof[0], left)

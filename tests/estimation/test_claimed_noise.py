@@ -5,7 +5,7 @@ import pytest
 from scipy import special
 
 import multipos as mp
-from multipos.estimation.stated_uncertainty import drawn_together, steady_floors
+from multipos.estimation.stated_uncertainty import shrink_variances, shrunk
 from multipos.numerics.quantiles import digamma, inverse_trigamma, trigamma
 
 UP = mp.read_scheme("faces-6").up
@@ -29,14 +29,14 @@ def test_uncertainties_that_differ_by_chance_become_one():
     rng = np.random.default_rng(1)
     u = np.sqrt(rng.chisquare(4.0, (6, 3)) / 4.0)
     u /= np.exp(0.25 * (np.log(u) - np.log(u).mean()))  # a little closer than by chance
-    found = steady_floors(readings(u, 4.0)).u
+    found = shrink_variances(readings(u, 4.0)).u
     pooled = np.sqrt(np.mean(u**2, axis=0))  # all have four degrees of freedom
     np.testing.assert_allclose(found, pooled * np.ones((6, 1)), rtol=1e-9)
 
 
 def test_uncertainties_that_differ_indeed_stay_and_known_ones_are_not_touched():
     u = np.geomspace(1.0, 1e4, 6)[:, None] * np.ones(3)
-    found = steady_floors(readings(u, 8.0)).u
+    found = shrink_variances(readings(u, 8.0)).u
     assert (np.diff(found, axis=0) > 0.0).all()
     assert np.abs(np.log(found / u)).max() < np.log(2.0)  # of a range of 1e4
     # eqs. (1) and (2) with SciPy's functions
@@ -46,8 +46,8 @@ def test_uncertainties_that_differ_indeed_stay_and_known_ones_are_not_touched():
     common = np.exp(e.mean() + special.digamma(prior / 2) - np.log(prior / 2))
     expected = np.sqrt((prior * common + 8.0 * u[:, 0] ** 2) / (prior + 8.0))
     np.testing.assert_allclose(found[:, 0], expected, rtol=1e-9)
-    np.testing.assert_array_equal(steady_floors(readings(u, 1e6)).u, u)
-    np.testing.assert_array_equal(steady_floors(readings(u, None)).u, u)
+    np.testing.assert_array_equal(shrink_variances(readings(u, 1e6)).u, u)
+    np.testing.assert_array_equal(shrink_variances(readings(u, None)).u, u)
 
 
 def test_outputs_and_units_are_drawn_together_each_by_itself():
@@ -55,10 +55,10 @@ def test_outputs_and_units_are_drawn_together_each_by_itself():
     dof = rng.choice([4.0, 30.0, 1e6, np.inf], (5, 8, 3))  # some are known
     dof[0, :6, 1] = 1e6  # two cannot tell what they have in common
     u = np.exp(rng.standard_normal((5, 8, 3)) * rng.uniform(0.0, 2.0, (5, 1, 3)))
-    found = drawn_together(u, dof)
+    found = shrunk(u, dof)
     for unit, output in np.ndindex(5, 3):
         own = np.s_[unit, :, output]
-        alone = drawn_together(u[own][None, :, None], dof[own][None, :, None])
+        alone = shrunk(u[own][None, :, None], dof[own][None, :, None])
         np.testing.assert_allclose(found[own], alone[0, :, 0], rtol=1e-13)
     np.testing.assert_array_equal(found[dof >= 1e6], u[dof >= 1e6])
     np.testing.assert_array_equal(found[0, :, 1], u[0, :, 1])

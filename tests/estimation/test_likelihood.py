@@ -254,7 +254,7 @@ def test_the_gradient_is_that_of_the_objective(kind, robust):
     for _ in range(30):  # of the steps alone
         point = evaluate(problem, state)
         normal = linearise(problem, state, point)
-        step = state.step + np.einsum("nij,nj->ni", normal.inverse, normal.pull)
+        step = state.step + np.einsum("nij,nj->ni", normal.inverse, normal.angle_gradient)
         state = replace(state, step=step)
     size = len(state.theta) + problem.shared
     normal = linearise(problem, state, evaluate(problem, state))

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from multipos.estimation.descent import maximise
-from multipos.estimation.fisher_information import told_at
+from multipos.estimation.fisher_information import information_at
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
 from multipos.estimation.unknown_orientations import UnknownSearch
@@ -71,7 +71,7 @@ CASES = {
 def test_what_is_told_is_what_dense_matrices_tell(case):
     problem, found = a_solution(**CASES[case])
     assert UnknownSearch.fits(problem) == (case in ("unknown", "symmetric", "robust"))
-    told = told_at(problem, found.state, found.point)
+    told = information_at(problem, found.state, found.point)
     A, W = dense(problem, found)
     S = A.T @ W @ A
     scale = np.sqrt(np.diag(S))
@@ -84,7 +84,7 @@ def test_what_is_told_is_what_dense_matrices_tell(case):
     Z = np.zeros((N, 3, 5))
     Z[:, output_of, np.arange(5)] = columns.T
     Z = Z.reshape(3 * N, 5)
-    beside = told.beside(columns, output_of)
+    beside = told.with_slopes(columns, output_of)
     size = np.sqrt(np.diag(Z.T @ W @ Z))
     assert_allclose(
         beside.gram / np.outer(size, size), Z.T @ W @ Z / np.outer(size, size), atol=ROUNDING
@@ -111,8 +111,8 @@ def test_one_row_a_position_is_what_three_outputs_tell():
     general = replace(problem, precision=problem.precision[:, :, None] * np.eye(3))
     assert UnknownSearch.fits(problem)
     assert not UnknownSearch.fits(general)
-    fast = told_at(problem, found.state)
-    slow = told_at(general, found.state)
+    fast = information_at(problem, found.state)
+    slow = information_at(general, found.state)
     assert_allclose(fast.point.force, found.point.force, atol=1e-14)
     assert_allclose(fast.point.q, evaluate(general, found.state).q, rtol=1e-9)
     C = np.linalg.inv(slow.information)
