@@ -236,7 +236,7 @@ def _force_by_step(problem: Problem, state: State) -> Array:
 def _by_shared(
     problem: Problem, state: State, point: Point, by_force: Array, moves: Array
 ) -> Array:
-    """Return dh/d(rho, beta, tau) (n, M, shared); a rotation has df = rho x f.
+    """Return dh/d(rho, beta, tau) (n, M, shared), df = rho x f.
 
     The slope by the inclination of an axis is that by the second angle of a roll, in `moves`.
     """
