@@ -43,7 +43,7 @@ from multipos.numerics.quantiles import chi2_quantile, f_quantile
 
 LEVEL = 0.01  # at which one cause is preferred to another
 TELLING = 6  # contrasts along the force from which orientation errors can be estimated
-_SUSPECT = 0.05  # of R in eq. (4), from which the likelihood is evaluated
+_SUSPECT = 0.02  # of R in eq. (4), from which the likelihood is evaluated
 _ITERATIONS = 20
 _FIXED_POINTS = 2  # first steps, far from where A holds
 _PARTS = (0.25, 0.05)  # of a step, where the whole leads up

@@ -120,6 +120,12 @@ def are_poorly_known(model: Model, parameters: Array, U: Array) -> NDArray[np.bo
     return np.asarray((_shares(model, parameters, U) > _POOR).any(axis=1))
 
 
+def are_open(model: Model, parameters: Array, U: Array) -> NDArray[np.bool_]:
+    """Return of which units (B,) U leaves an own scale factor open, if that is not zero."""
+    share = _shares(model, parameters, U)[:, list(model.own_scales)]
+    return np.asarray(((share > _OPEN) & (share < 1.0)).any(axis=1))
+
+
 def _shares(model: Model, parameters: Array, U: Array) -> Array:
     """Return U of linear terms as a share of the own scale factor (B, p), of others 0."""
     linear, own = model.scaled

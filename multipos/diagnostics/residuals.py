@@ -23,6 +23,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.diagnostics.columns import repeated_rows
 from multipos.diagnostics.noise_causes import (
@@ -49,6 +50,7 @@ from multipos.positions.readings import diagonal
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
+from multipos.sensor.model import Model
 
 _LEVEL = 0.01  # at which repeats deny the model, all outputs together
 _DRIFTS = 3.7  # standard deviations, one in ten thousand
@@ -171,23 +173,10 @@ def time_correlated(c: Calibration) -> Finding | None:
     """Find rows that are worth fewer, and residuals alike where the positions are not."""
     if c.effective_rows:
         return _worth_fewer(c, c.effective_rows)
-    n, outputs = c.residuals.shape
-    terms = min(map(len, c.model.terms))
-    left = n - terms
-    if n < _FEWEST or not left or not c.estimator.exact:
-        return None
-    square = np.sum(c.residuals**2, axis=0)
-    if not (square > 0.0).all():
-        return None
-    e = c.residuals / np.sqrt(square)
-    product = float(np.sum(e[1:] * e[:-1])) / outputs
-    enough = _DRIFTS / math.sqrt(outputs * left)
-    if product + terms / left < enough:  # -tr(SH) is no more than tr H
+    if not c.estimator.exact:
         return None
     phi = c.model.basis(c.reference, c.readings.environment)
-    basis = np.linalg.svd(phi, full_matrices=False)[0][:, :terms]
-    expected = -float(np.sum(basis[1:] * basis[:-1])) / left
-    if product - expected < enough or float(median(_angles_between(c.reference))) < _APART:
+    if not are_correlated_in_order(c.residuals.T[:, None], phi, c.model, c.reference)[0]:
         return None
     return Finding(
         "time-correlated",
@@ -196,6 +185,39 @@ def time_correlated(c: Calibration) -> Finding | None:
         "drifted while it was measured, and U is too small; take the positions in random order, "
         "or fit a term of time or temperature",
     )
+
+
+def are_correlated_in_order(
+    residuals: Array, basis: Array, model: Model, reference: Array
+) -> NDArray[np.bool_]:
+    """Return of which units (B,) residuals of neighbouring rows are alike, positions are not.
+
+    Parameters
+    ----------
+    residuals : (M, B, n) array
+        Of a fit at known positions.
+    basis : (n, T) array
+        Columns of the model.
+    model : Model
+    reference : (n, 3) array [g]
+    """
+    outputs, count, n = residuals.shape
+    terms = min(map(len, model.terms))
+    left = n - terms
+    found = np.zeros(count, dtype=np.bool_)
+    if n < _FEWEST or not left:
+        return found
+    square = np.einsum("mbn,mbn->mb", residuals, residuals)
+    lagged = np.einsum("mbn,mbn->mb", residuals[..., 1:], residuals[..., :-1])
+    whole = (square > 0.0).all(axis=0)
+    product = (lagged / np.where(square > 0.0, square, 1.0)).sum(axis=0) / outputs
+    enough = _DRIFTS / math.sqrt(outputs * left)
+    likely = whole & (product + terms / left >= enough)  # -tr(SH) is no more than tr H
+    if not likely.any() or float(median(_angles_between(reference))) < _APART:
+        return found
+    Q = np.linalg.svd(basis, full_matrices=False)[0][:, :terms]
+    expected = -float(np.sum(Q[1:] * Q[:-1])) / left
+    return np.asarray(likely & (product - expected >= enough))
 
 
 def _worth_fewer(c: Calibration, effective: Mapping[str, float]) -> Finding:

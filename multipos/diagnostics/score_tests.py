@@ -32,6 +32,7 @@ from multipos.diagnostics.projections import (
     OF_FORCE,
     TOLD,
     Kind,
+    Projection,
     Setting,
     hides,
     lacking,
@@ -54,7 +55,7 @@ from multipos.sensor.inverse import inverses, sensed_axes
 
 LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
 # of the readings' span: what scatters less is rounded, and rounding follows no law
-_FINEST = 3e-7
+FINEST = 3e-7
 _LARGEST = 1e30  # of R, where nothing is left
 _CLEAR = 0.005  # of a column's square: with as much left of it no term is hidden
 
@@ -153,17 +154,38 @@ def _at_known(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -
     if added or c.estimator is Estimator.CLOSED_FORM or c.robust_weight is not None:
         pairs = zip(found.fitted, e.T, strict=True)  # such residuals are not orthogonal to X
         e = np.column_stack([column - Q @ (Q.T @ column) for Q, column in pairs])
-    along = (found.rows @ e)[np.arange(len(found.rows)), found.output]
-    explained = np.zeros(found.q.shape)
-    explained.flat[found.place] = np.add.reduceat(along**2, found.starts)
+    (explained,) = explained_by(found, e.T[:, None])
     whole, q, left = np.einsum("nm,nm->m", e, e), found.q, found.left
     if c.noise is None:
-        floor = np.square(np.ptp(c.readings.values, axis=0) * _FINEST)
+        floor = np.square(np.ptp(c.readings.values, axis=0) * FINEST)
         tests = _ratios(found.names, c.outputs, explained, whole, q, left, floor)
         return Tested(tests, found.hidden)
     explained, q = explained.sum(axis=1, keepdims=True), q.sum(axis=1, keepdims=True)
     one = _ratios(found.names, (), explained, whole.sum(), q, left.sum(), np.zeros(1))
     return Tested(one, found.hidden)
+
+
+def explained_by(found: Projection, errors: Array) -> Array:
+    """Return Δ of eq. (1) (B, kinds, outputs) of B units, by whitened residuals (outputs, B, n)."""
+    explained = np.zeros((errors.shape[1], found.q.size))
+    along = np.empty((errors.shape[1], len(found.rows)))
+    for output, each in enumerate(errors):
+        mine = found.output == output
+        along[:, mine] = each @ found.rows[mine].T
+    explained[:, found.place] = np.add.reduceat(along**2, found.starts, axis=1)
+    return explained.reshape(-1, *found.q.shape)
+
+
+def ratios_of(
+    explained: Array, whole: Array | float, q: Array, left: Array | float, floor: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return R of eq. (1) (…, kinds, outputs), ν, and where there is such a test."""
+    nu = left - q
+    rest = np.maximum(whole - explained, nu * floor)
+    tested = (q > 0.0) & (nu >= 1.0) & (rest > 0.0) & np.isfinite(explained)
+    safe = np.where(tested, rest, 1.0)
+    ratio = np.minimum(explained * nu / (np.where(tested, q, 1.0) * safe), _LARGEST)
+    return ratio, nu, tested
 
 
 def _ratios(
@@ -176,11 +198,7 @@ def _ratios(
     floor: Array,
 ) -> tuple[ModelTest, ...]:
     """Return R of eq. (1) for kinds (K, B) of outputs, or of all as one."""
-    nu = left - q
-    rest = np.maximum(whole - explained, nu * floor)
-    told = (q > 0.0) & (nu >= 1.0) & (rest > 0.0) & np.isfinite(explained)
-    safe = np.where(told, rest, 1.0)
-    ratio = np.minimum(explained * nu / (np.where(told, q, 1.0) * safe), _LARGEST)
+    ratio, nu, told = ratios_of(explained, whole, q, left, floor)
     tests = []
     for kind, chosen, fs, qs, nus in zip(
         kinds, told.tolist(), ratio.tolist(), q.tolist(), nu.tolist(), strict=True

@@ -38,6 +38,8 @@ class Estimates(NamedTuple):
     sound : (B,) array of bool
     chi2 : (B,) array or None
         Of the residuals under the stated noise alone, where there is one.
+    variance : (B, M) array or None
+        Of a reading, stated and in excess, where it is equal in all readings of an output.
     """
 
     parameters: Array
@@ -48,6 +50,7 @@ class Estimates(NamedTuple):
     inverse: Array
     sound: NDArray[np.bool_]
     chi2: Array | None = None
+    variance: Array | None = None
 
 
 def rms_of(
@@ -95,6 +98,7 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
         joined("inverse"),
         joined("sound"),
         None if parts[0].chi2 is None else joined("chi2"),
+        None if any(part.variance is None for part in parts) else joined("variance"),
     )
 
 

@@ -500,9 +500,24 @@ def _estimates(
         model, shared.environment, shared.reference, found.parameters, values, found.residuals
     )
     sound &= inverted & (np.abs(found.parameters).max(axis=1) <= LARGEST)
-    own = per_parameter(model, dof)
-    plain = tuple(found.plain)
-    return Estimates(found.parameters, found.u, own, rms, plain, inverse, sound, found.chi2)
+    return Estimates(
+        parameters=found.parameters,
+        u=found.u,
+        dof=per_parameter(model, dof),
+        rms=rms,
+        residuals=tuple(found.plain),
+        inverse=inverse,
+        sound=sound,
+        chi2=found.chi2,
+        variance=_level_of(found.variances),
+    )
+
+
+def _level_of(variances: Array | None) -> Array | None:
+    """Return the variances (M, B, n) of outputs whose readings have one each, (B, M)."""
+    if variances is None or np.ptp(variances, axis=2).any():
+        return None
+    return np.asarray(variances[:, :, 0].T)
 
 
 def solve_known(

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,7 +35,7 @@ from multipos.files.tables import Column, Source, Table
 from multipos.fleets.grouping import Conditions, Grouped, find_trials, gather_study, group_rows
 from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.parquet import is_in_file, spread_parquet
-from multipos.fleets.solving import LEFT, Pattern, Solved, Task, find_pattern, fit_one
+from multipos.fleets.solving import LEFT, Pattern, Solved, Task, find_pattern, fit_one, gather
 from multipos.fleets.sources import Rows, read_rows
 from multipos.fleets.unit_results import Units, UnitsFound
 from multipos.fleets.workers import open_engine, solve_all
@@ -251,10 +252,16 @@ class Piece:
         """Take units from `first` on, with their stations as numbers."""
         self._rows, self._grouped, self._known = rows, grouped, known
         self._stations, self._first = stations, first
+        self._fitted: dict[int, Calibration] = {}
+        self._taken: set[int] = set()  # of these, those whose numbers are their own fit's
         if known.outputs is None:
             known.outputs = self._outputs()
             known.options = {**known.options, "outputs": known.outputs}
-        self._conditions = Conditions(rows, grouped, known.outputs, known.used)
+
+    @cached_property
+    def _conditions(self) -> Conditions:
+        assert self._known.outputs is not None
+        return Conditions(self._rows, self._grouped, self._known.outputs, self._known.used)
 
     def solve(
         self, executor: Executor, folder: Path | None, told: Callable[[int], object]
@@ -270,6 +277,9 @@ class Piece:
             left.append(solved.units[[reason == LEFT for reason in solved.reasons]])
         rest = np.concatenate(left) - self._first if left else np.zeros(0, dtype=np.intp)
         yield from solve_all(self._alone(rest), executor, folder=folder)
+        alone = np.sort(np.array([*self._taken], dtype=np.intp))
+        if len(alone):
+            yield gather(alone + self._first, [self._fitted[unit] for unit in alone.tolist()])
 
     def _outputs(self) -> tuple[str, ...]:
         """Return the outputs, as the first units say them that can be fitted."""
@@ -293,9 +303,12 @@ class Piece:
         raise MultiposError(f"none of the first units can be read: {said}")
 
     def _fit(self, unit: int) -> Calibration | str:
+        if unit in self._fitted:
+            return self._fitted[unit]
         fitted = fit_one(self._table(unit), self._known.options)
         if isinstance(fitted, Calibration):
             self._known.learn(fitted)
+            self._fitted[unit] = fitted
         return fitted
 
     def _table(self, unit: int) -> Table:
@@ -303,6 +316,9 @@ class Piece:
         return self._rows.select(self._grouped.rows(unit).tolist())
 
     def _tasks(self) -> Iterator[Task]:
+        if len(self._grouped) < _FEWEST:
+            yield from self._alone(np.arange(len(self._grouped)))
+            return
         alone: list[Places] = []
         for units in self._conditions.groups():
             pattern = self._pattern(units) if len(units) >= _FEWEST else None
@@ -352,6 +368,10 @@ class Piece:
         return read.of(read.stated, units, n), read.of(read.claimed, units, n)
 
     def _alone(self, units: Places) -> Iterator[Task]:
+        """Yield tasks of units that are fitted one by one, without those that are already."""
+        fitted = np.isin(units, [*self._fitted])
+        self._taken.update(units[fitted].tolist())
+        units = units[~fitted]
         for start in range(0, len(units), _ALONE):
             mine = units[start : start + _ALONE]
             tables = {unit + self._first: self._table(unit) for unit in mine.tolist()}

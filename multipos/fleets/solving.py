@@ -21,10 +21,8 @@ At uncertain orientations residuals are small wherever positions take up what is
 output that has one end of its range twice, or in common with another (saturated), is asked as well;
 positions that stick out are left to the fit of one unit by the batch itself.
 
-What is a caution alone and shows in nothing but residuals within that (a missing term, an outlier
-at known positions, outputs of unlike noise) is asked only of units that are fitted one by one: one
-in a hundred good units has such a caution by chance, and to look at these would take longer than
-all the others.
+What is a caution alone is found by `multipos.fleets.unit_findings` at known orientations; at
+uncertain and unknown ones it is asked only of units that are fitted one by one.
 """
 
 import math
@@ -37,7 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.diagnostics.redundancy import are_poorly_known
+from multipos.diagnostics.redundancy import are_open, are_poorly_known
 from multipos.diagnostics.scales import are_of_unit
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates
@@ -54,6 +52,7 @@ from multipos.files.tables import Table
 from multipos.finding import errors_of, serious
 from multipos.fitting.fit_readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests
+from multipos.fleets.unit_findings import UnitTests, find_in_units, unit_tests
 from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.numerics.terms import COMPONENTS
@@ -176,6 +175,8 @@ class Pattern:
         Codes that the positions alone give, whatever the unit.
     asked : bool
         Rows can show whether they are correlated: a unit whose rows are is looked at in full.
+    tests : UnitTests or None
+        Of the residuals at known orientations.
     """
 
     shared: Shared
@@ -183,6 +184,7 @@ class Pattern:
     gravity: Gravity | None
     findings: str
     asked: bool
+    tests: UnitTests | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,10 +251,12 @@ def find_pattern(
         return None
     if shared is None:
         return None
-    nest = None
+    nest, tests = None, None
+    if isinstance(shared, SharedDesign):
+        tests = unit_tests(c, shared)
     if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
         nest = Nest.of(shared, c.readings.labels, c.readings.up)
-    return Pattern(shared, nest, c.gravity, _common(c), asked)
+    return Pattern(shared, nest, c.gravity, _common(c), asked, tests)
 
 
 def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
@@ -301,13 +305,19 @@ def _share_uncertain(
 
 _POOR, _DENIED = "no-redundancy", "denied-noise"
 # What units are found of without being looked at in full, in the order of `fit`.
-_TOLD = ("gravity", "turned", _POOR, "temperature-kelvin", _DENIED)
+_TOLD = (
+    *("gravity", "turned", _POOR, "temperature-kelvin", "missing-term", "outlier"),
+    *("lack-of-fit", _DENIED, "placement", "time-correlated"),
+)
+_OF_UNITS = frozenset(
+    (_DENIED, _POOR, "missing-term", "outlier", "lack-of-fit", "placement", "time-correlated")
+)
 
 
 def _common(calibration: Calibration) -> str:
     """Return what every unit at these positions is found of."""
     # what depends on the unit is told of each by itself
-    return _in_order(_codes(calibration) - {_DENIED, _POOR})
+    return _in_order(_codes(calibration) - _OF_UNITS)
 
 
 def _codes(calibration: Calibration) -> set[str]:
@@ -318,14 +328,21 @@ def _in_order(codes: Iterable[str]) -> str:
     return ";".join(code for code in _TOLD if code in codes)
 
 
-def _findings(task: Task, pattern: Pattern, found: Estimates, u: Array, dof: Array) -> list[str]:
+def _findings(
+    task: Task,
+    pattern: Pattern,
+    found: Estimates,
+    u: Array,
+    dof: Array,
+    told: dict[str, NDArray[np.bool_]],
+) -> list[str]:
     """Return what every unit is found of; u and dof are those with gravity's part."""
     shared, count = pattern.shared, len(task.units)
     unknown = isinstance(shared, SharedSphere)
-    told: dict[str, NDArray[np.bool_]] = {}
-    if unknown:
+    if not isinstance(shared, SharedPlacement):
         k = coverage_factors(float(task.options.get("confidence", 0.95)), dof)
-        told[_POOR] = are_poorly_known(shared.model, found.parameters, k * u)
+        poor = are_poorly_known if unknown else are_open
+        told[_POOR] = poor(shared.model, found.parameters, k * u)
     if found.chi2 is not None:
         equations = task.values[0].size // count * (1 if unknown else len(task.values))
         limit = chi2_quantile(DENIED, float(equations - len(shared.model.keys)))
@@ -352,6 +369,10 @@ def solve_task(task: Task) -> Solved:
     looked_at = ~found.sound | find_suspects(shared.model, task.values, found, placed=placed)
     if task.pattern.asked and isinstance(shared, SharedDesign):
         looked_at |= find_correlated(shared.reference, task.values, found.residuals)
+    told: dict[str, NDArray[np.bool_]] = {}
+    if task.pattern.tests is not None and isinstance(shared, SharedDesign):
+        tested = find_in_units(task.pattern.tests, shared, task.values, found)
+        told, looked_at = tested.found, looked_at | tested.singly
     reasons = [LEFT if left else "" for left in looked_at.tolist()]
     return Solved(
         task.units,
@@ -360,7 +381,7 @@ def solve_task(task: Task) -> Solved:
         u,
         dof,
         found.rms,
-        _findings(task, task.pattern, found, u, dof),
+        _findings(task, task.pattern, found, u, dof, told),
         reasons,
         np.zeros(count, dtype=np.bool_),
         nests,

@@ -355,6 +355,9 @@ def beta_quantile(p: float, a: float, b: float) -> float:
     return odds / (1.0 + odds)
 
 
+_LOG_NODES = np.linspace(math.log(1e-3), math.log(1e4), 400)  # of f, in `f_log_tails`
+
+
 @lru_cache(_KEPT)
 def f_quantile(p: float, k: float, dof: float) -> float:
     """Ratio of variances on `k` and `dof` degrees of freedom not exceeded with probability `p`."""
@@ -382,6 +385,18 @@ def f_tail(f: float, k: float, dof: float) -> float:
     if dof > _NORMAL:
         return chi2_tail(k * f, k)
     return _f_tails(float(f), float(k), float(dof))[0]
+
+
+def f_log_tails(f: Array, k: float, dof: float) -> Array:
+    """Return ln of `f_tail` of many f, to .005: straight in ln f between nodes."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.interp(np.log(f), _LOG_NODES, _at_nodes(k, dof)))
+
+
+@lru_cache(_KEPT)
+def _at_nodes(k: float, dof: float) -> Array:
+    tails = [f_tail(math.exp(each), k, dof) for each in _LOG_NODES.tolist()]
+    return np.asarray(np.log(np.maximum(tails, np.finfo(float).tiny)))
 
 
 def _f_tails(f: float, k: float, dof: float) -> tuple[float, float]:

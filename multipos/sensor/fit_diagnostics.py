@@ -64,7 +64,14 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.files.records import ANY_TEXT, NOT_NEGATIVE, P_VALUE, Fields, Listed, Named, Number
 from multipos.finding import Findings
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile, f_tail, t_tail
+from multipos.numerics.quantiles import (
+    chi2_quantile,
+    chi2_tail,
+    f_log_tails,
+    f_quantile,
+    f_tail,
+    t_tail,
+)
 from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result, plain
 from multipos.sensor.model import Model
@@ -73,6 +80,9 @@ _ALIKE = 0.7  # chance, before anything is seen, that rows are alike
 _DS = np.append(np.geomspace(1.0, 60.0, 8), 1e6)  # the last as good as alike
 _BELIEVED = np.append(np.full(8, (1.0 - _ALIKE) / 8.0), _ALIKE)
 _STEPS = 20  # towards the best v: within 1e-8 of it where rows are of 4:2:1, 2e-3 at 10:1
+_MANY = 50  # readings that are questioned, from which tails are kept
+_DIGITS = 9  # of degrees of freedom, so that there are few of them
+_SINGULAR = 1e-12  # eigenvalue of G, below which the other readings lack a parameter
 _NOTHING = 1e-9  # of a reading whose row alone fixes a parameter
 
 
@@ -94,63 +104,110 @@ def p_values(
     array or None
         None where the other readings do not determine the fit.
     """
-    e2, factor = errors**2, 1.0 - leverage
-    for m in np.flatnonzero(questioned.any(axis=0)).tolist():
-        without = _without(errors[:, m], designs[m], ~questioned[:, m])
-        if without is None:
-            return None
-        e2[:, m], factor[:, m] = without
+    bases = [np.linalg.qr(design)[0] for design in designs]
+    (found,) = p_values_of_units(errors[None], leverage, bases, questioned[None])
+    return None if np.isnan(found[questioned]).any() else found[questioned]
+
+
+def p_values_of_units(
+    errors: Array, leverage: Array, bases: Sequence[Array], questioned: NDArray[np.bool_]
+) -> Array:
+    """Return the p values (B, n, M) of eq. (5) of B units; NaN of what is not questioned.
+
+    NaN as well where the other readings of a unit do not determine the fit.
+
+    Parameters
+    ----------
+    errors : (B, n, M) array
+        As in `p_values`.
+    leverage : (n, M) array
+    bases : M arrays (n, p_m)
+        Orthonormal columns of the designs.
+    questioned : (B, n, M) array of bool
+    """
+    e2, factor, whole = _without(errors, leverage, bases, questioned)
     weight = np.where(questioned, 0.0, np.maximum(factor, 0.0))
-    nu = weight.sum(axis=0)
+    nu = weight.sum(axis=1)
     r2 = e2 / np.maximum(factor, _NOTHING)
-    c = np.sum(weight * r2, axis=0)
-    if not (nu > 0.5).all() or not (c > 0.0).all():
-        return None
-    r2 *= nu / c
-    left = np.sum(~questioned, axis=1).astype(np.float64)
-    q = np.sum(np.where(questioned, 0.0, r2), axis=1)
-    chances, v = _law(q, left, weight.sum(axis=1) / np.maximum(left, 1.0), errors.shape[1])
-    found = []
-    for k, m in np.argwhere(questioned).tolist():
-        own = _DS + left[k]
-        t = np.sqrt(r2[k, m] * own / (_DS * v + q[k])).tolist()
-        dof = (1.0 / (1.0 / own + 1.0 / nu[m])).tolist()
-        found.append(sum(map(math.prod, zip(chances, map(t_tail, t, dof), strict=True))))
-    return np.array(found)
+    c = np.sum(weight * r2, axis=1)
+    whole &= ((nu > 0.5) & (c > 0.0)).all(axis=1)
+    r2 *= (nu / np.where(c > 0.0, c, 1.0))[:, None]
+    left = np.sum(~questioned, axis=2).astype(np.float64)
+    q = np.sum(np.where(questioned, 0.0, r2), axis=2)
+    result = np.full(errors.shape, np.nan)
+    units = np.flatnonzero(whole)
+    if not len(units):
+        return result
+    rows = weight[units].sum(axis=2) / np.maximum(left[units], 1.0)
+    chances, v = _law(q[units], left[units], rows, errors.shape[2])
+    b, k, m = np.nonzero(questioned[units])
+    unit = units[b]
+    own = _DS + left[unit, k, None]
+    t2 = r2[unit, k, m][:, None] * own / (_DS * v[b] + q[unit, k, None])
+    dof = np.round(1.0 / (1.0 / own + 1.0 / nu[unit, m][:, None]), _DIGITS)
+    result[unit, k, m] = np.einsum("kd,kd->k", chances[b], _tails(t2, dof))
+    return result
 
 
-def _without(error: Array, design: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array] | None:
-    """Return the squared errors and variance factors 1 ± h' (n,) of one output, eq. (3)."""
-    if not np.count_nonzero(kept) > design.shape[1]:
-        return None
-    R = np.asarray(np.linalg.qr(design[kept], mode="r"))
-    size = np.abs(np.diag(R))
-    if not size.min() > _NOTHING * size.max():
-        return None
-    basis = np.linalg.solve(R.T, design.T).T
-    e = error - basis @ (basis[kept].T @ error[kept])
-    h = np.sum(basis**2, axis=1)
-    return e**2, np.where(kept, 1.0 - h, 1.0 + h)
+def _tails(t2: Array, dof: Array) -> Array:
+    """Return the chances of a larger t², (K, D); between nodes where they are many."""
+    if len(t2) < _MANY:
+        pairs = zip(np.sqrt(t2).ravel().tolist(), dof.ravel().tolist(), strict=True)
+        return np.array([t_tail(*each) for each in pairs]).reshape(t2.shape)
+    found = np.empty(t2.shape)
+    for each in np.unique(dof).tolist():
+        here = dof == each
+        found[here] = np.exp(f_log_tails(t2[here], 1.0, each))
+    return found
 
 
-def _law(q: Array, left: Array, weight: Array, outputs: int) -> tuple[list[float], Array]:
-    """Return the chance of every d, and the v that is best with it, eq. (4)."""
-    d = _DS[:, None]
-    v = np.full(len(_DS), (weight @ q) / (weight @ left))
+def _without(
+    errors: Array, leverage: Array, bases: Sequence[Array], questioned: NDArray[np.bool_]
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return squared errors and variance factors 1 ± h' (B, n, M), eq. (3), and where they exist.
+
+    With Q'e = 0 the fit of the others is off by −G⁻¹ Σ Q_k e_k, G = 1 − Σ Q_k Q_k' over those that
+    are questioned, and their leverage is h' = Q G⁻¹ Q'.
+    """
+    e2, factor = errors**2, np.broadcast_to(1.0 - leverage, errors.shape).copy()
+    whole = np.ones(len(errors), dtype=np.bool_)
+    for m, Q in enumerate(bases):
+        units = np.flatnonzero(questioned[:, :, m].any(axis=1))
+        if not len(units):
+            continue
+        mine = questioned[units, :, m]
+        p = Q.shape[1]
+        products = (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1)
+        G = np.eye(p) - (mine @ products).reshape(-1, p, p)
+        regular = (np.linalg.eigvalsh(G)[:, 0] > _SINGULAR) & (np.sum(~mine, axis=1) > p)
+        whole[units[~regular]] = False
+        inverse = np.linalg.inv(np.where(regular[:, None, None], G, np.eye(p)))
+        lost = np.einsum("bpq,bq->bp", inverse, (mine * errors[units, :, m]) @ Q)
+        e2[units, :, m] = (errors[units, :, m] + lost @ Q.T) ** 2
+        h = inverse.reshape(-1, p * p) @ products.T
+        factor[units, :, m] = np.where(mine, 1.0 + h, 1.0 - h)
+    return e2, factor, whole
+
+
+def _law(q: Array, left: Array, weight: Array, outputs: int) -> tuple[Array, Array]:
+    """Return the chance of every d, and the v that is best with it, eq. (4), (B, D) each."""
+    d, q, m = _DS[:, None], q[:, None], left[:, None]
+    total = np.einsum("bn,bn->b", weight, left)[:, None]
+    v = np.repeat(np.einsum("bn,bn->b", weight, q[:, 0])[:, None] / total, len(_DS), axis=1)
+    both = np.stack([weight * q[:, 0], weight], axis=2)
     for _ in range(_STEPS):  # of a parameter-expanded EM, whose w has the mean one
-        w = (d + left) / (d + q / v[:, None])
-        v = (w @ (weight * q)) / (weight @ left) * weight.sum() / (w @ weight)
-    log = np.empty(len(_DS))
-    counts, place = np.unique(left, return_inverse=True)
-    for i, (each, best) in enumerate(zip(_DS.tolist(), v.tolist(), strict=True)):
-        gammas = [math.lgamma((each + m) / 2.0) for m in counts.tolist()]
-        constant = np.array(gammas) - math.lgamma(each / 2.0)
-        constant -= 0.5 * counts * math.log(math.pi * each * best)
-        tails = 0.5 * (each + left) * np.log1p(q / (each * best))
-        log[i] = weight @ (constant[place] - tails)
+        w = (d + m) / (d + q / v[:, :, None])
+        sums = w @ both
+        v = sums[:, :, 0] / sums[:, :, 1] / total * weight.sum(axis=1)[:, None]
+    gammas = [[math.lgamma((each + k) / 2.0) for k in range(outputs + 1)] for each in _DS.tolist()]
+    constant = (np.array(gammas) - np.array(gammas)[:, :1])[:, left.astype(np.intp)]
+    size = d * v[:, :, None]
+    constant = constant.transpose(1, 0, 2) - 0.5 * m * np.log(np.pi * size)
+    tails = 0.5 * (d + m) * np.log1p(q / size)
+    log = np.einsum("bn,bdn->bd", weight, constant - tails)
     log += 0.5 * np.log1p((outputs + 2.0) / _DS) + np.log(_BELIEVED)
-    chances = np.exp(log - log.max())
-    return (chances / chances.sum()).tolist(), v
+    chances = np.exp(log - log.max(axis=1, keepdims=True))
+    return chances / chances.sum(axis=1, keepdims=True), v
 
 
 _LEAST = 1e-300  # of a probability, whose logarithm is a number still
@@ -330,12 +387,8 @@ def find_outliers(
     """
     nu = np.asarray(dof, dtype=np.float64)
     error = residuals if sd is None else residuals / sd
-    s2 = np.einsum("nm,nm->m", error, error) / np.maximum(nu, 1.0)
-    judged = (nu >= 2.0) & (s2 > 0.0)
-    left = 1.0 - leverage
-    # A position that alone fixes a parameter (leverage 1) has no residual to judge.
-    r2 = error**2 / (np.where(judged, s2, 1.0) * np.maximum(left, 1e-9))
-    suspect = judged & (left > 1e-9) & (r2 > 4.0)  # below 2 sd no position can be one
+    r2 = studentised_squares(error.T, leverage.T, nu[:, None]).T
+    suspect = r2 > 4.0  # below 2 sd no position can be one
     beyond = []
     for column in np.flatnonzero(suspect.any(axis=0)).tolist():
         suspects = np.flatnonzero(suspect[:, column])
@@ -344,7 +397,8 @@ def find_outliers(
             if not _is_outlier(float(sizes[place]), float(nu[column]), residuals.size):
                 break  # and none that is smaller is beyond chance
             beyond.append((column, int(suspects[place])))
-    if beyond and error.shape[1] > 1 and judged.all() and nu.min() >= ROWS_TOLD:
+    judged = nu.min() >= ROWS_TOLD and error.any(axis=0).all()
+    if beyond and error.shape[1] > 1 and judged:
         weighed = [design[:, own] for own in columns]
         if sd is not None:
             weighed = [each / sd[:, [m]] for m, each in enumerate(weighed)]
@@ -354,6 +408,31 @@ def find_outliers(
         f"{np.sqrt(r2[row, column]):.1f} times its standard deviation"
         for column, row in sorted(beyond)
     )
+
+
+def studentised_squares(error: Array, leverage: Array, dof: Array) -> Array:
+    """Return r²/s² of eq. (1) (…, n), 0 where a reading cannot be tested.
+
+    Parameters
+    ----------
+    error, leverage : (…, n) arrays
+        Residuals of equal variance, and their leverage.
+    dof : (…, 1) array
+    """
+    s2 = np.einsum("...n,...n->...", error, error)[..., None] / np.maximum(dof, 1.0)
+    left = 1.0 - leverage
+    # A position that alone fixes a parameter (leverage 1) has no residual to test.
+    tested = (dof >= 2.0) & (s2 > 0.0) & (left > 1e-9)
+    return np.asarray(np.where(tested, error**2, 0.0) / np.where(tested, s2 * left, 1.0))
+
+
+def largest_square(nu: float, readings: int) -> float:
+    """Return the r²/s² beyond which `find_outliers` names one of so many readings."""
+    low, high = 4.0, nu
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _is_outlier(middle, nu, readings) else (middle, high)
+    return high
 
 
 def _beyond_unlike_rows(
@@ -564,12 +643,34 @@ def lack_of_fit(
     numbers: dict[Hashable, int] = {}
     index = np.array([numbers.setdefault(label, len(numbers)) for label in groups], dtype=np.intp)
     weight = np.broadcast_to(np.asarray(sd, dtype=np.float64) ** -2.0, r.shape)
-    total = np.bincount(index, weights=weight)
-    dof_lack, dof_pure = len(total) - parameters, len(r) - len(total)
+    found = lack_of_fit_ratios(r[None], index, parameters, weight)
+    if found is None:
+        return None
+    (f,), dof_lack, dof_pure = found
+    return float(f), dof_lack, dof_pure, f_tail(float(f), dof_lack, dof_pure)
+
+
+def lack_of_fit_ratios(
+    residuals: Array, group: NDArray[np.intp], parameters: int, weight: Array
+) -> tuple[Array, int, int] | None:
+    """Return F (B,) of `lack_of_fit` and its degrees of freedom, of residuals (B, n).
+
+    Parameters
+    ----------
+    residuals : (B, n) array
+    group : (n,) array of int
+        From 0 on.
+    parameters : int
+    weight : (n,) array
+    """
+    total = np.bincount(group, weights=weight)
+    dof_lack, dof_pure = len(total) - parameters, len(group) - len(total)
     if dof_lack <= 0 or dof_pure <= 0:
         return None
-    mean = np.bincount(index, weights=weight * r) / total
-    pure = float((weight * (r - mean[index]) ** 2).sum()) / dof_pure
-    lack = float((total * mean**2).sum()) / dof_lack
-    f = lack / pure if pure > 0.0 else float("inf") if lack > 0.0 else float("nan")
-    return f, dof_lack, dof_pure, f_tail(f, dof_lack, dof_pure)
+    order, count = np.argsort(group, kind="stable"), np.bincount(group)
+    sums = np.add.reduceat((weight * residuals)[:, order], np.cumsum(count) - count, axis=1)
+    mean = sums / total
+    pure = (weight * (residuals - mean[:, group]) ** 2).sum(axis=1) / dof_pure
+    lack = (total * mean**2).sum(axis=1) / dof_lack
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(lack / pure), dof_lack, dof_pure

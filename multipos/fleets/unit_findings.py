@@ -1,0 +1,298 @@
+"""Findings about the residuals of many units at known positions, as `fit` finds them of each.
+
+What the positions alone decide is worked out once for all units: projections on missing terms,
+leverages, quantiles. The tests are then contractions over units:
+
+- missing terms, by the score tests of `multipos.diagnostics.score_tests`;
+- outliers, by studentised residuals, and where these are beyond the 1 % point by the second test of
+  `multipos.sensor.fit_diagnostics`, in which rows may be unequally noisy. Where two rows are off by
+  similar sizes, and by a quarter of what the nearest positions differ in, they may be interchanged:
+  the unit is left to the fit of one;
+- lack of fit, orientation errors (`multipos.diagnostics.noise_causes`) and residuals that are
+  correlated from row to row.
+
+Readings state no noise, or one that is equal in all readings of an output.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.diagnostics import noise_causes
+from multipos.diagnostics.model_error import COLUMN, find_soaks
+from multipos.diagnostics.projections import Projection, Setting, is_level, lacking, project
+from multipos.diagnostics.residuals import are_correlated_in_order
+from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
+from multipos.estimation.batches import Estimates, force_slopes
+from multipos.estimation.known import SharedDesign
+from multipos.numerics.arrays import Array, resolution, row_keys
+from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
+from multipos.numerics.terms import COMPONENTS
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.fit_diagnostics import (
+    OUTLIER_LEVEL,
+    ROWS_TOLD,
+    lack_of_fit_ratios,
+    largest_square,
+    p_values_of_units,
+    studentised_squares,
+)
+from multipos.sensor.found import Estimator
+from multipos.sensor.inverse import inverses
+
+Mask = NDArray[np.bool_]
+_AT_ONCE = 12_000  # readings of an output, so that what tests need stays in cache
+_NEAR = 0.05  # of ln p: what `f_log_tails` leaves open
+_LEAST = 1e-300  # of a probability
+_COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
+_MOST = 1000  # positions of which the nearest two are looked for
+
+
+@dataclass(frozen=True, eq=False)
+class UnitTests:
+    """What the positions decide of the tests.
+
+    Attributes
+    ----------
+    projection : Projection or None
+        On the terms that the model lacks, if it lacks any.
+    soaks : bool
+        A missing term of temperature may be a zero of each soak.
+    leverage : (M, n) array
+    repeats : (n,) array of int or None
+        The number of the position of each row, where positions repeat.
+    nearest : float [g]
+        By which rows are off that are interchanged, at least.
+    stated : bool
+        Readings state a noise.
+    """
+
+    projection: Projection | None
+    soaks: bool
+    leverage: Array
+    repeats: NDArray[np.intp] | None
+    nearest: float
+    stated: bool
+
+
+class UnitFindings(NamedTuple):
+    """Codes, each with the units (B,) that it is found of, and the units to be fitted singly."""
+
+    found: dict[str, Mask]
+    singly: Mask
+
+
+def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
+    """Return the tests of units that share the positions of one that was fitted.
+
+    None where readings weigh unequally, or are fitted robustly.
+    """
+    level = c.noise is None or is_level(c)
+    if c.estimator is not Estimator.LINEAR or c.robust_weight is not None or not level:
+        return None
+    kinds = lacking(c)
+    try:
+        projection = project(Setting(c, kinds, ())) if kinds else None
+    except np.linalg.LinAlgError:
+        projection = None
+    if projection is not None and not len(projection.starts):
+        projection = None
+    columns = (c.readings.environment[name] for name in c.model.environment)
+    keys = row_keys(np.column_stack([c.reference, *columns]))
+    position = np.unique(np.array(keys), return_inverse=True)[1]
+    temperature = c.readings.environment.get(COLUMN)
+    return UnitTests(
+        projection=projection,
+        soaks=temperature is not None and find_soaks(temperature) is not None,
+        leverage=np.stack([each.leverage for each in shared.by_output]),
+        repeats=position if position.max() + 1 < len(position) else None,
+        nearest=_COMPARABLE * _nearest(c.reference),
+        stated=c.noise is not None,
+    )
+
+
+def _nearest(reference: Array) -> float:
+    """Return the distance [g] between the two nearest of different references (n, 3)."""
+    different = np.unique(reference, axis=0)
+    if len(different) > _MOST:
+        return 0.0
+    apart = np.linalg.norm(different[:, None] - different[None], axis=2)
+    return float(apart[np.triu_indices(len(different), 1)].min(initial=math.inf))
+
+
+def find_in_units(
+    tests: UnitTests, shared: SharedDesign, values: tuple[Array, ...], found: Estimates
+) -> UnitFindings:
+    """Return what the residuals of B units show.
+
+    Parameters
+    ----------
+    tests : UnitTests
+    shared : SharedDesign
+    values : M arrays (B, n)
+        Readings of each output.
+    found : Estimates
+    """
+    count, n = values[0].shape
+    step = max(1, _AT_ONCE // n)
+    parts = [
+        _find(tests, shared, [y[first : first + step] for y in values], found, first)
+        for first in range(0, count, step)
+    ]
+    codes = parts[0].found
+    joined = {code: np.concatenate([part.found[code] for part in parts]) for code in codes}
+    return UnitFindings(joined, np.concatenate([part.singly for part in parts]))
+
+
+def _find(
+    tests: UnitTests, shared: SharedDesign, values: list[Array], found: Estimates, first: int
+) -> UnitFindings:
+    """Return what the residuals of some units show, from a first one on."""
+    units = slice(first, first + len(values[0]))
+    residuals = np.stack([each[units] for each in found.residuals])
+    variance = None if found.variance is None else found.variance[units].T[:, :, None]
+    error = residuals if variance is None else residuals / np.sqrt(variance)
+    missing = _missing_terms(tests, values, error)
+    sensitivity = inverses(found.inverse[units])
+    outlying, singly = _outliers(tests, shared, sensitivity, residuals, error)
+    placed = np.zeros_like(missing)
+    axes = sorted(shared.model.axes) == list(COMPONENTS)
+    if not tests.stated and axes:
+        placed = _off_positions(shared, found.parameters[units], residuals) & ~missing
+    if tests.soaks:
+        singly |= missing
+    lag = are_correlated_in_order(residuals, shared.basis, shared.model, shared.reference)
+    codes = {
+        "missing-term": missing,
+        "outlier": outlying,
+        "lack-of-fit": _lack_of_fit(tests, shared, values, residuals),
+        "placement": placed,
+        "time-correlated": lag & ~missing,
+    }
+    return UnitFindings(codes, singly)
+
+
+def _missing_terms(tests: UnitTests, values: list[Array], error: Array) -> Mask:
+    """Return of which units the model lacks a term (B,), by whitened residuals (M, B, n)."""
+    on = tests.projection
+    if on is None:
+        return np.zeros(error.shape[1], dtype=np.bool_)
+    explained = explained_by(on, error)
+    whole = np.einsum("mbn,mbn->bm", error, error)[:, None]
+    q, left, floor = on.q, on.left, np.zeros(1)
+    if tests.stated:
+        explained, whole = explained.sum(axis=2, keepdims=True), whole.sum(axis=2, keepdims=True)
+        q, left = q.sum(axis=1, keepdims=True), left.sum(keepdims=True)
+    else:
+        floor = np.stack([np.square(np.ptp(y, axis=1) * FINEST) for y in values], axis=1)[:, None]
+    ratio, nu, tested = ratios_of(explained, whole, q, left, floor)
+    logs = np.zeros(ratio.shape)
+    for kind, output in np.argwhere((q > 0.0) & (nu >= 1.0)).tolist():
+        dof = float(q[kind, output]), float(nu[kind, output])
+        logs[:, kind, output] = f_log_tails(ratio[:, kind, output], *dof)
+    total, used = np.where(tested, logs, 0.0).sum(axis=2), tested.sum(axis=2)
+    limit = _limits(used)
+    for unit, kind in np.argwhere(np.abs(total - limit) <= _NEAR).tolist():
+        outputs = np.flatnonzero(tested[unit, kind]).tolist()
+        exact = [f_tail(ratio[unit, kind, i], q[kind, i], nu[kind, i]) for i in outputs]
+        total[unit, kind] = sum(math.log(max(tail, _LEAST)) for tail in exact)
+    return np.asarray((total < limit).any(axis=1))
+
+
+def _limits(used: NDArray[np.intp]) -> Array:
+    """Return ln p of so many outputs together (B, K), below which a kind is significant."""
+    limit = np.full(used.shape, -np.inf)
+    numbers = np.sum(used > 0, axis=1)
+    for number in np.unique(numbers[numbers > 0]).tolist():
+        level = 1.0 - (1.0 - LEVEL) ** (1.0 / number)
+        for outputs in np.unique(used[used > 0]).tolist():
+            beyond = math.log(level)
+            if outputs > 1:
+                beyond = -0.5 * chi2_quantile(1.0 - level, 2.0 * outputs)
+            limit[(numbers == number)[:, None] & (used == outputs)] = beyond
+    return limit
+
+
+def _outliers(
+    tests: UnitTests,
+    shared: SharedDesign,
+    sensitivity: Array,
+    residuals: Array,
+    error: Array,
+) -> tuple[Mask, Mask]:
+    """Return of which units a reading is an outlier, and which are to be fitted singly."""
+    m, count, n = error.shape
+    r2 = studentised_squares(error, tests.leverage[:, None], shared.dof[:, None, None])
+    outlying, singly = np.zeros((2, count), dtype=np.bool_)
+    limit = np.array([_limit(float(nu), m * n) for nu in shared.dof.tolist()])
+    beyond = r2 > limit[:, None, None]
+    units = np.flatnonzero(beyond.any(axis=(0, 2)))
+    outlying[units] = True
+    if len(units) and m > 1 and shared.dof.min() >= ROWS_TOLD:
+        questioned = np.moveaxis(beyond[:, units], 0, 2)
+        bases = [each.Q for each in shared.by_output]
+        given = np.moveaxis(error[:, units], 0, 2), tests.leverage.T, bases, questioned
+        p = p_values_of_units(*given)
+        few = (np.isnan(p) & questioned).any(axis=(1, 2))
+        outlying[units] = few | (p < OUTLIER_LEVEL / (m * n)).any(axis=(1, 2))
+    # as readings are off from the fit without their row, in units of the output's scale factor
+    off = residuals[:, outlying] / np.maximum(1.0 - tests.leverage, _LEAST)[:, None]
+    size = np.linalg.norm(sensitivity[outlying], axis=2).T[:, :, None]
+    sizes = np.sort(np.sum((off / size) ** 2, axis=0), axis=1)
+    largest = sizes[:, -1]
+    singly[outlying] = (sizes[:, -2] > _COMPARABLE * largest) & (largest > tests.nearest**2)
+    return outlying, singly
+
+
+@lru_cache(64)
+def _limit(nu: float, readings: int) -> float:
+    return largest_square(nu, readings) if nu >= 2.0 else math.inf
+
+
+def _off_positions(shared: SharedDesign, parameters: Array, residuals: Array) -> Mask:
+    """Return of which units residuals lie across the force, as orientation errors make them."""
+    model, (_, count, n) = shared.model, residuals.shape
+    force = np.broadcast_to(shared.reference.T[:, None], (3, count, n))
+    slopes = force_slopes(model, shared.environment, parameters, np.ascontiguousarray(force))
+    of = noise_causes.Residuals(
+        error=np.moveaxis(residuals, 0, 2),
+        basis=shared.basis,
+        columns=model.columns,
+        slopes=slopes.transpose(2, 3, 0, 1),
+        force=shared.reference,
+        stated=np.zeros((count, n, 3)),
+    )
+    found = noise_causes.across_the_force(of)
+    units = np.flatnonzero(found)
+    if len(units):
+        some = of.some(units)
+        equal = noise_causes.explain_equal(some)
+        moved = noise_causes.explain_orientations(some)
+        found[units] = noise_causes.prefers_orientations(equal, moved)
+    return found
+
+
+def _lack_of_fit(
+    tests: UnitTests, shared: SharedDesign, values: list[Array], residuals: Array
+) -> Mask:
+    """Return of which units repeats agree better than the model meets them."""
+    found = np.zeros(residuals.shape[1], dtype=np.bool_)
+    if tests.repeats is None:
+        return found
+    level = LEVEL / len(residuals)
+    for each, y, design in zip(residuals, values, shared.designs, strict=True):
+        tested = lack_of_fit_ratios(each, tests.repeats, design.shape[1], np.ones(len(design)))
+        if tested is None:
+            continue
+        f, lack, pure = tested
+        beyond = np.flatnonzero(f > f_quantile(1.0 - level, float(lack), float(pure)))
+        freedom = float(np.subtract(*design.shape))
+        for unit in beyond.tolist():
+            sd = math.sqrt(float(each[unit] @ each[unit]) / freedom)
+            # repeats that agree because they are rounded say nothing of the noise
+            found[unit] |= sd > resolution(y[unit])
+    return found

@@ -1,0 +1,86 @@
+"""Every unit of a fleet at known positions is doubted for what `fit` doubts it for."""
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos.fleets import solving
+from multipos.numerics.quantiles import f_log_tails, f_tail
+
+pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
+UNITS = 20
+
+
+def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, repeats=1, seed=5):
+    """Units with one flaw each, of a size that the noise of one position does not hide."""
+    rng = np.random.default_rng(seed)
+    up = np.repeat(mp.read_scheme(scheme).up, repeats, axis=0)
+    n = len(up)
+    stood = np.broadcast_to(up, (UNITS, n, 3))
+    stood = stood + np.cross(np.radians(off_deg) * rng.standard_normal((UNITS, n, 3)), stood)
+    stood = stood / np.linalg.norm(stood, axis=2)[:, :, None]
+    values = stood * (1.0 + 0.01 * rng.standard_normal((UNITS, 1, 3)))
+    values = values + 0.02 * rng.standard_normal((UNITS, 1, 3)) + cubic * stood**3
+    values = values + drift * np.linspace(-1.0, 1.0, n)[:, None]
+    values = values + noise * rng.standard_normal(values.shape)
+    values[np.arange(UNITS), rng.integers(0, n, UNITS), rng.integers(0, 3, UNITS)] += out
+    table = {"unit": np.repeat(np.arange(UNITS), n)}
+    for i, axis in enumerate("xyz"):
+        table |= {f"up_{axis}": np.tile(up[:, i], UNITS), f"a{axis}": values[:, :, i].ravel()}
+    return table
+
+
+@pytest.mark.parametrize(
+    ("scheme", "flaw", "options", "code"),
+    [
+        ("fibonacci-24", {}, {}, ""),
+        ("fibonacci-24", {"cubic": 2e-3}, {}, "missing-term"),
+        ("fibonacci-24", {"out": 5e-3}, {}, "outlier"),
+        ("fibonacci-24", {"off_deg": 0.1}, {}, "placement"),
+        ("fibonacci-24", {"drift": 2e-3}, {}, ""),
+        ("fibonacci-24", {"cubic": 2e-3}, {"reading_sd": 1e-4}, "missing-term denied-noise"),
+        ("fibonacci-24", {"out": 5e-3}, {"reading_sd": [1e-4, 1e-4, 2e-4]}, "outlier denied-noise"),
+        ("all-26", {"cubic": 2e-3}, {"model": "own-quadratic"}, "missing-term"),
+        ("icosahedron-12", {"cubic": 2e-4, "repeats": 3}, {"model": "linear"}, ""),
+    ],
+)
+def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
+    table = fleet(scheme, **flaw)
+    found = mp.fit_many(table, unit_column="unit", **options)
+    n = len(table["unit"]) // UNITS
+    singly = [
+        mp.fit({k: v[i * n : (i + 1) * n] for k, v in table.items() if k != "unit"}, **options)
+        for i in range(UNITS)
+    ]
+    said = [" ".join(dict.fromkeys(d.code for d in c.diagnostics.doubts)) for c in singly]
+    assert found.get("doubts", np.array([""] * UNITS)).tolist() == said
+    if code:
+        assert all(set(code.split()) <= set(each.split()) for each in said)
+
+
+def test_findings_do_not_send_units_to_the_single_fit(monkeypatch):
+    count = []
+    fit = solving.fit
+    monkeypatch.setattr(solving, "fit", lambda *a, **o: count.append(1) or fit(*a, **o))
+    for flaw in ({"cubic": 2e-3}, {"out": 5e-3}, {"off_deg": 0.1}):
+        mp.fit_many(fleet("fibonacci-24", **flaw), unit_column="unit")
+    assert len(count) == 3  # the first of each fleet
+
+
+def test_interchanged_rows_are_seen_behind_an_outlier():
+    """Neighbours 12° apart in 400: the rms is a percent, as that of an outlier may be."""
+    table = fleet("fibonacci-400")
+    up = mp.read_scheme("fibonacci-400").up
+    near = int(np.argsort(-up @ up[0])[1])
+    for axis in "xyz":
+        column = table[f"a{axis}"]
+        column[[0, near]] = column[[near, 0]]
+    found = mp.fit_many(table, unit_column="unit")
+    assert "interchanged-rows" in found["doubts"][0]
+    assert "interchanged-rows" not in "".join(found["doubts"][1:])
+
+
+def test_tails_between_nodes():
+    f = np.geomspace(1e-3, 300.0, 57)
+    exact = np.log([f_tail(each, 2.0, 17.0) for each in f.tolist()])
+    assert np.abs(f_log_tails(f, 2.0, 17.0) - exact).max() < 0.005
