@@ -303,15 +303,13 @@ def _share_uncertain(
     )
 
 
-_POOR, _DENIED = "no-redundancy", "denied-noise"
+_POOR, _DENIED, _OVERSTATED = "no-redundancy", "denied-noise", "overstated-noise"
 # What units are found of without being looked at in full, in the order of `fit`.
 _TOLD = (
     *("gravity", "turned", _POOR, "temperature-kelvin", "missing-term", "outlier"),
-    *("lack-of-fit", _DENIED, "placement", "time-correlated"),
+    *("lack-of-fit", _DENIED, "placement", "time-correlated", _OVERSTATED),
 )
-_OF_UNITS = frozenset(
-    (_DENIED, _POOR, "missing-term", "outlier", "lack-of-fit", "placement", "time-correlated")
-)
+_OF_UNITS = frozenset((*_TOLD[4:], _POOR))
 
 
 def _common(calibration: Calibration) -> str:
@@ -345,8 +343,11 @@ def _findings(
         told[_POOR] = poor(shared.model, found.parameters, k * u)
     if found.chi2 is not None:
         equations = task.values[0].size // count * (1 if unknown else len(task.values))
-        limit = chi2_quantile(DENIED, float(equations - len(shared.model.keys)))
+        freedom = float(equations - len(shared.model.keys))
+        limit = chi2_quantile(DENIED, freedom)
         told[_DENIED] = found.chi2 > limit
+        if not unknown and not isinstance(shared, SharedPlacement):
+            told[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - DENIED, freedom)
     words, number = [pattern.findings], np.zeros(count, dtype=np.intp)
     for code, each in told.items():
         number += len(words) * each

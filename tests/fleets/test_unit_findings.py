@@ -1,9 +1,10 @@
-"""Every unit of a fleet at known positions is doubted for what `fit` doubts it for."""
+"""Every unit of a fleet at known positions has the findings of `fit`."""
 
 import numpy as np
 import pytest
 
 import multipos as mp
+from multipos.finding import serious
 from multipos.fleets import solving
 from multipos.numerics.quantiles import f_log_tails, f_tail
 
@@ -52,10 +53,10 @@ def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
         mp.fit({k: v[i * n : (i + 1) * n] for k, v in table.items() if k != "unit"}, **options)
         for i in range(UNITS)
     ]
-    said = [" ".join(dict.fromkeys(d.code for d in c.diagnostics.doubts)) for c in singly]
-    assert found.get("doubts", np.array([""] * UNITS)).tolist() == said
+    said = [";".join(dict.fromkeys(d.code for d in serious(c.findings))) for c in singly]
+    assert found.get("findings", np.array([""] * UNITS)).tolist() == said
     if code:
-        assert all(set(code.split()) <= set(each.split()) for each in said)
+        assert all(set(code.split()) <= set(each.split(";")) for each in said)
 
 
 def test_findings_do_not_send_units_to_the_single_fit(monkeypatch):
@@ -76,8 +77,8 @@ def test_interchanged_rows_are_seen_behind_an_outlier():
         column = table[f"a{axis}"]
         column[[0, near]] = column[[near, 0]]
     found = mp.fit_many(table, unit_column="unit")
-    assert "interchanged-rows" in found["doubts"][0]
-    assert "interchanged-rows" not in "".join(found["doubts"][1:])
+    assert "interchanged-rows" in found["findings"][0]
+    assert "interchanged-rows" not in "".join(found["findings"][1:])
 
 
 def test_tails_between_nodes():
