@@ -337,17 +337,15 @@ def _findings(
     """Return what every unit is found of; u and dof are those with gravity's part."""
     shared, count = pattern.shared, len(task.units)
     unknown = isinstance(shared, SharedSphere)
-    if not isinstance(shared, SharedPlacement):
+    if not isinstance(shared, SharedOrientations):
         k = coverage_factors(float(task.options.get("confidence", 0.95)), dof)
         poor = are_poorly_known if unknown else are_open
         told[_POOR] = poor(shared.model, found.parameters, k * u)
     if found.chi2 is not None:
         equations = task.values[0].size // count * (1 if unknown else len(task.values))
         freedom = float(equations - len(shared.model.keys))
-        limit = chi2_quantile(DENIED, freedom)
-        told[_DENIED] = found.chi2 > limit
-        if not unknown and not isinstance(shared, SharedPlacement):
-            told[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - DENIED, freedom)
+        told[_DENIED] = found.chi2 > chi2_quantile(DENIED, freedom)
+        told[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - DENIED, freedom)
     words, number = [pattern.findings], np.zeros(count, dtype=np.intp)
     for code, each in told.items():
         number += len(words) * each
