@@ -141,37 +141,45 @@ const KINDS = { known: "known orientations", six: "six faces", free: "hand-held"
 const LEVELS = { error: () => T("Not fit for use"), warning: () => T("Warning"), note: () => T("Note") };
 const sphere = makeSphere($("positions"));
 let chosen = []; // the files of now; none where the rows count
+let rowsThen = ""; // what stood there when they were chosen
+let runs = 0;
 
-async function run(request, files) {
+/** Ask, and give the answer to `then`, or nothing where it failed; only the newest run counts. */
+async function run(request, files, then) {
+  const mine = ++runs;
   fail("");
   become("working");
+  let answer;
   try {
     const given = await contents(files);
-    const answer = await ask({ ...request, files: given.map(each => each.name) }, given);
-    if (answer.error) { fail(answer.error); return null; }
-    become("done");
-    return answer;
+    answer = await ask({ ...request, files: given.map(each => each.name) }, given);
   } catch (error) {
-    fail(error.message);
-    return null;
+    answer = { error: error.message };
   }
+  if (mine !== runs) return;
+  then(answer.error ? null : answer);
+  if (answer.error) fail(answer.error);
+  else become("done");
 }
 
-async function calibrate() {
-  const rows = new Blob([$("rows").value]);
-  rows.name = "calibration.csv";
+function calibrate() {
+  if ($("rows").value !== rowsThen) chosen = [];
   if (!chosen.length && !$("rows").value.trim()) {
     fail(T("There are no rows: drop a file, paste rows, or press Example."));
     return;
   }
+  const rows = new Blob([$("rows").value]);
+  rows.name = "calibration.csv";
   const request = { do: "calibrate", kind: $("kind").value, unit: $("unit").value, outputs: $("outputs").value };
-  const answer = await run(request, chosen.length ? chosen : [rows]);
-  $("result").hidden = !answer;
-  if (!answer) return;
-  show(answer);
-  $("answer").focus();
-  $("answer").scrollIntoView({ block: "nearest" });
-  showRefused();
+  run(request, chosen.length ? chosen : [rows], answer => {
+    $("result").hidden = !answer;
+    if (!answer) return;
+    show(answer);
+    $("answer").focus();
+    $("answer").scrollIntoView({ block: "nearest" });
+    const mine = runs;
+    setTimeout(() => mine === runs && showRefused(), 200); // one more fit shall not wait for it
+  });
 }
 
 function show(answer) {
@@ -238,10 +246,12 @@ async function download(form, accept = false) {
 
 const planned = makeSphere($("plan-positions"));
 
-async function plan() {
-  const answer = await run({
-    do: "plan", model: $("plan-model").value, positions: Number($("plan-count").value), hand_held: $("plan-free").checked,
-  }, []);
+function plan() {
+  const [model, positions] = [$("plan-model").value, Number($("plan-count").value)];
+  run({ do: "plan", model, positions, hand_held: $("plan-free").checked }, [], showPlan);
+}
+
+function showPlan(answer) {
   $("sheet").hidden = !answer;
   if (!answer) return;
   kept.scheme = answer;
@@ -259,14 +269,18 @@ function print() {
   document.body.classList.remove("sheet");
 }
 
-async function apply() {
+function apply() {
   const [log, calibration] = [$("apply-log").files, $("apply-calibration").files];
-  if (!log.length) { fail(T("There is no log: choose a file.")); return; }
+  if (!log.length) {
+    fail(T("There is no log: choose a file."));
+    return;
+  }
   const request = { do: "apply", calibration: calibration[0]?.name || "", tilt: $("apply-tilt").checked };
-  const answer = await run(request, [log[0], ...calibration]);
-  $("apply-answer").textContent = answer ? answer.sentence : "";
-  document.querySelector("[data-download=applied]").hidden = !answer;
-  if (answer) kept.applied = answer;
+  run(request, [log[0], ...calibration], answer => {
+    $("apply-answer").textContent = answer ? answer.sentence : "";
+    document.querySelector("[data-download=applied]").hidden = !answer;
+    if (answer) kept.applied = answer;
+  });
 }
 
 // Wiring ----------------------------------------------------------------------------------------
@@ -274,12 +288,17 @@ async function apply() {
 function take(files) {
   if (!files.length) return;
   chosen = [...files];
+  rowsThen = $("rows").value;
   calibrate();
 }
 
 $("file").onchange = () => take($("file").files);
 $("rows").oninput = () => { chosen = []; $("file").value = ""; };
-$("example").onclick = () => { $("rows").value = EXAMPLE; $("rows").oninput(); calibrate(); };
+$("example").onclick = () => {
+  $("rows").value = EXAMPLE;
+  $("rows").oninput();
+  calibrate();
+};
 $("calibrate").onclick = calibrate;
 $("plan-make").onclick = plan;
 $("plan-print").onclick = print;

@@ -159,6 +159,21 @@ def test_a_file_that_is_dropped(visitor):
     assert fetch(visitor, "[data-download=json]").name.startswith("mine")
 
 
+def test_the_newest_request_counts(visitor, tmp_path):
+    """Rows that were written by a program are taken, and what was asked before is not shown."""
+    (tmp_path / "r.csv").write_text(README)
+    put(visitor, tmp_path / "r.csv")
+    six = README.replace("position,direction,", "").replace("\n", "\n;").split(";")
+    rows = "".join(row.split(",", 2)[-1] if "," in row[:2] else row for row in six)
+    action = (
+        "document.getElementById('calibrate').click(); "
+        f"document.getElementById('rows').value = {rows!r}; "
+        "document.getElementById('calibrate').click()"
+    )
+    assert answered(visitor, action) == "done"
+    assert "6 positions on six faces" in text(visitor, "answer")
+
+
 def test_wrong_files_are_answered_in_the_words_of_the_program(visitor, tmp_path):
     (tmp_path / "bad.csv").write_text("ax,ay,az\n1,2,x\n")
     assert put(visitor, tmp_path / "bad.csv") == "error"
