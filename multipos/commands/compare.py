@@ -53,8 +53,14 @@ def run(arguments: argparse.Namespace) -> Answer:
         json=lambda: to_json(found.to_dict()),
         forms={"figure": lambda: _figure(found), **_combined(found)},
         findings=lambda: found.findings,
-        negative=lambda _: False,  # errors are of calibrations that were made before
+        negative=lambda _: _is_beyond(found),  # errors are of calibrations made before
     )
+
+
+def _is_beyond(found: Comparison | RegressionComparison) -> bool:
+    """Tell whether a parameter is beyond its limit."""
+    changes = found.changes if isinstance(found, Comparison) else ()
+    return any(each.within is False for each in changes)
 
 
 def _combined(found: Comparison | RegressionComparison) -> dict[str, Callable[[], str]]:

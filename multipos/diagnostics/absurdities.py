@@ -140,6 +140,7 @@ def _sticks_out(repair: Repair, before: View) -> bool:
     return f_tail(mine / rest, float(outputs), float(outputs * (dof - 1))) < _STICKS_OUT
 
 
+_OF_USE = 10.0  # [g], rms of a fit beyond which its size says nothing
 _SUSPICIOUS = 0.02  # residual sd as a share of the signal, or terms beyond the linear ones
 _ROUNDING = 1e-12  # likewise, where readings are exact
 _CALM = 0.94  # cosine of an output with its own axis, 20°
@@ -278,8 +279,9 @@ def _in_words(c: Calibration, repair: Repair) -> Finding:
     rows = tuple(labels[row] for row in repair.rows)
     named = _positions(rows)
     outputs = tuple(c.outputs[i] for i in repair.outputs)
-    before = "of no use" if np.isnan(c.rms) else f"{c.rms:.3g} g"
-    after = f"the rms falls from {before} to {repair.view.left_over:.3g} g"
+    after = f"the rms is {repair.view.left_over:.3g} g"
+    if c.rms < _OF_USE:
+        after = f"the rms falls from {c.rms:.3g} g to {repair.view.left_over:.3g} g"
     count = "is" if len(rows) == 1 else "are"
     texts = {
         "interchanged-rows": f"{named} look interchanged: with their readings exchanged {after}; "
@@ -296,6 +298,9 @@ def _in_words(c: Calibration, repair: Repair) -> Finding:
     }
     everywhere = repair.code == "angles-in-radians"
     text = texts[repair.code]
+    if repair.code == "interchanged-rows" and len(rows) == len(labels):
+        said = f"The rows follow the positions in the order 'spread': in that order {after}."
+        return Finding(repair.code, "error", said, "Fit with --order spread.")
     return Finding(repair.code, "error", text, rows=() if everywhere else rows, outputs=outputs)
 
 

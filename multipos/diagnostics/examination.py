@@ -18,7 +18,7 @@ from multipos.diagnostics.columns import (
     temperature_kelvin,
 )
 from multipos.diagnostics.model_error import hidden_terms, missing_term, zero_per_soak
-from multipos.diagnostics.redundancy import hardly_told, no_redundancy
+from multipos.diagnostics.redundancy import drift_absorbed, hardly_told, no_redundancy
 from multipos.diagnostics.residuals import (
     denied_noise,
     lack_of_fit,
@@ -43,6 +43,7 @@ CAUTIONS: tuple[Question, ...] = (no_redundancy, repeated_rows, temperature_kelv
 OF_RESIDUALS: tuple[Question, ...] = (
     hardly_told,
     hidden_terms,
+    drift_absorbed,
     zero_per_soak,
     missing_term,
     outlier,

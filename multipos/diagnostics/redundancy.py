@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from multipos.estimation.gains import estimator_gain
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array
+from multipos.positions.order import share_absorbed
 from multipos.positions.readings import diagonal
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
@@ -26,6 +27,7 @@ _POOR = 0.02  # U of a linear term, as a share of the scale factor of its output
 _OPEN = 0.2  # likewise of an own scale factor, where the positions are known
 _ILL_CONDITIONED = 1e4
 _TYPICAL = 1e-3  # [g], noise of a reading of which nothing is stated
+_ABSORBED = 0.2  # share of a drift from which on it is said
 _BEYOND = 0.1  # standard deviations of a linear term in scale factors, beyond any sensor
 
 
@@ -133,3 +135,21 @@ def _shares(model: Model, parameters: Array, U: Array) -> Array:
     share = np.zeros_like(U)
     share[:, linear] = np.where(size > 0.0, U[:, linear] / np.where(size > 0.0, size, 1.0), np.inf)
     return share
+
+
+def drift_absorbed(c: Calibration) -> Finding | None:
+    """Find an order of the rows in time in which the model takes a drift for the sensor."""
+    time = c.readings.environment.get("time")
+    if time is None or not c.estimator.exact or not np.isfinite(time).all():
+        return None
+    course = time - time.mean()
+    phi = c.model.basis(c.reference, c.readings.environment)
+    share = max(share_absorbed(phi[:, columns], course) for columns in c.model.columns)
+    if share <= _ABSORBED:
+        return None
+    return Finding(
+        "drift-absorbed",
+        "note",
+        f"The order of the positions absorbs {100.0 * share:.0f} % of a linear drift: that part of "
+        "one would stand in the parameters, and neither in the residuals nor in U.",
+    )

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from multipos.diagnostics.linear_view import View
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import Array, median
+from multipos.positions.order import lay_out
 from multipos.positions.readings import Readings
 from multipos.units import STANDARD_GRAVITY, cos_deg, sin_deg
 
@@ -103,7 +104,13 @@ def candidates(view: View, guess: Array, *, slight: bool = False) -> tuple[list[
         repairs, count = kind(view, rows)
         found += repairs
         tried += count
-    several = [*_many_flips(view, guess), *_many_factors(view), *_wrapped(view), *_radians(view)]
+    several = [
+        *_other_order(view),
+        *_many_flips(view, guess),
+        *_many_factors(view),
+        *_wrapped(view),
+        *_radians(view),
+    ]
     return found + several, tried + len(several)
 
 
@@ -145,6 +152,16 @@ def _interchanges(view: View, rows: Rows) -> tuple[list[Repair], int]:
         again = view.with_values(values)
         found.append(Repair("interchanged-rows", (i, j), again, tried=len(first)))
     return found, len(first)
+
+
+def _other_order(view: View) -> Iterator[Repair]:
+    """Yield the readings as those of the same positions laid out against drift."""
+    rows = lay_out(view.odd[:, :3], "spread")
+    if (rows != np.arange(len(rows))).any():
+        values = np.empty_like(view.values)
+        values[rows] = view.values
+        again = view.with_values(values)
+        yield Repair("interchanged-rows", tuple(range(len(rows))), again)
 
 
 def _single_factors(view: View, rows: Rows) -> tuple[list[Repair], int]:

@@ -100,3 +100,31 @@ def test_travel_is_the_shortest_of_all_orders():
         assert sorted(map(tuple, ordered)) == sorted(map(tuple, up))
     # five quarter turns visit the faces
     assert travel_deg(read_scheme("faces-6", order="travel").up) == pytest.approx(450.0)
+
+
+def readings_of(scheme, seed=1, **columns):
+    noise = 2e-4 * np.random.default_rng(seed).standard_normal(scheme.up.shape)
+    values = scheme.up * [1.01, 0.99, 1.0] + [0.01, 0.02, -0.03] + noise
+    return dict(zip(("ax", "ay", "az"), values.T, strict=True)) | columns
+
+
+@pytest.mark.parametrize("name", ["fibonacci-24", "faces-corners-14", "icosahedron-12", "all-26"])
+def test_rows_that_were_laid_out_against_drift_are_recognised(name):
+    readings = readings_of(read_scheme(name, order="spread"))
+    (found,) = [each for each in mp.fit(readings, scheme=name).findings if each.level == "error"]
+    assert (found.code, found.action) == ("interchanged-rows", "Fit with --order spread.")
+    followed = mp.fit(readings, scheme=name, order="spread")
+    assert not [each for each in followed.findings if each.level == "error"]
+    assert followed.rms < 1e-3
+
+
+def test_a_note_says_what_of_a_drift_the_order_absorbs():
+    """Rows with a time: the spiral takes all of a drift, the default order next to nothing."""
+    said = {}
+    for order in ("paper", "spread"):
+        readings = readings_of(read_scheme("fibonacci-24", order=order), time=60.0 * np.arange(24))
+        found = mp.fit(readings, scheme="fibonacci-24", order=order).findings
+        said[order] = [each for each in found if each.code == "drift-absorbed"]
+    assert "100 %" in said["paper"][0].text
+    assert said["paper"][0].level == "note"
+    assert not said["spread"]

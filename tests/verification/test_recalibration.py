@@ -113,3 +113,11 @@ def test_calibrations_of_one_day_have_no_rate(files):
     assert_allclose(
         [each.En for each in found.changes], [abs(c.change) / c.U for c in found.changes]
     )
+
+
+def test_a_change_beyond_its_limit_is_a_negative_verdict(files, capsys):
+    paths = files(calibration("2024-01-01"), calibration("2026-01-01", 0.0106, 2))
+    assert cli.main(["compare", *paths, "--limits", "bias=0.1mg", "--json"]) == 3
+    changes = json.loads(capsys.readouterr().out)["changes"]
+    assert [each["name"] for each in changes if each["within"] is False] == ["bias_ax"]
+    assert cli.main(["compare", *paths, "--limits", "bias=1mg"]) == 0
