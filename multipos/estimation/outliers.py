@@ -44,6 +44,8 @@ from multipos.sensor.model import Model
 _LINEAR = frozenset(("1", *COMPONENTS))
 _ALIKE = 1.2  # ratio of standard deviations up to which rows are taken as equally noisy
 _STEP = 3.0  # times the resolution that a row is off at least
+_LEVEL = 0.0075  # α, so that noise which eq. (2) makes a little unequal names 1 % at most
+_GAP = 4.0  # times the largest residual of the others, where there are several outliers
 _STARTS = 60  # at most, and fewer where so many have one without outliers but for .5 %
 _MISSED = 0.005
 _STEPS, _LAST = 2, 8  # of concentration, of every start and of the best ones
@@ -294,7 +296,9 @@ def find_outliers(views: Sequence[View]) -> Places:
         rank = np.argsort(np.argsort(-far, kind="stable"))
         sets = rank >= np.array(counts)[:, None]
         for kept, beyond in zip(sets, _whole_is_beyond(view, sets, most), strict=True):
-            if beyond and all(_parts_are_beyond(each, kept, most) for each in views):
+            if beyond and all(
+                _parts_are_beyond(each, kept, most) and _stand_apart(each, kept) for each in views
+            ):
                 return np.flatnonzero(~kept)
     return np.zeros(0, dtype=np.intp)
 
@@ -384,6 +388,15 @@ def _parts_are_beyond(view: View, kept: Mask, most: int) -> bool:
     return True
 
 
+def _stand_apart(view: View, kept: Mask) -> bool:
+    """Tell whether rows that are not kept are apart from all others; one alone may be near.
+
+    A third of rows that are ten times noisier has its smaller errors among those of the others.
+    """
+    far = _distances(view, kept[None])[0]
+    return bool(np.sum(~kept) == 1 or far[~kept].min() > _GAP**2 * far[kept].max())
+
+
 def _is_beyond(view: View, x: Array, i: int, j: int, most: int) -> bool:
     """Tell whether x (M,) of eq. (1) is beyond chance."""
     dof = [part.dof for part in view for _ in range(part.values.shape[1])]
@@ -392,7 +405,7 @@ def _is_beyond(view: View, x: Array, i: int, j: int, most: int) -> bool:
         for each, nu in zip(x.tolist(), dof, strict=True)
     ]
     chances = math.log(len(dof)) + _log_choices(len(view[0].values) - j, i - j)
-    return min(logs) + chances <= math.log(OUTLIER_LEVEL / most)
+    return min(logs) + chances <= math.log(_LEVEL / most)
 
 
 def _added(view: View, kept: Mask, out: int) -> Mask:
