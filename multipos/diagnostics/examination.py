@@ -54,11 +54,15 @@ OF_RESIDUALS: tuple[Question, ...] = (
     time_correlated,
 )
 # What a finding explains is not said beside it: rows alike because of a soak are no drift.
+_BY_ROWS = ("denied-noise", "placement", "unequal-noise")
 _EXPLAINED = {
-    "zero-per-soak": "time-correlated",
-    "missing-term": "time-correlated",
-    "no-redundancy": "no-dof",
-    "no-signal": "convention",
+    "zero-per-soak": ("time-correlated",),
+    "missing-term": ("time-correlated",),
+    "no-redundancy": ("no-dof",),
+    "no-residuals": ("no-dof",),
+    "no-signal": ("convention",),
+    "outlier": _BY_ROWS,
+    "flipped-row": _BY_ROWS,
 }
 
 
@@ -78,7 +82,7 @@ def examine(calibration: Calibration) -> Calibration:
         found += _answers(OF_RESIDUALS, calibration)
     before = calibration.diagnostics
     every = (*found, *before.findings)
-    explained_too = {_EXPLAINED.get(each.code) for each in every}
+    explained_too = {code for each in every for code in _EXPLAINED.get(each.code, ())}
     findings = in_order(each for each in every if each.code not in explained_too)
     return replace(calibration, diagnostics=replace(before, findings=findings))
 

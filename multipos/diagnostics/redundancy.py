@@ -48,7 +48,8 @@ def no_redundancy(c: Calibration) -> Finding | None:
                 "no-residuals",
                 "error",
                 f"{n} positions for as many parameters: nothing contradicts the fit, and {noise} "
-                f"moves {name} by {100.0 * moved:.2g} % of one g; add positions that differ more",
+                f"moves {name} by {100.0 * moved:.2g} % of one g",
+                "Add positions that differ more.",
             )
         return Finding(
             "no-redundancy",

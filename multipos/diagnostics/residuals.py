@@ -113,8 +113,8 @@ def _outlying(c: Calibration, found: Outlying) -> Finding:
         return Finding(
             "flipped-row",
             "error" if gross else "warning",
-            f"{cells} has the other sign: with it turned the residuals agree; correct the sign, or "
-            f"set the position aside with --exclude {named}",
+            f"{cells} has the other sign: with it turned the residuals agree",
+            f"Correct the sign, or set aside with --exclude {named}.",
             rows=tuple(dict.fromkeys(labels)),
             outputs=tuple(dict.fromkeys(output for _, output in lost)),
         )
@@ -122,8 +122,8 @@ def _outlying(c: Calibration, found: Outlying) -> Finding:
     return Finding(
         "outlier",
         "error" if gross else "warning",
-        f"{said} off the fit of the others{lower}; measure again, or set aside with "
-        f"--exclude {named}",
+        f"{said} off the fit of the others{lower}",
+        f"Measure again, or set aside with --exclude {named}.",
         rows=tuple(dict.fromkeys(labels)),
     )
 

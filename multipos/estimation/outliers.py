@@ -29,19 +29,21 @@ References
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array, Places, resolution
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.terms import COMPONENTS, Term, kind_terms
 from multipos.positions.readings import Readings, diagonal
 from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_TOLD, p_values
 from multipos.sensor.model import Model
 
 _LINEAR = frozenset(("1", *COMPONENTS))
+_KINDS = ("own^2", "own^3", "own*|own|", "own*other")  # terms that may be what sticks out
+_NEARLY = 4.0  # times the variance that is left without the rows
 _ALIKE = 1.2  # ratio of standard deviations up to which rows are taken as equally noisy
 _STEP = 3.0  # times the resolution that a row is off at least
 _LEVEL = 0.0075  # α, so that noise which eq. (2) makes a little unequal names 1 % at most
@@ -138,6 +140,18 @@ def _off_line(
         kept = _without(rows, len(y))
     if not len(rows):
         return None
+    variables = {axis: reference[:, i] for i, axis in enumerate(COMPONENTS)}
+
+    def with_terms(kind: str) -> list[Array]:
+        """Return the designs with the terms of a kind."""
+        return [
+            np.column_stack([X, *_columns(kind_terms(kind, axis, model.inputs), variables)])
+            for X, axis in zip(designs, model.axes, strict=True)
+        ]
+
+    each = tuple(view_of([X], y[:, [m]])[0] for m, X in enumerate(designs))
+    if _is_explained(each, kept, y, map(with_terms, _KINDS)):
+        return None
     left, response = fitted(kept)
     least = [_STEP * resolution(each) for each in y.T]
     rows = rows[(np.abs(left[rows]) > least).any(axis=1)]
@@ -171,9 +185,18 @@ def _off_ellipsoid(model: Model, readings: Readings, variance: Array | None) -> 
         variance = along[:, None]
     views = _views([X], square[:, None], variance)
     rows = find_outliers(views)
-    if not len(rows):
-        return None
     kept = _without(rows, len(x))
+
+    def with_terms(kind: str) -> list[Array]:
+        """Return the design with the terms of a kind, of all outputs."""
+        found = [X]
+        for axis in model.axes:
+            terms = _columns(kind_terms(kind, axis, model.inputs), variables)
+            found += [force[:, COMPONENTS.index(axis)] * each for each in terms]
+        return [np.column_stack(found)]
+
+    if not len(rows) or _is_explained(views[-1], kept, square[:, None], map(with_terms, _KINDS)):
+        return None
     c = np.linalg.lstsq(X[kept], square[kept], rcond=None)[0]
     form = np.diag([1.0 - c[0], 1.0 - c[1], 1.0 + c[0] + c[1]])
     if crossed:
@@ -183,6 +206,36 @@ def _off_ellipsoid(model: Model, readings: Readings, variance: Array | None) -> 
     step = max(resolution(each) / s for each, s in zip(readings.values.T, size, strict=True))
     rows, off = rows[off > _STEP * step], off[off > _STEP * step]
     return _outlying(views[-1], rows, off, None, kept)
+
+
+def _columns(terms: Iterable[Term], variables: Mapping[str, Array]) -> list[Array]:
+    return [np.asarray(term.evaluate(variables)) for term in terms]
+
+
+def _is_explained(
+    view: "View", kept: Mask, values: Array, others: Iterable[Sequence[Array]]
+) -> bool:
+    """Tell whether terms that the model lacks explain what rows set aside would, or nearly.
+
+    Parameters
+    ----------
+    view : View
+        Unweighted, with the terms of the model; each output a part, in order.
+    kept : (n,) array of bool
+    values : (n, M) array
+    others : designs of all outputs, with the terms of a kind beside those of the model
+    """
+    out = int(np.sum(~kept))
+    dof = np.array([part.dof for part in view for _ in range(part.values.shape[1])])
+    left = _squares(view, kept[None])[0] / (dof - out)
+    for designs in others:
+        parts = [view_of([X], values[:, [m]])[0] for m, X in enumerate(designs)]
+        if min(part.dof for part in parts) > 1 and all(
+            float(np.sum(part.values**2)) / part.dof < _NEARLY * least
+            for part, least in zip(parts, left.tolist(), strict=True)
+        ):
+            return True
+    return False
 
 
 def _without(rows: Places, n: int) -> Mask:
@@ -275,7 +328,9 @@ def view_of(designs: Sequence[Array], values: Array, variance: Array | None = No
         if variance is not None:
             root = np.sqrt(variance[:, members[:1]])
             X, y = X / root, y / root
-        left, sizes, _ = np.linalg.svd(X / np.linalg.norm(X, axis=0), full_matrices=False)
+        length = np.linalg.norm(X, axis=0)
+        X = X / np.where(length > 0.0, length, 1.0)
+        left, sizes, _ = np.linalg.svd(X, full_matrices=False)
         Q = left[:, sizes > _SINGULAR * sizes[0]]
         least = (_ROUNDING * np.abs(y).max(axis=0)) ** 2
         parts.append(Part(Q, y - Q @ (Q.T @ y), least))

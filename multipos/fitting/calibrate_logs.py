@@ -243,10 +243,10 @@ def fit_rests(
             stated = {} if budget is None else read_budget(budget).tables
             text = (
                 f"{len(readings)} rests cannot carry cross terms: bias and scale factor of each "
-                "output are fitted, and U allows for cross terms of 1 %; nine rests, edges and "
-                "corners among them, would show them"
+                "output are fitted, and U allows for cross terms of 1 %"
             )
-            reduced = Finding("reduced-model", "warning", text)
+            action = "Record nine rests or more, edges and corners among them, to fit cross terms."
+            reduced = Finding("reduced-model", "warning", text, action)
             noted = replace(readings, findings=(*readings.findings, reduced))
             return fitted(noted, "1 + own", {"cross": {"u": _CROSS}, **stated})
         if unknown_orientation or not assumed:

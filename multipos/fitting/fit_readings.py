@@ -406,8 +406,8 @@ def with_excluded(
     excluded = tuple(Excluded(label, each, "g") for label, each in pairs)
     calibration = replace(calibration, excluded=excluded)
     found = calibration.diagnostics
-    text = f"{calibration.set_aside}; --exclude none keeps them"
-    note = Finding("excluded", "note", text, rows=tuple(each.label for each in excluded))
+    labels = tuple(each.label for each in excluded)
+    note = Finding("excluded", "note", calibration.set_aside, rows=labels)
     return replace(calibration, diagnostics=replace(found, findings=(*found.findings, note)))
 
 

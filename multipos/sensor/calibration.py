@@ -44,6 +44,8 @@ from multipos.sensor.gravity import Gravity
 from multipos.sensor.inverse import Nominal
 from multipos.sensor.model import Model, paper_symbol
 
+_SHOWN = 6  # rows set aside that a sentence names
+
 
 class Parameter(NamedTuple):
     """One parameter with its uncertainty; U = k u at the calibration's confidence."""
@@ -244,8 +246,11 @@ class Calibration(Result, Drawn):
         if not self.excluded:
             return ""
         off = ", ".join(
-            f"{each.label} ({number(1e3 * each.off, 3)} m{each.unit})" for each in self.excluded
+            f"{each.label} ({number(1e3 * each.off, 3)} m{each.unit})"
+            for each in self.excluded[:_SHOWN]
         )
+        if len(self.excluded) > _SHOWN:
+            off += f" and {len(self.excluded) - _SHOWN} more"
         rows = "positions" if self.readings.samples is None else "rests"
         count = len(self.excluded)
         return f"{count} of {count + len(self.readings)} {rows} set aside: {off}"

@@ -89,9 +89,9 @@ def test_poses_near_one_direction_that_nothing_contradicts_are_no_result():
         values = [0.01, -0.02, 0.03] + at * [1.012, 0.991, 1.008]
         values += 1e-4 * rng.standard_normal((9, 3))
         cal = mp.fit(mp.Readings(values, unit="g"), unknown_orientation=True)
-        found[name] = cal.diagnostics.doubts[0]
-    assert (found["near"].code, found["near"].implausible) == ("no-residuals", True)
-    assert (found["spread"].code, found["spread"].implausible) == ("no-redundancy", False)
+        found[name] = cal.findings[0]
+    assert (found["near"].code, found["near"].level) == ("no-residuals", "error")
+    assert (found["spread"].code, found["spread"].level) == ("no-redundancy", "warning")
 
 
 def test_a_robust_fit_of_six_faces_is_refused():
