@@ -56,6 +56,7 @@ def add_fit_options(parser: argparse.ArgumentParser, exclude: str | None = "none
             metavar="LABELS|auto|none",
             help="set positions aside, by label, or outliers (auto), or none; default %(default)s",
         )
+    add("--drift", action="store_true", help="fit a drift of the session, left out by apply")
     add(
         "--reading-sd",
         type=numbers,

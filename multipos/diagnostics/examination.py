@@ -17,6 +17,7 @@ from multipos.diagnostics.columns import (
     saturated,
     temperature_kelvin,
 )
+from multipos.diagnostics.competition import compete
 from multipos.diagnostics.model_error import hidden_terms, missing_term, zero_per_soak
 from multipos.diagnostics.redundancy import drift_absorbed, hardly_told, no_redundancy
 from multipos.diagnostics.residuals import (
@@ -24,8 +25,8 @@ from multipos.diagnostics.residuals import (
     lack_of_fit,
     outlier,
     placement,
-    time_correlated,
     unequal_noise,
+    worth_fewer,
 )
 from multipos.diagnostics.scales import gravity
 from multipos.diagnostics.score_tests import judge_model
@@ -51,13 +52,12 @@ OF_RESIDUALS: tuple[Question, ...] = (
     denied_noise,
     placement,
     unequal_noise,
-    time_correlated,
+    worth_fewer,
 )
 # What a finding explains is not said beside it: rows alike because of a soak are no drift.
 _BY_ROWS = ("denied-noise", "placement", "unequal-noise")
 _EXPLAINED = {
     "zero-per-soak": ("time-correlated",),
-    "missing-term": ("time-correlated",),
     "no-redundancy": ("no-dof",),
     "no-residuals": ("no-dof",),
     "no-signal": ("convention",),
@@ -79,7 +79,7 @@ def examine(calibration: Calibration) -> Calibration:
         found += explained(calibration)
     found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
     if not errors_of(found):
-        found += _answers(OF_RESIDUALS, calibration)
+        found += compete(calibration, _answers(OF_RESIDUALS, calibration))
     before = calibration.diagnostics
     every = (*found, *before.findings)
     explained_too = {code for each in every for code in _EXPLAINED.get(each.code, ())}

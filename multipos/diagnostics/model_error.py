@@ -25,18 +25,22 @@ two causes a zero of its own for each soak explains the other, so it is asked fi
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.diagnostics.projections import Kind, formula_with, lacking, left_of, seen_rows
 from multipos.diagnostics.score_tests import judge_model, significant
+from multipos.errors import RankError
+from multipos.estimation.known import solve_known
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import ModelTest
+from multipos.sensor.found import Estimator
 from multipos.uncertainty.validity import unseen_sizes
 
 COLUMN = "temperature"
@@ -127,6 +131,8 @@ def _columns(kinds: list[Kind], output: int, c: Calibration) -> Array:
 
 
 _MOST = 3  # terms named
+_LARGEST = 0.05  # of the scale factor, that a term of force may be
+_ALONE = 1e-6  # of 1 − leverage, where a row alone fixes a parameter
 _AS_GOOD = 6.6  # of twice the logarithm of the likelihood: the 99 % point of chi² on one degree
 
 
@@ -135,6 +141,7 @@ def missing_term(c: Calibration) -> Finding | None:
     best = significant(c.diagnostics.model_tests)
     if any(test.term.startswith(COLUMN) for test in best) and zero_per_soak(c) is not None:
         best = tuple(test for test in best if not test.term.startswith(COLUMN))
+    best = tuple(test for test in best if _is_admissible(c, (test.term,)))
     if not best:
         return None
     named, first = _named(c, best), best[0]
@@ -186,10 +193,46 @@ def _named(c: Calibration, best: Sequence[ModelTest]) -> tuple[str, ...]:
     named: tuple[str, ...] = (best[0].term,)
     while len(named) < _MOST:
         more = significant(judge_model(c, named).tests)
-        if not more:
+        if not more or not _is_admissible(c, (*named, more[0].term)):
             break
         named = (*named, more[0].term)
     return named
+
+
+def _is_admissible(c: Calibration, named: tuple[str, ...]) -> bool:
+    """Tell whether a sensor can have these terms, and the fit with them is better for it.
+
+    They are fitted: positions show them, no coefficient of force is beyond what sensors have, and
+    the errors at rows that are left out are smaller.
+    """
+    if any(name in c.diagnostics.hidden for name in named):
+        return False
+    if c.estimator is not Estimator.LINEAR or isinstance(c.model, ExpressionModel):
+        return True
+    if c.robust_weight is not None:
+        return True
+    kinds = [kind for kind in lacking(c) if kind.name in named]
+    more = [tuple(t for kind in kinds for t in kind.terms[i]) for i in range(len(c.outputs))]
+    terms = tuple((*own, *new) for own, new in zip(c.model.terms, more, strict=True))
+    wider = replace(c.model, terms=terms)
+    try:
+        found = solve_known(wider, c.reference, c.readings)
+    except RankError:
+        return False
+    response = np.linalg.norm(c.sensitivity, axis=1)
+    for part, new, size in zip(wider.slices, more, response.tolist(), strict=True):
+        coefficients = found.parameters[part.stop - len(new) : part.stop].tolist()
+        pairs = zip(new, coefficients, strict=True)
+        if any(abs(value) > _LARGEST * size for term, value in pairs if not term.environment):
+            return False
+    before = _left_out(c.residuals, c.diagnostics.leverage)
+    after = _left_out(found.residuals, found.leverage)
+    return bool(np.sum(after / np.where(before > 0.0, before, 1.0)) < len(before))
+
+
+def _left_out(residuals: Array, leverage: Array) -> Array:
+    """Return the sum of squares (M,) of the errors at rows that are left out one by one."""
+    return np.asarray(np.sum((residuals / np.maximum(1.0 - leverage, _ALONE)) ** 2, axis=0))
 
 
 def _way_out(c: Calibration, named: tuple[str, ...]) -> str:

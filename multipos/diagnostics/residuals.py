@@ -1,10 +1,8 @@
 """Cautions about what the residuals show, of readings that are no absurdity.
 
 - Repeats scatter less than the model misses their means (lack of fit, an F test of the fit).
-- Residuals are alike from row to row though the positions are not: something drifted. With the
-  pooled lag-one product c = sum e_k e_k+1 / sum e², its mean under white noise
-  tr(S(I − H))/(n − r),
-  S the lag by one and H the hat matrix, and its variance nearly 1/(M (n − r)).
+- Rows whose correlation U follows from are worth fewer. What else residuals show in the order of
+  their rows stands in `multipos.diagnostics.row_order`.
 
 Cautions about what was stated of readings and positions, with the cause that the data prefer
 (`multipos.diagnostics.noise_causes`). A missing term comes before all of them: it has its own test,
@@ -23,7 +21,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.diagnostics.columns import repeated_rows
 from multipos.diagnostics.noise_causes import (
@@ -43,19 +40,15 @@ from multipos.estimation.known import DENIED
 from multipos.estimation.likelihood import weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array, median, resolution
+from multipos.numerics.arrays import Array, resolution
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import diagonal
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
-from multipos.sensor.model import Model
 
 _LEVEL = 0.01  # at which repeats deny the model, all outputs together
-_DRIFTS = 3.7  # standard deviations, one in ten thousand
-_FEWEST = 12  # positions that show a drift
-_APART = 60.0  # [deg] from one position to the next, so that order and direction are two things
 _ROUNDING = 1e-12  # of a response: residuals that are nothing
 _SHOWN = 4
 _GROSS = 100.0  # times that residuals are smaller without rows that nobody should use
@@ -169,55 +162,9 @@ def lack_of_fit(c: Calibration) -> Finding | None:
     )
 
 
-def time_correlated(c: Calibration) -> Finding | None:
-    """Find rows that are worth fewer, and residuals alike where the positions are not."""
-    if c.effective_rows:
-        return _worth_fewer(c, c.effective_rows)
-    if not c.estimator.exact:
-        return None
-    phi = c.model.basis(c.reference, c.readings.environment)
-    if not are_correlated_in_order(c.residuals.T[:, None], phi, c.model, c.reference)[0]:
-        return None
-    return Finding(
-        "time-correlated",
-        "warning",
-        "residuals are alike from one row to the next though the positions are not: something "
-        "drifted while it was measured, and U is too small; take the positions in random order, "
-        "or fit a term of time or temperature",
-    )
-
-
-def are_correlated_in_order(
-    residuals: Array, basis: Array, model: Model, reference: Array
-) -> NDArray[np.bool_]:
-    """Return of which units (B,) residuals of neighbouring rows are alike, positions are not.
-
-    Parameters
-    ----------
-    residuals : (M, B, n) array
-        Of a fit at known positions.
-    basis : (n, T) array
-        Columns of the model.
-    model : Model
-    reference : (n, 3) array [g]
-    """
-    outputs, count, n = residuals.shape
-    terms = min(map(len, model.terms))
-    left = n - terms
-    found = np.zeros(count, dtype=np.bool_)
-    if n < _FEWEST or not left:
-        return found
-    square = np.einsum("mbn,mbn->mb", residuals, residuals)
-    lagged = np.einsum("mbn,mbn->mb", residuals[..., 1:], residuals[..., :-1])
-    whole = (square > 0.0).all(axis=0)
-    product = (lagged / np.where(square > 0.0, square, 1.0)).sum(axis=0) / outputs
-    enough = _DRIFTS / math.sqrt(outputs * left)
-    likely = whole & (product + terms / left >= enough)  # -tr(SH) is no more than tr H
-    if not likely.any() or float(median(_angles_between(reference))) < _APART:
-        return found
-    Q = np.linalg.svd(basis, full_matrices=False)[0][:, :terms]
-    expected = -float(np.sum(Q[1:] * Q[:-1])) / left
-    return np.asarray(likely & (product - expected >= enough))
+def worth_fewer(c: Calibration) -> Finding | None:
+    """Find rows that are worth fewer, of whose correlation U follows."""
+    return _worth_fewer(c, c.effective_rows) if c.effective_rows else None
 
 
 def _worth_fewer(c: Calibration, effective: Mapping[str, float]) -> Finding:
@@ -233,14 +180,6 @@ def _worth_fewer(c: Calibration, effective: Mapping[str, float]) -> Finding:
         "random order",
         outputs=tuple(fewer),
     )
-
-
-def _angles_between(reference: Array) -> Array:
-    """Return the angles [degrees] from each position (n, 3) to the next (n − 1,)."""
-    size = np.linalg.norm(reference, axis=1, keepdims=True)
-    unit = reference / np.where(size > 0.0, size, 1.0)
-    cosines = np.sum(unit[1:] * unit[:-1], axis=1)
-    return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))
 
 
 _FEW = 6.0  # degrees of freedom below which the law of eq. (1) is not reached
@@ -270,7 +209,7 @@ def placement(c: Calibration) -> Finding | None:
     """Find readings that scatter across the force, as placement makes them."""
     if c.noise is not None or not _separable(c) or significant(c.diagnostics.model_tests):
         return None
-    of = _residuals_of(c)
+    of = residuals_of(c)
     if not across_the_force(of)[0]:
         return None
     degrees = _orientation_error(explain_equal(of), explain_orientations(of))
@@ -322,7 +261,7 @@ def _cause_at_known(c: Calibration) -> str:
     plain = c.readings.noise is not None and c.readings.noise.ndim == 1 and c.robust_weight is None
     if not plain or isinstance(c.model, ExpressionModel):
         return scatter
-    of = _residuals_of(c)
+    of = residuals_of(c)
     equal, unequal = explain_equal(of), explain_unequal(of)
     degrees, contrasts = None, 1
     if _separable(c):
@@ -342,7 +281,7 @@ def _cause_at_known(c: Calibration) -> str:
     return scatter
 
 
-def _residuals_of(c: Calibration) -> Residuals:
+def residuals_of(c: Calibration) -> Residuals:
     """Return the residuals of a calibration at known positions, as a batch of one."""
     stated = np.zeros_like(c.residuals)
     if c.readings.noise is not None:

@@ -26,13 +26,24 @@ the degrees of freedom that its tails have. The effective number of rows is what
 
 p_g the probabilities of the nodes, r_g the variance of a row.
 
+Rows that a column `time` puts in order are few, and U must not wait until they show what is beyond
+chance. Noise is then taken as e_k = ρ e_k−1 + w_k in every output, with one ρ of a flat prior from
+−1 to 1, whose restricted likelihood over all outputs i of ν_i degrees of freedom is
+
+    p(ρ) ∝ Π_i |R|^−½ |X_i'R⁻¹X_i|^−½ s_i^−ν_i,    R_jk = ρ^|j − k|,                        (5)
+
+s_i² by the rows whitened by R, and U is half the interval that holds 95 % of the mixture over ρ of
+Student's t with the variances (3) and ν_i degrees of freedom, never less than that of independent
+rows. Healthy sets pay for that with 1.2 of their U at 12 known rows, 1.08 at 24 and 1.04 at 48;
+with ρ = .9 U covers 96 to 98 % where that of independent rows covers 84, 67 and 66 %.
+
 Sources: D. M. Cooper, R. Thompson, Biometrika 64, 1977 (the restricted likelihood of (2));
 G. V. Bayley, J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (4).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import log, sqrt
+from math import inf, log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +52,7 @@ from multipos.estimation.posteriors import Posterior
 from multipos.estimation.problem import Solution
 from multipos.numerics.arrays import Array, Places, row_keys
 from multipos.numerics.factoring import cofactors_of
-from multipos.numerics.quantiles import coverage_factor, coverage_factors, normal_quantile
+from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf, normal_quantile
 from multipos.numerics.series import recur
 from multipos.positions.orientations import Placement
 from multipos.positions.readings import Readings
@@ -50,6 +61,10 @@ from multipos.sensor.found import Estimator, VarianceComponents, add_scatter
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
 
+_TIME = "time"  # the column
+_FEWEST_IN_TIME = 8  # rows in order of time
+_DENSE = 120  # rows in order of time, from which on eq. (1) is asked
+_CURVE = 2.0  # nodes of 1 − ρ are even in its root
 _FEWEST = 40  # rows of which any law can be told
 _FEWEST_UNKNOWN = 100  # where no position repeats that tells noise from model
 _LEVEL = 0.01  # at which rows are taken as correlated
@@ -58,6 +73,9 @@ _NODES = 12  # of ρ
 _LONGEST = 0.4  # 1 − ρ of the last of them, over 1/n
 _SHARES = (0.0, 0.4, 0.7, 0.85, 0.93, 0.97, 0.99)  # θ/ρ: even in what white noise adds
 _ROWS = 20_000  # more are taken as means of neighbours
+_FAINT = 0.2  # of ρ, below which rows are as good as independent
+_STEPS = 40  # of a search for U in logarithms
+_NEAR = 1e-9
 _COVERAGE = 0.95  # that of `posteriors`
 _ROUNDING = 1e-12  # of the largest reading, below which a residual is nothing
 
@@ -68,7 +86,7 @@ class _Worth:
 
     ratio: Array  # (p,) of U over that of independent rows
     dof: float
-    rows: float  # of eq. (4)
+    rows: float | None  # of eq. (4); None where they may be independent
 
 
 def spread_correlation(
@@ -80,20 +98,36 @@ def spread_correlation(
     row, along the force. Left as they are: fits that are robust, expressions, readings whose
     covariance is given or that have other columns beside them, positions that are only uncertain.
     """
+    order = None if isinstance(solution.model, ExpressionModel) else order_in_time(readings)
     asked = are_asked(solution.model, readings, solution.reference, estimator)
-    if solution.robust_weight is not None or not asked:
+    if solution.robust_weight is not None or (order is None and not asked):
         return solution
+    if estimator is Estimator.LINEAR and order is not None:
+        return _known_in_time(solution, readings, order)
     if estimator is Estimator.LINEAR:
         return _at_known(solution, readings)
     loose = np.isinf(placement.orientation_sd).all() and not placement.listed.any()
-    return _at_unknown(solution, readings) if loose and placement.rolls is None else solution
+    if estimator is not Estimator.UNKNOWN or not loose or placement.rolls is not None:
+        return solution
+    return _unknown(solution, readings, order)
+
+
+def order_in_time(readings: Readings) -> NDArray[np.intp] | None:
+    """Return the rows (n,) in order of their column `time`, of few; None where it gives none."""
+    time = readings.environment.get(_TIME)
+    few = _FEWEST_IN_TIME <= len(readings) <= _DENSE
+    if time is None or not few or readings.covariance is not None or not np.isfinite(time).all():
+        return None
+    order = np.argsort(time, kind="stable")
+    return order if (np.diff(time[order]) > 0.0).all() else None
 
 
 def are_asked(model: Model, readings: Readings, reference: Array, estimator: Estimator) -> bool:
     """Tell whether rows at some forces (n, 3) [g] can show whether they are correlated."""
     if isinstance(model, ExpressionModel) or readings.covariance is not None:
         return False
-    if readings.environment:  # what wanders with a column is for the model, and its tests, to say
+    # what wanders with a column is for the model, and its tests, to say
+    if set(readings.environment) - {_TIME, "approach"}:
         return False
     if estimator is Estimator.LINEAR:
         many = len(reference) >= _FEWEST
@@ -151,7 +185,26 @@ def _are_correlated(error: Array, quiet: Array, place: Places) -> NDArray[np.boo
     return np.asarray((np.abs(scatter).max(axis=1) > quiet) & beyond)
 
 
-def _at_unknown(solution: Solution, readings: Readings) -> Solution:
+def _known_in_time(solution: Solution, readings: Readings, order: NDArray[np.intp]) -> Solution:
+    """Judge rows in order of time by eq. (5), outputs together."""
+    model, sd = solution.model, _sd(solution, readings)[order]
+    phi = model.basis(solution.reference, readings.environment)[order]
+    error = solution.residuals[order] / sd
+    quiet = _ROUNDING * np.abs(readings.values).max(axis=0)
+    if (
+        len(order) - max(map(len, model.terms)) < 2
+        or not (np.abs(solution.residuals).max(axis=0) > quiet).all()
+    ):
+        return solution
+    designs = [phi[:, columns] / sd[:, [i]] for i, columns in enumerate(model.columns)]
+    worth = _judge_in_time(designs, list(error.T), None)
+    found = [
+        ((i,), part, each) for i, (part, each) in enumerate(zip(model.slices, worth, strict=True))
+    ]
+    return _with(solution, found)
+
+
+def _unknown(solution: Solution, readings: Readings, order: NDArray[np.intp] | None) -> Solution:
     """Judge the misfit along the force: n'e with M'n = f, M the slopes of the outputs."""
     n, model = len(readings), solution.model
     degrees = float(n - len(solution.parameters))
@@ -160,15 +213,24 @@ def _at_unknown(solution: Solution, readings: Readings) -> Solution:
     # M'⁻¹ f but for its length, which a slope of nothing leaves defined
     across = cofactors_of(slopes.transpose(1, 2, 0))
     normal = np.einsum("mkn,nk->nm", across, force)
-    sd = np.sqrt(np.sum((normal * _sd(solution, readings)) ** 2, axis=1))
+    whitened = normal * _sd(solution, readings)
+    sd = np.sqrt(np.einsum("nm,nm->n", whitened, whitened))
     quiet = np.abs(solution.residuals).max() <= _ROUNDING * np.abs(readings.values).max()
-    if quiet or not (sd > 0.0).all():
+    if quiet or not (sd > 0.0).all() or degrees < 2.0:
         return solution
     error = np.sum(normal * solution.residuals, axis=1) / sd
-    if not _are_beyond_chance(error[None], np.zeros(n, dtype=np.intp), degrees)[0]:
+    if (
+        order is None
+        and not _are_beyond_chance(error[None], np.zeros(n, dtype=np.intp), degrees)[0]
+    ):
         return solution
     jacobian = parameter_jacobian(model, solution.parameters, force, readings.environment)
-    worth = _judge(np.einsum("nm,nmp->np", normal / sd[:, None], jacobian), error)
+    design = np.einsum("nm,nmp->np", normal / sd[:, None], jacobian)
+    if order is None:
+        worth = _judge(design, error)
+    else:
+        along = (whitened / sd[:, None])[order]
+        (worth,) = _judge_in_time([design[order]], [error[order]], along @ along.T)
     return _with(solution, [(tuple(range(len(model.outputs))), slice(None), worth)])
 
 
@@ -193,15 +255,18 @@ def _with(solution: Solution, found: Sequence[tuple[tuple[int, ...], slice, _Wor
         before = coverage_factors(_COVERAGE, own[members])
         own[members] = np.minimum(own[members], worth.dof)
         ratio[members] = worth.ratio * before / coverage_factors(_COVERAGE, own[members])
-        effective |= {outputs[i]: worth.rows for i in judged}
-    components = solution.variance_components or VarianceComponents()
+        if worth.rows is not None:
+            effective |= {outputs[i]: worth.rows for i in judged}
+    components = solution.variance_components
+    if any(worth.rows is not None for *_, worth in found):
+        components = replace(components or VarianceComponents(), effective_rows=effective)
     return replace(
         solution,
         covariance=solution.covariance * np.outer(ratio, ratio),
         inflation=solution.inflation * ratio,
         parameter_dof=own,
         dof=dof,
-        variance_components=replace(components, effective_rows=effective),
+        variance_components=components,
     )
 
 
@@ -227,6 +292,91 @@ def _judge(design: Array, error: Array) -> _Worth:
         dof=min(float(mixture.shape[0]), float(n - p)),
         rows=min(effective, float(n)),
     )
+
+
+def _judge_in_time(designs: list[Array], errors: list[Array], alike: Array | None) -> list[_Worth]:
+    """Return what rows in order of time are worth by eq. (5), for every output."""
+    ratios, rows = spread_in_time(designs, [error[None] for error in errors], alike)
+    n = len(errors[0])
+    effective = float(rows[0]) if rows[0] < n else None
+    return [_Worth(ratio[0], inf, effective) for ratio in ratios]
+
+
+def spread_in_time(
+    designs: Sequence[Array], errors: Sequence[Array], alike: Array | None = None
+) -> tuple[list[Array], Array]:
+    """Return by how much U of B units is longer than that of independent rows, by eq. (5).
+
+    Parameters
+    ----------
+    designs : sequence of (n, p) arrays
+        Of each output or part of readings, rows in order of time and of equal variance.
+    errors : sequence of (B, n) arrays
+    alike : (n, n) array, optional
+        By how much rows have the same noise in them; wholly if not given.
+
+    Returns
+    -------
+    ratios : list of (B, p) arrays
+    rows : (B,) array
+        What a mean is worth; n where rows may be independent.
+    """
+    count, n = errors[0].shape
+    low = (_LONGEST / n) ** (1.0 / _CURVE)
+    x = low + (1.0 - low) * (np.arange(_NODES) + 0.5) / _NODES
+    below = _NODES // 2
+    rho = np.concatenate([1.0 - x**_CURVE, -(np.arange(below) + 0.5) / below])
+    prior = np.concatenate([x / x.sum(), np.full(below, 1.0 / below)])
+    gap = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    power = rho[:, None, None] ** gap
+    R = power if alike is None else power * alike
+    L = np.linalg.cholesky(R)
+    determinants = np.log(np.einsum("gnn->gn", L)).sum(axis=1)
+    inverse = np.linalg.inv(L)
+    log, parts = np.broadcast_to(np.log(prior), (count, len(rho))), []
+    for X, e in zip(designs, errors, strict=True):
+        nu = float(n - X.shape[1])
+        Q, T = np.linalg.qr(inverse @ X)
+        white = inverse - Q @ (Q.transpose(0, 2, 1) @ inverse)
+        left = np.einsum("gkn,bn->gbk", white, e, optimize=True)
+        s2 = np.einsum("gbk,gbk->bg", left, left) / nu
+        sizes = np.log(np.abs(np.einsum("gpp->gp", T))).sum(axis=1)
+        log = log - determinants - sizes - 0.5 * nu * np.log(s2)
+        plain, triangle = np.linalg.qr(X)
+        gains = plain @ np.linalg.inv(triangle).T
+        factors = np.einsum("np,gnp->gp", gains, R @ gains)
+        independent = np.einsum("bn,bn->b", e, e)[:, None] / nu
+        independent = independent * np.einsum("np,np->p", gains, gains)
+        parts.append(
+            (nu, s2[:, :, None] * factors, coverage_factor(_COVERAGE, nu) * np.sqrt(independent))
+        )
+    weight = np.exp(log - log.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    ratios = [np.maximum(half_of_mixture(weight, v, nu) / least, 1.0) for nu, v, least in parts]
+    worth = weight @ (n**2 / np.einsum("gnm->g", power))
+    slow = weight[:, rho > _FAINT].sum(axis=1) > 1.0 - _LEVEL
+    return ratios, np.where(slow, np.minimum(worth, n), float(n))
+
+
+def half_of_mixture(weight: Array, variances: Array, dof: float) -> Array:
+    """Return half the intervals (B, p) that hold 95 % of mixtures of t, (B, G, p) their variances.
+
+    Student's t by the normal of D. L. Wallace, Ann. Math. Statist. 30, 1959, which is within .001.
+    """
+    factor = (8.0 * dof + 1.0) / (8.0 * dof + 3.0)
+    sd = np.sqrt(variances)
+    half = coverage_factor(_COVERAGE, dof) * np.sqrt(np.einsum("bg,bgp->bp", weight, variances))
+    for _ in range(_STEPS):
+        t = half[:, None] / sd
+        z = factor * np.sqrt(dof * np.log1p(t**2 / dof))
+        slope = factor**2 * t**2 / (1.0 + t**2 / dof) / z  # dz/d ln U
+        density = np.einsum("bg,bgp->bp", weight, np.exp(-0.5 * z**2) * slope) * sqrt(2.0 / pi)
+        held = np.einsum("bg,bgp->bp", weight, erf(z / sqrt(2.0)))
+        step = np.clip((_COVERAGE - held) / density, -0.7, 0.7)
+        half = half * np.exp(step)
+        if np.abs(step).max() < _NEAR:
+            break
+    return np.asarray(half)
 
 
 def _are_beyond_chance(scatter: Array, place: Places, degrees: float) -> NDArray[np.bool_]:

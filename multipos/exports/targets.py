@@ -96,6 +96,7 @@ def export(
     """
     target = _target(to, single=float)
     first, regressions = split_parts(calibration)
+    first = first and first.of_sensor
     others = {
         "output_unit": output_unit,
         "instance": instance,

@@ -70,6 +70,7 @@ def calibrate(
     pool: bool = False,
     stepwise: bool = False,
     exclude: Names = "auto",
+    drift: bool = False,
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
@@ -102,8 +103,8 @@ def calibrate(
     exclude : sequence of str, or comma-separated str
         Labels of the rests that are set aside; 'auto' sets outliers aside, 'none' nothing.
     convention, axes, inputs, closed_form, unknown_orientation, orientation_sd, gauge, robust
-    pool, stepwise, reading_sd, gravity, gravity_u, latitude, height, level_sd, budget, unit, range
-    nominal, confidence
+    pool, stepwise, drift, reading_sd, gravity, gravity_u, latitude, height, level_sd, budget, unit
+    range, nominal, confidence
         What is fitted, and how: as for `multipos.fit`.
 
     Returns
@@ -158,6 +159,7 @@ def calibrate(
         pool=pool,
         stepwise=stepwise,
         exclude=exclude,
+        drift=drift,
         reading_sd=reading_sd,
         gravity=gravity,
         gravity_u=gravity_u,
@@ -187,6 +189,7 @@ def fit_rests(
     pool: bool = False,
     stepwise: bool = False,
     exclude: Names = "none",
+    drift: bool = False,
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
@@ -223,6 +226,7 @@ def fit_rests(
             pool=pool,
             stepwise=stepwise,
             exclude=exclude,
+            drift=drift,
             reading_sd=reading_sd,
             gravity=gravity,
             gravity_u=gravity_u,

@@ -62,7 +62,7 @@ from multipos.sensor.found import Chosen, Estimator, Excluded
 from multipos.sensor.functions import build_expression
 from multipos.sensor.gravity import Gravity, resolve_gravity, signed_size
 from multipos.sensor.inverse import read_nominal
-from multipos.sensor.model import GAUGES, Gauge, Model
+from multipos.sensor.model import DRIFT, GAUGES, Gauge, Model
 from multipos.sensor.own_models import build_sketch
 from multipos.sensor.stating import build_model, default_axes, stated_facing
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
@@ -175,6 +175,7 @@ def fit(
     pool: bool = False,
     stepwise: bool = False,
     exclude: Names = "none",
+    drift: bool = False,
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
     gravity_u: float | None = None,
@@ -222,6 +223,9 @@ def fit(
         Keep of the model's terms only those that the readings support.
     exclude : sequence of str, or comma-separated str
         Labels of the positions that are set aside; 'auto' sets outliers aside, 'none' nothing.
+    drift : bool
+        Fit a drift of every output beside its terms, per hour from the middle of the session by a
+        column `time`, else per row: a term of the session, which compensation leaves out.
     reading_sd : float or M floats, optional
         Standard uncertainty of an averaged reading, in reading units.
     gravity, gravity_u : float [m/s²], optional
@@ -298,6 +302,8 @@ def fit(
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
     built = _build(written, data, axes, inputs)
+    if drift:
+        data, built = _with_drift(data, built)
     if axes is None:
         data = note_names(data, built)
     _check_environment(data, built)
@@ -544,6 +550,30 @@ def _columns_named(model: str | Expression | Sketch) -> tuple[str, ...]:
     if isinstance(model, Sketch):
         return model.possible_columns
     return formula_columns(model) if isinstance(model, str) else ()
+
+
+_HOUR = 3600.0  # [s]
+
+
+def _with_drift(readings: Readings, model: Model) -> tuple[Readings, Model]:
+    """Return readings with the time from mid-session, and the model with a drift.
+
+    Raises
+    ------
+    UsageError
+        The model is an expression, or uses a column of the same name.
+    """
+    if isinstance(model, ExpressionModel) or DRIFT in model.environment:
+        raise UsageError(
+            "--drift adds a term `drift` to a formula; write it into a model of one's own, or give "
+            "the column of that name another one."
+        )
+    time, n = readings.environment.get("time"), len(readings)
+    timed = time is not None and np.isfinite(time).all() and np.ptp(time) > 0.0
+    column = np.arange(n, dtype=np.float64) if time is None or not timed else time / _HOUR
+    middle = column - 0.5 * (column.min() + column.max())
+    columns = {**readings.environment, DRIFT: middle}
+    return replace(readings, environment=columns), model.with_drift("h" if timed else "row")
 
 
 def _build(

@@ -346,6 +346,7 @@ class Piece:
             mine = units[start : start + size]
             read = self._conditions
             values = read.of(read.values, mine, n)
+            time = read.of([self._time], mine, n)[0] if pattern.timed else None
             yield Task(
                 mine + self._first,
                 self._stations[mine],
@@ -354,6 +355,7 @@ class Piece:
                 {},
                 self._known.options,
                 *self._stated(mine, values),
+                time=time,
             )
 
     def _stated(
@@ -381,14 +383,16 @@ class Piece:
 
     def times(self) -> Array:
         """Return the mean of the column `time` of every unit, NaN where there is none."""
-        count = len(self._grouped)
-        if "time" not in self._rows.columns:
-            return np.full(count, np.nan)
+        starts, counts = self._grouped.starts[:-1], self._grouped.counts
+        return np.asarray(np.add.reduceat(self._time, starts) / counts)
+
+    @cached_property
+    def _time(self) -> Array:
+        """The column `time` of every row, NaN where there is none."""
         try:
-            time = self._grouped.arranged(self._rows.numbers("time"))
-        except MultiposError:
-            return np.full(count, np.nan)
-        return np.asarray(np.add.reduceat(time, self._grouped.starts[:-1]) / self._grouped.counts)
+            return self._grouped.arranged(self._rows.numbers("time"))
+        except (KeyError, MultiposError):
+            return np.full(self._grouped.starts[-1], np.nan)
 
 
 class FitOptions(TypedDict, total=False):
@@ -408,6 +412,7 @@ class FitOptions(TypedDict, total=False):
     pool: bool
     stepwise: bool
     exclude: Names
+    drift: bool
     reading_sd: ArrayLike | None
     gravity: float | None
     gravity_u: float | None

@@ -39,7 +39,12 @@ from multipos.diagnostics.redundancy import are_open, are_poorly_known
 from multipos.diagnostics.scales import are_of_unit
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates
-from multipos.estimation.correlated_rows import are_asked, find_correlated
+from multipos.estimation.correlated_rows import (
+    are_asked,
+    find_correlated,
+    order_in_time,
+    spread_in_time,
+)
 from multipos.estimation.known import DENIED, SharedDesign, estimate_known, share_design
 from multipos.estimation.robustness import estimate_robust
 from multipos.estimation.uncertain_orientations import (
@@ -177,6 +182,8 @@ class Pattern:
         Rows can show whether they are correlated: a unit whose rows are is looked at in full.
     tests : UnitTests or None
         Of the residuals at known orientations.
+    timed : bool
+        Rows are in order of time, so that U allows for slow noise.
     """
 
     shared: Shared
@@ -185,6 +192,7 @@ class Pattern:
     findings: str
     asked: bool
     tests: UnitTests | None = None
+    timed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +213,8 @@ class Task:
         Of `fit`.
     stated, claimed : tuples of M (B, n) arrays
         What is stated of the readings' uncertainties, and their degrees of freedom, if anything.
+    time : (B, n) array or None
+        Where U allows for slow noise.
     """
 
     units: Places
@@ -215,6 +225,7 @@ class Task:
     options: Mapping[str, Any]
     stated: tuple[Array, ...] = ()
     claimed: tuple[Array, ...] = ()
+    time: Array | None = None
 
 
 def find_pattern(
@@ -236,14 +247,17 @@ def find_pattern(
         and c.readings.covariance is None
         and (c.robust_weight is None or _is_robust_batch(c, options))
         and c.budget is None
+        and c.model.drift_per is None
         and not c.readings.forced.any()
     )
+    timed = c.robust_weight is None and order_in_time(c.readings) is not None
     asked = c.robust_weight is None and are_asked(c.model, c.readings, c.reference, c.estimator)
+    asked = asked and not timed
     alike = c.estimator is Estimator.LINEAR and c.readings.noise is None
     whole = options.get("range") is None and options.get("exclude", "none") == "none"
     # Rests of a log are weighed by their numbers of samples where few of these are independent.
     whole &= c.readings.samples is None or c.readings.dof is None
-    if not (plain and whole) or (asked and not alike):
+    if not (plain and whole) or ((asked or timed) and not alike):
         return None
     try:
         shared = _share(c, table, options)
@@ -256,7 +270,7 @@ def find_pattern(
         tests = unit_tests(c, shared)
     if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
         nest = Nest.of(shared, c.readings.labels, c.readings.up)
-    return Pattern(shared, nest, c.gravity, _common(c), asked, tests)
+    return Pattern(shared, nest, c.gravity, _common(c), asked, tests, timed)
 
 
 def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
@@ -359,13 +373,18 @@ def solve_task(task: Task) -> Solved:
         return _solve_each(task)
     shared = task.pattern.shared
     found = _estimate(shared, task)
+    in_time = np.ones(len(task.units), dtype=np.bool_)
+    if task.time is not None and isinstance(shared, SharedDesign):
+        found, in_time = _spread(shared, task.time, found)
     u, dof = _with_gravity(task.pattern, found)
     count = len(task.units)
     nests: tuple[NestSums, ...] = ()
     if task.pattern.nest is not None:
         nests = sum_nests(task.pattern.nest, found, task.stations)
     placed = isinstance(shared, SharedOrientations)
-    looked_at = ~found.sound | find_suspects(shared.model, task.values, found, placed=placed)
+    looked_at = ~(found.sound & in_time) | find_suspects(
+        shared.model, task.values, found, placed=placed
+    )
     if task.pattern.asked and isinstance(shared, SharedDesign):
         looked_at |= find_correlated(shared.reference, task.values, found.residuals)
     told: dict[str, NDArray[np.bool_]] = {}
@@ -385,6 +404,21 @@ def solve_task(task: Task) -> Solved:
         np.zeros(count, dtype=np.bool_),
         nests,
     )
+
+
+def _spread(
+    shared: SharedDesign, time: Array, found: Estimates
+) -> tuple[Estimates, NDArray[np.bool_]]:
+    """Return estimates with what slow noise makes of u, and which units (B,) it is right of."""
+    order = np.argsort(time, axis=1, kind="stable")
+    rising = (np.diff(np.take_along_axis(time, order, axis=1), axis=1) > 0.0).all(axis=1)
+    alike = rising & (order == order[0]).all(axis=1) & np.isfinite(time).all(axis=1)
+    alike &= np.logical_and.reduce([(e != 0.0).any(axis=1) for e in found.residuals])
+    designs = [design[order[0]] for design in shared.designs]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios, rows = spread_in_time(designs, [e[:, order[0]] for e in found.residuals])
+    alike &= rows >= len(order[0])  # what is said of the others is said in full
+    return found._replace(u=found.u * np.concatenate(ratios, axis=1)), alike
 
 
 def _estimate(shared: Shared, task: Task) -> Estimates:

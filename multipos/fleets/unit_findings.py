@@ -8,8 +8,9 @@ leverages, quantiles. The tests are then contractions over units:
   `multipos.sensor.fit_diagnostics`, in which rows may be unequally noisy. Where two rows are off by
   similar sizes, and by a quarter of what the nearest positions differ in, they may be interchanged:
   the unit is left to the fit of one;
-- lack of fit, orientation errors (`multipos.diagnostics.noise_causes`) and residuals that are
-  correlated from row to row.
+- lack of fit and orientation errors (`multipos.diagnostics.noise_causes`);
+- causes of time and table (`multipos.diagnostics.row_order`), with which all others compete: a unit
+  that shows one at first sight is left to the fit of one.
 
 Readings state no noise, or one that is equal in all readings of an output.
 """
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from multipos.diagnostics import noise_causes
 from multipos.diagnostics.model_error import COLUMN, find_soaks
 from multipos.diagnostics.projections import Projection, Setting, is_level, lacking, project
-from multipos.diagnostics.residuals import are_correlated_in_order
+from multipos.diagnostics.row_order import Plan, plan_of, shown_in_units
 from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
 from multipos.estimation.batches import Estimates, force_slopes
 from multipos.estimation.known import SharedDesign
@@ -69,6 +70,8 @@ class UnitTests:
         By which rows are off that are interchanged, at least.
     stated : bool
         Readings state a noise.
+    order : Plan or None
+        Of causes of time and table.
     """
 
     projection: Projection | None
@@ -77,6 +80,7 @@ class UnitTests:
     repeats: NDArray[np.intp] | None
     nearest: float
     stated: bool
+    order: Plan | None
 
 
 class UnitFindings(NamedTuple):
@@ -112,6 +116,7 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
         repeats=position if position.max() + 1 < len(position) else None,
         nearest=_COMPARABLE * _nearest(c.reference),
         stated=c.noise is not None,
+        order=plan_of(c),
     )
 
 
@@ -165,13 +170,13 @@ def _find(
         placed = _off_positions(shared, found.parameters[units], residuals) & ~missing
     if tests.soaks:
         singly |= missing
-    lag = are_correlated_in_order(residuals, shared.basis, shared.model, shared.reference)
+    if tests.order is not None:
+        singly |= shown_in_units(tests.order, error)
     codes = {
         "missing-term": missing,
         "outlier": outlying,
         "lack-of-fit": _lack_of_fit(tests, shared, values, residuals),
         "placement": placed,
-        "time-correlated": lag & ~missing,
     }
     return UnitFindings(codes, singly)
 

@@ -241,7 +241,7 @@ def unit_of_outputs(
 
 def is_environment(name: str) -> bool:
     """Tell whether a column is about the surroundings by its name."""
-    surroundings = ("temperature", "time", "head_deg")  # the last, of the head that turns the case
+    surroundings = ("temperature", "time", "approach", "head_deg")  # the last, of a dividing head
     return name in surroundings or name.startswith("ambient") or name.endswith("_rate")
 
 

@@ -11,7 +11,7 @@ degrees of freedom (JCGM 100, 6.2 and annex G), at the coverage probability `con
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -390,6 +390,21 @@ class Calibration(Result, Drawn):
         }
         self.model.variables(np.zeros((0, 3)), columns)
         return inverse.invert(self.model, self.parameters, values, columns)
+
+    @property
+    def of_sensor(self) -> "Calibration":
+        """The calibration without the drift of its session, which is no part of the sensor."""
+        if self.model.drift_per is None:
+            return self
+        model = self.model.without_drift()
+        kept = np.isin(self.names, model.names)
+        return replace(
+            self,
+            model=model,
+            parameters=self.parameters[kept],
+            covariance=self.covariance[np.ix_(kept, kept)],
+            parameter_dof=self.parameter_dof[kept],
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry, keys as in the formats reference."""

@@ -204,6 +204,7 @@ CALIBRATION = Fields(
                 }
             )
         ),
+        "drift_per": Text(("h", "row")),
         "nominal": Fields({"bias": ANY_NUMBER, "scale": ANY_NUMBER}),
         "excluded": Listed(Fields({"label": ANY_TEXT, "off": NOT_NEGATIVE, "unit": ANY_TEXT})),
         "sessions": Fields({"runs": Whole(2), "files": TEXTS, "sd": Named(NOT_NEGATIVE)}),
@@ -279,6 +280,7 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         "intrinsic": c.intrinsic,
         "installation_deg": c.installation_deg,
         **expression_dict(c.model),
+        **({} if c.model.drift_per is None else {"drift_per": c.model.drift_per}),
         **_found_dict(c),
         "findings": c.findings,
     }
@@ -420,6 +422,8 @@ def _model(content: Mapping[str, Any]) -> Model:
             str(content["unit"]),
             tuple(content.get("environment", ())),
         )
+        if "drift_per" in content:
+            model = model.with_drift(content["drift_per"])
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
     chosen = content.get("selection")

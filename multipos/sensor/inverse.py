@@ -88,7 +88,8 @@ def invert(
         others = list(unseen_axes(model))
         force[:, others] = unseen[:, others]
     active = np.arange(len(raw))
-    columns = {name: np.asarray(environment[name], dtype=np.float64) for name in model.environment}
+    used = [*model.environment, *(name for name in model.of_session if name in environment)]
+    columns = {name: np.asarray(environment[name], dtype=np.float64) for name in used}
     for _ in range(STEPS):
         here = {name: column[active] for name, column in columns.items()}
         misfit = raw[active] - model.predict(parameters, force[active], here)

@@ -13,7 +13,7 @@ Names of the parameters: for the command line and files, and in plain words for 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -35,6 +35,8 @@ from multipos.numerics.terms import (
 from multipos.results import Result
 from multipos.units import unit_per
 
+DRIFT = "drift"  # the column and term of a session's drift
+_DRIFT = parse_term(DRIFT, DRIFT, COMPONENTS[0])
 _LINEAR = tuple(Factor(axis, 1) for axis in COMPONENTS)
 # What a power of one component, and a function of it, is called: of an output's own, of another.
 _ALONG_OWN = {(1, ""): "scale", (2, ""): "quad", (3, ""): "cubic", (1, MODULUS): "odd"}
@@ -107,6 +109,9 @@ class Model(Result):
     gauge : str or None
         'lower' or 'symmetric' where the orientation of the case is a convention (see
         `multipos.estimation.likelihood`), which fixes the upper triangle of the linear terms.
+    drift_per : str or None
+        'h' or 'row' where a drift of the session is among the terms, which is no part of the
+        sensor: zero in the middle of the session, and wherever readings are compensated.
 
     Examples
     --------
@@ -123,6 +128,7 @@ class Model(Result):
     unit: str
     terms: tuple[tuple[Term, ...], ...]
     gauge: Gauge | RollGauge | None = None
+    drift_per: Literal["h", "row"] | None = field(default=None, kw_only=True)
 
     @cached_property
     def keys(self) -> tuple[tuple[str, Term], ...]:
@@ -145,7 +151,13 @@ class Model(Result):
     @cached_property
     def units(self) -> tuple[str, ...]:
         """Parameter units such as ``V/g``."""
-        return tuple(unit_per(self.unit, t.force_degree, t.environment) for _, t in self.keys)
+        drift = f"{self.unit}/{self.drift_per}"
+        return tuple(
+            drift
+            if self.drift_per is not None and term == _DRIFT
+            else unit_per(self.unit, term.force_degree, term.environment)
+            for _, term in self.keys
+        )
 
     @cached_property
     def output_of(self) -> NDArray[np.intp]:
@@ -189,9 +201,13 @@ class Model(Result):
     @cached_property
     def environment(self) -> tuple[str, ...]:
         """Columns other than the reference that the terms use."""
-        return tuple(
-            dict.fromkeys(name for term in self.basis_terms for name, _ in term.environment)
-        )
+        names = dict.fromkeys(name for term in self.basis_terms for name, _ in term.environment)
+        return tuple(name for name in names if name not in self.of_session)
+
+    @property
+    def of_session(self) -> tuple[str, ...]:
+        """Columns of the session, that compensation goes without."""
+        return () if self.drift_per is None else (DRIFT,)
 
     @cached_property
     def columns(self) -> tuple[NDArray[np.intp], ...]:
@@ -220,6 +236,8 @@ class Model(Result):
         values: dict[str, Any] = {axis: force[:, i] for i, axis in enumerate(COMPONENTS)}
         for name in self.environment:
             values[name] = np.asarray(environment[name], dtype=np.float64)
+        for name in self.of_session:
+            values[name] = np.asarray(environment.get(name, 0.0), dtype=np.float64)
         return values
 
     def basis(self, force: Array, environment: Mapping[str, ArrayLike]) -> Array:
@@ -330,7 +348,8 @@ class Model(Result):
         """
         places, others = self.linear_terms
         result = np.zeros((len(self.outputs), 4, len(self.keys)))
-        result[places] = [other.evaluate(environment) for other in others]
+        values = {DRIFT: 0.0, **environment}
+        result[places] = [other.evaluate(values) for other in others]
         return result
 
     @cached_property
@@ -375,6 +394,16 @@ class Model(Result):
         """Return the model of one output alone."""
         i = self.outputs.index(output)
         return replace(self, outputs=(output,), axes=(self.axes[i],), terms=(self.terms[i],))
+
+    def with_drift(self, per: Literal["h", "row"]) -> "Model":
+        """Return the model with a drift of the session, of every output."""
+        terms = tuple((*own, _DRIFT) for own in self.terms)
+        return replace(self, terms=terms, drift_per=per)
+
+    def without_drift(self) -> "Model":
+        """Return the model of the sensor alone."""
+        terms = tuple(tuple(term for term in own if term != _DRIFT) for own in self.terms)
+        return replace(self, terms=terms, drift_per=None)
 
     def with_gauge(self, gauge: Gauge | RollGauge) -> "Model":
         """Return the model without the linear terms that a gauge fixes: the upper triangle.
@@ -462,6 +491,8 @@ def paper_symbol(model: Model, index: int) -> str | None:
     if not term.factors:
         return f"a_{axis}0"
     factor = term.factors[0]
+    if factor.variable not in COMPONENTS:
+        return None
     if factor.power == 2:
         return f"K_a{axis}3"
     if factor.variable == axis:

@@ -1,24 +1,30 @@
 """One calibration from several sessions: pooled parameters, and U for a session yet to come.
 
 Sessions differ by more than the noise of each: the sensor is switched on and mounted anew, the
-table is levelled. With p_r what R sessions gave, the parameters of the next one differ from their
-pooled value by as much again. The pooled fit takes the readings of all sessions as one set, so
+table is levelled. Parameter j of session r is p_rj = p_j + b_rj + e_rj with e of the variance c_rj
+that the session states of itself, and b of the variance κ c_j, c_j the mean of c_rj, one κ for the
+biases, one for the scale factors and so on. With w = 1/(κ c_j + c_rj) and p̄ the mean weighted by w,
+
+    ln L(κ) = −½ Σ_j [Σ_r ln (κ c_j + c_rj) + ln Σ_r w_rj + Σ_r w_rj (p_rj − p̄_j)²],           (1)
+
+to the power of 3 over the number of j where these are more: what a mounting turns moves cross terms
+in pairs. ln (1 + κ) is flat, but that κ = 0 has a weight of its own, that of a stated noise
+(`multipos.estimation.posteriors`). The pooled fit takes the readings of all sessions as one set, so
 with W_r = G_r X_r, the part of session r in its gain G and design X,
 
-    p = Σ W_r p_r,   Σ W_r = 1,   S = Σ (p_r − p̄)(p_r − p̄)'/(R − 1),                       (1)
-    cov p = S + Σ W_r S W_r',                                                               (2)
+    p = Σ W_r p_r,   Σ W_r = 1,
+    var (p_j of the next session − p_j) = κ c_j + Σ_r W_r,jj² (κ c_j + c_rj),               (2)
 
-for sessions of one scheme (1 + 1/R) S. It is that of the next session beside this calibration, on
-R − 1 degrees of freedom, exactly so for any combination of parameters, such as a compensated force:
-S is the sample covariance of R normal vectors. Where sessions agree as well as each claims, S has
-the noise of a whole session in it, and U is longer than the pooled fit alone would need; only more
-sessions shorten it.
+and U is half the interval that holds 95 % of the mixture of Student's t over κ. So sessions that
+agree as well as each states pay 1.3 to 1.8 times the U of their mean, and not Student's t on R − 1
+degrees of freedom; where they differ by far more, κ follows from their differences alone. Values
+are correlated as by the mean covariance of sessions and S = Σ (p_r − p̄)(p_r − p̄)'/(R − 1).
 
 Where readings are correlated, or only some sessions state their uncertainty, all are fitted again
-with equal weights: (1) then holds for them all, and (2) asks nothing of what they state.
+with equal weights, and c_rj is that of these fits.
 
-What all sessions share (gravity, the level of the table) does not show in S and is added as in
-any fit. How the zero repeats, `[stability]` in a budget, is in S, and is not added again.
+What all sessions share (gravity, the level of the table) does not show in how they differ and is
+added as in any fit. How the zero repeats, `[stability]` in a budget, does, and is not added again.
 """
 
 import math
@@ -29,11 +35,14 @@ from itertools import pairwise
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.estimation.correlated_rows import half_of_mixture
 from multipos.estimation.gains import estimator_gain, gravity_effect
+from multipos.estimation.posteriors import belief
 from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.fit_readings import calibrate_at
 from multipos.fitting.options import Options
 from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import coverage_factors
 from multipos.positions.orientations import place
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration
@@ -43,6 +52,13 @@ from multipos.sensor.gravity import add_gravity, signed_size
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.propagation import state_budget
 
+_COVERAGE = 0.95  # at which U is found
+_AGREE = 1.5  # times the weight of a stated noise, that sessions agree
+_PRIOR = 8.0  # degrees of freedom
+_KNOWN = 1000.0  # degrees of freedom beyond which a noise is known
+_APART = 3  # parameters of a kind that sessions move apart
+_NODES = 61  # of ln (1 + κ), and one more
+_WIDE, _LEAST = 100.0, 5.0  # beyond the largest difference, in variance and in its logarithm
 _IN_S = "stability"  # the table of a budget that sessions show by themselves
 _PLAIN = Finding(
     "unequal-sessions",
@@ -229,11 +245,17 @@ def _with_spread(
     design = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment)
     by_row = estimator_gain(c).reshape(-1, n, m)
     ends = np.cumsum([0, *(len(one.readings) for one in found)]).tolist()
-    covariance = S.copy()
-    for low, high in pairwise(ends):
-        W = np.einsum("pnm,nmq->pq", by_row[:, low:high], design[low:high])
-        covariance += W @ S @ W.T
-    dof = np.full(len(S), R - 1.0)
+    shares = [
+        np.einsum("pnm,nmp->p", by_row[:, low:high], design[low:high])
+        for low, high in pairwise(ends)
+    ]
+    own = np.array([_covariance_within(one) for one in found])
+    variances = np.einsum("rpp->rp", own) * _shrunk(found)
+    U, dof = _expand(c, values, variances, np.array(shares), found)
+    u = U / coverage_factors(_COVERAGE, dof)
+    whole = own.mean(axis=0) + S
+    scale = u / np.sqrt(np.diag(whole))
+    covariance = whole * np.outer(scale, scale)
     if c.gravity is not None and c.gravity.u > 0.0:
         covariance, dof = add_gravity(covariance, dof, c.gravity, gravity_effect(c))
     sd = dict(zip(c.names, np.sqrt(np.diag(S)).tolist(), strict=True))
@@ -244,6 +266,74 @@ def _with_spread(
         dof=np.full(m, R - 1.0),
         sessions=Sessions(R, tuple(files), sd),
     )
+
+
+def _covariance_within(one: Calibration) -> Array:
+    """Return the covariance (p, p) of a session without what all sessions share."""
+    if one.budget is not None and one.budget.scatter is not None:
+        return one.budget.scatter
+    if one.gravity is None or not one.gravity.u > 0.0:
+        return one.covariance
+    moved = gravity_effect(one) * one.gravity.u
+    return np.asarray(one.covariance - np.outer(moved, moved))
+
+
+def _shrunk(found: Sequence[Calibration]) -> Array:
+    """Return what variances (R, p) of sessions are multiplied by, so that few readings agree.
+
+    The noise of a session without a stated one is drawn to that of all, as by `_PRIOR` readings.
+    """
+    factors = np.ones((len(found), len(found[0].names)))
+    if any(one.readings.noise is not None for one in found):
+        return factors
+    pooled = _within(found, lambda one: one.residual_sd) ** 2
+    for factor, one in zip(factors, found, strict=True):
+        own, nu = one.residual_sd**2, one.dof
+        if np.isfinite(own).all() and (own > 0.0).all():
+            drawn = (nu * own + _PRIOR * pooled) / (nu + _PRIOR) / own
+            factor *= np.append(drawn, drawn.mean())[one.model.output_of]
+    return factors
+
+
+def _expand(
+    c: Calibration, values: Array, own: Array, shares: Array, found: Sequence[Calibration]
+) -> tuple[Array, Array]:
+    """Return U (p,) of the next session by eqs. (1) and (2), and its degrees of freedom (p,).
+
+    Parameters
+    ----------
+    c : Calibration
+    values, own, shares : (R, p) arrays
+        Parameters of the sessions, their variances, and the diagonals of W_r.
+    found : sequence of R Calibration
+    """
+    R = len(values)
+    known = np.sum([np.minimum(one.dof_of_outputs, _KNOWN) for one in found], axis=0)
+    kinds = [name.partition("_")[0] for name in c.names]
+    U, dof = np.empty(len(kinds)), np.empty(len(kinds))
+    for kind in dict.fromkeys(kinds):
+        mine = np.array([each == kind for each in kinds])
+        p, v, w = values[:, mine], own[:, mine], shares[:, mine]
+        mean = v.mean(axis=0)
+        free = min(p.shape[1], _APART) * (R - 1.0)
+        spread = float(np.max((p - p.mean(axis=0)) ** 2 / mean))
+        steps = np.linspace(0.0, math.log1p(_WIDE * spread) + _LEAST, _NODES)
+        kappa = np.concatenate([[0.0], np.expm1(0.5 * (steps[1:] + steps[:-1]))])
+        total = kappa[:, None, None] * mean + v  # (G, R, q)
+        weight = 1.0 / total
+        middle = np.sum(weight * p, axis=1) / weight.sum(axis=1)
+        log = np.sum(np.log(total), axis=1) + np.log(weight.sum(axis=1))
+        log = -0.5 * np.sum(log + np.sum(weight * (p - middle[:, None]) ** 2, axis=1), axis=1)
+        log *= min(1.0, _APART / p.shape[1])
+        density = np.exp(log - log.max())
+        density[1:] *= steps[1]
+        density[0] *= _AGREE * belief(free)
+        density /= density.sum()
+        variances = kappa[:, None] * mean + np.sum(w**2 * total, axis=1)
+        few = float(np.min(known[mine]))
+        U[mine] = half_of_mixture(density[None], variances[None], few)[0]
+        dof[mine] = max(free, 2.0)
+    return U, dof
 
 
 def _with_budget(pooled: Calibration, first: Calibration) -> Calibration:

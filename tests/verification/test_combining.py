@@ -38,32 +38,48 @@ def combined(found):
     return mp.compare(*found, combine=True).combined
 
 
-def test_sessions_of_one_scheme_by_hand():
-    """The mean, and (1 + 1/R) times the sample covariance, on R − 1 degrees of freedom."""
-    found = sessions(1, 4)
+def test_sessions_that_differ_by_far_more_than_their_noise_by_hand():
+    """The mean, and Student's t of all three zeros together on 3 (R − 1) degrees of freedom."""
+    found = sessions(1, 4, reading_sd=SD)
     values = np.array([c.parameters for c in found])
     one = combined(found)
     assert_allclose(one.parameters, values.mean(axis=0), rtol=0, atol=1e-13)
-    assert_allclose(one.covariance, 1.25 * np.cov(values.T), rtol=1e-9, atol=1e-15)
-    assert (one.dof == 3.0).all()
-    assert (one.parameter_dof == 3.0).all()
-    assert_allclose(one.k, 3.182446, rtol=1e-6)  # t at 0.975 on 3, of any table
+    pooled = np.sqrt(1.25 * np.mean(values[:, [0, 4, 8]].var(axis=0, ddof=1)))
+    t = 2.262157  # at 0.975 on 9, of any table
+    assert_allclose(one.U[[0, 4, 8]], t * pooled, rtol=0.01)
+    assert (one.parameter_dof[[0, 4, 8]] == 9.0).all()
     assert one.sessions.runs == 4
     assert_allclose(one.sessions.sd["bias_ax"], values[:, 0].std(ddof=1))
-    within = np.mean([c.residual_sd**2 for c in found], axis=0)
-    assert_allclose(one.residual_sd, np.sqrt(within), rtol=1e-12)
     assert mp.compare(*found).combined is None
 
 
+def test_sessions_that_agree_are_no_four_times_too_long():
+    """Three sessions of one truth: U covers it, and is less than twice as long as need be."""
+    rng = np.random.default_rng(11)
+    up = mp.read_scheme("fibonacci-24").up
+    hits, ratios = [], []
+    best = 1.96 * SD / math.sqrt(24 * 3)  # of the mean of all readings of a zero
+    for _ in range(30):
+        each = [mp.Readings(up + SD * rng.standard_normal((24, 3)), up=up) for _ in range(3)]
+        one = combined([mp.fit(readings) for readings in each])
+        biases = [0, 4, 8]
+        hits.append(np.abs(one.parameters[biases]) <= one.U[biases])
+        ratios.append(one.U[biases] / best)
+    assert np.mean(hits) >= 0.93
+    assert np.mean(ratios) < 2.0
+
+
 def test_a_longer_session_counts_for_more():
-    """Twelve faces beside six count two to one, in p and in its part of the covariance."""
-    short, again, long = (*sessions(2, 2), sessions(3, 1, scheme="faces-6+faces-6")[0])
+    """Twelve faces beside six count two to one, in p and in its part of U."""
+    stated = {"reading_sd": SD}
+    short, again = sessions(2, 2, **stated)
+    (long,) = sessions(3, 1, scheme="faces-6+faces-6", **stated)
     one = combined([short, again, long])
     share = np.array([0.25, 0.25, 0.5])
     values = np.array([short.parameters, again.parameters, long.parameters])
     assert_allclose(one.parameters, share @ values, rtol=0, atol=1e-13)
-    factor = 1.0 + float(share @ share)
-    assert_allclose(one.covariance, factor * np.cov(values.T), rtol=1e-9, atol=1e-15)
+    pooled = np.sqrt((1.0 + share @ share) * np.mean(values[:, [0, 4, 8]].var(axis=0, ddof=1)))
+    assert_allclose(one.U[[0, 4, 8]], 2.446912 * pooled, rtol=0.1)  # t at 0.975 on 6
 
 
 def test_what_sessions_share_is_added():
@@ -92,7 +108,7 @@ def test_the_zero_of_a_budget_is_not_added_again():
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 4])
 def test_u_covers_a_session_never_seen(count):
-    """Student's t on R − 1 is exact where sessions differ by more than their noise."""
+    """The three zeros of a session tell one spread between sessions."""
     rng = np.random.default_rng(count)
     runs, hits = 120, []
     for _ in range(runs):
@@ -122,7 +138,9 @@ def test_every_estimator_is_combined(options):
     spread = np.std([c.parameters for c in found], axis=0, ddof=1)
     # the pooled fit is not the mean where it is not linear, but near it for the spread
     assert (np.abs(one.parameters - mean) < 0.2 * spread + SD / 3.0).all()
-    assert_allclose(one.u, math.sqrt(4 / 3) * spread, rtol=0.1)
+    biases = [one.names.index(f"bias_{output}") for output in one.outputs]
+    pooled = math.sqrt(4 / 3 * np.mean(spread[biases] ** 2))
+    assert_allclose(one.u[biases], pooled, rtol=0.2)
     if options != {"orientation_sd": "auto"}:  # where none is found, the fit is linear
         assert one.estimator is found[0].estimator
     assert len(one.readings) == 36

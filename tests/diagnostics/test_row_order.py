@@ -1,0 +1,138 @@
+"""Causes of time and table: named with row and size, one for each world, by a generator apart."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+import multipos as mp
+from multipos.diagnostics.row_order import search
+
+K = np.array([[1.008, 0.004, -0.007], [-0.003, 0.991, 0.006], [0.005, -0.002, 1.012]])
+ZERO = np.array([0.012, -0.021, 0.034])
+SD = 1e-4
+TRUTH = np.column_stack([ZERO, K]).ravel()
+
+
+def turned(up, vector):
+    """Return directions (n, 3) turned by a rotation vector [rad], by Rodrigues' formula."""
+    angle = np.linalg.norm(vector)
+    axis = np.asarray(vector) / angle
+    along = (up @ axis)[:, None] * axis
+    return along + math.cos(angle) * (up - along) + math.sin(angle) * np.cross(axis, up)
+
+
+def world(cause, seed, scheme="fibonacci-24", **options):
+    """Return the fit of readings in random order that a cause has spoilt."""
+    rng = np.random.default_rng(seed)
+    up = rng.permutation(mp.read_scheme(scheme).up)
+    n = len(up)
+    listed, beside, late = up.copy(), {}, np.arange(n) >= n // 2
+    if cause == "slipped":
+        up[late] = turned(up[late], np.radians([0.2, -0.2, 0.1]))
+    y = ZERO + up @ K.T
+    if cause == "drift":
+        y = y + 3e-4 * np.linspace(-0.5, 0.5, n)[:, None]
+    elif cause == "replaced":
+        y[late] = 0.01 + up[late] @ (K + 0.01 * rng.standard_normal((3, 3))).T
+    elif cause == "settling":
+        y[1:] = 0.98 * y[1:] + 0.02 * y[:-1]
+    elif cause == "hysteresis":
+        beside["approach"] = rng.choice([-1.0, 1.0], n)
+        y = y + 5e-4 * beside["approach"][:, None]
+    elif cause == "vibration":
+        loud = 1e-3 + 0.03 * (rng.permutation(n) < n // 4)
+        beside |= {f"sd_{o}": loud for o in ("ax", "ay", "az")}
+        y = y + loud[:, None] ** 2
+    elif cause == "outlier":
+        y[5] += 0.01
+    elif cause == "missing-term":
+        y = y + 1e-3 * up**2
+    y = y + SD * rng.standard_normal(y.shape)
+    columns = dict(zip(("ax", "ay", "az"), y.T, strict=True)) | beside
+    if "unknown_orientation" not in options:
+        columns |= dict(zip(("up_x", "up_y", "up_z"), listed.T, strict=True))
+    return mp.fit(columns, outputs=["ax", "ay", "az"], unit="g", **options)
+
+
+CAUSES = ("drift", "slipped", "replaced", "settling", "hysteresis", "vibration")
+CAUSES += ("outlier", "missing-term")
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_the_one_cause_is_named(cause):
+    """Seven of eight times at least; another cause beside it, never."""
+    codes = [[d.code for d in world(cause, seed).findings] for seed in range(8)]
+    assert sum(found == [cause] for found in codes) >= 7, codes
+
+
+@pytest.mark.parametrize("cause", ["drift", "replaced", "settling", "hysteresis", "vibration"])
+def test_the_one_cause_is_named_at_unknown_orientations(cause):
+    codes = [
+        {d.code for d in world(cause, seed, "fibonacci-48", unknown_orientation=True).findings}
+        for seed in range(4)
+    ]
+    assert sum(cause in found for found in codes) >= 3, codes
+
+
+@pytest.mark.parametrize("cause", ["slipped", "replaced"])
+def test_the_first_row_after_a_change_is_told(cause):
+    (finding,) = world(cause, 3).findings
+    assert finding.rows == ("13",)
+    if cause == "slipped":
+        assert abs(float(re.search(r"([\d.]+) degrees", finding.text)[1]) - 0.3) < 0.02
+
+
+@pytest.mark.parametrize("scheme", ["faces-6", "icosahedron-12", "fibonacci-24"])
+def test_sound_readings_have_no_cause(scheme):
+    """Nine causes at a quarter of a percent each: 2.25 of 100 at most, seldom 8."""
+    found = [search(world("", 1000 + seed, scheme)) for seed in range(100)]
+    assert sum(map(bool, found)) <= 8
+
+
+def test_a_slip_in_a_group_of_its_own_is_covered():
+    """What the advice is for: U of the rows with a group from the slip on covers again."""
+    before, after = [], []
+    for seed in range(12):
+        c = world("slipped", seed)
+        before.append(np.abs(c.parameters - TRUTH) <= c.U)
+        names = ("ax", "ay", "az", "up_x", "up_y", "up_z")
+        columns = dict(zip(names, np.hstack([c.readings.values, c.readings.up]).T, strict=True))
+        (finding,) = c.findings
+        first = c.readings.labels.index(finding.rows[0])
+        columns["group"] = ["" if row < first else "late" for row in range(24)]
+        again = mp.fit(columns, outputs=["ax", "ay", "az"], unit="g")
+        after.append(np.abs(again.parameters - TRUTH) <= again.U)
+    assert np.mean(before) < 0.8
+    assert np.mean(after) > 0.9
+
+
+def test_a_drift_is_fitted_and_left_out_of_compensation(tmp_path):
+    """5 mg over 23 minutes is 13 mg/h; the sensor is what it was, as its file has it."""
+    rng = np.random.default_rng(8)
+    up = rng.permutation(mp.read_scheme("fibonacci-24").up)
+    time = 60.0 * np.arange(24.0)
+    y = (
+        ZERO
+        + up @ K.T
+        + 5e-3 * (time / time[-1] - 0.5)[:, None]
+        + SD * rng.standard_normal((24, 3))
+    )
+    names = ("ax", "ay", "az", "up_x", "up_y", "up_z")
+    columns = dict(zip(names, np.hstack([y, up]).T, strict=True)) | {"time": time}
+    c = mp.fit(columns, unit="g", drift=True)
+    drift = c["ax", "drift"]
+    assert (drift.name, drift.unit) == ("drift_ax", "g/h")
+    assert abs(drift.value - 5e-3 / (time[-1] / 3600.0)) < 2.0 * drift.U
+    assert not c.findings
+    assert abs(c["bias_ax"].value - ZERO[0]) < 2.0 * c["bias_ax"].U
+    c.save(tmp_path / "c.json")
+    assert mp.load(tmp_path / "c.json") == c
+    force = np.linalg.solve(K, y[0] - ZERO)
+    np.testing.assert_allclose(c.compensate(y[:1])[0], force, rtol=0, atol=3e-4)
+    assert "drift" not in mp.export(c, "c").text
+    del columns["time"]
+    by_row = mp.fit(columns, unit="g", drift=True)["drift_ax"]
+    assert by_row.unit == "g/row"
+    assert abs(23.0 * by_row.value - 5e-3) < 46.0 * by_row.U
