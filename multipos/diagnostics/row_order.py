@@ -739,7 +739,7 @@ def _say_table(c: Calibration, cause: Cause, sizes: Array) -> Finding:
         "warning",
         f"the residuals follow the angles of the rolls, as a table does that is off by "
         f"{degrees:.1g} degrees (p = {cause.chance})",
-        f"Correct its angles by `multipos turntable`, or fit with --orientation-sd {degrees:.1g}.",
+        f"Correct its angles by `multipos tumble`, or fit with --orientation-sd {degrees:.1g}.",
         p=cause.p,
     )
 

@@ -37,7 +37,7 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.estimation.correlated_rows import half_of_mixture
 from multipos.estimation.gains import estimator_gain, gravity_effect
-from multipos.estimation.posteriors import belief
+from multipos.estimation.posteriors import stated_weight
 from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.fit_readings import calibrate_at
 from multipos.fitting.options import Options
@@ -327,7 +327,7 @@ def _expand(
         log *= min(1.0, _APART / p.shape[1])
         density = np.exp(log - log.max())
         density[1:] *= steps[1]
-        density[0] *= _AGREE * belief(free)
+        density[0] *= _AGREE * stated_weight(free)
         density /= density.sum()
         variances = kappa[:, None] * mean + np.sum(w**2 * total, axis=1)
         few = float(np.min(known[mine]))
