@@ -230,9 +230,13 @@ def _regions(
     data: Data,
     kept: Array,
     short: Sequence[int],
-    parts: Sequence[tuple[tuple[Term, ...], Array | None, Rows]],
+    variable: str,
+    parts: Sequence[tuple[tuple[Term, ...], Array | None, Rows, tuple[float, float]]],
 ) -> tuple[Region | None, ...]:
-    """Return the region of each segment of a fit: its terms, how they share columns, its rows."""
+    """Return the region of each segment of a fit: its terms, how they share columns, rows, span.
+
+    A segment reaches to its edges: the row next to each is counted as if it were there.
+    """
     if not kept.shape[1]:
         return (None,) * len(parts)
     assert data.variances is not None  # which `fit_cut` has seen to
@@ -240,9 +244,14 @@ def _regions(
     shortest = np.sqrt(LEAST * len(data) * data.variances[[plan.terms.index(t) for t in left_out]])
     beyond = evaluate_terms(left_out, data.columns, len(data))
     found = []
-    for terms, L, rows in parts:
+    for terms, L, rows, span in parts:
         region = Region((*terms, *left_out), region_factor(kept, beyond, shortest, L), np.inf)
-        found.append((region, data.take(rows).columns, len(rows)))
+        columns = {name: column[rows] for name, column in data.columns.items()}
+        for edge in span if len(rows) else ():
+            next_to = int(np.argmin(np.abs(columns[variable] - edge)))
+            columns = {name: np.append(column, column[next_to]) for name, column in columns.items()}
+            columns[variable][-1] = edge
+        found.append((region, columns, len(columns[variable])))
     limit = largest_leverage(found)
     return tuple(replace(region, limit=limit) for region, _, _ in found)
 
@@ -316,7 +325,8 @@ def fit_segment(
     )
     short = fit.selection.short
     kept = original[:, list(fit.selection.columns)]
-    (region,) = _regions(plan, read, kept, short, [(terms, None, np.arange(len(data)))])
+    whole = [(terms, None, np.arange(len(data)), span)]
+    (region,) = _regions(plan, read, kept, short, variable, whole)
     segment = replace(segment, left_out=_left_out(plan, fit.selection, terms), region=region)
     if read.run is None:
         return segment
@@ -378,9 +388,8 @@ def fit_continuous(
     short = [j for j in fit.selection.short if j < len(plan.terms)]
     locally = [_local(chosen, edges[:s]) for s in range(len(spans))]
     left = original[:, list(fit.selection.columns)]
-    regions = _regions(
-        plan, read, left, short, [(*each, rows) for each, rows in zip(locally, parts, strict=True)]
-    )
+    rows_of = [(*locally[s], parts[s], span) for s, span in enumerate(spans)]
+    regions = _regions(plan, read, left, short, variable, rows_of)
     segments = []
     for s, span in enumerate(spans):
         terms, L = locally[s]

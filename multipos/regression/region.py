@@ -16,6 +16,9 @@ so that it may differ from what was measured by a hundredth of its spread in the
 rows do. Segments that join share their terms: x is made of those of the whole fit, the maximum is
 over all its rows.
 
+A segment reaches to its edges, where no row need be: the row next to an edge counts as if it stood
+there as well.
+
 The sums of (1) are formed in one order, j and then i ascending, entries of G that are zero left
 out, by Python and by the exported C, so that both flag the same rows.
 """

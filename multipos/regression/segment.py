@@ -105,10 +105,15 @@ class Between(Result):
 
     def variance(self, columns: Mapping[str, Array], rows: NDArray[np.intp]) -> Array:
         """Return z'Ψz of eq. (3) there, at some rows of a table's columns."""
+        z = self.columns(columns, rows)
+        return np.asarray(np.einsum("ij,jk,ik->i", z, self.covariance, z))
+
+    def columns(self, columns: Mapping[str, Array], rows: NDArray[np.intp]) -> Array:
+        """Return z, what runs may differ by, at some rows of a table's columns."""
         z = np.ones((len(rows), len(self.covariance)))
         if self.variable is not None:
             z[:, 1] = columns[self.variable][rows] - self.centre
-        return np.asarray(np.einsum("ij,jk,ik->i", z, self.covariance, z))
+        return z
 
     def of_coefficients(self, terms: Sequence[Term]) -> Array:
         """Return what the scatter between runs adds to the covariance of terms, L Ψ L'/m."""

@@ -26,8 +26,9 @@ What has moved is asked parameter by parameter: the step δ_j that takes most of
 
     δ_j = x_j'V⁻¹r / x_j'V⁻¹x_j,    Q − Q_j = δ_j² x_j'V⁻¹x_j,                               (3)
 
-is named while it is beyond chance among all of them (Bonferroni, 1 %), at most three. Against one
-such step (3) is sharper than (2), so either is a finding.
+is named while it is beyond chance among all of them (Bonferroni), at most three. Against one such
+step (3) is sharper than (2), so either is a finding, each at half a per cent: of a hundred runs that
+agree, one at most is said to disagree.
 
 References
 ----------
@@ -50,7 +51,7 @@ from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.validity import unseen_moves
 from multipos.verification.consistency import Words, is_apart, judge_together
 
-_NAMED = 0.01  # chance at which what has moved is named
+RATE = 0.01  # of runs that agree, the share that is said to disagree: half by each test
 _MOST_NAMED = 3
 _TOLD = 1e-9  # of its own information, which a parameter keeps beside others
 _TURNS, _SETTLED = 50, 1e-12  # steps of a rotation, and when it stands still [rad]
@@ -135,11 +136,14 @@ def judge_run(
     if run.r.size <= run.free.shape[2] or not np.isfinite(run.r).all():
         return no_agreement("too few rows at which the model has a value"), carried
     found, moved = _judge(c, run), _moved(c, run)
-    level = 1.0 - c.confidence
-    if not (found.p < level or moved):
+    whole = found.p < RATE / 2.0
+    if not (whole or moved):
         return found, carried
-    text = _in_words(found, moved, whole=found.p < level)
-    return found, (*carried, Finding("run-disagrees", "warning", text, outputs=c.outputs))
+    text = _in_words(found, moved, whole=whole)
+    return found, (
+        *carried,
+        Finding("run-disagrees", "warning", text, outputs=c.outputs, p=found.p),
+    )
 
 
 def _turned(c: Calibration, data: Readings, known: Array) -> Array:
@@ -170,7 +174,7 @@ def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimate
     X = parameter_jacobian(c.model, c.parameters, known, environment)
     J = c.model.force_jacobian(c.parameters, known, environment)
     unseen = unseen_moves(c, known, environment)
-    L = np.concatenate([X @ _root(c.covariance), unseen], axis=2)
+    L = np.concatenate([X @ root_of(c.covariance), unseen], axis=2)
     placed = _placement(data, known)
     D = noise[:, :, None] ** 2 * np.eye(noise.shape[1]) + np.einsum(
         "nmi,nij,nkj->nmk", J, placed, J
@@ -201,7 +205,7 @@ def _placement(data: Readings, known: Array) -> Array:
     return np.asarray(placed)
 
 
-def _root(covariance: Array) -> Array:
+def root_of(covariance: Array) -> Array:
     """Return C^(1/2) (p, p), of parameters of any units and of combinations that are exact."""
     scale = np.sqrt(np.diag(covariance))
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -259,7 +263,7 @@ def _moved(c: Calibration, run: _Run) -> list[_Moved]:
     while len(chosen) < _MOST_NAMED:
         taken = _taken(gram, right, chosen, steps)
         best = int(np.argmax(taken))
-        if not f_tail(float(taken[best]), 1.0, nu) < _NAMED / len(right):
+        if not f_tail(float(taken[best]), 1.0, nu) < RATE / 2.0 / len(right):
             break
         chosen.append(best)
         steps = np.asarray(
@@ -283,7 +287,11 @@ def _taken(gram: Array, right: Array, chosen: list[int], steps: Array) -> Array:
 
 
 def _in_words(found: Agreement, moved: list[_Moved], *, whole: bool) -> str:
-    said = ["the run disagrees with the calibration beyond chance, whatever its single errors say"]
+    first = (
+        "the run disagrees with the calibration, whatever its single errors say (1 % of runs that "
+        "agree are said to)"
+    )
+    said = [first]
     if whole:
         said.append(agreement_in_words(found))
     if moved:

@@ -8,10 +8,25 @@ with u of eq. (1) of `multipos.compensation.correction`, that is of predicting o
 from Student's t. A column that is corrected by the same prediction (``apply --correct``) has the
 same error left. Rows outside what the regression was fitted to are not counted, because it says
 nothing there.
+
+**The run as a whole.** Its rows are correlated, and share what is uncertain of the coefficients and
+the zero of its switch-on. The rows are made independent by every law of their noise that they leave
+plausible (`multipos.regression.correlation`), ẽ and X̃ are errors and terms then, Z̃ a constant for
+each run (and the slope, where runs differ by it). What the terms explain of ẽ beyond Z̃, B an
+orthonormal basis of theirs, and the zeros â = Z̃⁺ẽ have
+
+    cov B'ẽ = s² I + B'X̃ C X̃'B,        cov â = s² (Z̃'Z̃)⁻¹ + Z̃⁺X̃ C (Z̃⁺X̃)' + Ψ,         (2)
+
+s² of the rest of ẽ, C of the coefficients segment by segment, Ψ between runs. Each gives an F, on q
+and the fewest ν of both, and on the columns of a run and m − 1, combined by Fisher's method; the
+largest p of all laws is taken. Where no runs were told apart there is no Ψ and no Z̃: the constant
+stands among the terms, and another switch-on, whose zero moves by more than one run can know, is
+denied.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +39,33 @@ from multipos.compensation.correction import (
 )
 from multipos.errors import MultiposError
 from multipos.files.tables import Source, read_table
-from multipos.finding import Finding, in_order
+from multipos.finding import Finding, Findings, in_order
+from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
+from multipos.regression.correlation import Law, TimeOrder, Whitening, find_noise, time_order
+from multipos.regression.observations import Rows
 from multipos.regression.prediction import place_rows
 from multipos.regression.regression import Regression, Regressions, format_span
-from multipos.verification.agreement import no_agreement
+from multipos.verification.agreement import (
+    RATE,
+    Agreement,
+    no_agreement,
+    root_of,
+)
+from multipos.verification.consistency import Words, judge_together
 from multipos.verification.verdicts import (
     Check,
     family_confidence,
     judge_errors,
     require_limit,
+)
+
+_LAWS = 6  # of the plausible ones, the likeliest
+_RANK = 1e-9
+_WORDS = Words(
+    "chi-square of the run",
+    "F of the run against the regression, by rows made independent",
+    "F of the run against the regression and of its switch-ons, combined by Fisher's method",
 )
 
 
@@ -82,6 +114,17 @@ def check_regression(
     )
     counted = ~outside[:, None]
     nothing = np.array([np.nan])
+    inside = np.flatnonzero(~outside)
+    numbers = np.zeros(table.rows, dtype=np.intp) if run is None else run
+    clock = table.number(r.time) if r.time in table else np.arange(float(table.rows))
+    whole = _judge_run(
+        r,
+        {name: column[inside] for name, column in columns.items()},
+        place[inside],
+        after[inside, 0],
+        time_order(clock[inside], numbers[inside]),
+        numbers[inside],
+    )
     text = (
         f"{int(outside.sum())} of {table.rows} rows are outside what the regression was fitted to "
         "and are not counted"
@@ -106,12 +149,117 @@ def check_regression(
         confidence=r.confidence,
         source=table.source,
         sha256=table.sha256,
-        findings=(Finding("outside", "warning", text),) if outside.any() else (),
+        findings=(
+            *_find_in_run(r, whole),
+            *((Finding("outside", "warning", text),) if outside.any() else ()),
+        ),
         calibration=r.created,
         against=against,
         segments=_rows_by_segment(r, place),
-        consistency=no_agreement("rows of a regression follow each other and are not independent"),
+        consistency=whole,
     )
+
+
+def _find_in_run(r: Regression, whole: Agreement) -> Findings:
+    """Return that the run as a whole does not agree, and what a switch-on has to do with it."""
+    if not whole.p < RATE:
+        return ()
+    text = f"the run disagrees with the regression: p = {whole.p:.2g} by the whole run"
+    action = "Find what differs: mounting, ageing, or a chamber run of another kind."
+    if r.run is None:
+        text += "; without --run it has no variance for the switch-on, so another one is denied"
+        action = "Fit several switch-ons with --run."
+    return (Finding("run-disagrees", "warning", text, action, outputs=(r.response,), p=whole.p),)
+
+
+class _Rows(NamedTuple):
+    """Errors of a run, the terms of all segments side by side, and what runs may differ by."""
+
+    e: Array
+    X: Array
+    root: Array  # C^(1/2), block by block
+    Z: Array  # (n, k runs), run after run; no column where runs were not told apart
+
+
+def _judge_run(
+    r: Regression, columns: Mapping[str, Array], place: Rows, e: Array, order: TimeOrder, run: Rows
+) -> Agreement:
+    """Return the test of eq. (2) of rows within what was fitted."""
+    rows = _rows(r, columns, place, e, run)
+    noise = find_noise(np.hstack([rows.X, rows.Z]), e, order)
+    laws = [*(noise.plausible[:_LAWS] if noise else ()), Law(0.0, 0.0, np.zeros(0))]
+    if noise is not None and noise.plausible:
+        laws = laws[:-1]
+    found = [_judge_by(r, rows, Whitening(order, law)) for law in laws]
+    tested = [one for one in found if one is not None]
+    if not tested:
+        return no_agreement("too few rows within what was fitted")
+    return max(tested, key=lambda one: one.p)
+
+
+def _rows(r: Regression, columns: Mapping[str, Array], place: Rows, e: Array, run: Rows) -> _Rows:
+    blocks, roots = [], []
+    between: Array | None = None
+    for number, s in enumerate(r.segments):
+        mine = np.flatnonzero(place == number)
+        block = np.zeros((len(e), len(s.terms)))
+        block[mine] = s.design(columns, mine)
+        C = s.covariance if s.robust is None else s.robust.covariance
+        blocks.append(block)
+        roots.append(root_of(C))
+        if s.between is not None and len(mine):
+            z = s.between.columns(columns, mine)
+            between = np.zeros((len(e), z.shape[1])) if between is None else between
+            between[mine] = z
+    size = sum(len(root) for root in roots)
+    root, start = np.zeros((size, size)), 0
+    for one in roots:
+        root[start : start + len(one), start : start + len(one)] = one
+        start += len(one)
+    Z = np.zeros((len(e), 0))
+    if between is not None:
+        Z = np.hstack([between * (run == label)[:, None] for label in np.unique(run)])
+    return _Rows(e, np.hstack(blocks), root, Z)
+
+
+def _judge_by(r: Regression, rows: _Rows, white: Whitening) -> Agreement | None:
+    """Return the test by one law of the noise; None where rows are too few."""
+    q = rows.X.shape[1]
+    both = white(np.column_stack([rows.e, rows.X, rows.Z]))
+    e, X, Z = both[:, 0], both[:, 1 : q + 1], both[:, q + 1 :]
+    L = X @ rows.root
+    Q = np.linalg.qr(Z)[0]
+    left, terms = e - Q @ (Q.T @ e), X - Q @ (Q.T @ X)
+    scale = np.linalg.norm(terms, axis=0)
+    U, d, _ = np.linalg.svd(terms / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
+    B = U[:, d > _RANK * d[0]]
+    nu = len(e) - Z.shape[1] - B.shape[1]
+    if nu < 1:
+        return None
+    b = B.T @ left
+    rest = left - B @ b
+    s2 = float(rest @ rest) / nu
+    if not s2 > 0.0:
+        return None
+    moves = B.T @ L
+    fewest = min(float(s.dof[1] if s.robust is None else s.robust.t_dof) for s in r.segments)
+    Q_terms = _weighed(b, s2 * np.eye(len(b)) + moves @ moves.T)
+    outcome = [(Q_terms, float(len(b)), min(float(nu), fewest))]
+    between = next((s.between for s in r.segments if s.between is not None), None)
+    if between is not None and Z.shape[1]:
+        k = len(between.covariance)
+        inverse = np.linalg.pinv(Z)
+        a, moves = inverse @ e, inverse @ L
+        for i in range(0, Z.shape[1], k):
+            one = slice(i, i + k)
+            own = inverse[one] @ inverse[one].T
+            V = s2 * own + moves[one] @ moves[one].T + between.covariance
+            outcome.append((_weighed(a[one], V), float(k), between.runs - 1.0))
+    return Agreement(*judge_together(outcome, _WORDS))
+
+
+def _weighed(a: Array, V: Array) -> float:
+    return float(a @ np.linalg.solve(V, a))
 
 
 def check_regressions(

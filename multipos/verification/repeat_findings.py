@@ -57,7 +57,9 @@ def find_repeated_regressions(runs: Sequence[Sequence[Regression]]) -> Findings:
     runs : sequence of R sequences of Regression
         The responses of each repeat.
     """
-    carried = _carried([serious(each for r in run for each in r.findings) for run in runs])
+    # Repeats are several switch-ons themselves.
+    each = (serious(one for r in run for one in r.findings) for run in runs)
+    carried = _carried([tuple(one for one in found if one.code != "turn-on") for found in each])
     repeated = _repeated_run("coefficients", [_coefficients(run) for run in runs])
     return carried if repeated is None else (*carried, repeated)
 

@@ -310,3 +310,30 @@ def test_tumble_draws_signal_and_harmonics(tmp_path, capsys):
 def test_options_of_a_calibration_are_refused_in_python_too():
     with pytest.raises(UsageError, match="--nominal goes with a calibration"):
         mp.check(fitted(), chamber(2), nominal=(0.0, 2.0))
+
+
+def switch_on(seed, zero, n=120):
+    rng = np.random.default_rng(seed)
+    t = np.linspace(-40.0, 60.0, n)
+    noise = np.zeros(n)
+    for i in range(1, n):
+        noise[i] = 0.5 * noise[i - 1] + rng.normal(0.0, 1e-4)
+    return {"time": np.arange(float(n)), "t": t, "error": 1e-3 + 2e-4 * t + noise + zero}
+
+
+def test_a_run_as_a_whole_is_judged_by_its_rows_and_its_switch_on():
+    """Zeros of .5 mg from run to run: one run denies the next, four know it; 20 mg are none."""
+    zeros = 5e-4 * np.array([0.3, -1.1, 1.2, -0.4])
+    runs = [switch_on(seed, zero) for seed, zero in enumerate(zeros)]
+    joined = {name: np.concatenate([one[name] for one in runs]) for name in runs[0]}
+    joined["run"] = np.repeat(np.arange(4), 120)
+    one = mp.regress(runs[0], response="error", variables="t")
+    four = mp.regress(joined, response="error", variables="t", run="run")
+    same, other, far = (switch_on(9, zero) for zero in (zeros[0], zeros[1], 2e-2))
+    assert mp.check(one, same).consistency.p > 0.01
+    denied = mp.check(one, other)
+    assert denied.consistency.p < 0.01
+    assert denied.findings[0].code == "run-disagrees"
+    assert "without --run" in denied.findings[0].text
+    assert mp.check(four, other).consistency.p > 0.05
+    assert mp.check(four, far).consistency.p < 0.01
