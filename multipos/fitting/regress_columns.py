@@ -67,6 +67,7 @@ from multipos.regression.segment import Segment
 from multipos.regression.segmentation import check_edges, find_edges, segment_of
 from multipos.regression.variation import term_variances
 
+_MOST_NAMED = 3  # terms that are left out
 _ENDS = 0.1  # share of the points in balance that may be outside, at the ends of the range
 
 
@@ -138,9 +139,9 @@ def find_jumps(variable: str | None, junctions: Sequence[Junction]) -> Findings:
     most = max(clear, key=lambda j: abs(j.jump))
     text = (
         f"the model jumps at {variable} = {most.edge:.6g} by up to {abs(most.jump):.2g} "
-        f"(U {most.U:.2g}); leave out --free to fit without a jump"
+        f"(U {most.U:.2g})"
     )
-    return (Finding("jump", "warning", text),)
+    return (Finding("jump", "warning", text, "Leave out --free to fit without a jump."),)
 
 
 def find_imbalance(balance: Balance | None) -> Findings:
@@ -150,20 +151,18 @@ def find_imbalance(balance: Balance | None) -> Findings:
     outside, points = int(balance.outside.sum()), len(balance.at)
     text = (
         f"in thermal balance (rate 0) {outside} of {points} points over {balance.variable} are "
-        "outside what was measured; add soaks there to the programme"
+        "outside what was measured"
     )
-    return (Finding("balance", "warning", text),)
+    return (Finding("balance", "warning", text, "Add soaks there to the programme."),)
 
 
 def find_switch_on(data: Data) -> tuple[Finding, ...]:
     """Say that one switch-on cannot tell what the next one has."""
     if data.run is not None:
         return ()
-    text = (
-        "the change of bias from one switch-on to the next is not in U; measure several switch-ons "
-        "and name their column with --run"
-    )
-    return (Finding("turn-on", "warning", text),)
+    text = "the change of bias from one switch-on to the next is not in U"
+    action = "Measure several switch-ons and name their column with --run."
+    return (Finding("turn-on", "warning", text, action),)
 
 
 def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
@@ -176,8 +175,10 @@ def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
         text = f"{where} means nothing: F = {segment.F:.3g} is below {segment.F_critical:.4g}"
         said.append(Finding("not-significant", "warning", text, p=segment.p))
     if segment.left_out:
-        names = ", ".join(one.term for one in segment.left_out)
-        text = f"{where}: left out {names}: {segment.left_out[0].reason}"
+        names = ", ".join(one.term for one in segment.left_out[:_MOST_NAMED])
+        more = len(segment.left_out) - _MOST_NAMED
+        names += f" and {more} more" if more > 0 else ""
+        text = f"{where}: {names} left out: what it varies there is too little, or cancels"
         said.append(Finding("left-out", "note", text))
     if segment.collinear:
         text = f"{where}: {', '.join(segment.collinear)} cannot be told from the terms in the model"

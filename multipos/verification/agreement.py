@@ -27,8 +27,8 @@ What has moved is asked parameter by parameter: the step δ_j that takes most of
     δ_j = x_j'V⁻¹r / x_j'V⁻¹x_j,    Q − Q_j = δ_j² x_j'V⁻¹x_j,                               (3)
 
 is named while it is beyond chance among all of them (Bonferroni), at most three. Against one such
-step (3) is sharper than (2), so either is a finding, each at half a per cent: of a hundred runs that
-agree, one at most is said to disagree.
+step (3) is sharper than (2), so either is a finding, each at half a per cent: of a hundred runs
+that agree, one at most is said to disagree.
 
 References
 ----------

@@ -89,7 +89,7 @@ def test_nothing_wrong_inside_the_region_in_thermal_balance(seed, free):
     assert inside[middle].all() == (not free)  # where ±1 °C/min was all that was measured
     assert model.balance is not None
     still = ~model.balance.outside
-    assert ("balance" in [doubt.code for doubt in model.doubts]) == (still.mean() < 0.9)
+    assert ("balance" in [one.code for one in model.findings]) == (still.mean() < 0.9)
     if free:
         left = {one.term for one in model.segments[1].left_out}
         assert "temperature_rate^2" in left
