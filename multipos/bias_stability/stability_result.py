@@ -548,3 +548,21 @@ def _shown(found: Estimate, factor: float) -> str:
     if found.value == 0.0 and math.isfinite(u):
         return f"< {number(factor * found.U, 2)}"
     return uncertain(value, u)
+
+
+def stability_sentence(found: Stability) -> str:
+    """Return the largest white noise and bias instability of any output."""
+    factor = MICRO_G.get(found.unit, 1.0)
+    unit = "µg" if found.unit in MICRO_G else found.unit
+    parts = []
+    for name, per in (("white_noise", "/√Hz"), ("bias_instability", "")):
+        values = {o: getattr(each, name).value for o, each in found.outputs.items()}
+        values = {o: value for o, value in values.items() if value is not None and value == value}
+        if values:
+            worst = max(values, key=lambda output: values[output])
+            size = number(factor * values[worst], 3)
+            parts.append(f"{name.replace('_', ' ')} up to {size} {unit}{per} ({worst})")
+    records = len(found.records)
+    return f"{', '.join(found.outputs)} over {records} record{'s' if records > 1 else ''}: " + (
+        f"{', '.join(parts)}." if parts else "no noise was found."
+    )

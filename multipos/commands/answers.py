@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
-from multipos.commands.options import tell
+from multipos.commands.options import say, tell
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import STDIN, Pipe, is_pipe
 from multipos.files.spelling import escaped, visible_lines
@@ -48,6 +48,7 @@ KNOWN = frozenset(
 
 _IN_MEMORY = 1 << 24  # bytes of what is printed in pieces; more go to a temporary file
 _PIECE = 1 << 20
+_LINES = 34  # of a table on the screen, which with the sentence and findings is at most 40
 _ESCAPES = "multipos.escapes"  # what an encoding lacks is escaped as JSON does it
 
 
@@ -126,8 +127,12 @@ class Answer:
 
     Attributes
     ----------
+    sentence : callable
+        The answer in one sentence, which is printed first; on stderr where stdout is data.
     text, json : callable
-        What is printed, without and with ``--json``, and the forms of these names.
+        What is printed, without and with ``--json``, and the form of the latter's name.
+    detail : callable
+        What explains, printed where it is asked for; with all that stands before, the form text.
     forms : mapping of str to callable
         What ``-o`` writes beside these two or in their place: text, bytes, pieces of text, a
         figure, or several files by name.
@@ -143,6 +148,8 @@ class Answer:
 
     text: Callable[[], Content]
     json: Callable[[], Content]
+    sentence: Callable[[], str] = str
+    detail: Callable[[], str] = str
     forms: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
     findings: Callable[[], Iterable[Finding]] = tuple
     negative: Callable[[Findings], bool] = lambda found: bool(errors_of(found))
@@ -151,12 +158,20 @@ class Answer:
 
     def make(self, form: str, ending: str) -> Any:
         """Return the answer in a form that ``-o`` asks for."""
-        made: Any = {"text": self.text, "json": self.json, **self.forms}[form]()
+        made: Any = {"text": self.complete, "json": self.json, **self.forms}[form]()
         if form == "figure":
             from multipos.plots.style import render
 
             made = render(made, ending)
         return made
+
+    def complete(self) -> str:
+        """Return the sentence, the table, the findings and what explains."""
+        text = self.text()
+        assert isinstance(text, str)
+        found = "\n".join(map(str, in_order(self.findings())))
+        parts = [self.sentence(), text, found, self.detail()]
+        return "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
 
 
 @dataclass(frozen=True)
@@ -299,15 +314,37 @@ def deliver(
             if path is not None and made is not None:
                 stack.enter_context(written(made if isinstance(made, Mapping) else {path: made}))
             made = answer.json() if arguments.json else answer.text()
+        data = path == STDOUT or answer.verbatim or arguments.json
+        if not (data or answer.failure):
+            made = _first(answer.sentence(), made, verbose)
         pieces = _complete("" if answer.failure else made, stack)
+        if not data:
+            print_out(pieces)
         found = in_order(answer.findings())
-        if not quiet and not arguments.json:
-            tell(found if verbose else serious(found))
-        verbatim = path == STDOUT or (answer.verbatim and not arguments.json)
-        print_out(pieces, verbatim=verbatim)
+        if not arguments.json:
+            if data and answer.sentence():
+                say(answer.sentence())
+            if not quiet:
+                tell(found if verbose else serious(found))
+        if data:
+            print_out(pieces, verbatim=not arguments.json or path == STDOUT)
+        elif verbose and not answer.failure:
+            detail = answer.detail()
+            print_out([f"\n{detail}" if detail else ""])
     if answer.failure:
         raise MultiposError(answer.failure)
     return NEGATIVE if answer.negative(found) else 0
+
+
+def _first(sentence: str, made: Content, verbose: bool) -> Content:
+    """Return what is printed first: the sentence and the table, long ones not whole."""
+    if not isinstance(made, str):
+        return made
+    lines = made.strip("\n").split("\n") if made.strip("\n") else []
+    if not verbose and len(lines) > _LINES:
+        lines[_LINES - 1 :] = [f"… {len(lines) - _LINES + 1} more lines; -v prints all"]
+    head = [sentence, ""] if sentence and lines else [sentence] if sentence else []
+    return "".join(f"{line}\n" for line in [*head, *lines])
 
 
 def _complete(made: Content, stack: ExitStack) -> Iterable[str | bytes]:

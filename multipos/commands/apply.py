@@ -76,6 +76,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         table,
         columns,
         lambda: in_order((*log.left_out, *applied.findings)),
+        lambda: _compensated(applied.rows, applied.beyond, applied.noise),
         applied.noise,
     )
 
@@ -99,6 +100,7 @@ def _correct(arguments: argparse.Namespace) -> Answer:
         lambda: format_csv(columns, table.delimiter),
         lambda: columns,
         lambda: columns.findings,
+        lambda: _compensated(table.rows, int(sum(columns["outside"])), columns.noise),
         columns.noise,
     )
 
@@ -108,6 +110,7 @@ def _answer(
     table: Callable[[], Content],
     columns: Callable[[], Mapping[str, Column]],
     findings: Callable[[], Findings],
+    sentence: Callable[[], str],
     noise: str | None,
 ) -> Answer:
     def json() -> Iterable[str]:
@@ -116,9 +119,16 @@ def _answer(
         return json_table(table, len(table["outside"]), said | listed)
 
     return Answer(
+        sentence=sentence,
         text=table if arguments.output is None else str,
         json=json,
         forms={"table": table, "text": table},
         findings=findings,
-        verbatim=True,
+        verbatim=arguments.output is None,
     )
+
+
+def _compensated(rows: int, beyond: int, noise: str | None) -> str:
+    """Return how many rows were compensated, and which noise of a reading u holds."""
+    held = "" if noise is None else f"; u holds the noise of one reading, {noise}"
+    return f"{rows} rows compensated, {beyond} of them outside what was calibrated{held}."

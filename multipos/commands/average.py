@@ -6,7 +6,7 @@ from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_order, add_reading, file_progress, names
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
-from multipos.logs.averages import averages_text
+from multipos.logs.averages import averages_sentence, averages_text
 from multipos.logs.averaging import average
 from multipos.logs.readers import formats_read
 
@@ -67,6 +67,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     with file_progress(arguments.logs, "reading") as progress:
         found = average(*arguments.logs, progress=progress, **options)
     return Answer(
+        sentence=lambda: averages_sentence(found),
         text=lambda: averages_text(found),
         json=lambda: to_json(found.to_dict()),
         forms={"table": lambda: format_csv(found.columns())},

@@ -19,7 +19,8 @@ from multipos.finding import in_order
 from multipos.fitting.calibrate_logs import fit_rests
 from multipos.logs.averages import averages_text
 from multipos.logs.averaging import average
-from multipos.reports.summary import text_report
+from multipos.reports.sentences import calibration_sentence
+from multipos.reports.summary import detail_text, parameter_text
 from multipos.sensor.calibration import Calibration
 
 if TYPE_CHECKING:
@@ -90,8 +91,10 @@ def run(arguments: argparse.Namespace) -> Answer:
 
     def text() -> str:
         last = f"\nWritten to {', '.join(written)}\n" if written else ""
-        first = f"{calibration.set_aside}\n\n" if calibration.excluded else ""
-        return f"{first}{averages_text(found)}\n{text_report(calibration)}{last}"
+        return f"{parameter_text(calibration)}{last}"
+
+    def detail() -> str:
+        return f"{averages_text(found)}\n{detail_text(calibration)}"
 
     def with_exports(made: str) -> Any:
         if arguments.output == STDOUT:
@@ -104,16 +107,19 @@ def run(arguments: argparse.Namespace) -> Answer:
     )
     told = [each.to_dict() for each in findings]
     summary = {"average": found.to_dict(), "exports": listing, "findings": told}
-    return Answer(
+    answer = Answer(
+        sentence=lambda: calibration_sentence(calibration),
         text=text,
+        detail=detail,
         json=lambda: to_json(calibration.to_dict() | summary),
         forms={
             "json": lambda: with_exports(to_json(calibration.to_dict())),
-            "text": lambda: with_exports(text()),
+            "text": lambda: with_exports(answer.complete()),
         },
         findings=lambda: findings,
         failure=" ".join(refused),
     )
+    return answer
 
 
 def _exports(

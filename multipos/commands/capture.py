@@ -20,10 +20,11 @@ from multipos.errors import UsageError
 from multipos.exports.target import Exported
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json, to_json_line
-from multipos.logs.averages import averages_text
+from multipos.logs.averages import averages_sentence, averages_text
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report
-from multipos.reports.summary import text_report
+from multipos.reports.sentences import calibration_sentence
+from multipos.reports.summary import detail_text, parameter_text
 
 INPUTS = ("scheme", "budget", "stability")
 OUTPUT = Output(
@@ -171,15 +172,26 @@ def _answer(arguments: argparse.Namespace, result: _Result) -> Answer:
     exports, refused = result.exports()
     table = "" if found.averages is None else format_csv(found.averages.columns())
 
+    def sentence() -> str:
+        if found.calibration is not None:
+            return calibration_sentence(found.calibration)
+        return "" if found.averages is None else averages_sentence(found.averages)
+
     def text() -> str:
-        if arguments.headless:
+        if arguments.headless or found.calibration is None:
             return ""
+        return parameter_text(found.calibration)
+
+    def detail() -> str:
         parts = [averages_text(found.averages)] if found.averages is not None else []
-        parts += [text_report(found.calibration)] if found.calibration is not None else []
+        parts += [detail_text(found.calibration)] if found.calibration is not None else []
         return "\n".join(parts)
 
     return Answer(
+        sentence=sentence,
         text=text,
+        detail=detail,
+        verbatim=arguments.headless,
         json=lambda: "" if arguments.headless else to_json(found.to_dict()),
         forms={
             "table": lambda: result.files(table, exports),

@@ -10,7 +10,7 @@ from multipos.finding import Findings, errors_of
 from multipos.plots.check import check_figure
 from multipos.regression.regression import Regression, Regressions
 from multipos.regression.regression_file import SCHEMA, load_regression
-from multipos.reports.sheets import check_text
+from multipos.reports.sheets import check_sentence, check_text, run_conclusions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.verification.checks import RUN, check
@@ -77,7 +77,9 @@ def run(arguments: argparse.Namespace) -> Answer:
     }
     found = check(calibration, arguments.readings, **options)
     return Answer(
+        sentence=lambda: check_sentence(found),
         text=lambda: check_text(found),
+        detail=lambda: "\n".join(run_conclusions(found)),
         json=lambda: to_json(found.to_dict()),
         forms={
             "figure": lambda: check_figure(found),

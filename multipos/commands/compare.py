@@ -7,7 +7,12 @@ from typing import Any
 from multipos.commands.answers import Answer, Output
 from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
-from multipos.verification.comparison import Comparison, compare, comparison_text
+from multipos.verification.comparison import (
+    Comparison,
+    compare,
+    comparison_sentence,
+    comparison_text,
+)
 from multipos.verification.regression_comparison import RegressionComparison
 
 INPUTS = ("calibrations", "limits")
@@ -49,6 +54,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         limits=arguments.limits,
     )
     return Answer(
+        sentence=lambda: comparison_sentence(found),
         text=lambda: _text(found),
         json=lambda: to_json(found.to_dict()),
         forms={"figure": lambda: _figure(found), **_combined(found)},

@@ -30,6 +30,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     script = SHELLS[arguments.shell]({name: command_parser(name) for name in COMMANDS})
     return Answer(
+        sentence=lambda: f"Completion of multipos in {arguments.shell}.",
         text=lambda: script,
         json=lambda: json.dumps({"shell": arguments.shell, "script": script}) + "\n",
         verbatim=True,

@@ -4,6 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.files.trees import to_json
+from multipos.reports.sentences import calibration_sentence
 from multipos.song_qin import demo, demo_dict, demo_text
 
 INPUTS = ()
@@ -20,6 +21,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     found = demo(folder)
     said = f"{demo_text(found)}\nWritten to {folder}: readings.csv, calibration.json, report.txt\n"
     return Answer(
+        sentence=lambda: calibration_sentence(found.calibration),
         text=lambda: said,
         json=lambda: to_json(demo_dict(found)),
         findings=lambda: found.calibration.findings,

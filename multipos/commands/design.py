@@ -7,7 +7,14 @@ from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_order, add_orientation, numbers, progress_bar
-from multipos.designs.designing import Design, design, design_csv, design_text, smaller_designs
+from multipos.designs.designing import (
+    Design,
+    design,
+    design_csv,
+    design_sentence,
+    design_text,
+    smaller_designs,
+)
 from multipos.errors import UsageError
 from multipos.files.trees import to_json
 
@@ -80,6 +87,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     with progress_bar("searching positions"):
         found = make(arguments.positions)
     return Answer(
+        sentence=lambda: design_sentence(found),
         text=lambda: design_text(found),
         json=lambda: to_json(found),
         forms={

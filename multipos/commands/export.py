@@ -78,7 +78,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         "findings": _listed(exported),
     }
     return Answer(
-        text=lambda: f"Written to {', '.join(names)}\n",
+        sentence=lambda: f"Written to {', '.join(names)}.",
+        text=str,
         json=lambda: to_json(listing),
         forms={
             "export": lambda: (

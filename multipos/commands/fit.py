@@ -7,7 +7,8 @@ from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, add_model, add_order, names, numbers
 from multipos.files.trees import to_json
 from multipos.fitting.fit_readings import fit
-from multipos.reports.summary import text_report
+from multipos.reports.sentences import calibration_sentence
+from multipos.reports.summary import detail_text, parameter_text
 from multipos.sensor.calibration import Calibration
 
 INPUTS = ("readings", "scheme", "budget")
@@ -80,7 +81,9 @@ def run(arguments: argparse.Namespace) -> Answer:
     options = {k: v for k, v in vars(arguments).items() if k not in ("readings", "json", "output")}
     calibration = fit(arguments.readings, **options)
     return Answer(
-        text=lambda: text_report(calibration),
+        sentence=lambda: calibration_sentence(calibration),
+        text=lambda: parameter_text(calibration),
+        detail=lambda: detail_text(calibration),
         json=lambda: to_json(calibration.to_dict()),
         forms={"figure": lambda: _figure(calibration)},
         findings=lambda: calibration.findings,

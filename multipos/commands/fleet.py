@@ -15,7 +15,7 @@ from multipos.files.trees import to_json
 from multipos.files.whole import no_folder
 from multipos.finding import Finding, Findings, read_findings
 from multipos.fleets.fleet import Fleet, fleet
-from multipos.fleets.fleet_text import fleet_text
+from multipos.fleets.fleet_text import fleet_sentence, fleet_text
 from multipos.fleets.folder import (
     CSV,
     STATIONS,
@@ -26,6 +26,7 @@ from multipos.fleets.folder import (
     progress_folder,
     write_fleet,
 )
+from multipos.fleets.quality import PASS
 from multipos.fleets.workers import ENGINES
 from multipos.reports.documents import html_report, markdown_report
 from multipos.reports.fleets import fleet_content
@@ -78,11 +79,13 @@ def run(arguments: argparse.Namespace) -> Answer:
         page = html_report(content) if has_page() else markdown_report(content)
         write_fleet(found, folder, page)
     return Answer(
+        sentence=lambda: fleet_sentence(found.to_dict()),
         text=lambda: (
             f"{fleet_text(found.to_dict())}\nWritten to {folder}: {', '.join(_names(found))}\n"
             + ("" if has_page() else "For report.html: pip install jinja2 matplotlib\n")
         ),
         json=lambda: to_json(found.to_dict()),
+        negative=lambda _: found["verdicts"].get(PASS, 0) == 0,
         findings=lambda: (*read_findings(found.summary), *_without_parquet()),
     )
 

@@ -7,6 +7,7 @@ from multipos.commands.options import names
 from multipos.files.trees import to_json
 from multipos.fitting.regress_columns import regress
 from multipos.plots.temperature import regression_figure
+from multipos.regression.regression import regression_sentence
 
 INPUTS = ("data",)
 OUTPUT = Output(
@@ -105,6 +106,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     options = {k: v for k, v in vars(arguments).items() if k not in ("data", "json", "output")}
     regression = regress(arguments.data, **options)
     return Answer(
+        sentence=lambda: regression_sentence(regression),
         text=lambda: f"{regression}\n",
         json=lambda: to_json(regression.to_dict()),
         forms={"figure": lambda: regression_figure(regression, arguments.data)},

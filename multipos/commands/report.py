@@ -172,7 +172,8 @@ def _answer(
     certificate: Callable[[], str],
 ) -> Answer:
     return Answer(
-        text=lambda: f"Written to {arguments.output}\n",
+        sentence=lambda: f"Written to {arguments.output}.",
+        text=str,
         json=lambda: to_json({**listing, "findings": ()}),
         forms={
             "html": lambda: html_report(content),

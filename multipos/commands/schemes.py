@@ -5,7 +5,7 @@ from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_model, add_order, add_orientation
-from multipos.designs.assessment import Schemes, schemes, schemes_text
+from multipos.designs.assessment import Schemes, schemes, schemes_sentence, schemes_text
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
@@ -50,6 +50,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     }
     found = schemes(*arguments.schemes, axes=axes, order=arguments.order, **setting)
     return Answer(
+        sentence=lambda: schemes_sentence(found),
         text=lambda: schemes_text(found),
         json=lambda: to_json(found),
         forms={

@@ -70,11 +70,14 @@ def run(arguments: argparse.Namespace) -> Answer:
     def table() -> str:
         return format_csv(columns)
 
+    rows = len(next(iter(columns.values())))
+    what = "rows of a log" if arguments.log else "readings"
     return Answer(
+        sentence=lambda: f"{rows} {what} simulated.",
         text=table if arguments.output is None else str,
         json=lambda: to_json({"columns": columns, "findings": ()}),
         forms={"table": table, "text": table},
-        verbatim=True,
+        verbatim=arguments.output is None,
     )
 
 

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.bias_stability.analysis import stability
-from multipos.bias_stability.stability_result import stability_text
+from multipos.bias_stability.stability_result import stability_sentence, stability_text
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_reading, file_progress, names
 from multipos.files.tables import format_csv
@@ -48,6 +48,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     with file_progress(arguments.logs, "reading") as progress:
         found = stability(*arguments.logs, progress=progress, **options)
     return Answer(
+        sentence=lambda: stability_sentence(found),
         text=lambda: stability_text(found),
         json=lambda: to_json(found.to_dict()),
         forms={

@@ -6,7 +6,7 @@ from multipos.commands.answers import Answer, Output
 from multipos.commands.options import add_conditions, names, numbers
 from multipos.files.trees import to_json
 from multipos.plots.tumble import tumble_figure
-from multipos.reports.tumble_text import tumble_text, tumbles_text
+from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text
 from multipos.verification.tumbling import Tumbles, tumble
 
 INPUTS = ("readings", "scheme")
@@ -30,6 +30,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     options = {k: v for k, v in vars(arguments).items() if k not in ("readings", "json", "output")}
     found = tumble(arguments.readings, **options)
     return Answer(
+        sentence=lambda: tumble_sentence(found),
         text=lambda: tumbles_text(found) if isinstance(found, Tumbles) else tumble_text(found),
         json=lambda: to_json(found.to_dict()),
         forms={"figure": lambda: tumble_figure(found)},

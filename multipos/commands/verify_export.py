@@ -41,6 +41,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         run_foreign_code=arguments.run_foreign_code,
     )
     return Answer(
+        sentence=lambda: found.sentence,
         text=lambda: str(found),
         json=lambda: to_json(found.to_dict()),
         findings=lambda: found.findings,

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.designs.prospects import worth, worth_text
+from multipos.designs.prospects import worth, worth_sentence, worth_text
 from multipos.files.trees import to_json
 from multipos.sensor.calibration_file import load
 
@@ -33,4 +33,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         parameter=arguments.parameter,
         target=arguments.target,
     )
-    return Answer(text=lambda: worth_text(found), json=lambda: to_json(found))
+    return Answer(
+        sentence=lambda: worth_sentence(found),
+        text=lambda: worth_text(found),
+        json=lambda: to_json(found),
+    )

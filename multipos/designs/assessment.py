@@ -490,3 +490,17 @@ def _dof(setting: Setting, count: int) -> dict[str, int]:
     return {
         output: count - len(terms) for output, terms in zip(model.outputs, model.terms, strict=True)
     }
+
+
+def schemes_sentence(found: Schemes) -> str:
+    """Return the best of several schemes, and how many cannot determine the model."""
+    told = [entry for entry in found.schemes if entry.identifiable]
+    if not told:
+        return f"None of {len(found.schemes)} schemes determines the model {found.model}."
+    best = max(told, key=lambda entry: entry.d_efficiency or 0.0)
+    good = f"{100.0 * (best.d_efficiency or 0.0):.1f} % of the best D efficiency per position"
+    if len(found.schemes) == 1:
+        return f"{best.name}: {best.positions} positions, {good}."
+    others = len(found.schemes) - len(told)
+    without = f"; {others} cannot determine it" if others else ""
+    return f"Best of {len(found.schemes)} schemes for {found.model}: {best.name}, {good}{without}."

@@ -476,3 +476,11 @@ def smaller_designs(make: Callable[[int], Design], found: Design) -> tuple[Desig
         except (MultiposError, UsageError):  # too few, and so are all that are fewer
             break
     return tuple(reversed(designs[:_SIZES]))
+
+
+def design_sentence(found: Design) -> str:
+    """Return how good the positions are against the best that there could be."""
+    return (
+        f"{len(found.positions)} positions reach {100.0 * found.efficiency:.1f} % of the best "
+        f"{found.criterion} efficiency per position on the sphere."
+    )

@@ -292,3 +292,16 @@ def _ahead(
         path.append(best)
         present = present + pieces[best]
     return None
+
+
+def worth_sentence(found: Worth) -> str:
+    """Return the best next position, and what it gains."""
+    best = found.candidates[0]
+    up = ", ".join(f"{value + 0.0:.3g}" for value in best.up)
+    what = found.parameter or "all parameters"
+    text = f"Best next position: up ({up}), u of {what} falls by {100.0 * best.fall:.2g} %"
+    if found.target is None:
+        return f"{text}."
+    if found.path is None:
+        return f"{text}; the target of {number(found.target)} is out of reach."
+    return f"{text}; {found.further_positions} more positions reach {number(found.target)}."

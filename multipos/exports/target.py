@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multipos.bias_stability.stability_result import Stability
-from multipos.files.numbers import table
+from multipos.files.numbers import number, table
 from multipos.files.whole import written
-from multipos.finding import Finding, Findings
+from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import Array
 from multipos.results import Result, plain
 from multipos.sensor.calibration import Calibration
@@ -144,6 +144,12 @@ class Verification(Result):
         """Largest residual [g]."""
         return float(np.abs(self.residuals).max())
 
+    @property
+    def sentence(self) -> str:
+        """Whether the file holds, and the largest difference."""
+        largest = "" if self.difference is None else f"{number(self.difference, 2)} g"
+        return in_a_sentence(self.target, self.findings, largest)
+
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can carry."""
         residuals = [
@@ -225,3 +231,10 @@ def find_strange(path: str, difference: float, allowed: float) -> Findings:
         "another or changed since."
     )
     return (Finding("export-differs", "error", text, "Export again."),)
+
+
+def in_a_sentence(target: str, findings: Findings, largest: str) -> str:
+    """Return whether a file holds what its calibration gives, and the largest difference."""
+    holds = "does not hold" if errors_of(findings) else "holds"
+    difference = f": largest difference from multipos {largest}" if largest else ""
+    return f"The file for {target} {holds}{difference}."

@@ -22,7 +22,7 @@ from multipos.exports.c_running import compile_and_run
 from multipos.exports.c_source import array, comment, require_identifier
 from multipos.exports.parts import Correction
 from multipos.exports.replay import Drive, expected_rows, fitted_rows, generated_rows
-from multipos.exports.target import Exported, GivenFile
+from multipos.exports.target import Exported, GivenFile, in_a_sentence
 from multipos.exports.target_c import difference_of
 from multipos.files.numbers import number, table
 from multipos.files.spelling import Names, split_names
@@ -138,6 +138,12 @@ class Replay(Result):
     allowed: Array
     foreign: bool = False
     findings: Findings = ()
+
+    @property
+    def sentence(self) -> str:
+        """Whether the file holds, and the largest difference."""
+        largest = f"{number(float(self.difference.max()), 2)} over {self.rows} rows"
+        return in_a_sentence(self.target, self.findings, largest)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can carry."""

@@ -198,3 +198,14 @@ def drift_rows(found: Mapping[str, Any]) -> Rows:
         for each in found["drift"]
     ]
     return header, rows
+
+
+def fleet_sentence(found: Mapping[str, Any]) -> str:
+    """Return the yield, and the units by verdict."""
+    good = found["yield"]
+    low, high = (f"{100.0 * good[side]:.2f}" for side in ("low", "high"))
+    counts = ", ".join(f"{count} {name}" for name, count in found["verdicts"].items())
+    return (
+        f"Yield {100.0 * good['value']:.2f} % ({low} to {high} % with 95 % confidence) of "
+        f"{found['units']} units: {counts}."
+    )

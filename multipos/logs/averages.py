@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.files.numbers import number, table, uncertain
+from multipos.files.numbers import in_unit, number, table, uncertain
 from multipos.files.tables import Column, write_table
 from multipos.finding import Findings
 from multipos.logs.rest_means import RestMean
@@ -219,3 +219,11 @@ def averages_text(found: Averages) -> str:
     level = "" if found.threshold is None else f", threshold {found.threshold:.3g}"
     head = [f"{found.source}: {len(found.rests)} rests{rate}{level}"]
     return "\n".join([*head, "", table(header, rows), ""])
+
+
+def averages_sentence(found: Averages) -> str:
+    """Return how many rests were averaged, and how well."""
+    u = found.readings.u
+    unit = found.unit or ""
+    known = "" if u is None else f"; u up to {in_unit(float(u.max()), unit)}"
+    return f"{len(found.rests)} rests of {found.source} averaged{known}."

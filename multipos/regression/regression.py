@@ -7,6 +7,7 @@ when it is made and never changes.
 Regressions of several responses, one for each axis, on the same columns.
 """
 
+import math
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -438,3 +439,22 @@ class Regressions(Result, Tabular, Mapping[str, Regression]):
 def all_of(regression: Regression | Regressions) -> tuple[Regression, ...]:
     """Return the regressions, one or several."""
     return (regression,) if isinstance(regression, Regression) else tuple(regression.values())
+
+
+def regression_sentence(found: Regression | Regressions) -> str:
+    """Return how much of the response is described, and by what."""
+    several = [found] if isinstance(found, Regression) else list(found.values())
+    return " ".join(_described(r) for r in several)
+
+
+def _described(r: Regression) -> str:
+    n = np.array([s.n for s in r.segments], dtype=np.float64)
+    rms = math.sqrt(float(n @ np.array([s.rms**2 for s in r.segments])) / float(n.sum()))
+    least = min(s.r2 for s in r.segments)
+    pieces = f"{len(r.segments)} segments" if len(r.segments) > 1 else "1 segment"
+    significant = all(s.significant for s in r.segments)
+    verdict = "" if significant else "; not significant"
+    return (
+        f"{r.response} by {', '.join(r.variables)}: R² {'from ' if n.size > 1 else ''}"
+        f"{number(least, 4)}, residual sd {number(rms, 3)}, {r.n} rows, {pieces}{verdict}."
+    )

@@ -6,6 +6,7 @@ into a report of any form and language.
 What checks say: as sheets of text (`multipos.reports.sheets`), and as plain text of them.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from multipos.files.numbers import (
     in_unit,
     largest_rows,
     number,
+    p_in_words,
     plain_number,
     readable_unit,
     table,
@@ -244,7 +246,6 @@ def check_text(found: Check) -> str:
             f"{found.verdict} against {in_unit(found.limit, found.unit)} with U "
             f"({100 * found.confidence:g} %) as guard band: {counted}"
         )
-    said += run_conclusions(found)
     return text + ("\n" + "\n".join(said) + "\n" if said else "")
 
 
@@ -275,3 +276,31 @@ def _error_cells(error: float, U: float, decimals: int | None) -> tuple[str, str
     if decimals is None or not (np.isfinite(error) and np.isfinite(U)):
         return _signed(error), plain_number(U, 2)
     return fixed(error, decimals, signed=True), f"{U:.{decimals}f}"
+
+
+def check_sentence(found: Check) -> str:
+    """Return pass, fail or indeterminate, with the largest error, its U and the limit."""
+    errors = np.where(found.counted & np.isfinite(found.after), np.abs(found.after), -1.0)
+    row, column = np.unravel_index(int(np.argmax(errors)), errors.shape)
+    error, U = float(errors[row, column]), float(found.U[row, column])
+    if error < 0.0:
+        return "Fail: the calibration gives no value at any position."
+    largest = f"largest error {in_unit(error, found.unit)}"
+    if math.isfinite(U):
+        largest += f" (U {in_unit(U, found.unit)})"
+    where = f" at position {found.positions[row]}"
+    if found.limit is None:
+        whole = found.consistency
+        agrees = ""
+        if whole is not None and math.isfinite(whole.p):
+            word = "agrees" if whole.p >= 1.0 - found.confidence else "disagrees"
+            agrees = f"; the run {word} with the calibration ({p_in_words(whole.p)})"
+        rms = found.summary()["after"]["rms"]
+        return f"Errors of {in_unit(rms, found.unit)} rms, {largest}{where}{agrees}."
+    limit = in_unit(found.limit, found.unit)
+    open_ = int(np.sum(found.verdicts == "indeterminate"))
+    if found.verdict == "indeterminate":
+        many = f"{open_} of {int(found.counted.sum())} errors"
+        return f"Indeterminate: {largest}{where}; with U, {many} may exceed the limit of {limit}."
+    verdict = "Pass" if found.verdict == "pass" else "Fail"
+    return f"{verdict}: {largest}{where} against a limit of {limit}."

@@ -1,16 +1,16 @@
 """The summary that a fit prints; the whole report is `multipos.reports.documents`.
 
-Findings first, then what was done, the parameters as value(u) with U, k and degrees of
-freedom, of one- and two-axis sensors how they are installed and what their rolls say of the
-turntable, the residuals of every position, and how the result was checked.
+The answer in a sentence, the parameters as value(u) with U, k and degrees of freedom, and the
+findings; then what was done, of one- and two-axis sensors how they are installed and what their
+rolls say of the turntable, the residuals of every position, and how the result was checked.
 """
 
 import math
 from collections.abc import Iterable
 
 from multipos.files.numbers import largest_rows, number, table
-from multipos.finding import NOT_FIT, errors_of
 from multipos.numerics.terms import COMPONENTS
+from multipos.reports.sentences import calibration_sentence
 from multipos.reports.sheets import installation_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration, parameter_rows
 from multipos.sensor.inverse import sensed_axes
@@ -19,21 +19,29 @@ from multipos.uncertainty.turntable import has_rolls, table_errors
 
 def text_report(calibration: Calibration) -> str:
     """Return the summary as plain text."""
-    parts = []
-    for title, body in _sections(calibration):
-        parts.append(f"{title}\n{'-' * len(title)}\n{body}\n")
-    return "\n".join(parts)
+    parts = [f"{calibration_sentence(calibration)}\n", parameter_text(calibration)]
+    if calibration.findings:
+        parts.append(_titled("Findings", _bullets(map(str, calibration.findings))))
+    return "\n".join([*parts, detail_text(calibration)])
+
+
+def parameter_text(calibration: Calibration) -> str:
+    """Return the table of parameters, after the positions that were set aside."""
+    aside = f"{calibration.set_aside}\n\n" if calibration.excluded else ""
+    return aside + _titled("Parameters", table(*parameter_rows(calibration)))
+
+
+def detail_text(calibration: Calibration) -> str:
+    """Return what was done, how the sensor is installed, the residuals and the checks."""
+    return "\n".join(_titled(title, body) for title, body in _sections(calibration))
+
+
+def _titled(title: str, body: str) -> str:
+    return f"{title}\n{'-' * len(title)}\n{body}\n"
 
 
 def _sections(calibration: Calibration) -> list[tuple[str, str]]:
-    found = calibration.findings
-    sections = []
-    if found:
-        title = NOT_FIT if errors_of(found) else "Findings"
-        sections.append((title, _bullets(map(str, found))))
-    sections.append(("Calibration", _summary(calibration)))
-    header, rows = parameter_rows(calibration)
-    sections.append(("Parameters", table(header, rows)))
+    sections = [("Calibration", _summary(calibration))]
     if len(sensed_axes(calibration.model)) < len(COMPONENTS):
         sheets = installation_sheets(calibration)
         if has_rolls(calibration):
@@ -59,7 +67,6 @@ def _summary(calibration: Calibration) -> str:
     counted = f"{len(readings)} of {', '.join(c.outputs)} [{c.model.unit}]"
     lines = [
         f"readings    {readings.source or 'from memory'}: {counted}",
-        *([f"set aside   {c.set_aside}"] if c.excluded else []),
         f"model       {c.model.text}, inputs {', '.join(c.model.inputs)}",
         f"convention  {c.convention}",
         f"gravity     {gravity}",

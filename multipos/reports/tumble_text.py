@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 
 from multipos.files.numbers import number, table, uncertain
+from multipos.finding import errors_of
 from multipos.positions.harmonics import Harmonic
 from multipos.reports.sheets import table_error_sheets
 from multipos.uncertainty.turntable import TableErrors
@@ -196,3 +197,15 @@ def _harmonic_cells(h: Harmonic) -> list[str]:
         return [number(value, 6) for value in (h.cos, h.sin, h.amplitude)]
     larger = max(h.u_cos, h.u_sin)  # the u of an amplitude lies between the two
     return [uncertain(h.cos, h.u_cos), uncertain(h.sin, h.u_sin), uncertain(h.amplitude, larger)]
+
+
+def tumble_sentence(found: Tumble | Tumbles) -> str:
+    """Return scale factor and bias of every output."""
+    outputs = {found.calibration.outputs[0]: found} if isinstance(found, Tumble) else found.outputs
+    said = []
+    for name, one in outputs.items():
+        held = [k for k in ("K1", "K0") if k in one.coefficients]
+        values = (f"{k} = {uncertain(one[k].value, one[k].u)} {one[k].unit}" for k in held)
+        said.append(f"{name}: {', '.join(values)}")
+    errors = errors_of(found.findings)
+    return f"{'Not fit for use: ' if errors else ''}{'; '.join(said)}."

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.numbers import number, table, uncertain
+from multipos.files.numbers import number, p_in_words, table, uncertain
 from multipos.files.spelling import spread
 from multipos.files.trees import read_schema
 from multipos.finding import Finding, Findings, in_order
@@ -533,3 +533,16 @@ def _verdict(found: Comparison) -> str:
         f"{verdict}: {found.test}: {number(found.statistic)} on {shown} degrees of freedom, "
         f"p = {number(found.p_total, 3)}"
     )
+
+
+def comparison_sentence(found: Comparison | RegressionComparison) -> str:
+    """Return whether runs agree, and what has moved."""
+    if isinstance(found, RegressionComparison):
+        least = min((t.p for t in found.terms if not math.isnan(t.p)), default=math.nan)
+        verdict = "agree" if found.consistent else "do not agree"
+        smallest = "" if math.isnan(least) else f"; smallest p of a term {number(least, 2)}"
+        return f"{len(found.files)} regressions {verdict}{smallest}."
+    verdict = "agree" if found.consistent else "do not agree"
+    moved = f"; moved: {', '.join(found.moved)}" if found.moved else ""
+    p = "" if math.isnan(found.p_total) else f" ({p_in_words(found.p_total)})"
+    return f"{len(found.files)} calibrations {verdict}{p}{moved}."

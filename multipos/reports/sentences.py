@@ -1,0 +1,67 @@
+"""The answer of a fit in one sentence: from what, its rms error, its U, and whether to use it."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from multipos.bias_stability.stability_result import MICRO_G
+from multipos.files.numbers import in_unit
+from multipos.finding import LEVELS, Finding, errors_of
+from multipos.numerics.arrays import Array
+from multipos.plots.calibration import nominal_error
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
+from multipos.sensor.inverse import Nominal
+
+_PER_G = 1e6  # readings in these units of 1 g are µg times MICRO_G
+
+
+def counted_findings(findings: Iterable[Finding]) -> str:
+    """Return how many errors and warnings there are."""
+    levels = [found.level for found in findings]
+    counts = {level: levels.count(level) for level in LEVELS[:2]}
+    said = [f"{n} {level}{'s' if n > 1 else ''}" for level, n in counts.items() if n]
+    return ", ".join(said) or "no warnings"
+
+
+def calibration_sentence(c: Calibration) -> str:
+    """Return from what a calibration was made, its rms error and U, and whether to use it."""
+    count = len(c.readings)
+    kind = "hand-held position" if c.estimator is Estimator.UNKNOWN else "position"
+    parts = [f"{', '.join(c.outputs)} calibrated from {count} {kind}{'s' if count != 1 else ''}"]
+    if math.isfinite(c.rms):
+        before = _rms_before(c)
+        after = in_unit(c.rms, "g")
+        parts[0] += f": rms error {before} before, {after} after" if before else f": rms {after}"
+    bias, scale = _largest_expanded(c)
+    said = [f"{in_unit(bias, c.model.unit)} of bias"] if math.isfinite(bias) else []
+    said += [f"{share(scale)} of scale"] if math.isfinite(scale) else []
+    if said:
+        parts.append(f"U ({100.0 * c.confidence:g} %) up to {' and '.join(said)}")
+    head = "Not fit for use: " if errors_of(c.findings) else ""
+    return f"{head}{'; '.join([*parts, counted_findings(c.findings)])}."
+
+
+def _rms_before(c: Calibration) -> str:
+    """Return the rms error by the stated conversion, or by the unit where it is one of force."""
+    if c.nominal is None and c.model.unit not in MICRO_G:
+        return ""
+    if c.nominal is None:
+        c = replace(c, nominal=Nominal(0.0, _PER_G / MICRO_G[c.model.unit]))
+    error = nominal_error(c)
+    return in_unit(math.sqrt(float(error @ error) / len(error)), "g")
+
+
+def _largest_expanded(c: Calibration) -> tuple[float, float]:
+    """Return the largest U of a bias, and of an own scale factor as a share of it."""
+    bias = [entry.U for entry in c.entries if entry.name.startswith("bias_")]
+    own = list(c.model.own_scales)
+    scale: Array = c.U[own] / np.abs(c.parameters[own])
+    return max(bias, default=math.nan), float(np.max(scale, initial=0.0)) or math.nan
+
+
+def share(size: float) -> str:
+    """Return a share in percent, a small one in ppm."""
+    return f"{100.0 * size:.2g} %" if size >= 1e-3 else f"{1e6 * size:.2g} ppm"
