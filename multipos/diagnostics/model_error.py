@@ -142,10 +142,6 @@ def missing_term(c: Calibration) -> Finding | None:
     if any(test.term.startswith(COLUMN) for test in best) and zero_per_soak(c) is not None:
         best = tuple(test for test in best if not test.term.startswith(COLUMN))
     best = tuple(test for test in best if _is_admissible(c, (test.term,)))
-    if not c.estimator.exact:
-        # Orientation errors show a little of what the listed positions hide, no more than the
-        # curvature that the tests leave out.
-        best = tuple(test for test in best if test.term not in c.diagnostics.hidden)
     if not best:
         return None
     named, first = _named(c, best), best[0]
