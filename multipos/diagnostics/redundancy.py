@@ -143,6 +143,8 @@ def drift_absorbed(c: Calibration) -> Finding | None:
     time = c.readings.environment.get("time")
     if time is None or not c.estimator.exact or not np.isfinite(time).all():
         return None
+    if c.model.drift_per is not None:  # it is estimated
+        return None
     course = time - time.mean()
     phi = c.model.basis(c.reference, c.readings.environment)
     share = max(share_absorbed(phi[:, columns], course) for columns in c.model.columns)
