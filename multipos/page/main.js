@@ -188,7 +188,8 @@ function show(answer) {
     $(name).options[0].textContent = `${T("what they show")}: ${T(KINDS[answer[name]] || answer[name])}`;
   }
   const items = answer.findings.map(finding => {
-    const said = `${LEVELS[finding.level]()}: ${finding.text} `;
+    const stop = !finding.action || /[.?!。]$/.test(finding.text) ? "" : ".";
+    const said = `${LEVELS[finding.level]()}: ${finding.text}${stop} `;
     const made = element("li", [said, element("b", finding.action)], finding.level);
     made.dataset.code = finding.code;
     return made;
