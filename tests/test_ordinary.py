@@ -1,10 +1,12 @@
 """The first command in ordinary situations, against the truth and the peers of `benchmarks`."""
 
+import re
+
 import numpy as np
 import pytest
 
 import multipos as mp
-from benchmarks.ordinary import ROWS, measured
+from benchmarks.ordinary import ROWS, error_of, line_from, measured
 
 SEEN = ("one-off-102mg", "two-off-10mg", "two-off-102mg", "five-off-41mg")
 
@@ -41,3 +43,16 @@ def test_a_model_that_is_named_is_not_changed():
     assert edge == pytest.approx(0.01 * np.sqrt(0.5), rel=0.05)
     with pytest.raises(mp.RankError):
         mp.calibrate(made.log, model="linear")
+
+
+def test_the_advice_for_six_faces_by_hand_is_followed():
+    row, before, after = ROWS["faces-1deg"], [], []
+    for seed in range(10):
+        made = row.make(np.random.default_rng(seed))
+        plain = mp.calibrate(made.log, scheme="faces-6")
+        (said,) = (f for f in plain.findings if f.code == "denied-noise")
+        advised = re.search(r"--orientation-sd ([\d.]+), or no --scheme", str(said))
+        cal = mp.calibrate(made.log, scheme="faces-6", orientation_sd=float(advised[1]))
+        for found, errors in ((plain, before), (cal, after)):
+            errors.append(error_of(line_from(found), made, row))
+    assert np.median(after) < 0.1 * np.median(before)

@@ -272,12 +272,17 @@ def _cause_at_known(c: Calibration) -> str:
             if contrasts >= TELLING:
                 return f"{size}: see --orientation-sd auto"
             return f"{size}, if not scatter: so few positions tell little; see --orientation-sd"
+    if degrees is None and contrasts < 1:
+        # A turn moves the two outputs across a face, a scatter all three.
+        off = math.sqrt(1.5 * float(np.mean(equal.variances[0] / np.sum(c.sensitivity**2, axis=1))))
+        return (
+            "these positions cannot tell placement from scatter from rest to rest: where a hand placed the "
+            f"sensor, give --orientation-sd {math.degrees(off):.2g}, or no --scheme"
+        )
     if prefers_unequal(equal, unequal)[0]:
         pairs = zip(c.outputs, np.sqrt(unequal.variances[0]).tolist(), strict=True)
         sizes = ", ".join(f"{output} {size:.2g}" for output, size in pairs)
         return f"{scatter}, unlike in the outputs ({sizes} {c.model.unit}): state the noise of each"
-    if degrees is None and contrasts < 1:
-        return "these positions cannot tell placement from scatter from rest to rest"
     return scatter
 
 
