@@ -276,8 +276,8 @@ def _cause_at_known(c: Calibration) -> str:
         # A turn moves the two outputs across a face, a scatter all three.
         off = math.sqrt(1.5 * float(np.mean(equal.variances[0] / np.sum(c.sensitivity**2, axis=1))))
         return (
-            "these positions cannot tell placement from scatter from rest to rest: where a hand placed the "
-            f"sensor, give --orientation-sd {math.degrees(off):.2g}, or no --scheme"
+            "these positions cannot tell placement from scatter from rest to rest: where a hand "
+            f"placed the sensor, give --orientation-sd {math.degrees(off):.2g}, or no --scheme"
         )
     if prefers_unequal(equal, unequal)[0]:
         pairs = zip(c.outputs, np.sqrt(unequal.variances[0]).tolist(), strict=True)

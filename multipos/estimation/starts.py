@@ -307,7 +307,7 @@ def _require_above_noise(problem: Problem, start: State, optimum: Optimum) -> No
     """
     model, size = problem.model, float(problem.magnitude.mean())
     limit = plausible_range(model, start.theta, size)
-    if limit is None:
+    if limit is None or not optimum.point.objective > 0.0:  # as many parameters as positions
         return
     fisher = information_at(problem.plain, start)
     information = reduced_information(fisher.information, len(limit))

@@ -79,7 +79,7 @@ def test_a_denied_claim_names_its_cause(scheme, made, cause):
     (said,) = told(mp.fit(readings(scheme, 1, **made), reading_sd=1e-4), "denied-noise")
     assert "deny the stated reading noise (chi-square" in said
     assert cause in said
-    assert ("--orientation-sd" in said) == ("favour placement" in cause)
+    assert ("--orientation-sd" in said) == ("placement" in cause)
 
 
 def test_the_placement_that_is_named_is_the_one_that_was_made():
