@@ -53,7 +53,13 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
     )
     add("--sections", metavar="FILE", help="JSON or CSV of the rows where rests begin and end")
     add("--label-column", metavar="L", help="column that names the position of each row")
-    add("--only", type=names, metavar="LABEL,…", help="rests to average")
+    add(
+        "--only",
+        type=names,
+        metavar="LABEL,…",
+        help="rests to average; or COLUMN=VALUE, the rows of a sensor",
+    )
+    add("--signed", type=int, metavar="BITS", help="read registers without a sign as signed, as 16")
     add(
         "--accept-faults",
         action="store_true",

@@ -50,6 +50,7 @@ _AVERAGE = (
         "sections",
         "label_column",
         "only",
+        "signed",
         "drop_bad",
         "accept_faults",
         "scheme",

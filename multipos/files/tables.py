@@ -10,6 +10,7 @@ anything and a bad cell is reported by file, row and column.
 import csv
 import hashlib
 import io
+import itertools
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -21,8 +22,10 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plain
+from multipos.files.encodings import UTF_16, decoded
 from multipos.files.spelling import control_characters, visible
 from multipos.files.whole import read_bytes, write_text
+from multipos.files.workbooks import ZIP, workbook_text
 
 Column = Sequence[Any] | NDArray[Any]
 _LONGEST = 100  # characters of a number, in an array of cells
@@ -199,8 +202,12 @@ def open_table(path: str | os.PathLike[str], *, what: str = "table") -> Table:
 
 def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
     raw = read_bytes(path, what)
-    plain = read_plain(raw) if len(raw) > _LONG else None
     sha256 = hashlib.sha256(raw).hexdigest()
+    if raw.startswith(ZIP):
+        raw = workbook_text(path).encode()
+    if raw.startswith(UTF_16) and (found := decoded(raw)) is not None:
+        raw = found[0].encode()
+    plain = read_plain(raw) if len(raw) > _LONG else None
     if plain is None:
         return _read_cells(path, raw, sha256, what)
     return _plain_table(path, plain, sha256)
@@ -236,9 +243,12 @@ def _decode(path: str | os.PathLike[str], raw: bytes, what: str) -> str:
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise MultiposError(
-            f"{path}: byte {error.start} is not UTF-8; save the {what} as UTF-8 text."
-        ) from None
+        found = decoded(raw)
+        if found is None:
+            raise MultiposError(
+                f"{path}: byte {error.start} is not UTF-8; save the {what} as UTF-8 text."
+            ) from None
+        text = found[0]
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise MultiposError(
@@ -264,6 +274,12 @@ def _filled(
     found: list[_Record] = []
     for record in records:
         if len(record.cells) != len(header):
+            if _with_decimal_commas(record.cells, len(header)):
+                raise MultiposError(
+                    f"{path}: row {len(found) + 1} ({record.where}) has {len(record.cells)} cells "
+                    f"where the header names {len(header)}: numbers with decimal commas between "
+                    "commas; save it with semicolons between cells, or with decimal points."
+                )
             raise MultiposError(
                 f"{path}: row {len(found) + 1} ({record.where}) has {len(record.cells)} cells "
                 f"where the header names {len(header)}; give one cell per column, "
@@ -271,6 +287,14 @@ def _filled(
             )
         found.append(record)
     return found
+
+
+def _with_decimal_commas(cells: Sequence[str], columns: int) -> bool:
+    """Tell whether a row has a cell more for every number with a decimal comma, of two or more."""
+    more = len(cells) - columns
+    pairs = itertools.pairwise(cells)
+    fractions = sum(after.isdigit() and math.isfinite(_float(before)) for before, after in pairs)
+    return 1 < more <= columns and fractions >= more
 
 
 class _Record(NamedTuple):

@@ -54,6 +54,7 @@ def calibrate(
     sections: Source | None = None,
     label_column: str | None = None,
     only: Names | None = None,
+    signed: int | None = None,
     drop_bad: bool = False,
     accept_faults: bool = False,
     scheme: "Source | Scheme | None" = None,
@@ -91,7 +92,7 @@ def calibrate(
     *logs : path, mapping of columns, data frame, or Log
         One or more, or one list of them.
     outputs, columns, time_column, time_unit, rate, min_duration, threshold, sections, label_column
-    only, drop_bad, accept_faults, progress
+    only, signed, drop_bad, accept_faults, progress
         How the logs are read and where they stand still: as for `multipos.average`.
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The positions; otherwise the orientations are unknown.
@@ -138,6 +139,7 @@ def calibrate(
         sections=sections,
         label_column=label_column,
         only=only,
+        signed=signed,
         drop_bad=drop_bad,
         accept_faults=accept_faults,
         scheme=scheme,

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Table
 from multipos.files.whole import first_bytes
+from multipos.files.workbooks import require_extra
 from multipos.fleets.labels import Labels, joined_labels
-from multipos.logs.extras import require_extra
 from multipos.numerics.arrays import places_of_kinds
 
 _BATCH = 500_000  # rows that are copied at a time

@@ -12,9 +12,6 @@ phyphox puts one experiment into ``Raw Data.csv``. Sensor Logger has ``TotalAcce
 gravity, while its ``Accelerometer.csv`` has had gravity taken away, which no calibration can use.
 """
 
-import csv
-import datetime
-import io
 import os
 import re
 import sys
@@ -29,7 +26,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.pipes import Unpacked
 from multipos.files.tables import Column, Table
-from multipos.logs.extras import first_line, read_apart, require_extra
+from multipos.logs.extras import first_line, read_apart
 from multipos.logs.log_columns import name_header
 from multipos.logs.table import Log, Piece
 from multipos.positions.headers import split_unit
@@ -198,29 +195,6 @@ def loaded(path: os.PathLike[str], load: Callable[[], Any]) -> Any:
         raise MultiposError(
             f"{path}: cannot read the log: {first_line(error)}; write it again."
         ) from None
-
-
-def unpack_workbook(path: os.PathLike[str]) -> Unpacked:
-    """Return a workbook's sheet as a file of text, row by row."""
-    require_extra(path, "an Excel workbook", "openpyxl", "excel")
-    rows = loaded(path, lambda: _rows(path))
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return Unpacked(str(path), io.BytesIO(text.getvalue().encode()), ".csv")
-
-
-def _rows(path: os.PathLike[str]) -> list[list[str]]:
-    from openpyxl import load_workbook
-
-    with Path(path).open("rb") as stream:
-        book = load_workbook(stream, read_only=True, data_only=True)
-        return [[_cell(cell) for cell in row] for row in book.active.iter_rows(values_only=True)]
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, datetime.datetime):
-        return value.isoformat(sep=" ", timespec="microseconds")
-    return "" if value is None else str(value)
 
 
 _MATLAB = b"MATLAB 7.3"  # stores matrices column by column, so that they come out transposed

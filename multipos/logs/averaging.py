@@ -19,6 +19,7 @@ from multipos.logs.joining import choose, complete, faults_of_means, require_ali
 from multipos.logs.opening import open_log
 from multipos.logs.rests import read_sections
 from multipos.logs.samples import Progress, Timing
+from multipos.logs.sensors import rows_of_sensor
 from multipos.logs.still import StillLog, Wish, find_still
 from multipos.logs.table import Log
 from multipos.positions.attitudes import Convention, check_convention
@@ -38,6 +39,7 @@ def average(
     sections: Source | None = None,
     label_column: str | None = None,
     only: Names | None = None,
+    signed: int | None = None,
     drop_bad: bool = False,
     accept_faults: bool = False,
     scheme: "Source | Scheme | None" = None,
@@ -74,7 +76,10 @@ def average(
         Column that names the position of each row, instead of finding rests; rows where it is
         empty belong to none.
     only : names, optional
-        Labels of the rests to average.
+        Labels of the rests to average; or ``COLUMN=VALUE``, the rows of one of several sensors
+        that take turns in the log.
+    signed : int, optional
+        Bits of two's complement that outputs are read as, which the log has without a sign.
     drop_bad : bool
         Leave out rows in which an output or the time is no number, or any number a million times
         the median of its column; how many is said.
@@ -110,10 +115,11 @@ def average(
     (['1', '2', '3', '4', '5', '6'], 100.0)
     """
     sources = spread(logs)
-    _check_options(sources, time_column, rate, threshold, sections, label_column)
+    _check_options(sources, time_column, rate, threshold, sections, label_column, signed)
     check_time_unit(time_unit)
     check_convention(convention)
     wanted = None if scheme is None else read_scheme(scheme, order=order)
+    which, sensor = _sensor(_names(only, "--only"))
     wish = Wish(
         outputs=_names(outputs, "--outputs"),
         timing=Timing(time_column, time_unit, rate),
@@ -121,17 +127,19 @@ def average(
         threshold=threshold,
         sections=None if sections is None else read_sections(sections),
         label_column=label_column,
+        signed=signed,
         drop_bad=drop_bad,
         accept_faults=accept_faults,
     )
     found: list[StillLog] = []
     for i, source in enumerate(sources):
         log = open_log(source, columns=columns)
+        log = log if sensor is None else rows_of_sensor(log, *sensor)
         found.append(find_still(log, wish, _share(progress, i, len(sources))))
     require_alike(found)
     if len(found) == 1 and wish.sections is None and label_column is None:
         require_several(found[0])
-    chosen = choose(found, _names(only, "--only"))
+    chosen = choose(found, which)
     wrong = faults_of_means(chosen)
     if wrong and not accept_faults:
         raise MultiposError(f"{wrong[0].text}, or go on with --accept-faults.")
@@ -145,7 +153,10 @@ def _check_options(
     threshold: float | None,
     sections: Source | None,
     label_column: str | None,
+    signed: int | None,
 ) -> None:
+    if signed is not None and not 2 <= signed <= 32:
+        raise UsageError(f"--signed takes the bits of a register, 2 to 32, got {signed}.")
     if not sources:
         raise TypeError("average needs a log.")
     if time_column is not None and rate is not None:
@@ -160,6 +171,17 @@ def _check_options(
 
 def _names(given: Names | None, option: str) -> tuple[str, ...] | None:
     return None if given is None else split_names(given, option)
+
+
+def _sensor(
+    only: tuple[str, ...] | None,
+) -> tuple[tuple[str, ...] | None, tuple[str, str] | None]:
+    """Return labels, and the column and value of one sensor, that --only names."""
+    told = [each.partition("=")[::2] for each in only or () if "=" in each]
+    if len(told) > 1:
+        raise UsageError("--only takes the rows of one sensor: give one COLUMN=VALUE.")
+    labels = tuple(each for each in only or () if "=" not in each)
+    return labels or None, told[0] if told else None
 
 
 def _share(progress: Progress | None, done: int, count: int) -> Callable[[float], object] | None:

@@ -18,7 +18,6 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
-from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any
 
@@ -26,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.workbooks import require_extra
 
 _PATIENCE = 30.0  # seconds to start and to read a small file, on a slow machine
 _SLOWEST = 1e6  # bytes per second below which a reader no longer reads but turns in circles
@@ -142,21 +142,6 @@ class Noted(dict[str, Any]):
     """Columns, and what is to be said of how they were chosen."""
 
     notes: tuple[str, ...] = ()
-
-
-def require_extra(path: os.PathLike[str], kind: str, library: str, extra: str) -> None:
-    """Refuse a file whose library is not installed.
-
-    Raises
-    ------
-    MultiposError
-        Names the kind of the file and the extra.
-    """
-    if find_spec(library) is None:
-        raise MultiposError(
-            f"{path}: {kind}, which {library} reads; install it with "
-            f"pip install 'multipos[{extra}]'."
-        )
 
 
 def reader_with_extra(

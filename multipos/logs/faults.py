@@ -271,6 +271,7 @@ def find_wrapped(samples: Samples, survey: Survey) -> list[Finding]:
             "warning",
             f"output '{output}' wraps around: {jumps[j]} times it jumps across all of {bits[j]} "
             f"bits, from {ends[0, j]:.10g} to {ends[1, j]:.10g}, first at row {first[j]}",
+            f"Give --signed {bits[j]}." if ends[0, j] >= 0.0 else "",
             outputs=(output,),
         )
         for j, output in enumerate(samples.outputs)

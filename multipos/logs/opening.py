@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.encodings import unpack_text
 from multipos.files.pipes import rereadable
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, read_table
@@ -61,6 +62,9 @@ def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
         head = _read_head(path)
         reader = reader_of(path, head)
     if reader is None or reader.columns is None:
+        if not _is_utf8(head):
+            path = unpack_text(path)
+            head = _read_head(path)
         return open_text(path, head, names)
     found = reader.columns(path)
     log = log_of_columns(str(path), found, names)
@@ -84,6 +88,14 @@ def _joined(parts: list[Any]) -> Column:
     if isinstance(parts[0], np.ndarray):
         return np.concatenate(parts)
     return list(chain.from_iterable(parts))
+
+
+def _is_utf8(head: bytes) -> bool:
+    try:
+        head.decode()
+    except UnicodeDecodeError as error:
+        return len(head) == HEAD and error.start > HEAD - 4  # it may end inside a letter
+    return True
 
 
 def _read_head(path: os.PathLike[str]) -> bytes:

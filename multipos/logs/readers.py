@@ -6,7 +6,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from multipos.files.encodings import UTF_16, unpack_text
 from multipos.files.pipes import GZIP, unpack_gzip
+from multipos.files.workbooks import ZIP, unpack_workbook
 from multipos.logs.array_logs import (
     load_arrow,
     load_hdf,
@@ -14,12 +16,9 @@ from multipos.logs.array_logs import (
     read_npy,
     read_npz,
     unpack_phone,
-    unpack_workbook,
 )
 from multipos.logs.extras import reader_with_extra
 from multipos.logs.flight_logs import load_bag, load_dataflash, load_ulog
-
-_ZIP = b"PK\x03\x04"
 
 
 class Reader(NamedTuple):
@@ -64,10 +63,12 @@ _read_dataflash = reader_with_extra(
 # The first that takes a file reads it.
 READERS = (
     Reader(".gz", (".gz",), GZIP, None, unpack_gzip),
+    Reader("text in UTF-16", (), UTF_16[0], None, unpack_text),
+    Reader("text in UTF-16, big-endian", (), UTF_16[1], None, unpack_text),
     Reader(".npy", (".npy",), b"\x93NUMPY", read_npy),
-    Reader(".xlsx", (".xlsx",), _ZIP, None, unpack_workbook, "xl/workbook.xml"),
-    Reader(".zip of a phone", (".zip",), _ZIP, None, unpack_phone, ".csv"),
-    Reader(".npz", (".npz",), _ZIP, read_npz),
+    Reader(".xlsx", (".xlsx",), ZIP, None, unpack_workbook, "xl/workbook.xml"),
+    Reader(".zip of a phone", (".zip",), ZIP, None, unpack_phone, ".csv"),
+    Reader(".npz", (".npz",), ZIP, read_npz),
     Reader(".mat", (".mat",), b"MATLAB 5.0 MAT-file", read_mat),
     Reader(".mat 7.3", (".mat",), b"MATLAB 7.3 MAT-file", _read_mat73),
     Reader(".h5", (".h5", ".hdf5"), b"\x89HDF", _read_hdf),

@@ -10,10 +10,10 @@ The standard deviation of a window, and that of the means of its blocks, the lar
 are the sensor's noise where nothing moves and much more where something does. Over a whole log
 log s has a narrow peak at rest and a wide hill of motion, and the threshold lies where the log
 has the fewest windows between 2.5 and 4 times the peak; where many places are as good the middle
-is taken, 3.2 times. Noise or vibration above a twentieth of what the positions change hides a slow
-turn in s, but not in v, which then has its threshold too. Nothing needs to be set. A run of windows
-below the threshold is a rest. Where it ends is a change point: from its inside outward, with
-mean and standard deviation of the second before,
+is taken, 3.2 times. Noise or vibration above a fiftieth of what the positions change hides a turn
+in s, but less in v, which then has its threshold too, 1.7 to 2.8 times the peak. Nothing needs to
+be set. A run of windows below the threshold is a rest. Where it ends is a change point: from its
+inside outward, with mean and standard deviation of the second before,
 
     g_i = sum_j [ z_ij² (1 - 1/a) - ln a ] / 2,    z_ij = (y_ij - mean_j) / sd_j,  a = 6,   (3)
 
@@ -75,7 +75,9 @@ _LOWEST, _HIGHEST = -18, 18
 _SMOOTHING = 0.05  # [decades], standard deviation of the kernel
 _PEAK = 0.2  # of the highest density: a lower hill is no peak of its own
 _BETWEEN = (2.5, 4.0)  # times the peak
-_MOTION = 0.05  # of the log's half range: above, only the slow part tells noise from motion
+_BETWEEN_SLOW = (1.7, 2.8)  # of v, which is hardly that of noise without a memory
+_NOISY = 0.02  # of the log's half range: above, turns hide in s
+_MOTION = 0.05  # of it: no sensor at rest wanders as far
 _NOISE = 1.0  # steps of resolution: with more no window is constant by chance
 
 # Spikes.
@@ -376,9 +378,9 @@ class Survey:
             noise, size = _valley(self._counts[0], self._constant, floor)
         half_range = float((self._mean_range[1] - self._mean_range[0]).max()) / 2.0
         # Where even the range is noise the log is one long rest, which is said elsewhere.
-        if not (half_range > 2.0 * noise and noise > _MOTION * half_range):
+        if not (half_range > 2.0 * noise and noise > _NOISY * half_range):
             return Limits(size, np.inf, frozen)
-        noise, slow = _valley(self._counts[1], 0, floor)
+        noise, slow = _valley(self._counts[1], 0, floor, _BETWEEN_SLOW)
         if noise > _MOTION * half_range:
             raise MultiposError(
                 f"the log has no rest: even where it is quietest it varies by {noise:.3g} (one "
@@ -388,7 +390,9 @@ class Survey:
         return Limits(size, slow, frozen)
 
 
-def _valley(counts: Array, constant: int, floor: float) -> tuple[float, float]:
+def _valley(
+    counts: Array, constant: int, floor: float, between: tuple[float, float] = _BETWEEN
+) -> tuple[float, float]:
     """Return the first peak of a histogram, and where it has the fewest windows above."""
     first = int((np.log10(floor) - _LOWEST) * _BINS_PER_DECADE)
     density = counts.astype(np.float64)
@@ -396,7 +400,7 @@ def _valley(counts: Array, constant: int, floor: float) -> tuple[float, float]:
     density[:first] = 0.0
     density = _smooth(density)
     peak = _first_peak(density)
-    low, high = (peak + round(np.log10(x) * _BINS_PER_DECADE) for x in _BETWEEN)
+    low, high = (peak + round(np.log10(x) * _BINS_PER_DECADE) for x in between)
     valley = density[low : high + 1]
     middle = (len(valley) - 1) / 2.0
     cost = valley / density[peak] + 1e-3 * np.abs(np.arange(len(valley)) - middle) / middle

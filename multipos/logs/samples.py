@@ -33,6 +33,7 @@ from multipos.logs.rests import (
     Windows,
     choose_grid,
 )
+from multipos.logs.sensors import refuse_interleaved
 from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import Array, median
 
@@ -149,6 +150,8 @@ class Samples:
         Usual step of the time.
     wraps : (float, int)
         After how many seconds the time wraps around, and how often it does; zeros where not.
+    signed : int or None
+        Bits of two's complement that the outputs are read as.
     counter : str or None
         Column named as a time that counts rows.
     labels : Runs or None
@@ -164,6 +167,7 @@ class Samples:
         timing: Timing,
         *,
         label_column: str | None = None,
+        signed: int | None = None,
         drop_bad: bool = False,
         as_they_are: bool = False,
     ) -> None:
@@ -175,6 +179,7 @@ class Samples:
         self.wraps = 0.0, 0
         self.counter: str | None = None
         self.labels = None if label_column is None else Runs(log.source, label_column)
+        self.signed = signed
         self._timing, self._drop_bad, self._as_they_are = timing, drop_bad, as_they_are
         taken = {*outputs, label_column, *log.nameless}
         self.others = tuple(name for name in log.numeric if name not in taken)
@@ -202,6 +207,7 @@ class Samples:
                 self._read_clock(piece.table)
                 survey = Survey(len(self.outputs), choose_grid(self.rate, min_duration))
                 windows = Windows(survey.grid.block)
+                refuse_interleaved(piece.table, self.outputs, self.others)
             taken = self._take(piece.table)
             whole = taken if self._as_they_are else self.spikes.feed(taken)
             self._look_at(whole, survey, windows)
@@ -327,9 +333,22 @@ class Samples:
             return np.asarray(table.columns[name], dtype=np.float64)
         return table.number(name, empty=empty, largest=largest)
 
+    def _output(self, table: Table, name: str) -> Array:
+        values = self._column(table, name, LARGEST_SAMPLE)
+        if self.signed is None:
+            return values
+        whole = 2.0**self.signed
+        bad = np.flatnonzero(~((values >= 0.0) & (values < whole) & (values % 1.0 == 0.0)))
+        if len(bad):
+            raise MultiposError(
+                f"{table.where(int(bad[0]), name)}: {values[bad[0]]:.10g} is no number of "
+                f"{self.signed} bits without a sign; leave --signed away."
+            )
+        return np.where(values >= whole / 2.0, values - whole, values)
+
     def _take(self, table: Table) -> Array:
         """Take up a piece of the log, without the rows to be left out; return its numbers."""
-        rows = [self._column(table, name, LARGEST_SAMPLE) for name in self.outputs]
+        rows = [self._output(table, name) for name in self.outputs]
         rows += [self._column(table, name, _LATEST, empty=True) for name in self.others]
         if self.clock is not None:
             seconds = self._column(table, self.clock.column, _LATEST)

@@ -41,6 +41,7 @@ class Wish:
     threshold: float | None
     sections: Sections | None
     label_column: str | None
+    signed: int | None
     drop_bad: bool
     accept_faults: bool
 
@@ -122,15 +123,19 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
     taken = [*time_columns(log), *filter(None, (timing.column, label_column))]
     outputs = choose_outputs(log, wish.outputs, taken)
     with Samples(
-        log, outputs.names, timing, label_column=label_column, drop_bad=wish.drop_bad
+        log,
+        outputs.names,
+        timing,
+        label_column=label_column,
+        signed=wish.signed,
+        drop_bad=wish.drop_bad,
     ) as samples:
         survey = samples.survey(wish.min_duration, progress)
         grid = survey.grid
         wrong = [*find_wrapped(samples, survey), *find_second_unit(survey)]
         if wrong and not wish.accept_faults:
-            raise MultiposError(
-                f"{log.source}: {wrong[0].text}; correct the log, or go on with --accept-faults."
-            )
+            action = wrong[0].action or "Correct the log."
+            raise MultiposError(f"{log.source}: {wrong[0].text}. {action} --accept-faults goes on.")
         known = _known(samples, wish)
         notes = [*log.notes, *_find_clock(samples), *outputs.findings]
         limits = _limits(survey, wish.threshold, log.source if known is None else None, notes)

@@ -89,8 +89,10 @@ def test_missing_and_unreadable_files_are_named(tmp_path):
         read_table(tmp_path / "none.csv", what="readings")
     with pytest.raises(MultiposError, match="cannot read the readings"):
         read_table(tmp_path, what="readings")
+    (tmp_path / "cut.csv").write_bytes(b"\xff\xfea\0x\0\n\0001")
     with pytest.raises(MultiposError, match="byte 0 is not UTF-8"):
-        table(tmp_path, "ax\n1\n", "utf-16")
+        read_table(tmp_path / "cut.csv")
+    assert list(table(tmp_path, "ax\n1\n", "utf-16").columns) == ["ax"]
 
 
 def test_mappings_and_data_frames_are_tables():

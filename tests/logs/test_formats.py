@@ -24,7 +24,7 @@ from log_files import (
 
 import multipos as mp
 from multipos.cli import main
-from multipos.logs import extras
+from multipos.files import workbooks
 from multipos.logs.opening import open_log
 from multipos.logs.readers import READERS
 
@@ -293,14 +293,14 @@ FIRST_BYTES = {
 def test_without_the_extra_it_is_named(extra, tmp_path, monkeypatch):
     head, library = FIRST_BYTES[extra]
     (tmp_path / "log.dat").write_bytes(head + bytes(64))
-    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    monkeypatch.setattr(workbooks, "find_spec", lambda name: None)
     with pytest.raises(mp.MultiposError, match=rf"{library} reads.*'multipos\[{extra}\]'"):
         mp.average(tmp_path / "log.dat")
 
 
 def test_without_openpyxl_the_extra_is_named(tmp_path, monkeypatch):
     path = archive(tmp_path / "log.dat", {"xl/workbook.xml": "<a/>"})
-    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    monkeypatch.setattr(workbooks, "find_spec", lambda name: None)
     with pytest.raises(mp.MultiposError, match=r"openpyxl reads.*'multipos\[excel\]'"):
         mp.average(path)
 

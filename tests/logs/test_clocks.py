@@ -1,0 +1,172 @@
+"""Clocks, interleaved sensors, registers and encodings: one simulated log written in many ways."""
+
+import numpy as np
+import pytest
+from log_bench import columns_of
+
+import multipos as mp
+
+OUTPUTS = ("ax", "ay", "az")
+RATE = 100.0
+
+
+@pytest.fixture(scope="module")
+def log():
+    return columns_of(scheme="faces-6", rate=RATE)
+
+
+def written(path, header, rows, encoding="utf-8"):
+    lines = [",".join(map(str, row)) for row in rows]
+    path.write_bytes(("\n".join([header, *lines]) + "\n").encode(encoding))
+    return path
+
+
+def stamped(path, log, stamp, name="time"):
+    values = np.column_stack([log[output] for output in OUTPUTS]).tolist()
+    rows = ([stamp(i), *row] for i, row in enumerate(values))
+    return written(path, ",".join([name, *OUTPUTS]), rows)
+
+
+def clock(i, first=36_000_000):
+    """A time of a day, of row i, from 10 o'clock or another millisecond on."""
+    seconds, ms = divmod(first + 10 * i, 1000)
+    return f"{seconds // 3600 % 24:02}:{seconds // 60 % 60:02}:{seconds % 60:02}.{ms:03}"
+
+
+@pytest.mark.parametrize(
+    ("name", "stamp"),
+    [
+        ("time", lambda i: 150_000_000 + 10_000 * i),  # µs since power came, not 1974
+        ("time", lambda i: 108_000_000 + 10 * i),  # ms
+        ("time", lambda i: 108_000_000_000_000 + 10_000_000 * i),  # ns
+        ("ustime", lambda i: 20_000_000 + 10_000 * i),
+        ("time", lambda i: 10 * i % 2**16),  # wraps after 65.5 s
+        ("time", lambda i: (4_290_000_000 + 10_000 * i) % 2**32),
+        ("time", clock),
+        ("time", lambda i: clock(i, 86_390_000)),  # over midnight
+        ("time", lambda i: f"11/21/2026 {clock(i)}"),
+        ("time", lambda i: f"21.11.2026 {clock(i)}"),
+        ("time", lambda i: 1_700_000_000_000 + 10 * i),
+    ],
+)
+def test_clocks_of_any_kind_tell_the_time(name, stamp, log, tmp_path):
+    found = mp.average(stamped(tmp_path / "log.csv", log, stamp, name))
+    assert found.sample_rate == pytest.approx(RATE, rel=1e-4)
+    first, last = found.rests[0].time[0], found.rests[-1].time[1]
+    assert last - first == pytest.approx((len(log["ax"]) - 1) / RATE, rel=1e-3)
+
+
+def test_a_column_that_counts_rows_is_no_time(log, tmp_path):
+    found = mp.average(stamped(tmp_path / "log.csv", log, lambda i: i))
+    assert found.sample_rate is None
+    assert any("it counts rows" in each.text for each in found.findings)
+
+
+def test_interchanged_rows_are_refused(log, tmp_path):
+    path = stamped(tmp_path / "log.csv", log, lambda i: (i ^ 1 if i in (700, 701) else i) / RATE)
+    with pytest.raises(mp.MultiposError, match=r"row 702 .* runs backwards.*interchanged"):
+        mp.average(path)
+
+
+def test_sensors_that_take_turns_are_told_apart(log, tmp_path):
+    rows = []
+    for i, row in enumerate(np.column_stack([log[output] for output in OUTPUTS])):
+        rows += [[i / RATE, 7, *row], [i / RATE, 9, *(1.02 * row + 0.1)]]
+    path = written(tmp_path / "log.csv", "time,id,ax,ay,az", rows)
+    with pytest.raises(mp.MultiposError, match=r"2 sensors take turns.*'id'.*--only id=7"):
+        mp.average(path)
+    one, other = (mp.average(path, only=f"id={value}") for value in (7, 9))
+    alone = mp.average(log)
+    np.testing.assert_allclose(one.readings.values, alone.readings.values, rtol=1e-9)
+    np.testing.assert_allclose(other.readings.values, 1.02 * alone.readings.values + 0.1, rtol=1e-3)
+    assert len(mp.average(path, only=["id=9", "1", "2"]).rests) == 2
+    with pytest.raises(mp.MultiposError, match="no row has 'id' = 8"):
+        mp.average(path, only="id=8")
+
+
+def test_a_counter_of_a_packet_is_no_sensor(log):
+    assert len(mp.average(log | {"n": np.arange(len(log["ax"])) % 4}).rests) == 6
+
+
+def test_registers_without_a_sign(log):
+    counts = {name: np.round(16384 * log[name]) for name in OUTPUTS}
+    bare = {name: column % 2**16 for name, column in counts.items()}
+    with pytest.raises(mp.MultiposError, match="--signed 16"):
+        mp.average(bare)
+    signed, right = mp.average(bare, signed=16), mp.average(counts)
+    np.testing.assert_array_equal(signed.readings.values, right.readings.values)
+    with pytest.raises(mp.MultiposError, match="is no number of 16 bits"):
+        mp.average(counts, signed=16)
+
+
+@pytest.mark.parametrize(
+    ("header", "encoding"),
+    [("时间,加速度X,加速度Y,加速度Z", "gb18030"), ("Zeit (µs),ax,ay,az", "cp1252")],
+)
+@pytest.mark.parametrize("utf16", [False, True])
+def test_text_in_other_encodings(header, encoding, utf16, log, tmp_path):
+    values = np.column_stack([log[output] for output in OUTPUTS]).tolist()
+    rows = [[10_000 * i, *row] for i, row in enumerate(values)]
+    path = written(tmp_path / "log.csv", header, rows, "utf-16" if utf16 else encoding)
+    outputs = [name.split(" ")[0] for name in header.split(",")[1:]]
+    found = mp.average(path, outputs=outputs, rate=RATE)
+    np.testing.assert_allclose(found.readings.values, mp.average(log).readings.values, rtol=1e-9)
+
+
+# --- what a rest is
+
+
+def rests_of(still, turning, noise, rng, spikes=0.0, vibration=0.0):
+    """Rests at directions by chance, cosine turns between; samples (n, 3), and where rests are."""
+    parts, edges, at = [], [], 0
+    before = rng.normal(size=3)
+    for _ in range(12):
+        after = rng.normal(size=3)
+        ramp = (1.0 - np.cos(np.linspace(0.0, np.pi, turning))) / 2.0
+        parts += [before + ramp[:, None] * (after - before), np.tile(after, (still, 1))]
+        edges.append((at + turning, at + turning + still))
+        at, before = at + turning + still, after
+    f = np.concatenate(parts)
+    f = 9.8 * f / np.linalg.norm(f, axis=1)[:, None] + noise * rng.normal(size=f.shape)
+    wave = np.sin(2.0 * np.pi * 0.237 * np.arange(len(f)))
+    f += vibration * wave[:, None] * np.array([0.6, 0.6, 0.5])
+    return f + 5.0 * (rng.random(f.shape) < spikes), edges
+
+
+@pytest.mark.parametrize(
+    ("still", "noise", "more"),
+    [
+        (400, 0.02, {}),
+        (400, 0.02, {"spikes": 0.003}),
+        (120, 0.02, {}),
+        (400, 0.5, {}),
+        (400, 0.02, {"vibration": 1.0}),
+    ],
+    ids=["plain", "spikes", "1.2 s", "noise", "vibration"],
+)
+def test_rests_are_kept_whole(still, noise, more):
+    samples, edges = rests_of(still, 150, noise, np.random.default_rng(3), **more)
+    data = dict(zip(OUTPUTS, samples.T, strict=True))
+    found = mp.average(data, rate=RATE)
+    assert len(found.rests) == len(edges)
+    kept = []
+    for rest, (start, end) in zip(found.rests, edges, strict=True):
+        into = max(start - rest.rows.start, rest.rows.end - end)
+        assert into <= (10 if noise < 0.1 and not more.get("vibration") else 50)
+        kept.append((min(rest.rows.end, end) - max(rest.rows.start, start)) / still)
+        if "spikes" in more:  # the mean without them: .02/√400 = 1e-3, and spikes of 5/400
+            truth = samples[start:end][np.abs(samples[start:end]).max(axis=1) < 1e9]
+            assert np.abs(rest.found.mean - np.median(truth, axis=0)).max() < 6e-3
+    assert np.median(kept) >= 0.95
+
+
+def test_a_frozen_stretch_is_no_rest_and_named():
+    samples, edges = rests_of(400, 150, 0.02, np.random.default_rng(5))
+    frozen = slice(edges[4][0] - 100, edges[4][1] + 100)
+    samples[frozen] = samples[frozen.start]
+    found = mp.average(dict(zip(OUTPUTS, samples.T, strict=True)), rate=RATE)
+    assert len(found.rests) == 11
+    (said,) = [each for each in found.findings if each.code == "frozen"]
+    first, last = (int(cell.rstrip(":")) for cell in said.text.split()[1:4:2])
+    assert abs(first - frozen.start) < 12
+    assert abs(last - frozen.stop) < 12
