@@ -4,7 +4,6 @@ All go the steps of `multipos.numerics.levenberg_marquardt`, and differ in their
 
 - all positions unknown: one number a position (`multipos.estimation.unknown_orientations`);
 - all listed, uncertain by a few degrees: `multipos.estimation.uncertain_orientations`;
-- all exact, one output under a loss: `multipos.estimation.robust_search`;
 - all exact, of any model: with residuals r_i of output i, their slopes A_i by the parameters,
   weights W_i = diag(w/σ_i²), w of a robust loss, and priors of precision b about m,
 
@@ -22,7 +21,6 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation import robust_search
 from multipos.estimation.likelihood import evaluate, linearise, moved, recentred
 from multipos.estimation.problem import Normal, Optimum, Point, Problem, State
 from multipos.estimation.uncertain_orientations import UncertainSearch
@@ -59,8 +57,6 @@ def _maximise(problem: Problem, state: State) -> Optimum:
             unknown = UnknownSearch.of_problem(problem)
             place, ended = descend(unknown, unknown.begin(state), rules, largest, problem.held)
             return _optimum(*unknown.end(place, state), ended)
-        if robust_search.fits(problem):
-            return robust_search.search_alone(problem, state)
         if UncertainSearch.fits(problem):
             uncertain = UncertainSearch.of_problem(problem)
             at, ended = descend(

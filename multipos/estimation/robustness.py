@@ -16,15 +16,7 @@ the degrees of freedom, nu = sum w m − p: with all in full, 95 % intervals
 cover 93 % at 24 positions. Where the noise is stated and the
 weighted residuals do not deny it, the factor is what the loss costs under the normal law.
 
-Robust fits of many units at known orientations, which read their noise from the residuals.
-
-Each output of each unit goes the way of `multipos.estimation.robustness`, all of them in step: from
-the plain fit by the search of `multipos.estimation.robust_search` under Huber's loss with a noise
-of any size, then with one for which the median of q is that of the normal law, in turn until that
-settles, and last under the loss that was asked for.
-
-A unit is left to `fit` where a search has not ended, and where a position is beyond doubt, so that
-it is set aside by name.
+At known orientations outputs are fitted one by one, by `multipos.estimation.robust_known`.
 
 References
 ----------
@@ -33,18 +25,14 @@ P. J. Huber, *Robust Statistics*, 1981, section 7.6.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.batches import Estimates, join_estimates, rms_of
 from multipos.estimation.descent import resume
-from multipos.estimation.known import DENIED, ROUNDING, Design, SharedDesign, fit_output
+from multipos.estimation.known import DENIED
 from multipos.estimation.noise import NoiseEstimate
-from multipos.estimation.problem import RELATIVE_NOISE, Optimum, Problem
-from multipos.estimation.robust_search import Ended, Linear, search_linear
-from multipos.files.records import LARGEST
+from multipos.estimation.problem import Optimum, Problem
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.losses import EFFICIENCY, Loss, loss_slope, loss_weight
@@ -89,10 +77,7 @@ def judge_robustly(
         if excess[worst] <= 1.0:
             break
         misfit = float(np.sqrt(optimum.point.q[worst] / problem.degrees[worst]))
-        text = (
-            f"position {names[worst]} is set aside: it does not fit by {misfit:.3g} times the noise"
-        )
-        said.append(Finding("set-aside", "warning", text, rows=(names[worst],)))
+        said.append(aside_finding(names[worst], misfit))
         problem = set_aside(problem, np.arange(len(limit)) == worst)
         optimum = resume(problem, optimum)
     if loss != problem.robust:
@@ -114,6 +99,12 @@ def judge_robustly(
         optimum,
         NoiseEstimate(factor, counted, None, tuple(said), weight=weight, claim=claim),
     )
+
+
+def aside_finding(label: str, misfit: float) -> Finding:
+    """Return the warning about a position that is set aside."""
+    text = f"position {label} is set aside: it does not fit by {misfit:.3g} times the noise"
+    return Finding("set-aside", "warning", text, rows=(label,))
 
 
 def set_aside(problem: Problem, rows: NDArray[np.bool_]) -> Problem:
@@ -166,100 +157,3 @@ def huber_factors(q: Array, degrees: Array, weight: Array, slope: Array, nu: Arr
     used = 1.0 - nu / degrees.sum()
     correction = 1.0 + used * slope.var(axis=-1) / mean**2
     return np.asarray(correction**2 * np.sum(q * weight**2, axis=-1) / nu / mean**2)
-
-
-_AT_ONCE = 12_000  # readings of an output, so that what a step needs stays in the cache
-_HUBER: Loss = "huber"  # under which the noise is found, whatever the loss
-
-
-def estimate_robust(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Estimates:
-    """Fit B units under a robust loss.
-
-    Parameters
-    ----------
-    shared : SharedDesign
-    values : sequence of M arrays (B, n)
-        Readings of each output.
-    name : str
-        Of the loss.
-    """
-    count, n = values[0].shape
-    step = max(1, _AT_ONCE // n)
-    with np.errstate(all="ignore"):  # a unit may run away, and is then left out
-        parts = [
-            _estimate(shared, [y[first : first + step] for y in values], name)
-            for first in range(0, count, step)
-        ]
-    return join_estimates(parts)
-
-
-class _Worth(NamedTuple):
-    """One output of B units."""
-
-    parameters: Array  # (B, p)
-    u: Array  # (B, p)
-    dof: Array  # (B,)
-    residuals: Array  # (B, n)
-    plain: Array  # of the plain fit, (B, n)
-    sound: NDArray[np.bool_]
-
-
-def _estimate(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Estimates:
-    found = [_fit(*each, name) for each in zip(shared.by_output, values, strict=True)]
-    parameters = np.concatenate([each.parameters for each in found], axis=1)
-    u = np.concatenate([each.u for each in found], axis=1)
-    dof = np.concatenate([np.broadcast_to(each.dof[:, None], each.u.shape) for each in found], 1)
-    residuals = np.stack([each.residuals for each in found])
-    rms, inverse, inverted = rms_of(
-        shared.model, shared.environment, shared.reference, parameters, np.stack(values), residuals
-    )
-    sound = inverted & (np.abs(parameters).max(axis=1) <= LARGEST)
-    sound &= np.all([each.sound for each in found], axis=0)
-    plain = tuple(each.plain for each in found)
-    return Estimates(parameters, u, dof, rms, plain, inverse, sound)
-
-
-def _fit(shared: Design, y: Array, name: Loss) -> _Worth:
-    """Fit one output of B units."""
-    n, p = shared.design.shape
-    b, r = fit_output(shared.design, shared.inverse, y)
-    linear = Linear(shared.design, b, r)
-    sound = np.einsum("bn,bn->b", r, r) > ROUNDING**2 * np.einsum("bn,bn->b", y, y)
-    spread = np.mean((y - y.mean(axis=1, keepdims=True)) ** 2, axis=1)
-    variance = np.tile(RELATIVE_NOISE**2 * spread[:, None], n)
-    ended = search_linear(linear, np.zeros_like(b), variance, np.flatnonzero(sound), _HUBER)
-    ended = _settle_noise_robust_batches(
-        linear, ended, variance, (FINEST * np.abs(y).max(axis=1)) ** 2
-    )
-    q = ended.residuals**2 / variance
-    sound = ended.converged & (q.max(axis=1) <= chi2_quantile(1.0 - SET_ASIDE, 1.0))
-    if name != _HUBER:
-        ended = search_linear(linear, ended.moves, variance, np.flatnonzero(sound), name)
-        sound = ended.converged
-        q = ended.residuals**2 / variance
-    weight = loss_weight(name, q, linear.degrees)
-    counted = np.maximum(weight.sum(axis=1) - p, 1.0)
-    factor = huber_factors(q, linear.degrees, weight, loss_slope(name, q, linear.degrees), counted)
-    u = np.sqrt(np.diag(shared.cofactor) * (variance[:, 0] * factor)[:, None])
-    return _Worth(b + ended.moves, u, counted, ended.residuals, r, sound)
-
-
-def _settle_noise_robust_batches(
-    linear: Linear, ended: Ended, variance: Array, finest: Array
-) -> Ended:
-    """Return where searches end under the noise of the median q; `variance` follows."""
-    n, p = linear.design.shape
-    typical = chi2_quantile(0.5, 1.0)
-    converged = ended.converged.copy()
-    units = np.flatnonzero(converged)
-    for _ in range(ROUNDS):
-        if not len(units):
-            break
-        q = ended.residuals[units] ** 2 / variance[units]
-        ratio = median(q / typical, axis=1) * n / (n - p)
-        ratio = np.maximum(ratio, finest[units] / variance[units, 0])
-        variance[units] *= ratio[:, None]
-        ended = search_linear(linear, ended.moves, variance, units, _HUBER)
-        converged[units] = ended.converged[units]
-        units = units[(np.abs(np.log(ratio)) >= SETTLED) & converged[units]]
-    return ended._replace(converged=converged)

@@ -28,6 +28,7 @@ from multipos.estimation.correlated_rows import spread_correlation
 from multipos.estimation.known import solve_known
 from multipos.estimation.outliers import find_outlying_rows
 from multipos.estimation.problem import Solution
+from multipos.estimation.robust_known import solve_robust_known
 from multipos.estimation.stated_uncertainty import (
     add_reference_noise,
     shrink_variances,
@@ -508,6 +509,10 @@ def _solver(
             return solve_own_known(model, reference, readings, pool=pool, tested=tested)
         if exact and not own:
             return solve_known(model, reference, readings, pool=pool, tested=tested)
+        if estimator is Estimator.LINEAR and options.robust is not None and not pool:
+            found = solve_robust_known(model, reference, readings, options.robust)
+            if found is not None:
+                return found
         return solve_uncertain(
             model, readings, placement, gauge=options.gauge, robust=options.robust, pool=pool
         )

@@ -46,7 +46,7 @@ from multipos.estimation.correlated_rows import (
     spread_in_time,
 )
 from multipos.estimation.known import DENIED, SharedDesign, estimate_known, share_design
-from multipos.estimation.robustness import estimate_robust
+from multipos.estimation.robust_known import estimate_robust
 from multipos.estimation.uncertain_orientations import (
     SharedOrientations,
     estimate_uncertain,
