@@ -46,7 +46,9 @@ def test_the_wheel_is_the_same_every_time_and_installs(tmp_path):
     assert place == str(tmp_path / "site" / "multipos" / "__init__.py")
     assert float(value) == mp.demo().calibration["scale_ax"].value
     with zipfile.ZipFile(path) as archive:
-        assert "multipos/page/index.html" in archive.namelist()
+        names = archive.namelist()
+    assert "multipos/page/visit.py" in names
+    assert not [name for name in names if name.endswith(".js") or "/capturing/" in name]
 
 
 def test_every_own_file_is_named_with_its_hash(made):
