@@ -13,9 +13,9 @@ the zero did there beside what the model follows (hysteresis, a switch-on, a cha
 
     y_k = x_k' p + a_s(k) + e_k,    a_s ~ N(0, σ_a²).                                       (1)
 
-The fit takes all rows as independent, and its U and the band over temperature are too small by as
-much as the soaks have rows. With Δ what columns of the soaks explain beyond the model and the next
-power of temperature, on q degrees of freedom, and ν left,
+The fit takes all rows as independent; U of the bias over temperature holds what the soaks differ by
+(`multipos.sensor.temperature`). With Δ what columns of the soaks explain beyond the model and the
+next power of temperature (of three soaks: the model), on q degrees of freedom, and ν left,
 
     F = (Δ/q) / (rest/ν),      σ_a² = (F − 1) s² q / Σ left of the columns,                 (2)
 
@@ -28,7 +28,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.diagnostics.projections import Kind, formula_with, lacking, left_of, seen_rows
 from multipos.diagnostics.score_tests import judge_model, significant
@@ -41,12 +40,11 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.sensor.found import Estimator
+from multipos.sensor.temperature import COLUMN, soaks_of
 from multipos.uncertainty.validity import unseen_sizes
 
-COLUMN = "temperature"
 _LEVEL = 0.01
-_GAP = 0.04  # of the span of temperature, by which levels are apart
-_FEWEST = 4  # soaks
+_CURVED = 4  # soaks, from which on a curve and zeros of their own are separate
 
 
 def zero_per_soak(c: Calibration) -> Finding | None:
@@ -60,10 +58,9 @@ def zero_per_soak(c: Calibration) -> Finding | None:
     )
     return Finding(
         "zero-per-soak",
-        "warning",
+        "note",
         f"the zero differs from soak to soak, beyond what the model follows (p = {test.p:.1g}; "
-        f"{told} {c.model.unit}): rows of one soak are not independent, and U and the band over "
-        "temperature are too small; take more soaks, or state it in a budget, [stability] u_… = …",
+        f"{told} {c.model.unit}): it is in U of the bias over temperature",
     )
 
 
@@ -79,12 +76,14 @@ def judge_soaks(c: Calibration) -> tuple[ModelTest, Array] | None:
     plain = c.estimator.exact and c.noise is None and c.robust_weight is None
     if not plain or isinstance(c.model, ExpressionModel) or COLUMN not in c.readings.environment:
         return None
-    soak = find_soaks(c.readings.environment[COLUMN])
+    soak = soaks_of(c.readings)
     if soak is None:
         return None
     columns = (soak[:, None] == np.unique(soak)).astype(np.float64)
     phi = c.model.basis(c.reference, c.readings.environment)
     curved = [kind for kind in lacking(c) if kind.name.partition("^")[0] == COLUMN]
+    if columns.shape[1] < _CURVED:  # a curve explains all soaks, and they explain the curve
+        curved = []
     ratios, dofs, sizes = [], [], []
     for i, mine in enumerate(c.model.columns):
         design = np.column_stack([phi[:, mine], _columns(curved, i, c)])
@@ -101,24 +100,6 @@ def judge_soaks(c: Calibration) -> tuple[ModelTest, Array] | None:
         dofs.append((q, nu))
         sizes.append(np.sqrt(max(ratios[-1] - 1.0, 0.0) * rest / nu * q / np.sum(V**2)))
     return ModelTest("soak", c.outputs, tuple(ratios), tuple(dofs)), np.array(sizes)
-
-
-def find_soaks(temperature: Array) -> NDArray[np.intp] | None:
-    """Return the number of the soak of each row, None where temperatures do not stand in levels.
-
-    Levels are apart by a gap; a level that is left and come back to is another soak, where rows
-    stand in order.
-    """
-    if not np.isfinite(temperature).all() or not np.ptp(temperature) > 0.0:
-        return None
-    order = np.argsort(temperature, kind="stable")
-    steps = np.diff(temperature[order]) > _GAP * np.ptp(temperature)
-    level = np.empty(len(order), dtype=np.intp)
-    level[order] = np.concatenate([[0], np.cumsum(steps)])
-    runs = np.concatenate([[0], np.cumsum(np.diff(level) != 0)])
-    soak = runs if runs[-1] + 1 <= len(runs) / 3.0 else level
-    counts = np.bincount(soak)
-    return soak if len(counts) >= _FEWEST and counts.min() >= 2 else None
 
 
 def _columns(kinds: list[Kind], output: int, c: Calibration) -> Array:

@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.diagnostics import noise_causes
-from multipos.diagnostics.model_error import COLUMN, find_soaks
 from multipos.diagnostics.projections import Projection, Setting, is_level, lacking, project
 from multipos.diagnostics.row_order import Plan, plan_of, shown_in_units
 from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
@@ -44,6 +43,7 @@ from multipos.sensor.fit_diagnostics import (
 )
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import inverses
+from multipos.sensor.temperature import COLUMN, find_soaks
 
 Mask = NDArray[np.bool_]
 _AT_ONCE = 12_000  # readings of an output, so that what tests need stays in cache

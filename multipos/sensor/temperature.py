@@ -10,25 +10,48 @@ U holds at one temperature, with the stated confidence; W, for m parameters in t
 temperatures at once (Scheffé), which is what a drawn band is read as. The parameters themselves
 are the values at temperature 0.
 
+**Soaks.** A soak is a stay at one temperature in which several positions are read. Its rows share
+what the zero did there beside the model (hysteresis, a chamber that tilts), y = X p + Z a + e,
+a ~ N(0, σ_a²), Z one column a soak. With Δ what Z explains of the residuals beyond X on q degrees
+of freedom, and s² what is left,
+
+    σ_a² = (Δ − q s²)/tr Z'(I − P_X)Z,      u² = w' C w s²/s_0² + σ_a² |w' X⁺Z|²,           (2)
+
+s_0² that of the fit, if σ_a² is above zero. U holds both parts, each with its own factor: t of ν
+for the first, of q for the second; W likewise. With no more soaks than the model has terms of
+temperature there is no q, and `soak_sd` is not known.
+
+**Hysteresis.** Where levels of temperature are read both when it rises and when it falls, the mean
+of zero, falling less rising, over such levels, with the scatter of these differences,
+
+    value = mean d,    u² = Σ (d − mean d)²/m(m − 1),    or 2 σ_a²/m² Σ 1 with one level.    (3)
+
 Sources: H. Scheffé, The Analysis of Variance, Wiley 1959, section 3.5.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
+from multipos.positions.readings import Readings
 from multipos.results import Drawn, Result, Tabular, require
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import parameter_name
 
+COLUMN = "temperature"
+LABELS = ("soak", "run", "cycle", "chamber")  # columns that tell soaks apart
 _POINTS = 101
+_SOAK = 2.0  # [degC], by which neighbouring rows of one soak may differ
+_FEWEST = 3  # soaks
+_SEEN = 0.2  # of the length of a soak's column, which must be left beyond the model's terms
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +64,11 @@ class Curve(Result, Drawn, Tabular):
         As of a parameter: `bias_ax`, `scale_ax`, `cross_ax_y`.
     temperature : (n,) array
     value, u, U, band : (n,) arrays
-        U at one temperature, band at all of them together, eq. (1).
+        U at one temperature, band at all of them together, eqs. (1) and (2).
+    soak_sd : float or None
+        σ_a of eq. (2), of a bias; None where the readings cannot tell.
+    hysteresis : mapping or None
+        value, u, U and unit of eq. (3), of a bias.
     """
 
     output: str
@@ -52,6 +79,8 @@ class Curve(Result, Drawn, Tabular):
     u: Array
     U: Array
     band: Array
+    soak_sd: float | None = None
+    hysteresis: Mapping[str, Any] | None = None
 
     def columns(self) -> dict[str, Any]:
         """Return temperature, value, u, U and band."""
@@ -116,32 +145,148 @@ def over_temperature(
     weights = np.array([model.linear_map({**fixed, column: float(t)}) for t in T])  # (n, M, 4, p)
     curves = []
     for i, (output, axis) in enumerate(zip(model.outputs, model.axes, strict=True)):
+        soaks = _soaks(calibration, i) if column == COLUMN else None
         for place, term in enumerate((CONSTANT, *map(linear_term, COMPONENTS))):
             w = weights[:, i, place]
             if not w.any():
                 continue
             name = parameter_name(output, axis, term)
-            curves.append(_curve(calibration, output, name, place, T, w))
+            curves.append(_curve(calibration, output, name, place, T, w, soaks))
     return tuple(curves)
 
 
+class _Soaks(NamedTuple):
+    """What soaks differ by in one output, eq. (2)."""
+
+    sd: float  # σ_a
+    dof: float  # q
+    moves: Array  # X⁺Z (p, soaks), in all parameters
+    within: float  # s²/s_0²
+    hysteresis: Mapping[str, Any] | None
+
+
 def _curve(
-    calibration: Calibration, output: str, name: str, place: int, T: Array, w: Array
+    calibration: Calibration,
+    output: str,
+    name: str,
+    place: int,
+    T: Array,
+    w: Array,
+    soaks: _Soaks | None,
 ) -> Curve:
     used = np.flatnonzero(w.any(axis=0))
     C = calibration.covariance[np.ix_(used, used)]
-    u = np.sqrt(np.einsum("ni,ij,nj->n", w[:, used], C, w[:, used]))
-    dof = float(calibration.parameter_dof[used].min())
+    own = np.einsum("ni,ij,nj->n", w[:, used], C, w[:, used])
+    dof, confidence = float(calibration.parameter_dof[used].min()), calibration.confidence
     m = len(used)
     unit = calibration.model.unit
     per_g = "1" if unit == "g" else f"{unit}/g"
+    of_soaks, q = np.zeros(len(T)), 1.0
+    if soaks is not None and soaks.sd > 0.0:
+        of_soaks, q = soaks.sd**2 * ((w @ soaks.moves) ** 2).sum(axis=1), soaks.dof
+        own = own * soaks.within
+    k, k_soaks = (coverage_factor(confidence, nu) for nu in (dof, q))
+    wide, wide_soaks = (m * f_quantile(confidence, m, nu) for nu in (dof, q))
     return Curve(
         output=output,
         name=name,
         unit=per_g if place else unit,
         temperature=T,
         value=w @ calibration.parameters,
-        u=u,
-        U=coverage_factor(calibration.confidence, dof) * u,
-        band=np.sqrt(m * f_quantile(calibration.confidence, m, dof)) * u,
+        u=np.sqrt(own + of_soaks),
+        U=np.sqrt(k**2 * own + k_soaks**2 * of_soaks),
+        band=np.sqrt(wide * own + wide_soaks * of_soaks),
+        soak_sd=None if soaks is None or place else soaks.sd,
+        hysteresis=None if soaks is None or place else soaks.hysteresis,
     )
+
+
+def soaks_of(readings: Readings) -> NDArray[np.intp] | None:
+    """Return the number of the soak of each reading; None where there are none.
+
+    By a column that is a label, else by temperature (`find_soaks`).
+    """
+    for name in LABELS:
+        if name in readings.environment:
+            numbers = np.unique(readings.environment[name], return_inverse=True)[1]
+            return _enough(numbers.astype(np.intp))
+    if COLUMN not in readings.environment:
+        return None
+    return find_soaks(readings.environment[COLUMN])
+
+
+def find_soaks(temperature: Array) -> NDArray[np.intp] | None:
+    """Return the number of the soak of each row, None where temperatures do not stand in levels.
+
+    Neighbouring rows of one soak are within 2 °C; a level that is left and come back to is another
+    soak, where rows stand in order.
+    """
+    if not np.isfinite(temperature).all() or not np.ptp(temperature) > 0.0:
+        return None
+    runs = np.concatenate([[0], np.cumsum(np.abs(np.diff(temperature)) > _SOAK)]).astype(np.intp)
+    if runs[-1] + 1 <= len(runs) / 3.0:
+        return _enough(runs)
+    order = np.argsort(temperature, kind="stable")
+    level = np.empty(len(order), dtype=np.intp)
+    level[order] = np.concatenate([[0], np.cumsum(np.diff(temperature[order]) > _SOAK)])
+    return _enough(level)
+
+
+def _enough(soak: NDArray[np.intp]) -> NDArray[np.intp] | None:
+    counts = np.bincount(soak)
+    return soak if len(counts) >= _FEWEST and counts.min() >= 2 else None
+
+
+def _soaks(c: Calibration, output: int) -> _Soaks | None:
+    """Return what soaks differ by in an output; None where the readings cannot tell."""
+    soak = soaks_of(c.readings)
+    if soak is None or not c.estimator.exact or isinstance(c.model, ExpressionModel):
+        return None
+    mine = list(c.model.columns[output])
+    X = c.model.basis(c.reference, c.readings.environment)[:, mine]
+    Z = (soak[:, None] == np.unique(soak)).astype(np.float64)
+    Q = np.linalg.qr(X)[0]
+    left = Z - Q @ (Q.T @ Z)
+    U, d, _ = np.linalg.svd(left, full_matrices=False)
+    basis = U[:, d > _SEEN * np.sqrt(len(Z) / Z.shape[1])]
+    q, nu = basis.shape[1], len(Z) - X.shape[1] - basis.shape[1]
+    e = c.residuals[:, output]
+    explained = float(np.sum((basis.T @ e) ** 2))
+    within = (float(e @ e) - explained) / max(nu, 1)
+    if q < 1 or nu < 1 or not within > 0.0:
+        return None
+    variance = max((explained - q * within) / float(np.sum((basis.T @ Z) ** 2)), 0.0)
+    moves = np.zeros((len(c.parameters), Z.shape[1]))
+    moves[_places(c, output)] = np.linalg.pinv(X) @ Z
+    share = within / (float(e @ e) / (len(Z) - X.shape[1]))
+    sd = float(np.sqrt(variance))
+    means = np.array([e[soak == s].mean() for s in np.unique(soak)])
+    return _Soaks(sd, float(q), moves, share, _hysteresis(c, soak, means, sd))
+
+
+def _places(c: Calibration, output: int) -> NDArray[np.intp]:
+    """Return where the parameters of an output stand."""
+    return np.flatnonzero(np.asarray(c.model.output_of) == output)
+
+
+def _hysteresis(
+    c: Calibration, soak: NDArray[np.intp], means: Array, sd: float
+) -> Mapping[str, Any] | None:
+    """Return eq. (3) of what soaks leave of the zero, in order; None without levels read twice."""
+    warm = c.readings.environment.get(COLUMN)
+    if warm is None:
+        return None
+    at = np.array([warm[soak == s].mean() for s in np.unique(soak)])
+    rising = np.concatenate([[np.diff(at)[0]], np.diff(at)]) > 0.0
+    pairs = [
+        means[j] - means[i]
+        for i in np.flatnonzero(rising)
+        for j in np.flatnonzero(~rising)
+        if abs(at[i] - at[j]) <= _SOAK
+    ]
+    if not pairs:
+        return None
+    d, m = np.array(pairs), len(pairs)
+    u = float(d.std(ddof=1) / np.sqrt(m)) if m > 1 else float(np.sqrt(2.0) * sd)
+    k = coverage_factor(c.confidence, max(m - 1.0, 1.0))
+    return {"value": float(d.mean()), "u": u, "U": k * u, "unit": c.model.unit}

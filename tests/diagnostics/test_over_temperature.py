@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.diagnostics.model_error import find_soaks, judge_soaks
+from multipos.diagnostics.model_error import judge_soaks
 from multipos.positions.scheme import read_scheme
+from multipos.sensor.temperature import find_soaks
 from tests.diagnostics.test_model_error import BIAS, MATRIX
 
 MODEL = "1 + x + y + z + temperature + temperature*own"
@@ -64,3 +65,44 @@ def test_good_soaks_are_not_doubted():
     """1 % of 40 for each of two findings; more than 4 has a chance of one in 1,000."""
     named = [found(mp.fit(over_temperature(seed), model=MODEL)) for seed in range(40)]
     assert sum(map(bool, named)) <= 4
+
+
+def test_u_of_the_bias_holds_what_soaks_differ_by():
+    """Zeros of 1 mg at three and five soaks, .3 mg of noise: U held 42 to 49 % of them."""
+    at = np.linspace(-20.0, 50.0, 8)
+    for soaks, least in ((3, 0.85), (5, 0.9)):
+        rng = np.random.default_rng(7)
+        levels, inside, named = np.linspace(-20.0, 50.0, soaks), [], 0
+        soak, up = np.repeat(np.arange(soaks), 6), np.tile(read_scheme("faces-6").up, (soaks, 1))
+        for _ in range(40):
+            values = 1e-4 * levels[soak, None] + up + 1e-3 * rng.standard_normal((soaks, 3))[soak]
+            values += 3e-4 * rng.standard_normal(up.shape)
+            warm = {"temperature": levels[soak]}
+            c = mp.fit(mp.Readings(values, up=up, unit="g", environment=warm), model=MODEL)
+            named += "zero-per-soak" in found(c)
+            for curve in mp.over_temperature(c, at):
+                if curve.name.startswith("bias"):
+                    assert curve.soak_sd is not None
+                    inside.append(np.abs(curve.value - 1e-4 * at) <= curve.U)
+        assert np.mean(inside) >= least
+        assert named >= 35
+
+
+def test_soaks_and_hysteresis_by_hand():
+    """Zeros of 1, 1, 0, −1, −1 mg at 20, 40, 60, 40, 20 °C: no line takes any of it.
+
+    Falling less rising is −2 mg at both levels.
+    """
+    warm = np.array([20.0, 40.0, 60.0, 40.0, 20.0])
+    zero = np.array([1.0, 1.0, 0.0, -1.0, -1.0]) * 1e-3
+    up = np.tile(read_scheme("faces-6").up, (5, 1))
+    soak = np.repeat(np.arange(5), 6)
+    rng = np.random.default_rng(1)
+    values = up + zero[soak, None] + 1e-6 * rng.standard_normal(up.shape)
+    readings = mp.Readings(values, up=up, unit="g", environment={"temperature": warm[soak]})
+    c = mp.fit(readings, model="1 + x + y + z + temperature")
+    bias = mp.over_temperature(c, [20.0])[0]
+    assert bias.hysteresis["value"] == pytest.approx(-2e-3, abs=2e-6)
+    assert bias.hysteresis["unit"] == "g"
+    # 4 mg² of soaks in squares of rows: Δ = 6 · 4e-6 on three, tr = 6 · 3
+    assert bias.soak_sd == pytest.approx(np.sqrt(4e-6 / 3), rel=1e-2)

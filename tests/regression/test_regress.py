@@ -662,7 +662,7 @@ def test_rows_that_are_not_apart_are_a_doubt_first_of_what_is_said(tmp_path):
     table = {"T": np.linspace(0.0, 50.0, 200), "y": noise, "z": noise + 1.0}
     found = mp.regress(table, response="y", variables="T")
     finding = found.findings[0]
-    (switch_on,) = (one for one in found.findings if one.code == "turn-on")
+    assert "turn-on" in [one.code for one in found.findings]
     assert (finding.code, finding.level) == ("time-correlated", "warning")
     assert texts(found)[0] == finding.text
     assert texts(found).count(finding.text) == 1
@@ -671,7 +671,8 @@ def test_rows_that_are_not_apart_are_a_doubt_first_of_what_is_said(tmp_path):
     both = mp.regress(table, response="y,z", variables="T")
     assert both.findings[0].text == f"y: {finding.text}"
     white = {"T": table["T"], "y": rng.standard_normal(200)}
-    assert mp.regress(white, response="y", variables="T").findings == (switch_on,)
+    said = mp.regress(white, response="y", variables="T").findings
+    assert "time-correlated" not in [one.code for one in said]
 
 
 def test_as_many_terms_as_rows_is_a_finding():
