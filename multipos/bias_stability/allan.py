@@ -49,6 +49,7 @@ W. J. Riley, *Handbook of Frequency Stability Analysis*, NIST SP 1065, 2008: (1)
 IEEE Std 952 and 1293: the laws.
 """
 
+import math
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
@@ -325,7 +326,7 @@ def _best(lengths: Sequence[int], variances: Array, records: Sequence[int], firs
 
 def _not_negative(A: Array, y: Array) -> Array:
     """Return the least-squares solution of A x = y with x ≥ 0, over all sets of a few columns."""
-    best, least = np.zeros(A.shape[1]), float(y @ y)
+    best, least = np.zeros(A.shape[1]), math.inf
     for count in range(1, A.shape[1] + 1):
         for chosen in combinations(range(A.shape[1]), count):
             x = np.linalg.lstsq(A[:, chosen], y, rcond=None)[0]
