@@ -4,7 +4,7 @@ Every unit has the problem of `multipos.estimation.likelihood` at the listed pos
 
     F = Σ_k r_k'Σ_k⁻¹r_k + |t_k|²/s_k²,     r_k = y_k − h(θ, ±g E(u_k, t_k)),               (1)
 
-and takes the steps of its eqs. (5) and (6) from the listed directions u_k, undamped at first:
+and takes the steps of its eqs. (5) and (6) from the listed directions u_k, hardly damped at first:
 angles t_k of a few degrees bend F by little, and each step leaves a small part of the one before.
 
 `estimate_uncertain` fits many units, all of them in step, with the noise that is stated, or with
@@ -63,7 +63,7 @@ from multipos.sensor.model import Model
 
 STILL = 0.99  # χ² point beyond which an excess variance does not explain residuals
 WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
-_RULES = Rules(iterations=30, damping=0.0)
+_RULES = Rules(iterations=30, damping=1e-6)
 
 
 class Positions(NamedTuple):

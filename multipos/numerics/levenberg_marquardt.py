@@ -110,6 +110,21 @@ class Ended(NamedTuple):
     last_step: Array  # relative
     gradient: Array  # root of the last decrement
 
+    def put(
+        self,
+        units: Places,
+        which: NDArray[np.bool_],
+        converged: NDArray[np.bool_],
+        iterations: Places,
+        last_step: Array,
+        decrement: Array,
+    ) -> None:
+        """Put how `which` of some searches ended in the places of `units`."""
+        places = units[which]
+        self.converged[places], self.iterations[places] = converged[which], iterations[which]
+        self.last_step[places] = last_step[which]
+        self.gradient[places] = np.sqrt(np.maximum(decrement[which], 0.0))
+
 
 def descend(
     steps: Steps[PlaceT, EquationsT],
@@ -132,89 +147,99 @@ def descend(
         Parameters that stay where they are.
     """
     count = len(place.theta)
-    damping, decrement = np.full(count, rules.damping), np.full(count, np.inf)
-    last_step, before = np.full((2, count), np.inf)
-    converged, refused, stuck = np.zeros((3, count), dtype=np.bool_)
-    iterations = np.zeros(count, dtype=np.intp)
-    going = np.flatnonzero(np.isfinite(place.objective))
+    found, ended = place, _none_ended(count)
+    refused = np.zeros(count, dtype=np.bool_)
+    units = np.flatnonzero(np.isfinite(place.objective))
+    here = place if len(units) == count else place.of(units)
+    mine = steps if len(units) == count else steps.of(units)
+    going = _Going.begin(len(units), rules)
     equations = None
-    while len(going):
-        some = len(going) < count
-        mine = steps.of(going) if some else steps
-        here = place.of(going) if some else place
+    while len(units):
         if equations is None:
             equations = mine.linearise(here)
         F = here.objective
-        step, fall, relative = _step(here.theta, equations, damping[going], held)
-        trial = mine.move(here, equations, step, damping[going])
+        step, fall, relative = _step(here.theta, equations, going.damping, held)
+        trial = mine.move(here, equations, step, going.damping)
         taken = trial.objective <= F
-        flat = np.zeros_like(taken)
-        if not taken.all():
-            flat = ~taken & (fall <= _FLAT * F)
-            if not rules.weighted:
-                whole = _step(here.theta, equations, np.zeros(len(going)), held)[1]
-                flat |= ~taken & (whole <= _rise(largest[going], F))
-        decrement[going], last_step[going] = fall, relative
-        shrinks = np.where(np.isinf(before[going]), 1.0, fall / before[going])
+        shrinks = np.where(going.before > 0.0, fall / going.before, 1.0)
         following = fall * np.fmin(shrinks, 1.0)
-        enough = (following <= rules.decrement * trial.objective) | (relative <= _XTOL)
-        converged[going] = taken & enough
-        before[going] = np.where(taken, fall, before[going])
-        refused[going] |= ~taken
-        damping[going] = np.where(
-            taken, 0.1 * damping[going], np.maximum(10.0 * damping[going], 1e-10)
-        )
-        over = flat | (damping[going] > _STUCK)
-        stuck[going] = over
-        iterations[going] += taken | over
+        over = (following <= rules.decrement * trial.objective) | (relative <= _XTOL)
         if taken.all():
-            place = _put(place, going, trial, some=some)
-        elif taken.any():
-            place.put(going[taken], trial.of(taken))
-        on = ~converged[going] & ~over & (iterations[going] < rules.iterations)
-        if taken.any() or not on.all():
-            equations = None
-        going = going[on]
-    if stuck.any():
-        _test_stuck(steps, place, np.flatnonzero(stuck), held, (converged, decrement, last_step))
-    settling = np.flatnonzero(converged & refused & (last_step <= _SMALL))
+            here, equations, stuck = trial, None, np.zeros_like(taken)
+            going = _Going(0.1 * going.damping, fall, going.iterations + 1)
+        else:
+            over &= taken
+            refused[units] |= ~taken
+            # no descent is left: rounding, or a point that is no minimum
+            _, whole, short = _step(here.theta, equations, np.zeros(len(units)), held)
+            flat = fall <= _FLAT * F
+            if not rules.weighted:
+                flat |= whole <= _rise(largest[units], F)
+            going, stuck = going.refused(taken, fall, flat & ~taken)
+            over |= stuck & ((whole <= _ROUNDING * F) | (short <= _ROUNDING))
+            fall, relative = np.where(stuck, whole, fall), np.where(stuck, short, relative)
+            if taken.any():
+                here.put(np.flatnonzero(taken), trial.of(taken))
+                equations = None
+        done = over | stuck | (going.iterations >= rules.iterations)
+        if not done.any():
+            continue
+        ended.put(units, done, over, going.iterations, relative, fall)
+        if len(units) == count and done.all():
+            found = here
+        else:
+            found.put(units[done], here.of(done))
+        on = np.flatnonzero(~done)
+        units, equations, going = units[on], None, going.of(on)
+        if len(on):
+            here, mine = here.of(on), mine.of(on)
+    settling = np.flatnonzero(ended.converged & refused & (ended.last_step <= _SMALL))
     if len(settling):
-        place = _settled(steps, place, settling, largest, held)
-    return place, Ended(converged, iterations, last_step, np.sqrt(np.maximum(decrement, 0.0)))
+        _settle(steps, found, settling, largest, held)
+    return found, ended
 
 
-def _put(place: PlaceT, units: Places, other: PlaceT, *, some: bool) -> PlaceT:
-    """Return the points with some of them put in place, or all."""
-    if not some:
-        return other
-    place.put(units, other)
-    return place
+class _Going(NamedTuple):
+    """The searches that have not ended."""
+
+    damping: Array
+    before: Array  # decrement of the last step that was taken; 0 at first
+    iterations: Places
+
+    @classmethod
+    def begin(cls, count: int, rules: Rules) -> "_Going":
+        """Return searches before their first step."""
+        damping = np.full(count, rules.damping)
+        return cls(damping, np.zeros(count), np.zeros(count, dtype=np.intp))
+
+    def of(self, units: Places) -> "_Going":
+        """Return some of the searches."""
+        return _Going(*(each[units] for each in self))
+
+    def refused(
+        self, taken: NDArray[np.bool_], fall: Array, flat: NDArray[np.bool_]
+    ) -> tuple["_Going", NDArray[np.bool_]]:
+        """Return the searches after steps of which some were refused, and which are stuck."""
+        damping = np.where(taken, 0.1 * self.damping, np.maximum(10.0 * self.damping, 1e-10))
+        stuck = flat | (damping > _STUCK)
+        before = np.where(taken, fall, self.before)
+        return _Going(damping, before, self.iterations + (taken | stuck)), stuck
 
 
-def _test_stuck(
-    steps: Steps[PlaceT, EquationsT],
-    place: PlaceT,
-    units: Places,
-    held: tuple[int, ...],
-    found: tuple[NDArray[np.bool_], Array, Array],
-) -> None:
-    """Tell rounding from a point that is no minimum, where no descent is left."""
-    converged, decrement, last_step = found
-    here = place.of(units)
-    equations = steps.of(units).linearise(here)
-    _, fall, relative = _step(here.theta, equations, np.zeros(len(units)), held)
-    converged[units] = (fall <= _ROUNDING * here.objective) | (relative <= _ROUNDING)
-    decrement[units], last_step[units] = fall, relative
+def _none_ended(count: int) -> Ended:
+    """Return searches of which none has ended."""
+    none = np.zeros(count, dtype=np.bool_)
+    return Ended(none, np.zeros(count, dtype=np.intp), *np.full((2, count), np.inf))
 
 
-def _settled(
+def _settle(
     steps: Steps[PlaceT, EquationsT],
     place: PlaceT,
     units: Places,
     largest: Array,
     held: tuple[int, ...],
-) -> PlaceT:
-    """Return the points where the slope of F vanishes, of which F itself has half the digits."""
+) -> None:
+    """Move to where the slope of F vanishes, of which F itself has half the digits."""
     for _ in range(_LAST_STEPS):
         mine, here = steps.of(units), place.of(units)
         equations, none = mine.linearise(here), np.zeros(len(units))
@@ -225,7 +250,6 @@ def _settled(
         units = units[taken]
         if not len(units):
             break
-    return place
 
 
 def _rise(largest: Array, objective: Array) -> Array:
@@ -250,9 +274,6 @@ def _step(
     damped = information / (scale[:, :, None] * scale[:, None, :])
     # A ridge of rounding size, so that what the data do not determine is left where it is.
     damped.reshape(-1, P * P)[:, :: P + 1] += np.maximum(damping, 1e-15)[:, None]
-    whole = np.isfinite(damped).all(axis=(1, 2))
-    if not whole.all():
-        damped[~whole] = np.eye(P)
     scaled = np.linalg.solve(damped, (gradient / scale)[:, :, None])[:, :, 0]
     step = scaled / scale
     size = np.abs(theta * scale[:, : theta.shape[1]]).max(axis=1)
