@@ -113,11 +113,10 @@ def model_coefficients(model: Model, parameters: Array) -> Array:
 
 
 def force_slopes(
-    model: Model, environment: Mapping[str, Array], theta: Array, force: Array
+    model: Model, environment: Mapping[str, Array], coefficients: Array, force: Array
 ) -> Array:
-    """Return dh/df (M, 3, B, n) of parameters (B, p) at forces (3, B, n) [g]."""
+    """Return dh/df (M, 3, B, n) of coefficients (B, M, T) at forces (3, B, n) [g]."""
     _, count, n = force.shape
-    coefficients = model_coefficients(model, theta)
     columns = {name: np.tile(column, count) for name, column in environment.items()}
     variables = model.variables(force.reshape(3, -1).T, columns)
     constant = np.zeros((len(model.outputs), 3, count))

@@ -102,6 +102,7 @@ class Place(NamedTuple):
     """Units (B) at a point of their search; positions run fastest in memory."""
 
     theta: Array  # (B, p)
+    coefficients: Array  # of the terms of each output, (B, M, T)
     step: Array  # t, (2, B, n) [rad]
     force: Array  # (3, B, n) [g]
     phi: Array  # terms of the model, (T, B, n)
@@ -111,9 +112,10 @@ class Place(NamedTuple):
 
     def of(self, units: NDArray[Any]) -> "Place":
         """Return some of the units."""
-        theta, step, force, phi, residuals, q, objective = self
+        theta, coefficients, step, force, phi, residuals, q, objective = self
         return Place(
             theta[units],
+            coefficients[units],
             step[:, units],
             force[:, units],
             phi[:, units],
@@ -125,6 +127,7 @@ class Place(NamedTuple):
     def put(self, units: Places, other: "Place") -> None:
         """Put other units in places of these."""
         self.theta[units] = other.theta
+        self.coefficients[units] = other.coefficients
         self.step[:, units] = other.step
         self.force[:, units] = other.force
         self.phi[:, units] = other.phi
@@ -215,15 +218,19 @@ class UncertainSearch:
 
     def at(self, theta: Array, step: Array) -> Place:
         """Return units at parameters (B, p) and steps (2, B, n)."""
+        return self._at(theta, model_coefficients(self.model, theta), step)
+
+    def _at(self, theta: Array, coefficients: Array, step: Array) -> Place:
         _, count, n = step.shape
         listed = self.listed.of(count)
         moved = step_on_sphere(listed.centre, listed.basis, step.reshape(2, -1).T)
         force = np.ascontiguousarray((listed.size * moved).T)
         columns = {name: np.tile(column, count) for name, column in listed.environment.items()}
         phi = self.model.basis(force.T, columns).T.reshape(-1, count, n)
-        residuals = self.values - combined(model_coefficients(self.model, theta), phi)
+        residuals = self.values - combined(coefficients, phi)
         misfits = self._misfits(residuals, step)
-        return Place(theta, step, force.reshape(3, count, n), phi, residuals, *misfits)
+        force = force.reshape(3, count, n)
+        return Place(theta, coefficients, step, force, phi, residuals, *misfits)
 
     def under_noise(self, place: Place) -> Place:
         """Return a place with the misfits that this noise makes of it."""
@@ -273,7 +280,8 @@ class UncertainSearch:
         follows = combined(change, place.phi).reshape(len(self.values), -1).T
         back = equations.angle_gradient - np.einsum("nmi,nm->ni", equations.weighted, follows)
         own = np.einsum("nij,nj->in", equations.inverse, back).reshape(place.step.shape)
-        return self.at(place.theta + step, place.step + own / (1.0 + damping)[:, None])
+        steps = place.step + own / (1.0 + damping)[:, None]
+        return self._at(place.theta + step, place.coefficients + change, steps)
 
     def jacobian(self, place: Place) -> Array:
         """Return what the angles of each position do to its reading, J (M, 2, B, n)."""
@@ -281,7 +289,7 @@ class UncertainSearch:
         listed = self.listed.of(count)
         moves = step_derivative(listed.centre, listed.basis, place.step.reshape(2, -1).T)
         moves = (listed.size[:, :, None] * moves).transpose(1, 2, 0).reshape(3, 2, count, n)
-        by_force = force_slopes(self.model, listed.environment, place.theta, place.force)
+        by_force = force_slopes(self.model, listed.environment, place.coefficients, place.force)
         return np.asarray(np.einsum("mkbn,kibn->mibn", by_force, moves))
 
     @property

@@ -92,6 +92,7 @@ class Place(NamedTuple):
     """Units (B) at a point of their search; positions run fastest in memory."""
 
     theta: Array  # (B, p)
+    coefficients: Array  # of the terms of each output, (B, M, T)
     force: Array  # (3, B, n) [g]
     phi: Array  # terms of the model, (T, B, n)
     residuals: Array  # (3, B, n)
@@ -100,9 +101,10 @@ class Place(NamedTuple):
 
     def of(self, units: NDArray[Any]) -> "Place":
         """Return some of the units."""
-        theta, force, phi, residuals, q, objective = self
+        theta, coefficients, force, phi, residuals, q, objective = self
         return Place(
             theta[units],
+            coefficients[units],
             force[:, units],
             phi[:, units],
             residuals[:, units],
@@ -113,6 +115,7 @@ class Place(NamedTuple):
     def put(self, units: Places, other: "Place") -> None:
         """Put other units in places of these."""
         self.theta[units] = other.theta
+        self.coefficients[units] = other.coefficients
         self.force[:, units] = other.force
         self.phi[:, units] = other.phi
         self.residuals[:, units] = other.residuals
@@ -204,8 +207,9 @@ class UnknownSearch:
         phi = self._phi(point.force.T[:, None])
         residuals = point.residuals.T[:, None]
         objective = np.array([point.objective])
-        theta = state.theta[None]
-        return Place(theta, point.force.T[:, None], phi, residuals, point.q[None], objective)
+        theta, q, force = state.theta[None], point.q[None], point.force.T[:, None]
+        coefficients = model_coefficients(self.shared.model, theta)
+        return Place(theta, coefficients, force, phi, residuals, q, objective)
 
     def end(self, place: Place, state: State) -> tuple[State, Point]:
         """Return state and point of a place, from the state of the beginning."""
@@ -235,9 +239,12 @@ class UnknownSearch:
 
     def at(self, theta: Array, force: Array) -> Place:
         """Return units at parameters (B, p) and forces (3, B, n)."""
+        return self._at(theta, model_coefficients(self.shared.model, theta), force)
+
+    def _at(self, theta: Array, coefficients: Array, force: Array) -> Place:
         phi = self._phi(force)
-        residuals = self.values - combined(model_coefficients(self.shared.model, theta), phi)
-        return Place(theta, force, phi, residuals, *self._misfits(residuals))
+        residuals = self.values - combined(coefficients, phi)
+        return Place(theta, coefficients, force, phi, residuals, *self._misfits(residuals))
 
     def under_noise(self, place: Place) -> Place:
         """Return a place with the misfits that this noise makes of its residuals."""
@@ -252,7 +259,7 @@ class UnknownSearch:
     def linearise(self, place: Place) -> Surface:
         """Return the normal equations of eqs. (1), (2), weighted by the loss."""
         model, size = self.shared.model, self.shared.size
-        G = force_slopes(model, self.shared.environment, place.theta, place.force)
+        G = force_slopes(model, self.shared.environment, place.coefficients, place.force)
         cofactors = cofactors_of(G)
         determinant = np.einsum("ibn,ibn->bn", G[0], cofactors[0])
         normal = np.einsum("mibn,ibn->mbn", cofactors, place.force)
@@ -294,7 +301,7 @@ class UnknownSearch:
         ease = (1.0 + damping[:, None]) * (1.0 + np.maximum(surface.excess, 0.0))
         force = place.force + turn / ease
         force *= self.shared.size / np.sqrt(np.einsum("ibn,ibn->bn", force, force))
-        return self.at(place.theta + step, force)
+        return self._at(place.theta + step, place.coefficients + change, force)
 
     def linear(self, place: Place, stated: Array) -> Linear:
         """Return the linear models of what lies along the normals, of length one.

@@ -267,7 +267,7 @@ def _step(
         fixed = list(held)
         information[:, fixed, :] = information[:, :, fixed] = 0.0
         information[:, fixed, fixed], gradient[:, fixed] = 1.0, 0.0
-    scale = np.sqrt(np.einsum("bpp->bp", information))
+    scale = np.sqrt(information.diagonal(axis1=1, axis2=2))
     if not scale.all():
         scale = np.where(scale > 0.0, scale, 1.0)
     P = scale.shape[1]
