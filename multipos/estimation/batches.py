@@ -112,34 +112,6 @@ def model_coefficients(model: Model, parameters: Array) -> Array:
     return theta
 
 
-def force_slopes(
-    model: Model, environment: Mapping[str, Array], coefficients: Array, force: Array
-) -> Array:
-    """Return dh/df (M, 3, B, n) of coefficients (B, M, T) at forces (3, B, n) [g]."""
-    _, count, n = force.shape
-    columns = {name: np.tile(column, count) for name, column in environment.items()}
-    variables = model.variables(force.reshape(3, -1).T, columns)
-    constant = np.zeros((len(model.outputs), 3, count))
-    varying = []
-    for column, axis, factor, lower in model.slopes:
-        if lower is not None and not lower.factors:
-            constant[:, axis] += factor * coefficients[:, :, column].T
-            continue
-        if lower is None:
-            slope = model.basis_terms[column].derivative(variables, COMPONENTS[axis])
-        else:
-            slope = factor * np.asarray(lower.evaluate(variables), dtype=np.float64)
-        varying.append((column, axis, slope.reshape(count, n) if np.ndim(slope) else slope))
-    result = np.empty((len(model.outputs), 3, count, n))
-    result[:] = constant[..., None]
-    used: list[list[bool]] = (coefficients != 0.0).any(axis=0).T.tolist()
-    for column, axis, slope in varying:
-        for output, present in enumerate(used[column]):
-            if present:
-                result[output, axis] += coefficients[:, output, column, None] * slope
-    return result
-
-
 def _invert(
     model: Model, environment: Mapping[str, Array], theta: Array
 ) -> tuple[Array, NDArray[np.bool_]]:

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from multipos.estimation.batches import (
     Estimates,
     compensated,
-    force_slopes,
     join_estimates,
     model_coefficients,
 )
@@ -289,7 +288,7 @@ class UncertainSearch:
         listed = self.listed.of(count)
         moves = step_derivative(listed.centre, listed.basis, place.step.reshape(2, -1).T)
         moves = (listed.size[:, :, None] * moves).transpose(1, 2, 0).reshape(3, 2, count, n)
-        by_force = force_slopes(self.model, listed.environment, place.coefficients, place.force)
+        by_force = self.model.force_slopes(place.coefficients, place.force, listed.environment)
         return np.asarray(np.einsum("mkbn,kibn->mibn", by_force, moves))
 
     @property

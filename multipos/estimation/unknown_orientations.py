@@ -47,7 +47,6 @@ from numpy.typing import NDArray
 from multipos.estimation.batches import (
     Estimates,
     compensated,
-    force_slopes,
     join_estimates,
     model_coefficients,
 )
@@ -259,7 +258,7 @@ class UnknownSearch:
     def linearise(self, place: Place) -> Surface:
         """Return the normal equations of eqs. (1), (2), weighted by the loss."""
         model, size = self.shared.model, self.shared.size
-        G = force_slopes(model, self.shared.environment, place.coefficients, place.force)
+        G = model.force_slopes(place.coefficients, place.force, self.shared.environment)
         cofactors = cofactors_of(G)
         determinant = np.einsum("ibn,ibn->bn", G[0], cofactors[0])
         normal = np.einsum("mibn,ibn->mbn", cofactors, place.force)

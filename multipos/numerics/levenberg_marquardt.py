@@ -278,4 +278,4 @@ def _step(
     step = scaled / scale
     size = np.abs(theta * scale[:, : theta.shape[1]]).max(axis=1)
     relative = np.abs(scaled).max(axis=1) / np.maximum(size, 1e-300)
-    return step, np.einsum("bp,bp->b", step, gradient), relative
+    return step, (step * gradient).sum(axis=1), relative

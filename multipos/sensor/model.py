@@ -271,26 +271,49 @@ class Model(Result):
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
     ) -> Array:
         """Return dy/df (n, M, 3) at force (n, 3) [g]."""
-        theta = self.coefficients(parameters)
-        constant = np.zeros((len(self.outputs), 3))
-        variables = self.variables(force, environment)
-        varying = []
-        for column, axis, factor, lower in self.slopes:
+        theta = self.coefficients(parameters)[None]
+        return self.force_slopes(theta, force.T[:, None], environment)[:, :, 0].transpose(2, 0, 1)
+
+    def force_slopes(
+        self, coefficients: Array, force: Array, environment: Mapping[str, ArrayLike]
+    ) -> Array:
+        """Return dy/df (M, 3, B, n) of B units with coefficients (B, M, T) at force (3, B, n) [g].
+
+        The environment (n,) is that of every unit.
+        """
+        _, count, n = force.shape
+        if count > 1:
+            environment = {name: np.tile(column, count) for name, column in environment.items()}
+        result = np.empty((len(self.outputs), 3, count, n))  # positions run fastest in memory
+        result[:] = (coefficients @ self.constant_slopes).transpose(1, 2, 0)[..., None]
+        if not self.varying_slopes:
+            return result
+        variables = self.variables(force.reshape(3, -1).T, environment)
+        used = np.asarray(coefficients != 0.0).any(axis=0).T.tolist()
+        for column, axis, factor, lower in self.varying_slopes:
             if lower is None:
                 slope = self.basis_terms[column].derivative(variables, COMPONENTS[axis])
-            elif lower.factors:
-                slope = factor * lower.evaluate(variables)
             else:
-                constant[:, axis] += factor * theta[:, column]
-                continue
-            varying.append((axis, slope, theta[:, column].tolist()))
-        result = np.empty((*constant.shape, len(force)))  # positions run fastest in memory
-        result[:] = constant[:, :, None]
-        for axis, slope, coefficients in varying:
-            for output, coefficient in enumerate(coefficients):
-                if coefficient:
-                    result[output, axis] += coefficient * slope
-        return result.transpose(2, 0, 1)
+                slope = factor * np.asarray(lower.evaluate(variables), dtype=np.float64)
+            slope = slope.reshape(count, n) if np.ndim(slope) else slope
+            for output, present in enumerate(used[column]):
+                if present:
+                    result[output, axis] += coefficients[:, output, column, None] * slope
+        return result
+
+    @cached_property
+    def constant_slopes(self) -> Array:
+        """Derivatives of the basis terms by the force where they are constant (T, 3), else 0."""
+        result = np.zeros((len(self.basis_terms), 3))
+        for column, axis, factor, lower in self.slopes:
+            if lower is not None and not lower.factors:
+                result[column, axis] += factor
+        return result
+
+    @cached_property
+    def varying_slopes(self) -> tuple[tuple[int, int, int, Term | None], ...]:
+        """Those of `slopes` that are not constant."""
+        return tuple(each for each in self.slopes if each[3] is None or each[3].factors)
 
     @cached_property
     def slopes(self) -> tuple[tuple[int, int, int, Term | None], ...]:
